@@ -1,0 +1,35 @@
+"""Every error a user can cause: one line that says what, where, and what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class AmheError(Exception):
+    """Root of all expected errors; the command line prints its text and no traceback."""
+
+
+class ConfigError(AmheError):
+    """A setting, a system folder or an option is wrong."""
+
+
+class LogError(AmheError):
+    """A log exists but cannot be used."""
+
+
+class EstimationError(AmheError):
+    """The data were read, but no estimate could be made from them."""
+
+
+class SimulationError(AmheError):
+    """The simulator refused to run."""
+
+
+def one_of(kind: str, name: str, known: Iterable[str]) -> str:
+    """Say that `name` is no known `kind`, and what would be: 'no joint 'hip'; ...'."""
+    names = sorted(set(known))
+    close = get_close_matches(name, names, n=1)
+    hint = f" (did you mean {close[0]!r}?)" if close else ""
+    listed = ", ".join(names) if names else f"no {kind} at all"
+    return f"no {kind} {name!r}{hint}; there is: {listed}"

@@ -1,0 +1,166 @@
+"""The unknowns theta, their prior, and the coordinates z they are searched in.
+
+z = (phi(theta) - phi(nominal)) / prior_sd with phi = log for log-scaled parameters and phi = identity
+for linear ones: the prior is the standard normal, and one unit of z is one prior standard deviation
+of any parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, sealed
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One unknown number.
+
+    Args:
+        name: As the user wrote it.
+        unit: SI unit, '-' for none.
+        nominal: Prior mean (median, on the log scale); strictly within the bounds.
+        lower, upper: Hard bounds.
+        log: Searched on the logarithmic scale.
+        prior_sd: Prior standard deviation of log(theta) if `log`, else of theta.
+    """
+
+    name: str
+    unit: str
+    nominal: float
+    lower: float
+    upper: float
+    log: bool
+    prior_sd: float
+
+
+@dataclass(frozen=True)
+class ParameterSpace:
+    """An ordered set of parameters; arrays of theta and z have shape (..., d)."""
+
+    parameters: tuple[Parameter, ...]
+
+    def __len__(self) -> int:
+        return len(self.parameters)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names, in column order."""
+        return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def nominal(self) -> FloatArray:
+        """Prior mean theta0, shape (d,)."""
+        return sealed([p.nominal for p in self.parameters])
+
+    @cached_property
+    def log(self) -> np.ndarray:
+        """Which columns are log-scaled, shape (d,)."""
+        return np.array([p.log for p in self.parameters], dtype=bool)
+
+    @cached_property
+    def prior_sd(self) -> FloatArray:
+        """Prior sd of phi, shape (d,)."""
+        return sealed([p.prior_sd for p in self.parameters])
+
+    @cached_property
+    def bounds(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper bounds in z, each (d,)."""
+        lower = self.z_of(np.array([p.lower for p in self.parameters]))
+        upper = self.z_of(np.array([p.upper for p in self.parameters]))
+        return sealed(lower), sealed(upper)
+
+    def phi_of(self, theta: FloatArray) -> FloatArray:
+        """Scaled value: log(theta) where log-scaled, else theta."""
+        theta = np.asarray(theta, dtype=np.float64)
+        with np.errstate(divide="ignore"):
+            return np.where(self.log, np.log(np.where(self.log, theta, 1.0)), theta)
+
+    def z_of(self, theta: FloatArray) -> FloatArray:
+        """Search coordinates of theta."""
+        return (self.phi_of(theta) - self.phi_of(self.nominal)) / self.prior_sd
+
+    def theta_of(self, z: FloatArray) -> FloatArray:
+        """Parameters in SI units of search coordinates z."""
+        phi = self.phi_of(self.nominal) + np.asarray(z) * self.prior_sd
+        return np.where(self.log, np.exp(np.where(self.log, phi, 0.0)), phi)
+
+    def clip(self, z: FloatArray) -> FloatArray:
+        """The nearest z within the bounds."""
+        return np.clip(z, *self.bounds)
+
+    def with_prior(self, belief: Belief) -> ParameterSpace:
+        """The same parameters with a belief's estimate and marginal sd as their prior.
+
+        Parameters that the belief does not know keep their own prior.
+        """
+        known = {name: i for i, name in enumerate(belief.names)}
+        sd = np.sqrt(np.diag(belief.covariance))
+        return ParameterSpace(
+            tuple(
+                p
+                if p.name not in known
+                else Parameter(
+                    p.name,
+                    p.unit,
+                    float(belief.estimate[known[p.name]]),
+                    p.lower,
+                    p.upper,
+                    p.log,
+                    float(sd[known[p.name]]),
+                )
+                for p in self.parameters
+            )
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Belief:
+    """A Gaussian belief over parameters, in scaled coordinates phi.
+
+    Args:
+        system: Name of the system it is about.
+        names: Parameter names, length d.
+        units: Their units.
+        log: Which are log-scaled: for those, phi = log(theta).
+        estimate: theta, shape (d,).
+        covariance: Of phi, shape (d, d).
+        provenance: Where it came from: versions, hashes, seed, command.
+    """
+
+    system: str
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    log: tuple[bool, ...]
+    estimate: FloatArray
+    covariance: FloatArray
+    provenance: dict[str, object] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "estimate", sealed(self.estimate))
+        object.__setattr__(self, "covariance", sealed(self.covariance))
+
+
+def belief_of(
+    system: str, space: ParameterSpace, z: FloatArray, covariance: FloatArray, provenance: dict[str, object]
+) -> Belief:
+    """Belief of an estimate z (d,) with covariance (d, d) in z."""
+    scale = np.outer(space.prior_sd, space.prior_sd)
+    return Belief(
+        system=system,
+        names=space.names,
+        units=tuple(p.unit for p in space.parameters),
+        log=tuple(p.log for p in space.parameters),
+        estimate=space.theta_of(z),
+        covariance=covariance * scale,
+        provenance=provenance,
+    )
+
+
+def pick(space: ParameterSpace, names: Sequence[str]) -> list[int]:
+    """Column of each name."""
+    return [space.names.index(name) for name in names]

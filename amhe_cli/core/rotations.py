@@ -1,0 +1,69 @@
+"""Unit quaternions, batched over leading axes, in MuJoCo's order w, x, y, z.
+
+Quaternions and their negatives are the same rotation; every function here gives the same answer for
+both, so that a log may flip signs as it likes.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+
+
+def conjugate(q: FloatArray) -> FloatArray:
+    """Inverse of unit quaternions, shape (..., 4)."""
+    return q * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Hamilton product a b: rotate by b, then by a; shape (..., 4)."""
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
+        (
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ),
+        axis=-1,
+    )
+
+
+def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
+    """Rotate vectors v (..., 3) by unit quaternions q (..., 4): child frame to parent frame."""
+    w, xyz = q[..., :1], q[..., 1:]
+    t = 2.0 * np.cross(xyz, v)
+    return v + w * t + np.cross(xyz, t)
+
+
+def log(q: FloatArray) -> FloatArray:
+    """Rotation vector [rad], shape (..., 3), of unit quaternions; its norm is at most pi."""
+    w, xyz = q[..., :1], q[..., 1:]
+    xyz = np.where(w < 0.0, -xyz, xyz)
+    sine = np.linalg.norm(xyz, axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, np.abs(w))
+    return xyz * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
+
+
+def exp(rotation: FloatArray) -> FloatArray:
+    """Unit quaternions, shape (..., 4), of rotation vectors [rad] (..., 3)."""
+    angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
+    half = 0.5 * angle
+    return np.concatenate((np.cos(half), 0.5 * np.sinc(half / np.pi) * rotation), axis=-1)
+
+
+def difference(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Rotation vector [rad], in b's frame, that takes b to a: log(b^-1 a), shape (..., 3)."""
+    return log(multiply(conjugate(b), a))
+
+
+def slerp(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Interpolate along the shorter arc; fraction 0 gives a, 1 gives b, shape (...)."""
+    return multiply(a, exp(fraction[..., None] * difference(b, a)))
+
+
+def normalised(q: FloatArray) -> FloatArray:
+    """Quaternions (..., 4) scaled to unit length."""
+    return q / np.linalg.norm(q, axis=-1, keepdims=True)

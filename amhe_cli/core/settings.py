@@ -1,0 +1,81 @@
+"""Every setting that a user can change, with its default, unit and reason.
+
+Precedence: command-line option, environment `AMHE_*`, `--config FILE`, the system's own `settings:`,
+the default here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Group(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class LogSettings(_Group):
+    """How topics become a trajectory."""
+
+    stamp: Literal["auto", "header", "publish", "log"] = "auto"
+    """Which clock to trust; auto takes header stamps where they are set and monotone."""
+    max_gap: Annotated[float, Field(gt=0)] = 0.2
+    """Longest silence [s] of a topic that is interpolated; a longer one is a gap, never bridged. A topic
+    slower than this is allowed five of its own median periods."""
+    align: bool = False
+    """Correct the estimated clock offsets between topics; they are reported in any case."""
+
+
+class ClipSettings(_Group):
+    """The stretches of log that are rolled out (the paper's clips, section III-B)."""
+
+    length: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (0.3, 2.0)
+    """Clip lengths [s], drawn uniformly; capped by the log's own length."""
+    count: Annotated[int, Field(ge=1)] = 24
+    """Clips in one iteration; re-drawn for the next."""
+    held_out: Annotated[float, Field(ge=0, lt=1)] = 0.25
+    """Share of the logs' time kept for validation when no `--held-out` log is given."""
+    held_out_length: Annotated[float, Field(gt=0)] | None = None
+    """Length [s] of a validation clip; the mean of `length` where not given."""
+    held_out_first_only: bool = False
+    """Validate only on each held-out log's first clip instead of tiling it."""
+    still: Annotated[float, Field(ge=0)] = 3.0
+    """A clip is motionless, and dropped, when its motion stays within this many noise sd."""
+
+
+class CostSettings(_Group):
+    """The rollout-matching cost."""
+
+    huber: Annotated[float, Field(gt=0)] = 3.0
+    """Residuals beyond this many sd count linearly, not squared (pseudo-Huber)."""
+    trim: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    """Share of worst clips left out of the mean: chaotic contacts and impacts of unknown cause."""
+
+
+class IdentifySettings(_Group):
+    """SPI: offline identification over all clips."""
+
+    samples: Annotated[int, Field(ge=4)] = 32
+    """Candidates of one iteration."""
+    iterations: Annotated[int, Field(ge=1)] = 12
+    """Iterations of the linearised method."""
+    cmaes_iterations: Annotated[int, Field(ge=1)] = 40
+    """Iterations of one CMA-ES start."""
+    cmaes_starts: Annotated[int, Field(ge=1)] = 3
+    """Starts of CMA-ES when it is the fallback."""
+    first_state: bool = True
+    """Treat each clip's first-state errors as nuisances with the sensors' noise as prior."""
+    bootstrap: Annotated[int, Field(ge=0)] = 200
+    """Resamples of the clip bootstrap."""
+    profile_points: Annotated[int, Field(ge=0)] = 11
+    """Points of each parameter's cost profile; 0 draws none."""
+
+
+class Settings(_Group):
+    """All settings."""
+
+    logs: LogSettings = LogSettings()
+    clips: ClipSettings = ClipSettings()
+    cost: CostSettings = CostSettings()
+    identify: IdentifySettings = IdentifySettings()

@@ -1,0 +1,53 @@
+"""What is wanted from a log, said without any word of the simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+#: Quantities a signal can carry, with the unit of their values once read.
+QUANTITIES: Mapping[str, str] = {
+    "position": "m or rad",  # body position, world frame (3); or joint positions (n)
+    "orientation": "-",  # unit quaternion w, x, y, z of the body in the world (4)
+    "linear_velocity": "m/s",  # of the body's frame origin, in the world frame (3)
+    "angular_velocity": "rad/s",  # in the body's own frame (3)
+    "linear_acceleration": "m/s^2",  # proper acceleration in the sensor's frame (3)
+    "velocity": "m/s or rad/s",  # joint velocities (n)
+    "effort": "N or N m",  # joint forces or torques (n)
+    "force": "N",  # (3)
+    "torque": "N m",  # (3)
+    "value": "any",  # plain numbers (n): commands, arrays, fields of foreign types
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One topic of a log, and what to take from it.
+
+    Args:
+        name: The signal's name; its series are called `name.quantity`.
+        topic: Topic in the log.
+        quantities: What to read, keys of QUANTITIES. A velocity that the topic does not carry is
+            differentiated from the position or orientation that it does.
+        type: ROS message type such as 'nav_msgs/msg/Odometry'; None takes what the log says.
+        names: For messages with named entries (JointState, JointTrajectory): the entries wanted,
+            as the log calls them, in column order. Empty: all, in the order of the first message.
+        child_frame: For TFMessage: the one frame whose transform is wanted.
+        fields: quantity -> paths such as 'motorState[0].q', for types that are not built in.
+        is_input: Commands are held until the next message; everything else is interpolated.
+        offset: Seconds to add to the topic's stamps to bring them onto the log's common clock.
+    """
+
+    name: str
+    topic: str
+    quantities: tuple[str, ...]
+    type: str | None = None
+    names: tuple[str, ...] = ()
+    child_frame: str | None = None
+    fields: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    is_input: bool = False
+    offset: float = 0.0
+
+    def key(self, quantity: str) -> str:
+        """Name of the series that holds `quantity`."""
+        return f"{self.name}.{quantity}"

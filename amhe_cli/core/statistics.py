@@ -1,0 +1,74 @@
+"""Small statistics that several methods share."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+
+#: Half-width of a central 90 % interval of a normal distribution, in standard deviations.
+Z90 = 1.6448536269514722
+
+
+def pseudo_huber(squared: FloatArray, delta: float) -> FloatArray:
+    """Robust loss of squared whitened residuals: s for small s, 2 delta sqrt(s) for large.
+
+    Twice the usual pseudo-Huber loss, 2 delta^2 (sqrt(1 + s / delta^2) - 1), so that it equals the
+    square near zero. `delta` is in standard deviations.
+    """
+    return 2.0 * delta**2 * (np.sqrt(1.0 + squared / delta**2) - 1.0)
+
+
+def pseudo_huber_weight(squared: FloatArray, delta: float) -> FloatArray:
+    """Derivative of `pseudo_huber` by s: the weight of iteratively reweighted least squares."""
+    return 1.0 / np.sqrt(1.0 + squared / delta**2)
+
+
+def trimmed_mean(values: FloatArray, trim: float) -> FloatArray:
+    """Mean over the last axis without its worst (largest) share `trim`; inf only if it must stay.
+
+    Args:
+        values: Costs, shape (..., C); inf marks a failed one.
+        trim: Share of the C values to drop, in [0, 1).
+    """
+    count = values.shape[-1]
+    keep = max(1, count - int(np.floor(trim * count)))
+    if keep < count:
+        values = np.partition(values, keep - 1, axis=-1)[..., :keep]
+    return values.mean(axis=-1)
+
+
+def autocorrelation_time(series: FloatArray, valid: FloatArray | None = None) -> float:
+    """Integrated autocorrelation time of residuals, in samples, at least 1.
+
+    Averages the autocovariance over rows, and sums it to its first non-positive lag (the initial
+    positive sequence of Geyer 1992): n samples are worth n / time independent ones.
+
+    Args:
+        series: Residuals, shape (rows, samples), consecutive samples along the last axis.
+        valid: Mask of the same shape; samples outside it are left out.
+    """
+    mask = np.ones_like(series, dtype=bool) if valid is None else valid.astype(bool)
+    x = np.where(mask, series, 0.0)
+    samples = series.shape[-1]
+    if samples < 4 or not mask.any():
+        return 1.0
+    size = 2 * samples
+    spectrum = np.fft.rfft(x, size, axis=-1)
+    pairs = np.fft.rfft(mask.astype(float), size, axis=-1)
+    covariance = np.fft.irfft((np.abs(spectrum) ** 2).sum(axis=0), size)[:samples]
+    count = np.fft.irfft((np.abs(pairs) ** 2).sum(axis=0), size)[:samples]
+    covariance = covariance / np.maximum(count, 1.0)
+    if covariance[0] <= 0.0:
+        return 1.0
+    rho = covariance[1 : samples // 2] / covariance[0]
+    negative = np.flatnonzero(rho <= 0.0)
+    rho = rho[: negative[0]] if negative.size else rho
+    return float(1.0 + 2.0 * rho.sum())
+
+
+def correlation(covariance: FloatArray) -> FloatArray:
+    """Correlation matrix of a covariance matrix, shape (d, d); rows of zero variance are zero."""
+    sd = np.sqrt(np.diag(covariance))
+    scale = np.where(sd > 0.0, 1.0 / np.where(sd > 0.0, sd, 1.0), 0.0)
+    return covariance * np.outer(scale, scale)

@@ -1,0 +1,107 @@
+"""What a log becomes: an immutable trajectory in SI units on one uniform clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed, sealed_mask
+from amhe_cli.core.errors import LogError
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Series:
+    """One quantity of one signal on the trajectory's clock.
+
+    Args:
+        values: SI values, shape (T, k); quaternions are w, x, y, z. Undefined where not valid.
+        valid: False inside gaps and outside the topic's recording, shape (T,).
+        sampled: True on the steps nearest to a real message, shape (T,): only there is a measurement
+            that counts as data; every other valid step is interpolated.
+        columns: Name of each column, length k.
+    """
+
+    values: FloatArray
+    valid: BoolArray
+    sampled: BoolArray
+    columns: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "values", sealed(self.values))
+        object.__setattr__(self, "valid", sealed_mask(self.valid))
+        object.__setattr__(self, "sampled", sealed_mask(self.sampled))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """All signals of one log on one clock: row t of every series is the instant t * dt.
+
+    An input in row t acts from instant t to instant t + 1 (zero-order hold).
+
+    Args:
+        dt: Step of the clock [s]: the time step of the model that will be compared with it.
+        series: `signal.quantity` -> Series, for instance 'box.orientation', all of T rows.
+        source: Path of the log, for messages and provenance.
+        start_ns: Stamp of row 0 [ns].
+        metadata: What the log says of itself (the `amhe` metadata record): system, truth, seed.
+    """
+
+    dt: float
+    series: Mapping[str, Series]
+    source: str
+    start_ns: int = 0
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "series", MappingProxyType(dict(self.series)))
+        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+
+    @property
+    def steps(self) -> int:
+        """Number of rows T."""
+        return next(iter(self.series.values())).valid.size if self.series else 0
+
+    @property
+    def duration(self) -> float:
+        """Time from the first row to the last [s]."""
+        return max(self.steps - 1, 0) * self.dt
+
+    def __getitem__(self, key: str) -> Series:
+        try:
+            return self.series[key]
+        except KeyError:
+            known = ", ".join(self.series)
+            raise LogError(f"{self.source}: no signal {key!r}; there is: {known}") from None
+
+    def usable(self, keys: tuple[str, ...]) -> BoolArray:
+        """Rows where every one of the named series is valid, shape (T,)."""
+        mask = np.ones(self.steps, dtype=bool)
+        for key in keys:
+            mask &= self[key].valid
+        return mask
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """A stretch of a trajectory: instants start .. start + length, without copying it.
+
+    Rolling it out takes `length` inputs, from the state at `start`, and predicts the `length` instants
+    after it. SPI calls its windows clips.
+    """
+
+    trajectory: Trajectory
+    start: int
+    length: int
+
+    @property
+    def stop(self) -> int:
+        """Index of the last instant."""
+        return self.start + self.length
+
+    @property
+    def duration(self) -> float:
+        """Time from the first instant to the last [s]."""
+        return self.length * self.trajectory.dt

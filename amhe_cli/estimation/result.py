@@ -1,0 +1,151 @@
+"""What an identification found: plain values for the table, the files and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.parameters import Belief
+
+#: Verdicts, best first, with what each says to the user.
+VERDICTS: Mapping[str, str] = {
+    "identified": "the log determines it",
+    "weak": "the log says something; trust the interval, not the digit",
+    "prior": "the log says nothing; this is your prior",
+    "model-sensitive": "the number depends on details the model gets wrong",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ParameterResult:
+    """One parameter's line of the report; everything in the parameter's own unit.
+
+    Args:
+        sd: Posterior standard deviation (on the log scale times the estimate, where log-scaled).
+        prior_sd: Likewise of the prior, times the prior's value.
+        lower, upper: 90 % interval.
+        bounds: The hard bounds of the search.
+        shrinkage: 1 - posterior sd / prior sd, on the parameter's own scale.
+        verdict: A key of VERDICTS.
+        reasons: Why the verdict is what it is, in words, most important first.
+        step_ratio: Information at a doubled step over information at the step; far from 1 the
+            linearisation, and so the sd, is not to be trusted (0.7-1.4 is fine); NaN: not computed.
+        bootstrap_sd: Spread of the estimate over resampled clips; NaN: not computed.
+        profile: Parameter values (K,) and held-in cost there (K,), the others held at the estimate.
+    """
+
+    name: str
+    unit: str
+    estimate: float
+    prior: float
+    prior_sd: float
+    sd: float
+    lower: float
+    upper: float
+    bounds: tuple[float, float]
+    shrinkage: float
+    verdict: str
+    reasons: tuple[str, ...]
+    step_ratio: float
+    bootstrap_sd: float
+    profile: tuple[FloatArray, FloatArray] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A product of parameters and how well it is known, such as 'box_mass * friction: 1.2 %'."""
+
+    text: str
+    sd: float  # of the logarithm (or of the scaled sum): 0.01 is 1 %
+    shrinkage: float
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Costs and errors on clips that were not fitted, after and before identification.
+
+    Errors are means over time and clips; NaN where the system measures no such quantity.
+    """
+
+    clips: int
+    cost: float
+    initial_cost: float
+    position_error_m: float
+    initial_position_error_m: float
+    orientation_error_rad: float
+    initial_orientation_error_rad: float
+
+
+@dataclass(frozen=True, slots=True)
+class Iteration:
+    """One line of the convergence record."""
+
+    number: int
+    method: str
+    cost: float  # best of the iteration
+    sigma: float  # mean sampling sd, in prior sd
+    rollouts: int
+    diverged: int
+    theta: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Measured against predicted for one channel of one clip, for the figures.
+
+    Args:
+        clip: Label, such as 'toss_041.mcap 0.00-0.40 s'.
+        channel: 'cube.position'.
+        unit: Unit of the values.
+        columns: Names of the columns, length k.
+        time: [s] from the clip's start, shape (T,).
+        measured, initial, identified: Values, shape (T, k); for rotations, rotation vectors relative
+            to the clip's first measured orientation.
+        valid: Rows where a measurement really was taken, shape (T,).
+        noise: Noise sd of one column.
+        held_out: The clip was not fitted.
+    """
+
+    clip: str
+    channel: str
+    unit: str
+    columns: tuple[str, ...]
+    time: FloatArray
+    measured: FloatArray
+    initial: FloatArray
+    identified: FloatArray
+    valid: BoolArray
+    noise: float
+    held_out: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ClipCount:
+    """How many clips were used and why others were not."""
+
+    fitted: int
+    held_out: int
+    motionless: int
+    across_gaps: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identification:
+    """The result of `amhe identify`."""
+
+    system: str
+    method: str
+    parameters: tuple[ParameterResult, ...]
+    belief: Belief
+    correlations: FloatArray  # (d, d)
+    combinations: tuple[Combination, ...]
+    held_out: HeldOut | None
+    iterations: tuple[Iteration, ...]
+    rollouts: int
+    diverged: int
+    clips: ClipCount
+    noise_scale: Mapping[str, float]  # channel -> residual sd over declared noise sd
+    fits: tuple[Fit, ...]
+    interrupted: bool = False
+    logs: tuple[str, ...] = field(default=())

@@ -1,0 +1,86 @@
+"""A system: the model, its unknowns, and how logged signals meet the model's state."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import mujoco
+
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.settings import Settings
+from amhe_cli.core.signals import Signal
+from amhe_cli.system.edits import ModelEdits
+
+
+@dataclass(frozen=True, slots=True)
+class Channel:
+    """One series of a trajectory, and where the model predicts it.
+
+    Args:
+        key: Series of the trajectory, `signal.quantity`.
+        kind: 'linear' residuals are differences, 'rotation' residuals the rotation logarithm.
+        source: Array of the rollout that predicts it.
+        columns: Columns of that array, in the order of the series' columns (4 for a quaternion).
+        noise: Measurement noise sd [SI] of one column; None: not compared.
+        unit: Unit of the residual.
+    """
+
+    key: str
+    kind: Literal["linear", "rotation"]
+    source: Literal["qpos", "qvel", "sensordata"]
+    columns: tuple[int, ...]
+    noise: float | None
+    unit: str
+
+    @property
+    def sets_state(self) -> bool:
+        """The series gives part of the state that a rollout starts from."""
+        return self.source in ("qpos", "qvel")
+
+
+@dataclass(frozen=True, slots=True)
+class Input:
+    """One series of a trajectory that drives the model.
+
+    Args:
+        key: Series of the trajectory.
+        columns: Columns of the engine's input vector that it fills, in the series' column order.
+        delayed: Subject to the common command delay, where that is a parameter.
+    """
+
+    key: str
+    columns: tuple[int, ...]
+    delayed: bool
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Everything that is known of a robot and its surroundings before a log is read.
+
+    Args:
+        name: The folder's name.
+        folder: The system folder.
+        spec: MuJoCo spec of the estimation model, sensors of the measured quantities added.
+        model: `spec` compiled, at the nominal parameters.
+        space: The unknown parameters.
+        edits: How parameters are written into the model.
+        signals: What to read from a log.
+        channels: How those signals meet the model's state and sensors.
+        inputs: How those signals drive the model.
+        input_spec: mjtState bits of the engine's input vector (ctrl, qfrc_applied, xfrc_applied, mocap).
+        settings: The system's own settings over the defaults.
+    """
+
+    name: str
+    folder: Path
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    space: ParameterSpace
+    edits: ModelEdits
+    signals: tuple[Signal, ...]
+    channels: tuple[Channel, ...]
+    inputs: tuple[Input, ...]
+    input_spec: int
+    settings: Settings
