@@ -1,0 +1,1 @@
+"""Floor 4, results become things to read: tables, files, one page."""

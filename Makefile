@@ -1,0 +1,61 @@
+# Everything from a fresh clone with python >= 3.11, git and make: the environment is .venv/, made when needed.
+
+PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
+	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: help demo test lint format docs bench clean
+
+help:
+	@echo "make demo    identify the bundled pendulum log, print the table, write the report"
+	@echo "make test    run the whole test suite"
+	@echo "make lint    ruff and pyright"
+	@echo "make format  let ruff format the code"
+	@echo "make docs    write docs/cli.md from the commands' own help"
+	@echo "make bench   run the benchmarks"
+	@echo "make clean   remove .venv and all caches"
+
+demo: .venv/.installed
+	$(BIN)/amhe identify examples/logs/pendulum.mcap -o amhe-out/demo --force
+
+test: .venv/.installed-dev
+	$(BIN)/python -m pytest -q -n auto
+
+lint: .venv/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+format: .venv/.installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+docs: .venv/.installed-dev
+	$(BIN)/python docs/make_cli_docs.py
+
+bench: .venv/.installed-bench
+	@for table in benchmarks/bench_*.py; do echo "== $$table"; $(BIN)/python $$table || exit 1; done
+
+clean:
+	rm -rf .venv amhe-out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+$(BIN)/python:
+	@test -n "$(PYTHON)" || { echo "amhe needs Python >= 3.11; set PYTHON=/path/to/python3" >&2; exit 1; }
+	@echo "Setting up .venv (once; a minute or two) ..."
+	$(PYTHON) -m venv .venv
+
+.venv/.installed: pyproject.toml | $(BIN)/python
+	$(PIP) install --editable .
+	@touch $@
+
+.venv/.installed-dev: pyproject.toml | $(BIN)/python
+	$(PIP) install --editable '.[dev]'
+	@touch .venv/.installed $@
+
+.venv/.installed-bench: pyproject.toml | $(BIN)/python
+	$(PIP) install --editable '.[bench]'
+	@touch .venv/.installed $@

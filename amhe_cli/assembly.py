@@ -1,0 +1,134 @@
+"""Paths and options become objects: a system, trajectories, a belief to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.parameters import Belief
+from amhe_cli.core.trajectory import Trajectory
+from amhe_cli.logs import read_metadata, read_trajectory
+from amhe_cli.report.belief_file import read_belief
+from amhe_cli.system import overrides
+from amhe_cli.system.load import bundled_root, find_system, load_system
+from amhe_cli.system.system import System
+
+#: What a log is taken to be about when neither it nor the user says.
+DEFAULT_SYSTEM = "go1_push"
+
+
+@dataclass(frozen=True, slots=True)
+class LogSource:
+    """Where logs are, and what to take from them.
+
+    Args:
+        paths: Log files and rosbag2 folders.
+        topics: Signal name -> topic to read it from instead.
+        msg_path: Folder of `.msg` files for types that the log does not define.
+        start, end: Part of each log, in seconds from its start.
+    """
+
+    paths: tuple[Path, ...]
+    topics: Mapping[str, str]
+    msg_path: Path | None
+    start: float | None
+    end: float | None
+
+    def __post_init__(self) -> None:
+        if self.start is not None and self.end is not None and self.end <= self.start:
+            raise ConfigError(f"--to {self.end:g} is not after --from {self.start:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifyProblem:
+    """All that an identification starts from."""
+
+    system: System
+    training: tuple[Trajectory, ...]
+    held_out: tuple[Trajectory, ...] | None
+    prior: Belief | None
+
+
+def identify_problem(
+    source: LogSource,
+    held_out: Sequence[Path],
+    system: str | None,
+    assignments: Sequence[str],
+    config: Path | None,
+    belief: Path | None,
+) -> IdentifyProblem:
+    """Read everything that `amhe identify` needs.
+
+    Raises:
+        ConfigError: A setting, the system folder or the belief is wrong.
+        LogError: A log cannot be read, or lacks what the system needs.
+    """
+    loaded = open_system(system, source, assignments, config)
+    prior = read_belief(belief, loaded) if belief else None
+    training = trajectories(loaded, source)
+    validation = trajectories(loaded, replace(source, paths=tuple(held_out), start=None, end=None))
+    return IdentifyProblem(loaded, training, validation or None, prior)
+
+
+def open_system(
+    name: str | None, source: LogSource, assignments: Sequence[str] = (), config: Path | None = None
+) -> System:
+    """Load the system that the user named, or else the one that the logs name, with its topics remapped."""
+    folder = find_system(name or system_of(source.paths))
+    settings = overrides.merge(
+        overrides.from_file(config) if config else {},
+        overrides.from_environment(),
+        overrides.parse_set(assignments),
+    )
+    return _remapped(load_system(folder, settings), source.topics)
+
+
+def system_of(logs: Sequence[Path]) -> str:
+    """Name of the system that the logs say they are about; they must agree."""
+    named = {path: str(name) for path in logs if (name := read_metadata(path).get("system"))}
+    names = sorted(set(named.values()))
+    if len(names) > 1:
+        raise ConfigError(f"the logs are about different systems ({', '.join(names)}); choose one with --system")
+    if names:
+        return names[0]
+    known = sorted(folder.parent.name for folder in bundled_root().glob("*/system.yaml"))
+    if DEFAULT_SYSTEM in known:
+        return DEFAULT_SYSTEM
+    raise ConfigError(
+        f"{_listed(logs)} does not say which system it is about; name one with --system NAME|DIR "
+        f"(bundled: {', '.join(known)}), or describe your own: amhe init MODEL.xml LOG -o my_system/"
+    )
+
+
+def trajectories(system: System, source: LogSource) -> tuple[Trajectory, ...]:
+    """One trajectory per log, on the model's clock."""
+    return tuple(
+        read_trajectory(
+            path,
+            system.signals,
+            system.model.opt.timestep,
+            system.settings.logs,
+            start=source.start,
+            end=source.end,
+            msg_path=source.msg_path,
+        )
+        for path in source.paths
+    )
+
+
+def _remapped(system: System, topics: Mapping[str, str]) -> System:
+    """The system with some signals read from other topics."""
+    names = [signal.name for signal in system.signals]
+    for name in topics:
+        if name not in names:
+            raise ConfigError(f"--topic: {one_of('signal', name, names)}")
+    return replace(
+        system,
+        signals=tuple(replace(s, topic=topics.get(s.name, s.topic)) for s in system.signals),
+    )
+
+
+def _listed(paths: Sequence[Path]) -> str:
+    return str(paths[0]) if len(paths) == 1 else f"none of the {len(paths)} logs"

@@ -1,0 +1,51 @@
+"""`amhe init`: a first system folder from a model and logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from amhe_cli.cli import options
+from amhe_cli.cli.session import Session
+
+
+@click.command(cls=options.Command)
+@click.argument("model", type=options.EXISTING_FILE)
+@click.argument("logs", nargs=-1, required=True, type=options.EXISTING, metavar="LOG...")
+@click.option(
+    "-o",
+    "--out",
+    "--system",
+    "out",
+    type=click.Path(path_type=Path),
+    metavar="DIR",
+    help="The system folder to write.  [default: amhe-out/init-<date>-<time>/]",
+)
+@options.force
+@options.msg_path
+@options.common
+@click.pass_obj
+def init(
+    session: Session,
+    model: Path,
+    logs: tuple[Path, ...],
+    out: Path | None,
+    force: bool,
+    msg_path: Path | None,
+) -> None:
+    """Write a system folder for MODEL (MJCF or URDF) whose signals are found in LOG...
+
+    Its system.yaml is commented: the signals matched to joints by name, candidate parameters, and what
+    was guessed. Read it, correct it, then: amhe identify LOG --system DIR.
+    """
+    from amhe_cli.report.folder import reserve
+    from amhe_cli.system.init import init_system
+
+    session.hush_mujoco()
+    folder = reserve(out, "init", force)
+    init_system(model, logs, folder, msg_path=msg_path, force=force)
+    if session.json:
+        session.print_json(session.record(system=str(folder)))
+    else:
+        print(f"{folder}/system.yaml: read it, correct it, then: amhe identify LOG --system {folder}")

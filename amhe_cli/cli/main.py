@@ -1,0 +1,92 @@
+"""`amhe`: the group of commands, and how every ending becomes an exit code.
+
+0 done; 1 failed; 2 usage or configuration; 3 done with warnings under --strict; 4 input that cannot be
+read; 130 interrupted, 143 terminated.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from types import FrameType
+
+import click
+
+from amhe_cli.cli import options
+from amhe_cli.cli.identify import identify
+from amhe_cli.cli.init import init
+from amhe_cli.cli.inspect import inspect
+from amhe_cli.cli.session import FAILED, INTERRUPTED, TERMINATED, UNREADABLE, USAGE, Session, Terminated
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@options.common
+def amhe() -> None:
+    """Physical parameters of robots and what they push, from their logs, with honest uncertainty."""
+
+
+for _command in (init, inspect, identify):
+    amhe.add_command(_command)
+
+
+def main() -> None:
+    """Entry point of the command `amhe`."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run one command line and return its exit code; every message is on stderr by then."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal without Unicode shows '?', it does not end the run
+            stream.reconfigure(errors="replace")
+    session = Session(arguments)
+    with _terminable(session):
+        try:
+            code = amhe.main(list(arguments), prog_name="amhe", standalone_mode=False, obj=session)
+            return code if isinstance(code, int) else session.exit_code
+        except (click.Abort, KeyboardInterrupt):  # click makes an Abort of Ctrl-C
+            session.say("", "interrupted; nothing was written")
+            return TERMINATED if session.terminated else INTERRUPTED
+        except Exception as error:
+            return _failed(session, error)
+
+
+def _failed(session: Session, error: Exception) -> int:
+    """Tell the user of an error, and give the exit code that stands for its kind."""
+    from amhe_cli.core.errors import AmheError, ConfigError, LogError
+
+    if isinstance(error, click.exceptions.NoArgsIsHelpError):
+        error.show()
+        return USAGE
+    if isinstance(error, click.UsageError):
+        session.command = error.ctx.command_path if error.ctx else session.command
+        session.say("error", f"{error.format_message().rstrip('.')} (see '{session.command} --help')")
+        return USAGE
+    if isinstance(error, AmheError):
+        session.say("error", str(error))
+        return USAGE if isinstance(error, ConfigError) else UNREADABLE if isinstance(error, LogError) else FAILED
+    if isinstance(error, OSError) and error.filename is not None:
+        session.say("error", f"{error.filename}: {error.strerror}")
+        return FAILED
+    import traceback
+
+    traceback.print_exception(error)
+    session.say("error", "this is a bug in amhe: please report it with the lines above")
+    return FAILED
+
+
+@contextmanager
+def _terminable(session: Session) -> Iterator[None]:
+    """Turn SIGTERM into an exception that commands may end well on, as Ctrl-C is."""
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        session.terminated = True
+        raise Terminated
+
+    before = signal.signal(signal.SIGTERM, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,161 @@
+"""Options that several commands share, in the words of one place.
+
+common: --strict --json -q -v --no-color --version, on every command and before it
+where:  --system --topic --msg-path --from --to
+tuning: --set --config
+work:   --seed --threads --engine
+out:    -o --force
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+from amhe_cli import __version__
+from amhe_cli.cli.session import Session
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+#: A path that must exist (exit code 2 if not); whether it can be read is the reader's word (4).
+EXISTING = click.Path(exists=True, readable=False, path_type=Path)
+EXISTING_FILE = click.Path(exists=True, dir_okay=False, readable=False, path_type=Path)
+EXISTING_FOLDER = click.Path(exists=True, file_okay=False, readable=False, path_type=Path)
+
+
+class Command(click.Command):
+    """A command that listens to the library's log from the moment its options are known."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        ctx.ensure_object(_new_session).begin(ctx.command_path)
+        return super().invoke(ctx)
+
+
+def _new_session() -> Session:
+    return Session(())
+
+
+def _remember(ctx: click.Context, param: click.Parameter, value: Any) -> None:
+    if value and param.name:
+        setattr(ctx.ensure_object(_new_session), param.name, value)
+
+
+def _flag(*names: str, help: str, **more: Any) -> Callable[[F], F]:
+    kind = {"is_flag": True} | more
+    return click.option(*names, help=help, expose_value=False, callback=_remember, **kind)
+
+
+def _pairs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> dict[str, str]:
+    """SIGNAL=/name, repeated, as a dictionary."""
+    pairs = {}
+    for text in value:
+        key, equals, topic = text.partition("=")
+        if not (key and equals and topic):
+            raise click.BadParameter(f"{text!r} is not of the form SIGNAL=/name", ctx, param)
+        pairs[key] = topic
+    return pairs
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _cpu_only(ctx: click.Context, param: click.Parameter, value: str) -> None:
+    if value == "gpu":
+        raise click.BadParameter("there is no GPU engine in this version; use cpu or auto", ctx, param)
+
+
+def _stack(*decorators: Callable[[F], F]) -> Callable[[F], F]:
+    def decorate(function: F) -> F:
+        for decorator in reversed(decorators):
+            function = decorator(function)
+        return function
+
+    return decorate
+
+
+common = _stack(
+    _flag("--json", help="Print one JSON object on stdout, the content of result.json."),
+    _flag("--strict", help="Exit with code 3 if there was any warning."),
+    _flag("-q", "--quiet", help="No progress; warnings, errors and results only."),
+    _flag("-v", "--verbose", help="Say more on stderr; twice: everything.", is_flag=False, count=True),
+    _flag("--no-color", help="No colours (NO_COLOR in the environment does the same)."),
+    click.version_option(__version__, message="amhe %(version)s"),
+)
+
+system = click.option(
+    "--system",
+    metavar="NAME|DIR",
+    help="A bundled system or your own system folder.  [default: named by the log, else go1_push]",
+)
+
+msg_path = click.option(
+    "--msg-path",
+    type=EXISTING_FOLDER,
+    metavar="DIR",
+    help="Folder of .msg files, for message types that the log does not define itself.",
+)
+
+where = _stack(
+    system,
+    click.option(
+        "--topic",
+        "topics",
+        metavar="SIGNAL=/name",
+        multiple=True,
+        callback=_pairs,
+        help="Read a signal of the system from another topic; repeat for more.",
+    ),
+    msg_path,
+    click.option("--from", "start", type=float, metavar="S", help="Begin S seconds after the log's start."),
+    click.option("--to", "end", type=float, metavar="S", help="End S seconds after the log's start."),
+)
+
+tuning = _stack(
+    click.option(
+        "--set",
+        "assignments",
+        metavar="A.B=V",
+        multiple=True,
+        help="Override a setting, such as clips.count=40; repeat for more.",
+    ),
+    click.option("--config", type=EXISTING_FILE, metavar="FILE", help="YAML file of settings; --set wins."),
+)
+
+work = _stack(
+    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of all sampling."),
+    click.option(
+        "--threads",
+        type=click.IntRange(min=1),
+        default=_cores,
+        show_default="all cores",
+        help="Results never depend on it.",
+    ),
+    click.option(
+        "--engine",
+        type=click.Choice(["cpu", "gpu", "auto"]),
+        default="auto",
+        show_default=True,
+        expose_value=False,
+        callback=_cpu_only,
+        help="What rolls the candidates out.",
+    ),
+)
+
+force = click.option("--force", is_flag=True, help="Write into an existing OUT that is not empty.")
+
+out = _stack(
+    click.option(
+        "-o",
+        "--out",
+        type=click.Path(path_type=Path),
+        metavar="OUT",
+        help="Folder to write to.  [default: amhe-out/<command>-<date>-<time>/]",
+    ),
+    force,
+)

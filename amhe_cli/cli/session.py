@@ -1,0 +1,132 @@
+"""What the commands share while one of them runs: verbosity, warnings, the streams, the exit code."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+DONE, FAILED, USAGE, LOSSY, UNREADABLE, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 130, 143
+
+#: Columns of a table where stdout is no terminal; a terminal says its own.
+PLAIN_WIDTH = 110
+
+
+class Terminated(KeyboardInterrupt):
+    """SIGTERM, treated like Ctrl-C: keep what there is, and go."""
+
+
+class Session:
+    """One run of one command.
+
+    Attributes:
+        command: 'amhe identify': how every line on stderr begins.
+        command_line: What the user typed, for provenance.
+        warnings: What the library warned of, once each; the content of result.json's `warnings`.
+        interrupted: The command was stopped before it was through, and kept what it had.
+        terminated: By SIGTERM, not by Ctrl-C.
+    """
+
+    def __init__(self, arguments: Sequence[str]) -> None:
+        self.command = "amhe"
+        self.command_line = shlex.join(["amhe", *arguments])
+        self.started = time.monotonic()
+        self.warnings: list[str] = []
+        self.interrupted = False
+        self.terminated = False
+        self.strict = False
+        self.json = False
+        self.quiet = False
+        self.verbose = 0
+        self.no_color = False
+
+    @property
+    def seconds(self) -> float:
+        """Time since the command began."""
+        return time.monotonic() - self.started
+
+    @property
+    def exit_code(self) -> int:
+        """Of a command that came to its end without an error."""
+        if self.interrupted:
+            return TERMINATED if self.terminated else INTERRUPTED
+        return LOSSY if self.strict and self.warnings else DONE
+
+    def say(self, kind: str, text: str) -> None:
+        """Write one message, such as 'amhe identify: error: ...', on stderr."""
+        first, *rest = text.splitlines() or [""]
+        label = f"{kind}: " if kind else ""
+        print(f"{self.command}: {label}{first}", *(f"  {line}" for line in rest), sep="\n", file=sys.stderr)
+
+    def begin(self, command: str) -> None:
+        """Start listening to the library's log, before a command's body runs."""
+        import logging
+
+        self.command = command
+        logging.captureWarnings(True)  # a library's RuntimeWarning is for us, not for users
+        logger = logging.getLogger("amhe_cli")
+        logger.handlers[:] = [_listener(self)]
+        logger.setLevel([logging.WARNING, logging.INFO, logging.DEBUG][min(self.verbose, 2)])
+        logger.propagate = False
+
+    def hush_mujoco(self) -> None:
+        """Send MuJoCo's warnings to the log; by default it writes MUJOCO_LOG.TXT where the user stands."""
+        import logging
+
+        import mujoco
+
+        mujoco.set_mju_user_warning(logging.getLogger("amhe_cli.mujoco").debug)
+
+    def console(self, stderr: bool = False) -> Console:
+        """Rich console on stdout, or on stderr."""
+        from rich.console import Console
+
+        stream = sys.stderr if stderr else sys.stdout
+        plain = not stream.isatty() and "COLUMNS" not in os.environ
+        return Console(
+            file=stream,
+            no_color=self.no_color or None,
+            width=PLAIN_WIDTH if plain else None,
+            highlight=False,
+            soft_wrap=False,
+        )
+
+    def record(self, **more: object) -> dict[str, object]:
+        """What every result.json has, and `more`."""
+        from amhe_cli import __version__
+
+        return {
+            "schema_version": 1,
+            "command": self.command.split()[-1],
+            "version": __version__,
+            "seconds": round(self.seconds, 3),
+            "warnings": list(self.warnings),
+            **more,
+        }
+
+    def print_json(self, record: object) -> None:
+        """Write one JSON object on stdout."""
+        import json
+
+        print(json.dumps(record, indent=2, allow_nan=False))
+
+
+def _listener(session: Session):  # noqa: ANN202 -- the class needs logging, which is not loaded for --help
+    import logging
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            text = record.getMessage()
+            if record.levelno >= logging.WARNING:
+                if text in session.warnings:
+                    return
+                session.warnings.append(text)
+            session.say(record.levelname.lower(), text)
+
+    return Listener()

@@ -1,0 +1,62 @@
+"""The folder that a command writes: refused early if it holds something, filled whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import datetime
+from pathlib import Path
+
+from amhe_cli.core.errors import ConfigError
+
+
+def reserve(out: Path | None, command: str, force: bool) -> Path:
+    """The folder to write to; refused before any work is done.
+
+    Args:
+        out: What the user asked for; None: a fresh `amhe-out/<command>-<date>-<time>`.
+        command: Name of the command.
+        force: Write into a folder that is not empty; what else is in it stays.
+
+    Raises:
+        ConfigError: `out` holds something and `force` is not given, or it is a file.
+    """
+    if out is None:
+        return _fresh(Path("amhe-out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}")
+    if out.exists() and not out.is_dir():
+        raise ConfigError(f"{out}: is a file; -o needs a folder")
+    if out.exists() and not force and any(out.iterdir()):
+        raise ConfigError(f"{out}: is not empty; choose another folder, or pass --force to write into it")
+    return out
+
+
+def _fresh(path: Path) -> Path:
+    candidate, number = path, 1
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.name}-{number}")
+    return candidate
+
+
+@contextmanager
+def filling(folder: Path) -> Iterator[Path]:
+    """Give an empty scratch folder; on a good end its files become `folder`'s, on an error they vanish.
+
+    A new folder appears in one rename; in an existing one each file is replaced in one rename.
+    """
+    folder = Path(os.path.abspath(folder))  # noqa: PTH100 -- resolve() would follow a link that is to stay
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.partial")
+    scratch.mkdir()
+    try:
+        yield scratch
+        if folder.exists():
+            for file in sorted(scratch.iterdir()):
+                file.replace(folder / file.name)
+        else:
+            scratch.rename(folder)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)

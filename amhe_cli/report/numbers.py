@@ -1,0 +1,62 @@
+"""Numbers as people read them: as many digits as are known, units that fit, no 'nan'."""
+
+from __future__ import annotations
+
+import math
+
+#: What stands where a number is missing.
+MISSING = "–"
+
+
+def rounded(value: float, resolution: float) -> str:
+    """`value` with the digits that a step of `resolution` leaves meaningful (two of the step's own)."""
+    if not math.isfinite(value):
+        return MISSING
+    if not (math.isfinite(resolution) and resolution > 0.0):
+        return f"{value:.4g}"
+    decimals = 1 - math.floor(math.log10(resolution))
+    if decimals > 6 or abs(value) >= 1e6:
+        digits = 1 + max(0, math.floor(math.log10(abs(value) or resolution)) + decimals)
+        return f"{value:.{min(digits, 6)}g}"
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+
+
+def with_sd(estimate: float, sd: float) -> str:
+    """'0.7421 ± 0.0041'."""
+    return f"{rounded(estimate, sd)} ± {rounded(sd, sd)}"
+
+
+def interval(lower: float, upper: float) -> str:
+    """'0.735 to 0.749', with three digits of its width."""
+    step = (upper - lower) / 4.0
+    return f"{rounded(lower, step)} to {rounded(upper, step)}"
+
+
+def percent(fraction: float) -> str:
+    """'1.2 %', '95 %', '0.031 %'."""
+    if not math.isfinite(fraction):
+        return MISSING
+    value = 100.0 * fraction
+    return f"{value:.0f} %" if abs(value) >= 10.0 or value == 0.0 else f"{value:.2g} %"
+
+
+def unit_of(unit: str) -> str:
+    """The unit to print behind a number: nothing for '-'."""
+    return "" if unit in ("-", "") else unit
+
+
+def quantity(text: str, unit: str) -> str:
+    """A number and its unit."""
+    return f"{text} {unit_of(unit)}".rstrip()
+
+
+def length(metres: float) -> str:
+    """A small length in the unit that reads best."""
+    if not math.isfinite(metres):
+        return MISSING
+    return f"{1e3 * metres:.3g} mm" if abs(metres) < 1.0 else f"{metres:.3g} m"
+
+
+def angle(radians: float) -> str:
+    """An angle in degrees."""
+    return f"{math.degrees(radians):.3g}°" if math.isfinite(radians) else MISSING

@@ -1,0 +1,65 @@
+"""Where a result came from, so that somebody else can make it again."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from amhe_cli import __version__
+
+#: Files of a system folder that decide what the system is.
+SYSTEM_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".urdf", ".obj", ".stl", ".msh", ".dae", ".png", ".msg"})
+
+
+def provenance(
+    command_line: str, seed: int, method: str, folder: Path, logs: Sequence[Path], held_out: Sequence[Path]
+) -> dict[str, object]:
+    """Versions, hashes, seed and command of one run, as plain values."""
+    return {
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "command": command_line,
+        "method": method,
+        "seed": seed,
+        "versions": versions(),
+        "system_files": {
+            str(path.relative_to(folder)): sha256(path)
+            for path in _files(folder)
+            if path.suffix.lower() in SYSTEM_SUFFIXES
+        },
+        "logs": _hashes(logs),
+        "held_out_logs": _hashes(held_out),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the numbers depend on."""
+    return {
+        "amhe": __version__,
+        "mujoco": version("mujoco"),
+        "numpy": version("numpy"),
+        "python": platform.python_version(),
+    }
+
+
+def sha256(path: Path) -> str:
+    """Hash of a file's content, read in pieces."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _hashes(paths: Sequence[Path]) -> dict[str, str]:
+    """Hash of each log; of each file in it where it is a folder."""
+    return {str(file): sha256(file) for path in paths for file in (_files(path) if path.is_dir() else [path])}
+
+
+def _files(folder: Path) -> list[Path]:
+    """Files below a folder, in a fixed order, without the hidden ones."""
+    return sorted(
+        path
+        for path in folder.rglob("*")
+        if path.is_file() and not any(part.startswith(".") for part in path.relative_to(folder).parts)
+    )

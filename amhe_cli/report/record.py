@@ -1,0 +1,71 @@
+"""What an identification found as plain values: the content of result.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.estimation.result import HeldOut, Identification, ParameterResult
+
+#: Fields of a parameter that are plain numbers or words, in the order of result.json.
+_PARAMETER_FIELDS = (
+    "name",
+    "unit",
+    "estimate",
+    "prior",
+    "prior_sd",
+    "sd",
+    "lower",
+    "upper",
+    "bounds",
+    "shrinkage",
+    "verdict",
+    "reasons",
+    "step_ratio",
+    "bootstrap_sd",
+)
+
+
+def identification_record(result: Identification) -> dict[str, Any]:
+    """The keys of `amhe identify`, ready for JSON; a number that does not exist is None."""
+    return plain(
+        {
+            "system": result.system,
+            "method": result.method,
+            "interrupted": result.interrupted,
+            "parameters": [_parameter(p) for p in result.parameters],
+            "correlations": result.correlations,
+            "combinations": [asdict(c) for c in result.combinations],
+            "held_out": _held_out(result.held_out),
+            "rollouts": {"count": result.rollouts, "diverged": result.diverged},
+            "clips": asdict(result.clips),
+            "noise_scale": result.noise_scale,
+            "iterations": len(result.iterations),
+            "logs": result.logs,
+        }
+    )
+
+
+def _parameter(parameter: ParameterResult) -> dict[str, Any]:
+    return {name: getattr(parameter, name) for name in _PARAMETER_FIELDS}
+
+
+def _held_out(held_out: HeldOut | None) -> dict[str, Any] | None:
+    return None if held_out is None else asdict(held_out)
+
+
+def plain(value: Any) -> Any:
+    """Built-in types only; NaN and infinity, which JSON lacks, become None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return [plain(item) for item in value]
+    if isinstance(value, (np.generic,)):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,72 @@
+"""The result of an identification on a terminal: one table, one line on validation, where the files are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from amhe_cli.estimation.result import HeldOut, Identification, ParameterResult
+from amhe_cli.report import numbers
+
+#: Colour of each verdict.
+STYLES = {"identified": "green", "weak": "yellow", "prior": "dim", "model-sensitive": "magenta"}
+
+
+def print_identification(result: Identification, folder: Path, console: Console) -> None:
+    """Print the parameters, what validation says, and where the files are."""
+    console.print(_parameters(result))
+    for parameter in result.parameters:
+        if parameter.verdict != "identified" and parameter.reasons:
+            console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
+    if result.combinations:
+        known = ", ".join(f"{c.text} to {numbers.percent(c.sd)}" for c in result.combinations)
+        console.print(f"known together: {known}")
+    console.print(f"held-out: {held_out_line(result.held_out)}")
+    if result.interrupted:
+        console.print("interrupted: this is the best so far", style="yellow")
+    console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+
+
+def _parameters(result: Identification) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    table.add_column("parameter")
+    table.add_column("unit")
+    table.add_column("estimate ± sd", justify="right")
+    table.add_column("90 % interval", justify="right")
+    table.add_column("prior", justify="right")
+    table.add_column("shrinkage", justify="right")
+    table.add_column("verdict")
+    for parameter in result.parameters:
+        table.add_row(*_cells(parameter))
+    return table
+
+
+def _cells(p: ParameterResult) -> tuple[str | Text, ...]:
+    return (
+        p.name,
+        numbers.unit_of(p.unit),
+        numbers.with_sd(p.estimate, p.sd),
+        numbers.interval(p.lower, p.upper),
+        numbers.with_sd(p.prior, p.prior_sd),
+        numbers.percent(max(p.shrinkage, 0.0)),
+        Text(p.verdict, style=STYLES.get(p.verdict, "")),
+    )
+
+
+def held_out_line(held_out: HeldOut | None) -> str:
+    """'6 clips: cost 12.3 -> 1.04, position error 42 mm -> 9 mm'."""
+    if held_out is None:
+        return "nothing was held out; the fit is not validated"
+    parts = [f"cost {held_out.initial_cost:.3g} -> {held_out.cost:.3g}"]
+    pairs = (
+        ("position error", numbers.length, held_out.initial_position_error_m, held_out.position_error_m),
+        ("orientation error", numbers.angle, held_out.initial_orientation_error_rad, held_out.orientation_error_rad),
+    )
+    for name, form, before, after in pairs:
+        if form(after) != numbers.MISSING:
+            parts.append(f"{name} {form(before)} -> {form(after)}")
+    return f"{held_out.clips} clip{'s' * (held_out.clips != 1)}: {', '.join(parts)}"
