@@ -71,6 +71,7 @@ class System:
         inputs: How those signals drive the model.
         input_spec: mjtState bits of the engine's input vector (ctrl, qfrc_applied, xfrc_applied, mocap).
         settings: The system's own settings over the defaults.
+        keyframe: Keyframe that holds the state of everything that no signal gives; None: the model's own.
     """
 
     name: str
@@ -84,3 +85,4 @@ class System:
     inputs: tuple[Input, ...]
     input_spec: int
     settings: Settings
+    keyframe: int | None = None

@@ -1,0 +1,102 @@
+"""Traps of contact models that make a parameter look unidentifiable: each is said in one line."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+
+import mujoco
+import numpy as np
+
+from amhe_cli.system.edits import ModelEdits
+from amhe_cli.system.targets import Cells
+
+logger = logging.getLogger(__name__)
+
+#: Contact dimension that a friction column needs: sliding, torsional, rolling.
+_NEEDED = (3, 4, 6)
+_WORDS = ("sliding", "torsional", "rolling")
+
+
+def caution(where: str, model: mujoco.MjModel, edits: ModelEdits) -> None:
+    """Warn of every number that is a parameter and yet has no effect, or only in part of its range."""
+    lines: dict[str, None] = {}
+    for parameter, cells in edits.by_parameter():
+        for part in cells:
+            for text in _texts(model, part, cells, parameter.lower):
+                lines[f"{where}: parameter {parameter.name!r}: {text}"] = None
+    for line in lines:
+        logger.warning(line)
+
+
+def _texts(model: mujoco.MjModel, part: Cells, cells: tuple[Cells, ...], lower: float) -> Iterator[str]:
+    if part.field == "geom_friction":
+        yield from _geom_friction(model, part, cells, lower)
+    elif part.field == "pair_friction":
+        yield from _dimension(part, int(model.pair_dim[part.row]), f"pair {model.pair(part.row).name!r}", pair=True)
+    elif part.field in ("geom_solref", "pair_solref") and part.columns == (0,):
+        yield from _time_constant(model, part, lower)
+
+
+def _geom_friction(model: mujoco.MjModel, part: Cells, cells: tuple[Cells, ...], lower: float) -> Iterator[str]:
+    """Contact friction is the element-wise maximum of both geoms, unless their priorities differ."""
+    row, column = part.row, part.columns[0]
+    name = _geom_name(model, row)
+    if not (model.geom_contype[row] or model.geom_conaffinity[row]):
+        yield f"{name} collides only through contact pairs, which have their own friction: target the pair"
+        return
+    together = {c.row for c in cells if c.field == "geom_friction"}
+    partners = list(_partners(model, row))
+    for other in partners:
+        if other in together or model.geom_priority[other] < model.geom_priority[row]:
+            continue
+        if model.geom_priority[other] > model.geom_priority[row]:
+            yield f"{name} touches {_geom_name(model, other)}, whose higher priority decides the friction"
+        elif model.geom_friction[other, column] > lower:
+            yield (
+                f"below {model.geom_friction[other, column]:g} it changes nothing against "
+                f"{_geom_name(model, other)}: the larger friction of both geoms counts; use a contact pair, "
+                f"or a higher priority"
+            )
+    dimensions = [int(model.geom_condim[row]), *(int(model.geom_condim[other]) for other in partners)]
+    yield from _dimension(part, max(dimensions), name)
+
+
+def _dimension(part: Cells, dimension: int, name: str, pair: bool = False) -> Iterator[str]:
+    index = (0, 0, 1, 2, 2)[part.columns[0]] if pair else part.columns[0]
+    if dimension < _NEEDED[index]:
+        yield f"{name} has condim {dimension}; {_WORDS[index]} friction acts from condim {_NEEDED[index]}"
+
+
+def _time_constant(model: mujoco.MjModel, part: Cells, lower: float) -> Iterator[str]:
+    shortest = 2.0 * model.opt.timestep
+    safe = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE
+    if safe and lower < shortest:
+        yield f"a contact time constant below two time steps, {shortest:g} s, acts as {shortest:g} s"
+
+
+def _partners(model: mujoco.MjModel, row: int) -> Iterator[int]:
+    """Geoms that may touch a geom, other than through an explicit pair."""
+    pairs = {(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)}
+    body = model.geom_bodyid[row]
+    mask = (model.geom_contype[row] & model.geom_conaffinity) | (model.geom_conaffinity[row] & model.geom_contype)
+    for other in np.flatnonzero(mask):
+        other_body = model.geom_bodyid[other]
+        if model.body_weldid[other_body] == model.body_weldid[body]:
+            continue
+        if _related(model, int(body), int(other_body)):
+            continue
+        if (row, int(other)) not in pairs and (int(other), row) not in pairs:
+            yield int(other)
+
+
+def _related(model: mujoco.MjModel, a: int, b: int) -> bool:
+    """Parent and child, which MuJoCo keeps from colliding unless the parent is the world."""
+    a, b = int(model.body_weldid[a]), int(model.body_weldid[b])
+    parent = {x: int(model.body_weldid[model.body_parentid[x]]) for x in (a, b)}
+    return (a != 0 and parent[b] == a) or (b != 0 and parent[a] == b)
+
+
+def _geom_name(model: mujoco.MjModel, row: int) -> str:
+    name = model.geom(row).name
+    return f"geom {name!r}" if name else f"a geom of body {model.body(model.geom_bodyid[row]).name!r}"

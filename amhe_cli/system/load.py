@@ -1,0 +1,156 @@
+"""From a system folder to a `System`, with every mistake of its file in one error."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import mujoco
+
+import amhe_cli
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.system.cautions import caution
+from amhe_cli.system.channels import plan
+from amhe_cli.system.schema import SystemEntry, keys_at, validated
+from amhe_cli.system.system import System
+from amhe_cli.system.targets import id_of
+from amhe_cli.system.unknowns import generalise, unknowns_of
+from amhe_cli.system.yaml_file import YamlFile, merged
+
+logger = logging.getLogger(__name__)
+
+#: The file that makes a folder a system.
+FILE_NAME = "system.yaml"
+#: Keys of `system.yaml` that overrides name directly; every other override is a setting.
+_OWN_KEYS = ("parameters", "signals", "keyframe", "model")
+
+
+def bundled_root() -> Path:
+    """Folder that holds `models` and `examples/logs`: inside a wheel, or the top of a checkout."""
+    package = Path(amhe_cli.__file__).parent
+    inside = package / "_bundled"
+    return inside if inside.is_dir() else package.parent
+
+
+def bundled_systems() -> dict[str, Path]:
+    """Names and folders of the systems that come with amhe."""
+    return {p.parent.name: p.parent for p in sorted((bundled_root() / "models").glob(f"*/{FILE_NAME}"))}
+
+
+def find_system(name_or_dir: str) -> Path:
+    """Folder of a system: a path to it, or the name of a bundled one.
+
+    Raises:
+        ConfigError: Neither exists; the text lists the bundled ones.
+    """
+    folder = Path(name_or_dir).expanduser()
+    if (folder / FILE_NAME).is_file():
+        return folder
+    if folder.name == FILE_NAME and folder.is_file():
+        return folder.parent
+    bundled = bundled_systems()
+    if name_or_dir in bundled:
+        return bundled[name_or_dir]
+    if folder.is_dir():
+        raise ConfigError(f"{folder}: no {FILE_NAME} in this folder; `amhe init` writes one")
+    raise ConfigError(f"{one_of('system', name_or_dir, bundled)} (or any folder with a {FILE_NAME})")
+
+
+def load_system(folder: Path, overrides: Mapping[str, Any] | None = None) -> System:
+    """Read, check and compile a system.
+
+    Args:
+        folder: The system folder.
+        overrides: Nested settings that replace the folder's own, and `parameters` or `signals` parts of
+            its file; see `overrides`.
+
+    Raises:
+        ConfigError: One line for each mistake, `file:line:column: what, what would be valid`.
+    """
+    folder = Path(folder)
+    file = YamlFile(folder / FILE_NAME, _placed(overrides or {}))
+    entry = validated(file)
+    spec = None if entry is None else _spec(file, folder, entry)
+    if entry is None or spec is None:
+        file.raise_problems()
+        raise ConfigError(f"{file.path}: not a system")
+    generalise(spec, entry)
+    plain = _compiled(file, spec)
+    planned = plan(file, entry, spec, plain)
+    keyframe = _keyframe(file, entry, plain)
+    space, edits = unknowns_of(file, entry, plain)
+    file.raise_problems()
+    base = _compiled(file, spec)
+    space, edits = unknowns_of(file, entry, base)
+    wiring = planned.wired(base)
+    model = edits.apply(base, space.nominal)
+    caution(str(file.path), base, edits)
+    unset = planned.unset_joints()
+    if unset and keyframe is None:
+        logger.warning(
+            "%s: no signal gives the state of joint %s: it starts every clip at its zero; give a signal, or a keyframe",
+            file.path,
+            ", ".join(unset),
+        )
+    return System(
+        name=folder.resolve().name,
+        folder=folder,
+        spec=spec,
+        model=model,
+        space=space,
+        edits=edits,
+        signals=wiring.signals,
+        channels=wiring.channels,
+        inputs=wiring.inputs,
+        input_spec=wiring.input_spec,
+        settings=entry.settings,
+        keyframe=keyframe,
+    )
+
+
+def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Overrides in the places of `system.yaml` that they replace.
+
+    Raises:
+        ConfigError: There is no such setting.
+    """
+    own = {key: value for key, value in overrides.items() if key in _OWN_KEYS}
+    settings = {key: value for key, value in overrides.items() if key not in _OWN_KEYS}
+    known = keys_at(SystemEntry, ("settings",)) or []
+    for key in settings:
+        if key not in known:
+            raise ConfigError(one_of("setting", key, [*known, "parameters", "signals", "keyframe"]))
+    return merged(own, {"settings": settings}) if settings else own
+
+
+def _spec(file: YamlFile, folder: Path, entry: SystemEntry) -> mujoco.MjSpec | None:
+    path = folder / entry.model
+    if not path.is_file():
+        file.problem(("model",), f"no file {entry.model!r} beside this one; give an MJCF or a URDF")
+        return None
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        file.problem(("model",), f"MuJoCo cannot read {entry.model!r}: {' '.join(str(error).split())}")
+        return None
+
+
+def _compiled(file: YamlFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
+    try:
+        return spec.compile()
+    except (ValueError, mujoco.FatalError) as error:
+        file.problem(("model",), f"MuJoCo cannot compile it: {' '.join(str(error).split())}")
+        file.raise_problems()
+        raise
+
+
+def _keyframe(file: YamlFile, entry: SystemEntry, model: mujoco.MjModel) -> int | None:
+    if entry.keyframe is None:
+        return None
+    try:
+        return id_of(model, "keyframe", entry.keyframe)
+    except ConfigError as error:
+        file.problem(("keyframe",), str(error))
+        return None

@@ -1,0 +1,193 @@
+"""What may stand in a `system.yaml`."""
+
+from __future__ import annotations
+
+import types
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from amhe_cli.core.errors import one_of
+from amhe_cli.core.settings import Settings
+from amhe_cli.core.signals import QUANTITIES
+from amhe_cli.system.yaml_file import Place, YamlFile, at_place
+
+Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
+Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+Name = Annotated[str, Field(min_length=1)]
+#: A list of model names, or a mapping from model names to the log's names.
+Names = Annotated[list[Name], Field(min_length=1)] | Annotated[dict[Name, Name], Field(min_length=1)]
+
+#: Keys of a signal that say what it is; one of them, or none for a topic that is only read.
+KINDS = ("body", "joints", "actuators", "mocap", "force_on", "joint_force", "site", "sensor")
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TargetEntry(_Entry):
+    """Numbers of the model that one parameter sets; `targets.SETTERS` says what `set` may be."""
+
+    set: str
+    body: Name | None = None
+    geom: Name | None = None
+    pair: Name | Annotated[list[Name], Field(min_length=2, max_length=2)] | None = None
+    joint: Name | None = None
+    actuator: Name | None = None
+    axis: Literal["x", "y", "z", "all"] | None = None
+    mode: Literal["value", "scale", "add"] = "value"
+    carry_inertia: bool = True
+
+
+class ParameterEntry(_Entry):
+    """One unknown; what is not given is taken from the model."""
+
+    targets: Annotated[list[TargetEntry], Field(min_length=1)]
+    unit: str | None = None
+    nominal: Number | None = None
+    bounds: tuple[Number, Number] | None = None
+    scale: Literal["log", "linear"] | None = None
+    prior_sd: Positive | None = None
+
+
+class SignalEntry(_Entry):
+    """One topic, and what it is to the model."""
+
+    topic: Name
+    type: Name | None = None
+    body: Name | None = None
+    joints: Names | None = None
+    actuators: Names | None = None
+    mocap: Name | None = None
+    force_on: Name | None = None
+    joint_force: Names | None = None
+    site: Name | None = None
+    sensor: Name | Annotated[list[Name], Field(min_length=1)] | None = None
+    quantity: Name | Annotated[list[Name], Field(min_length=1)] | None = None
+    noise: dict[str, Positive | None] = Field(default_factory=dict)
+    fields: dict[str, Name | list[Name]] = Field(default_factory=dict)
+    child_frame: Name | None = None
+    offset: Number = 0.0
+    frame: Literal["world", "body"] = "world"
+    at: Name | None = None
+    reaction: bool = False
+
+    @property
+    def kind(self) -> str | None:
+        """Which of KINDS it is."""
+        return next((kind for kind in KINDS if getattr(self, kind) is not None), None)
+
+    @model_validator(mode="after")
+    def _one_kind(self) -> SignalEntry:
+        given = [kind for kind in KINDS if getattr(self, kind) is not None]
+        if len(given) > 1:
+            raise ValueError(f"a signal is one thing; keep one of: {', '.join(given)}")
+        quantities = [self.quantity] if isinstance(self.quantity, str) else self.quantity or []
+        for name in (*self.noise, *self.fields, *quantities):
+            if name not in QUANTITIES:
+                raise ValueError(one_of("quantity", name, QUANTITIES))
+        return self
+
+
+class SystemEntry(_Entry):
+    """A whole `system.yaml`."""
+
+    model: Name
+    keyframe: Name | None = None
+    parameters: Annotated[dict[Name, ParameterEntry], Field(min_length=1)]
+    signals: Annotated[dict[Name, SignalEntry], Field(min_length=1)]
+    settings: Settings = Settings()
+
+
+def validated(file: YamlFile) -> SystemEntry | None:
+    """The file's content; every mistake is noted in `file`, and the entries that have one left out.
+
+    Returns:
+        What remains without the wrong entries, so that its names can still be checked against the
+        model; None where too little remains.
+    """
+    try:
+        return SystemEntry.model_validate(file.data)
+    except ValidationError as error:
+        mistakes = error.errors(include_url=False)
+    remaining = {k: dict(v) if isinstance(v, Mapping) else v for k, v in file.data.items()}
+    by_place: dict[Place, list[Any]] = {}
+    for mistake in mistakes:
+        by_place.setdefault(tuple(_real(file.data, mistake["loc"])), []).append(mistake)
+    for place, found in by_place.items():
+        file.problem(place, _in_words(found, place, file.data))
+        group = remaining.get(str(place[0])) if place else None
+        if len(place) > 1 and isinstance(group, dict):
+            group.pop(place[1], None)
+        elif place:
+            remaining.pop(str(place[0]), None)
+    try:
+        return SystemEntry.model_validate(remaining)
+    except ValidationError:
+        return None
+
+
+def keys_at(model: Any, place: Place) -> list[str] | None:
+    """Keys that a mapping at `place` may have; None where any key may stand."""
+    options = [model]
+    for part in place:
+        options = [inner for option in options for inner in _step(option, part)]
+    keys = [name for option in options if _is_model(option) for name in option.model_fields]
+    return keys or None
+
+
+def _step(annotation: Any, part: str | int) -> Iterator[Any]:
+    """Types of the member `part` of a type."""
+    for option in _options(annotation):
+        if _is_model(option) and part in option.model_fields:
+            yield from _options(option.model_fields[str(part)].annotation)
+        elif get_origin(option) in (dict, list):
+            yield from _options(get_args(option)[-1])
+
+
+def _options(annotation: Any) -> Iterator[Any]:
+    """Members of a union, without Annotated."""
+    origin = get_origin(annotation)
+    if origin is Annotated:
+        yield from _options(get_args(annotation)[0])
+    elif origin in (Union, types.UnionType):
+        for option in get_args(annotation):
+            yield from _options(option)
+    else:
+        yield annotation
+
+
+def _is_model(annotation: Any) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _real(data: Any, place: Place) -> Iterator[str | int]:
+    """`place` without the names of union members that pydantic puts between real keys."""
+    walked: list[str | int] = []
+    for index, part in enumerate(place):
+        here = at_place(data, walked)
+        last = index == len(place) - 1
+        known = part in here if isinstance(here, Mapping) else isinstance(here, list) and isinstance(part, int)
+        if known or (last and isinstance(here, Mapping) and part != "[key]"):
+            walked.append(part)
+            yield part
+
+
+def _in_words(mistakes: list[Any], place: Place, data: Any) -> str:
+    """What is wrong, and what would be valid; a union of types has one mistake for each member."""
+    kind, value = mistakes[0]["type"], at_place(data, place)
+    label = ".".join(map(str, place)) or "this file"
+    if kind == "extra_forbidden":
+        return one_of("key", str(place[-1]), keys_at(SystemEntry, place[:-1]) or [])
+    if kind == "missing":
+        missing = ", ".join(repr(str(mistake["loc"][-1])) for mistake in mistakes)
+        return f"{label} lacks the key {missing}"
+    if kind == "value_error":
+        return str(mistakes[0]["ctx"]["error"])
+    if kind in ("float_type", "float_parsing", "int_type", "int_parsing"):
+        quoted = " (without quotes)" if isinstance(value, str) else ""
+        return f"{label} is {value!r}; a number{quoted} would be valid"
+    valid = " or ".join(dict.fromkeys(m["msg"].removeprefix("Input should be ") for m in mistakes))
+    return f"{label} is {value!r}; {valid} would be valid"

@@ -1,0 +1,270 @@
+"""Which numbers of a MuJoCo model a target may set: one table, `SETTERS`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from math import inf
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.system.inertia import principal_axis
+from amhe_cli.system.schema import TargetEntry
+
+_OBJECTS = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "pair": mujoco.mjtObj.mjOBJ_PAIR,
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
+    "keyframe": mujoco.mjtObj.mjOBJ_KEY,
+}
+_COUNTS = {
+    "body": "nbody",
+    "geom": "ngeom",
+    "pair": "npair",
+    "joint": "njnt",
+    "actuator": "nactuator",
+    "site": "nsite",
+    "sensor": "nsensor",
+    "keyframe": "nkey",
+}
+#: Axis of a target -> columns.
+_AXES = {"x": (0,), "y": (1,), "z": (2,), "all": (0, 1, 2)}
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """Numbers of one MjModel array that take the same value, times a factor.
+
+    Args:
+        field: Name of the array.
+        row: Row in the array.
+        columns: Columns of that row; empty for arrays of one column, which have none.
+        factor: 1, or -1 where MuJoCo stores the negative (a servo's bias).
+    """
+
+    field: str
+    row: int
+    columns: tuple[int, ...] = ()
+    factor: float = 1.0
+
+    @property
+    def index(self) -> tuple[slice | int | list[int], ...]:
+        """Index of these numbers in an array (n, ...) of n candidates."""
+        return (slice(None), self.row, list(self.columns)) if self.columns else (slice(None), self.row)
+
+    def of(self, model: mujoco.MjModel) -> FloatArray:
+        """The model's own values, factor taken out."""
+        values = getattr(model, self.field)[self.index[1:]]
+        return np.atleast_1d(np.asarray(values, dtype=np.float64)) * self.factor
+
+
+@dataclass(frozen=True, slots=True)
+class Setter:
+    """What one word `set:` means.
+
+    Args:
+        unit: SI unit of the value.
+        cells: Selector ('body', 'pair', ...) -> function from model, row and entry to cells; it raises
+            ConfigError where the number would have no effect.
+        lower: Smallest value that is physically possible.
+        positive: The value must be greater than `lower`.
+        axes: Whether the target takes an axis, and which is the default; None: it takes none.
+    """
+
+    unit: str
+    cells: Mapping[str, Callable[[mujoco.MjModel, int, TargetEntry], list[Cells]]]
+    lower: float = 0.0
+    positive: bool = False
+    axes: str | None = None
+
+
+def names_of(model: mujoco.MjModel, kind: str) -> list[str]:
+    """Names of all elements of a kind, without the unnamed ones."""
+    count = getattr(model, _COUNTS[kind])
+    names = (mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count))
+    return [name for name in names if name and not name.startswith("amhe/")]
+
+
+def id_of(model: mujoco.MjModel, kind: str, name: str) -> int:
+    """Row of a named element.
+
+    Raises:
+        ConfigError: There is none; the text lists those there are.
+    """
+    row = mujoco.mj_name2id(model, _OBJECTS[kind], name)
+    if row < 0:
+        raise ConfigError(one_of(kind, name, names_of(model, kind)))
+    return row
+
+
+def _matching(model: mujoco.MjModel, kind: str, pattern: str) -> list[int]:
+    """Rows of the elements that a name or a glob such as 'foot_*' means."""
+    names = names_of(model, kind)
+    if pattern in names or not any(sign in pattern for sign in "*?["):
+        return [id_of(model, kind, pattern)]
+    rows = [id_of(model, kind, name) for name in names if fnmatchcase(name, pattern)]
+    if not rows:
+        raise ConfigError(one_of(f"{kind} that matches", pattern, names))
+    return rows
+
+
+def _pair_rows(model: mujoco.MjModel, pair: str | list[str]) -> list[int]:
+    """Rows of contact pairs, by the pair's name or by the names of its two geoms."""
+    if isinstance(pair, str):
+        return _matching(model, "pair", pair)
+    wanted = {id_of(model, "geom", name) for name in pair}
+    for row in range(model.npair):
+        if {int(model.pair_geom1[row]), int(model.pair_geom2[row])} == wanted:
+            return [row]
+    raise ConfigError(f"no contact pair between {pair[0]!r} and {pair[1]!r}; add a <pair> to the model")
+
+
+def selector_of(entry: TargetEntry) -> str | None:
+    """Which selector the target gives; None for `command_delay`.
+
+    Raises:
+        ConfigError: The word or the selector is unknown, or there are several selectors.
+    """
+    if entry.set not in WORDS:
+        raise ConfigError(one_of("target", entry.set, WORDS))
+    kinds = ("body", "geom", "pair", "joint", "actuator")
+    given = [kind for kind in kinds if getattr(entry, kind) is not None]
+    allowed = list(SETTERS[entry.set].cells) if entry.set in SETTERS else SPECIAL[entry.set]
+    if not allowed and not given:
+        return None
+    if len(given) != 1 or given[0] not in allowed:
+        valid = " or ".join(f"{kind}: NAME" for kind in allowed) or "no selector"
+        raise ConfigError(f"target {entry.set!r} needs {valid}, not {', '.join(given) or 'nothing'}")
+    return given[0]
+
+
+def rows_of(model: mujoco.MjModel, entry: TargetEntry, selector: str) -> list[int]:
+    """Rows of the elements that the target selects."""
+    name = getattr(entry, selector)
+    return _pair_rows(model, name) if selector == "pair" else _matching(model, selector, name)
+
+
+def cells_of(model: mujoco.MjModel, entry: TargetEntry) -> list[Cells]:
+    """All numbers of the model that the target sets.
+
+    Raises:
+        ConfigError: A name is unknown, or the target would change nothing.
+    """
+    selector = selector_of(entry)
+    setter = SETTERS[entry.set]
+    assert selector is not None
+    if entry.axis and setter.axes is None:
+        raise ConfigError(f"target {entry.set!r} takes no axis")
+    if setter.axes == "required" and entry.axis not in ("x", "y", "z"):
+        raise ConfigError(f"target {entry.set!r} needs axis: x, y or z")
+    cells = [c for row in rows_of(model, entry, selector) for c in setter.cells[selector](model, row, entry)]
+    if entry.mode == "scale" and not any(np.any(c.of(model)) for c in cells):
+        raise ConfigError(f"target {entry.set!r} scales zero, which stays zero; give mode: value")
+    return cells
+
+
+def _movable(model: mujoco.MjModel, row: int, what: str) -> None:
+    if model.body_weldid[row] == 0:
+        name = model.body(row).name
+        raise ConfigError(f"body {name!r} is fixed to the world: its {what} changes nothing")
+
+
+def _mass(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    _movable(model, row, "mass")
+    if entry.carry_inertia and entry.mode != "add" and model.body_mass[row] <= 0.0:
+        raise ConfigError(f"body {model.body(row).name!r} has no mass of its own: give carry_inertia: false")
+    return [Cells("body_mass", row)]
+
+
+def _inertia(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    _movable(model, row, "inertia")
+    columns = [principal_axis(model.body_iquat[row], axis) for axis in _AXES[entry.axis or "all"]]
+    return [Cells("body_inertia", row, tuple(sorted(columns)))]
+
+
+def _center_of_mass(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    _movable(model, row, "centre of mass")
+    return [Cells("body_ipos", row, _AXES[entry.axis or "x"])]
+
+
+def _contact(geom_field: str, pair_field: str, geom: int, pair: tuple[int, ...]) -> Mapping:
+    """Setters of a contact's number: of a pair, a geom, or all colliding geoms of a body."""
+
+    def of_geom(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+        return [Cells(geom_field, row, (geom,))]
+
+    def of_body(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+        first, count = int(model.body_geomadr[row]), int(model.body_geomnum[row])
+        colliding = [g for g in range(first, first + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
+        if not colliding:
+            raise ConfigError(f"body {model.body(row).name!r} has no geom that collides")
+        return [Cells(geom_field, g, (geom,)) for g in colliding]
+
+    def of_pair(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+        return [Cells(pair_field, row, pair)]
+
+    return {"pair": of_pair, "geom": of_geom, "body": of_body}
+
+
+def _joint(field: str) -> Mapping:
+    """Setters of a number of every degree of freedom of a joint."""
+
+    def cells(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+        if field.startswith("jnt_"):
+            return [Cells(field, row)]
+        width = {mujoco.mjtJoint.mjJNT_FREE: 6, mujoco.mjtJoint.mjJNT_BALL: 3}
+        first = int(model.jnt_dofadr[row])
+        return [Cells(field, first + i) for i in range(width.get(model.jnt_type[row], 1))]
+
+    return {"joint": cells}
+
+
+def _gain(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Gain of a motor or servo; a servo's bias holds the same gain, negated, and must follow it."""
+    name = model.actuator(row).name
+    if model.actuator_gaintype[row] != mujoco.mjtGain.mjGAIN_FIXED:
+        raise ConfigError(f"actuator {name!r} has no fixed gain: only motors and servos have one to set")
+    gain, bias = model.actuator_gainprm[row, 0], model.actuator_biasprm[row]
+    cells = [Cells("actuator_gainprm", row, (0,))]
+    if model.actuator_biastype[row] == mujoco.mjtBias.mjBIAS_AFFINE and gain:
+        tied = next((column for column in (1, 2) if np.isclose(bias[column], -gain)), None)
+        cells += [Cells("actuator_biasprm", row, (tied,), -1.0)] if tied else []
+    return cells
+
+
+def _actuator_damping(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    name = model.actuator(row).name
+    if model.actuator_biastype[row] != mujoco.mjtBias.mjBIAS_AFFINE:
+        raise ConfigError(f"actuator {name!r} is a motor, which has no velocity term; set the joint's damping")
+    return [Cells("actuator_biasprm", row, (2,), -1.0)]
+
+
+#: Words of `set:` that set plain numbers.
+SETTERS: Mapping[str, Setter] = {
+    "mass": Setter("kg", {"body": _mass}, positive=True),
+    "inertia": Setter("kg m^2", {"body": _inertia}, positive=True, axes="optional"),
+    "center_of_mass": Setter("m", {"body": _center_of_mass}, lower=-inf, axes="required"),
+    "sliding_friction": Setter("-", _contact("geom_friction", "pair_friction", 0, (0, 1))),
+    "torsional_friction": Setter("m", _contact("geom_friction", "pair_friction", 1, (2,))),
+    "rolling_friction": Setter("m", _contact("geom_friction", "pair_friction", 2, (3, 4))),
+    "contact_time_constant": Setter("s", _contact("geom_solref", "pair_solref", 0, (0,)), positive=True),
+    "contact_damping_ratio": Setter("-", _contact("geom_solref", "pair_solref", 1, (1,)), positive=True),
+    "damping": Setter("N m s/rad", _joint("dof_damping")),
+    "armature": Setter("kg m^2", _joint("dof_armature")),
+    "friction_loss": Setter("N m", _joint("dof_frictionloss")),
+    "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
+    "gain": Setter("-", {"actuator": _gain}, positive=True),
+    "actuator_damping": Setter("-", {"actuator": _actuator_damping}),
+}
+#: Words that need more than plain numbers, with their selectors.
+SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": []}
+#: All words that `set:` may be.
+WORDS = (*SETTERS, *SPECIAL)

@@ -1,0 +1,226 @@
+"""From the `parameters:` of a system file to a parameter space and its edits."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.system.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.inertia import PSEUDO_NAMES
+from amhe_cli.system.schema import ParameterEntry, SystemEntry, TargetEntry
+from amhe_cli.system.targets import SETTERS, Cells, cells_of, id_of, rows_of, selector_of
+from amhe_cli.system.yaml_file import Place, YamlFile
+
+#: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
+LOG_PRIOR_SD = 0.5
+#: Bounds where none are given: this factor below and above the nominal value.
+LOG_RANGE = 10.0
+#: Bounds and prior sd of the ten numbers of a pseudo-inertia: one sd is about a quarter of the size.
+PSEUDO_BOUNDS, PSEUDO_PRIOR_SD = (-1.0, 1.0), 0.25
+#: Targets that need the general form of a body's equations of motion (MuJoCo's simple="false").
+_GENERAL = ("center_of_mass", "pseudo_inertia")
+#: Mass first, because the inertia that it carries along may be set afterwards.
+_ORDER = {"mass": 0, "pseudo_inertia": 0}
+
+
+def generalise(spec: mujoco.MjSpec, entry: SystemEntry) -> None:
+    """Compile bodies whose centre of mass will move without MuJoCo's short cuts for simple bodies."""
+    patterns = [
+        target.body
+        for parameter in entry.parameters.values()
+        for target in parameter.targets
+        if target.set in _GENERAL and target.body
+    ]
+    for body in spec.bodies:
+        if any(body.name == pattern or fnmatchcase(body.name, pattern) for pattern in patterns):
+            body.simple = 0
+
+
+@dataclass
+class _Unknowns:
+    """What has been read so far."""
+
+    parameters: list[Parameter] = field(default_factory=list)
+    edits: list[tuple[int, Edit]] = field(default_factory=list)
+    set_by: dict[tuple[str, int, int], str] = field(default_factory=dict)
+    delay_column: int | None = None
+
+
+def unknowns_of(
+    file: YamlFile, entry: SystemEntry, model: mujoco.MjModel
+) -> tuple[ParameterSpace, ModelEdits]:
+    """Parameters of the file and how they are written; every mistake is noted in `file`."""
+    found = _Unknowns()
+    for name, parameter in entry.parameters.items():
+        place = ("parameters", name)
+        if any(target.set == "pseudo_inertia" for target in parameter.targets):
+            _add_pseudo(file, place, parameter, model, found)
+        else:
+            _add_plain(file, place, parameter, model, found)
+    space = ParameterSpace(tuple(found.parameters))
+    edits = [edit for _, edit in sorted(found.edits, key=lambda ranked: ranked[0])]
+    return space, ModelEdits(model, space, edits, found.delay_column)
+
+
+def _add_plain(
+    file: YamlFile, place: Place, entry: ParameterEntry, model: mujoco.MjModel, found: _Unknowns
+) -> None:
+    column, name = len(found.parameters), str(place[1])
+    reached: list[tuple[TargetEntry, list[Cells]]] = []
+    for index, target in enumerate(entry.targets):
+        here = (*place, "targets", index)
+        try:
+            cells = [] if selector_of(target) is None else cells_of(model, target)
+            reached.append((target, cells))
+            _claim(found, name, target, cells)
+        except ConfigError as error:
+            file.problem(here, str(error))
+            continue
+        if target.set == "command_delay":
+            if found.delay_column is not None:
+                file.problem(here, "there is one common command delay, and it is already a parameter")
+            found.delay_column = column
+            continue
+        carried = target.set == "mass" and target.carry_inertia
+        bodies = tuple(c.row for c in cells) if carried else ()
+        edit = ScalarEdit(column, tuple(cells), target.mode, bodies)
+        found.edits.append((_ORDER.get(target.set, 1), edit))
+    if len(reached) < len(entry.targets):
+        return
+    try:
+        parameter = _parameter(name, entry, reached, model)
+        _check_limits(parameter, reached, model)
+        found.parameters.append(parameter)
+    except ConfigError as error:
+        file.problem(place, str(error))
+
+
+def _add_pseudo(
+    file: YamlFile, place: Place, entry: ParameterEntry, model: mujoco.MjModel, found: _Unknowns
+) -> None:
+    name, here = str(place[1]), (*place, "targets", 0)
+    columns = range(len(found.parameters), len(found.parameters) + len(PSEUDO_NAMES))
+    try:
+        if len(entry.targets) > 1 or entry.scale == "log" or entry.nominal:
+            raise ConfigError(
+                "a pseudo_inertia is the only target of its parameter, on the linear scale, relative to the "
+                "model's own inertia (nominal 0)"
+            )
+        target = entry.targets[0]
+        bodies = rows_of(model, target, selector_of(target) or "body")
+        if len(bodies) > 1:
+            raise ConfigError(f"{target.body!r} means {len(bodies)} bodies; a pseudo_inertia is of one")
+        if model.body_weldid[bodies[0]] == 0:
+            raise ConfigError(f"body {target.body!r} is fixed to the world: its inertia changes nothing")
+        edit = PseudoInertiaEdit(model, bodies[0], columns)
+        _claim(found, name, target, list(edit.cells))
+        lower, upper = entry.bounds or PSEUDO_BOUNDS
+        if not lower < 0.0 < upper:
+            raise ConfigError(f"bounds [{lower:g}, {upper:g}] must hold 0, the model's own inertia, inside")
+    except ConfigError as error:
+        file.problem(here, str(error))
+        return
+    sd = entry.prior_sd or PSEUDO_PRIOR_SD
+    found.parameters += [Parameter(f"{name}.{k}", "-", 0.0, lower, upper, False, sd) for k in PSEUDO_NAMES]
+    found.edits.append((0, edit))
+
+
+def _claim(found: _Unknowns, name: str, target: TargetEntry, cells: list[Cells]) -> None:
+    """Refuse a number that two parameters would set."""
+    if target.mode != "value":
+        return
+    for part in cells:
+        for column in part.columns or (0,):
+            other = found.set_by.setdefault((part.field, part.row, column), name)
+            if other != name:
+                raise ConfigError(f"parameter {other!r} already sets this number; use mode: scale or add for one")
+
+
+def _parameter(
+    name: str, entry: ParameterEntry, reached: list[tuple[TargetEntry, list[Cells]]], model: mujoco.MjModel
+) -> Parameter:
+    """The parameter, what is not given taken from the model."""
+    target, cells = reached[0]
+    positive = all(_limit(t) >= 0.0 and t.mode != "add" and t.set in SETTERS for t, _ in reached)
+    log = entry.scale == "log" or (entry.scale is None and positive)
+    nominal = entry.nominal if entry.nominal is not None else _own_value(target, cells, model)
+    if log and nominal <= 0.0:
+        raise ConfigError(f"nominal is {nominal:g}; scale: log needs a value above 0, or give scale: linear")
+    if entry.bounds is None and not log:
+        raise ConfigError("give bounds: [lower, upper]; only scale: log has some by default")
+    lower, upper = entry.bounds or (nominal / LOG_RANGE, nominal * LOG_RANGE)
+    if not lower < nominal < upper:
+        raise ConfigError(f"nominal {nominal:g} must lie strictly between its bounds [{lower:g}, {upper:g}]")
+    if log and lower <= 0.0:
+        raise ConfigError(f"bounds [{lower:g}, {upper:g}]: scale: log needs a lower bound above 0")
+    sd = entry.prior_sd or (LOG_PRIOR_SD if log else (upper - lower) / 4.0)
+    unit = entry.unit or _unit(target, cells, model)
+    return Parameter(name, unit, nominal, lower, upper, log, sd)
+
+
+def _own_value(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> float:
+    """The model's own value of the target."""
+    if target.mode != "value":
+        return 1.0 if target.mode == "scale" else 0.0
+    if not cells:
+        raise ConfigError(f"give a nominal value: the model has no {target.set} of its own")
+    own = np.concatenate([part.of(model) for part in cells])
+    if np.ptp(own) > 1e-9 * np.abs(own).max():
+        raise ConfigError(
+            f"the model's own values differ ({own.min():g} to {own.max():g}): give a nominal value, or mode: scale"
+        )
+    if own[0] == 0.0 and _limit(target) >= 0.0:
+        raise ConfigError(f"the model's own {target.set} is 0: give a nominal value")
+    return float(own[0])
+
+
+def _limit(target: TargetEntry) -> float:
+    return SETTERS[target.set].lower if target.set in SETTERS else 0.0
+
+
+def _check_limits(
+    parameter: Parameter, reached: list[tuple[TargetEntry, list[Cells]]], model: mujoco.MjModel
+) -> None:
+    """Refuse bounds that would let a mass, an inertia, a friction, ... become impossible."""
+    for target, cells in reached:
+        limit = _limit(target)
+        strict = target.set in SETTERS and SETTERS[target.set].positive
+        for smallest in _smallest(parameter, target, cells, model):
+            if smallest < limit or (strict and smallest == limit):
+                wanted = f"{'above' if strict else 'at least'} {limit:g}"
+                raise ConfigError(
+                    f"the lower bound {parameter.lower:g} makes {target.set} {smallest:g}; it must be {wanted}"
+                )
+
+
+def _smallest(
+    parameter: Parameter, target: TargetEntry, cells: list[Cells], model: mujoco.MjModel
+) -> Iterator[float]:
+    if target.mode == "value":
+        yield parameter.lower
+    elif np.isfinite(_limit(target)):
+        for part in cells:
+            for own in part.of(model):
+                yield float(own * parameter.lower if target.mode == "scale" else own + parameter.lower)
+
+
+def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str:
+    if target.mode == "scale":
+        return "-"
+    if target.set == "command_delay":
+        return "s"
+    unit = SETTERS[target.set].unit
+    slides = {"N m s/rad": "N s/m", "kg m^2": "kg", "N m": "N", "N m/rad": "N/m"}
+    if target.joint and cells:
+        row = id_of(model, "joint", target.joint) if cells[0].field.startswith("jnt_") else int(
+            model.dof_jntid[cells[0].row]
+        )
+        if model.jnt_type[row] == mujoco.mjtJoint.mjJNT_SLIDE:
+            return slides.get(unit, unit)
+    return unit

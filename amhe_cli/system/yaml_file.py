@@ -1,0 +1,188 @@
+"""YAML files read safely, with the place of every mistake.
+
+Differences from plain PyYAML, all against silent surprises: duplicate keys are refused, `1e-3` is a
+number, `on` and `yes` are words, `010` is ten.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from amhe_cli.core.errors import ConfigError
+
+#: Keys and list indices from the top of a file to one of its values.
+Place = tuple[str | int, ...]
+
+
+class _Loader(yaml.SafeLoader):
+    """SafeLoader with the scalars of YAML 1.2's core schema."""
+
+    yaml_implicit_resolvers: dict = {}  # noqa: RUF012 (PyYAML's own registry, filled below)
+
+
+_FLOAT = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
+for _tag, _pattern, _first in (
+    ("bool", "true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("int", "[-+]?[0-9]+", "-+0123456789"),
+    ("float", _FLOAT, "-+.0123456789"),
+    ("null", "~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("merge", "<<", "<"),
+):
+    _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_first))
+_Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader.construct_scalar(node)))
+
+
+def scalar(text: str) -> Any:
+    """The value of one YAML expression, such as an option's `0.5`, `[0.3, 2]` or `true`.
+
+    Raises:
+        ConfigError: It is not valid YAML.
+    """
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506 (a SafeLoader)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{text!r} is not a value: {_said(error)}") from None
+
+
+class YamlFile:
+    """A YAML mapping, where each of its values stands, and the mistakes found in it.
+
+    Args:
+        path: The file.
+        overrides: Values that replace or add to the file's own, as nested mappings.
+
+    Raises:
+        ConfigError: The file cannot be read, is no YAML, holds a key twice or is no mapping.
+    """
+
+    def __init__(self, path: Path, overrides: Mapping[str, Any] | None = None) -> None:
+        self.path = path
+        self._overrides = overrides or {}
+        self._problems: dict[str, tuple[int, int]] = {}
+        self._node = self._composed()
+        own = {} if self._node is None else self._constructed(self._node)
+        if not isinstance(own, dict):
+            raise ConfigError(f"{path}:1:1: this file must be a mapping of keys to values")
+        self.data: dict[str, Any] = merged(own, self._overrides)
+
+    def problem(self, place: Place, text: str) -> None:
+        """Note a mistake at the value that `place` names; `raise_problems` reports all of them."""
+        if self._is_override(place):
+            self._problems[f"setting {'.'.join(map(str, place))}: {text}"] = (0, 0)
+            return
+        mark = self._mark(place)
+        line, column = mark.line + 1, mark.column + 1
+        self._problems[f"{self.path}:{line}:{column}: {text}"] = (line, column)
+
+    def raise_problems(self) -> None:
+        """Raise one ConfigError that lists every noted mistake, a line each, in the file's order."""
+        if self._problems:
+            raise ConfigError("\n".join(sorted(self._problems, key=lambda text: self._problems[text])))
+
+    def _composed(self) -> yaml.Node | None:
+        try:
+            node = yaml.compose(self.path.read_text(encoding="utf-8"), _Loader)
+        except OSError as error:
+            raise ConfigError(f"{self.path}: {error.strerror or error}") from None
+        except UnicodeDecodeError:
+            raise ConfigError(f"{self.path}: not a text file (UTF-8)") from None
+        except yaml.YAMLError as error:
+            mark = getattr(error, "problem_mark", None)
+            where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
+            raise ConfigError(f"{self.path}{where}: not valid YAML: {_said(error)}") from None
+        if node is not None:
+            self._note_duplicates(node)
+            self.raise_problems()
+        return node
+
+    def _constructed(self, node: yaml.Node) -> Any:
+        loader = _Loader("")
+        try:
+            return loader.construct_document(node)
+        except (yaml.YAMLError, ValueError, TypeError) as error:
+            mark = getattr(error, "problem_mark", None) or node.start_mark
+            where = f"{self.path}:{mark.line + 1}:{mark.column + 1}"
+            raise ConfigError(f"{where}: not valid YAML: {_said(error)}") from None
+        finally:
+            loader.dispose()
+
+    def _note_duplicates(self, root: yaml.Node) -> None:
+        waiting, seen = [root], set()
+        while waiting:
+            node = waiting.pop()
+            if id(node) in seen:  # an alias of a node met before
+                continue
+            seen.add(id(node))
+            if isinstance(node, yaml.SequenceNode):
+                waiting.extend(node.value)
+            if not isinstance(node, yaml.MappingNode):
+                continue
+            first: dict[str, int] = {}
+            for key, value in node.value:
+                mark, name = key.start_mark, str(key.value)
+                if name in first and name != "<<":
+                    text = f"key {name!r} is here twice; its first value is in line {first[name]}"
+                    place = (mark.line + 1, mark.column + 1)
+                    self._problems[f"{self.path}:{place[0]}:{place[1]}: {text}"] = place
+                first.setdefault(name, mark.line + 1)
+                waiting.append(value)
+
+    def _mark(self, place: Place) -> yaml.Mark:
+        """Start of the deepest part of `place` that the file has."""
+        node, mark = self._node, yaml.Mark(str(self.path), 0, 0, 0, None, None)
+        for part in place:
+            if isinstance(node, yaml.MappingNode):
+                found = [(k, v) for k, v in node.value if str(k.value) == str(part)]
+                if not found:
+                    break
+                key, node = found[-1]
+                mark = key.start_mark if isinstance(node, yaml.CollectionNode) else node.start_mark
+            elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
+                node = node.value[part]
+                mark = node.start_mark
+            else:
+                break
+        return mark
+
+    def _is_override(self, place: Place) -> bool:
+        part: Any = self._overrides
+        for key in place:
+            if not isinstance(part, Mapping):
+                return True
+            if key not in part:
+                return False
+            part = part[key]
+        return bool(place)
+
+
+def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """`base` with the values of `over`, mapping by mapping; neither is changed."""
+    result = dict(base)
+    for key, value in over.items():
+        old = result.get(key)
+        both = isinstance(old, Mapping) and isinstance(value, Mapping)
+        result[key] = merged(old, value) if both else value
+    return result
+
+
+def at_place(data: Any, place: Sequence[str | int]) -> Any:
+    """The value at `place`, None where there is none."""
+    for part in place:
+        try:
+            data = data[part]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return data
+
+
+def _said(error: Exception) -> str:
+    """One line of what PyYAML says."""
+    problem = getattr(error, "problem", None)
+    context = getattr(error, "context", None)
+    text = ", ".join(part for part in (context, problem) if part) or str(error)
+    return " ".join(text.split())
