@@ -10,7 +10,7 @@ from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
 
 
-@click.command(cls=options.Command)
+@click.command(cls=options.Command, short_help="What is in a log, and what a system lacks in it.")
 @click.argument("logs", nargs=-1, required=True, type=options.EXISTING, metavar="LOG...")
 @options.where
 @options.common

@@ -26,6 +26,8 @@ EXISTING = click.Path(exists=True, readable=False, path_type=Path)
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, readable=False, path_type=Path)
 EXISTING_FOLDER = click.Path(exists=True, file_okay=False, readable=False, path_type=Path)
 
+_SECONDS = click.FloatRange(min=0)
+
 
 class Command(click.Command):
     """A command that listens to the library's log from the moment its options are known."""
@@ -112,8 +114,8 @@ where = _stack(
         help="Read a signal of the system from another topic; repeat for more.",
     ),
     msg_path,
-    click.option("--from", "start", type=float, metavar="S", help="Begin S seconds after the log's start."),
-    click.option("--to", "end", type=float, metavar="S", help="End S seconds after the log's start."),
+    click.option("--from", "start", type=_SECONDS, metavar="S", help="Begin S seconds after the log's start."),
+    click.option("--to", "end", type=_SECONDS, metavar="S", help="End S seconds after the log's start."),
 )
 
 tuning = _stack(
@@ -128,13 +130,14 @@ tuning = _stack(
 )
 
 work = _stack(
-    click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of all sampling."),
+    click.option("--seed", type=click.IntRange(min=0), metavar="N", default=0, show_default=True),
     click.option(
         "--threads",
         type=click.IntRange(min=1),
+        metavar="N",
         default=_cores,
         show_default="all cores",
-        help="Results never depend on it.",
+        help="Results depend on the seed, never on this.",
     ),
     click.option(
         "--engine",

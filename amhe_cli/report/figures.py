@@ -1,0 +1,221 @@
+"""Figures of the report as inline SVG: no script, no network, sharp at any size."""
+
+from __future__ import annotations
+
+import io
+import logging
+import re
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.parameters import Belief
+from amhe_cli.estimation.result import Fit, Iteration, ParameterResult
+
+logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it tells users about its font cache
+
+INK, MUTED, RULE = "#1e293b", "#64748b", "#e2e8f0"
+IDENTIFIED, INITIAL, MEASURED = "#2563eb", "#d97706", "#475569"
+
+#: Panels of one clip; of a robot with 12 joints those that move most are shown.
+MAX_PANELS = 9
+
+#: Points of one line: a clip has thousands, a panel has hundreds of pixels.
+MAX_POINTS = 240
+
+#: Coordinates in paths, and their digits below a hundredth of a point, which nobody sees.
+_PATH, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d\d)\d+")
+
+_STYLE = {
+    "path.simplify": False,  # it would drop lines without length
+    "svg.fonttype": "none",  # text stays text: small files, and it can be searched
+    "font.family": ["Inter", "Segoe UI", "Helvetica Neue", "Arial", "DejaVu Sans", "sans-serif"],
+    "font.size": 9.0,
+    "axes.edgecolor": RULE,
+    "axes.labelcolor": MUTED,
+    "axes.titlesize": 9.5,
+    "axes.titlecolor": INK,
+    "axes.titlelocation": "left",
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#f1f5f9",
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.major.size": 0.0,
+    "ytick.major.size": 0.0,
+    "lines.linewidth": 1.5,
+    "legend.frameon": False,
+    "figure.constrained_layout.use": True,
+}
+
+
+def fit_figure(fits: Sequence[Fit]) -> str:
+    """Measured against predicted, with residuals below, for the channels of one clip."""
+    share = max(1, MAX_PANELS // len(fits))
+    cells = [(fit, column) for fit in fits for column in _liveliest(fit, share)][:MAX_PANELS]
+    across = 4 if len(cells) in (4, 7, 8) else min(3, len(cells))
+    down = -(-len(cells) // across)
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": fits[0].clip}):
+        figure = Figure(figsize=(10.4, 2.7 * down))
+        panels = figure.subplots(
+            2 * down, across, squeeze=False, sharex=True, gridspec_kw={"height_ratios": [2.4, 1.0] * down}
+        )
+        for index, (fit, column) in enumerate(cells):
+            row, place = divmod(index, across)
+            _draw_fit(panels[2 * row, place], panels[2 * row + 1, place], fit, column)
+        for index in range(len(cells), down * across):
+            row, place = divmod(index, across)
+            panels[2 * row, place].set_visible(False)
+            panels[2 * row + 1, place].set_visible(False)
+        for panel in panels[-1]:
+            panel.set_xlabel("time [s]")
+            panel.tick_params(labelbottom=True)
+        return _svg(figure)
+
+
+def _draw_fit(above: Axes, below: Axes, fit: Fit, column: int) -> None:
+    shown = np.flatnonzero(fit.valid)
+    shown = shown[:: max(1, shown.size // MAX_POINTS)]
+    measured = fit.measured[:, column]
+    _dots(above, fit.time[shown], measured[shown], MEASURED)
+    above.plot(*_thinned(fit.time, fit.initial[:, column]), "--", color=INITIAL, linewidth=1.2)
+    above.plot(*_thinned(fit.time, fit.identified[:, column]), color=IDENTIFIED, linewidth=1.2)
+    _frame(above, measured[fit.valid], fit.identified[:, column])
+    name = fit.channel if len(fit.columns) == 1 else f"{fit.channel} {fit.columns[column]}"
+    above.set_title(f"{name} [{fit.unit}]")
+    below.axhspan(-fit.noise, fit.noise, color="#dbeafe", linewidth=0)
+    error = (measured - fit.identified[:, column])[shown]
+    _dots(below, fit.time[shown], error, IDENTIFIED)
+    _frame(below, error, np.array([-1.5, 1.5]) * fit.noise)
+
+
+def _dots(axes: Axes, x: FloatArray, y: FloatArray, color: str) -> None:
+    """Points as one path of lines without length: a tenth of the size of as many markers."""
+    gap = np.full(x.size, np.nan)
+    axes.plot(
+        np.stack((x, x, gap), axis=1).ravel(),
+        np.stack((y, y, gap), axis=1).ravel(),
+        color=color,
+        linewidth=2.2,
+        solid_capstyle="round",
+        alpha=0.75,
+    )
+
+
+def _frame(axes: Axes, *shown: FloatArray) -> None:
+    """Limits that hold what matters; a prediction that runs away may leave the picture."""
+    values = np.concatenate([s[np.isfinite(s)] for s in shown])
+    low, high = (values.min(), values.max()) if values.size else (0.0, 1.0)
+    margin = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
+    axes.set_ylim(low - margin, high + margin)
+
+
+def _liveliest(fit: Fit, count: int) -> list[int]:
+    """The `count` columns with the widest motion, in their own order."""
+    spread = np.nan_to_num(fit.measured[fit.valid].std(axis=0)) if fit.valid.any() else np.zeros(len(fit.columns))
+    return sorted(np.argsort(-spread, kind="stable")[:count].tolist())
+
+
+def _thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """At most MAX_POINTS points that keep every peak: the extremes of each of many short stretches."""
+    values = np.where(np.isfinite(values), values, np.nan)
+    if values.size <= MAX_POINTS:
+        return time, values
+    kept = {0, values.size - 1}
+    for stretch in np.array_split(np.arange(values.size), MAX_POINTS // 2):
+        part = values[stretch]
+        if np.isfinite(part).any():
+            kept |= {int(stretch[np.nanargmin(part)]), int(stretch[np.nanargmax(part)])}
+    index = np.array(sorted(kept))
+    return time[index], values[index]
+
+
+def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
+    """Cost, sampling width and parameters over the iterations."""
+    number = np.arange(1, len(iterations) + 1)
+    theta = np.array([i.theta for i in iterations])
+    final = np.where(belief.estimate == 0.0, 1.0, belief.estimate)
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "convergence"}):
+        figure = Figure(figsize=(10.4, 2.6))
+        cost, sigma, values = figure.subplots(1, 3)
+        cost.semilogy(number, [i.cost for i in iterations], "o-", color=IDENTIFIED, markersize=3)
+        cost.set_title("cost")
+        sigma.semilogy(number, [i.sigma for i in iterations], "o-", color=MEASURED, markersize=3)
+        sigma.set_title("sampling sd, in prior sd")
+        for name, column in zip(belief.names, (theta / final).T, strict=True):
+            values.plot(number, column, "-", label=name, linewidth=1.2)
+        values.set_title("parameters / final value")
+        values.legend(fontsize=7.5, ncols=1 + len(belief.names) // 5, handlelength=1.2)
+        for axes in (cost, sigma, values):
+            axes.set_xlabel("iteration")
+            axes.minorticks_off()
+            axes.xaxis.get_major_locator().set_params(integer=True)
+        return _svg(figure)
+
+
+def correlation_figure(names: Sequence[str], correlations: FloatArray) -> str:
+    """Heat map of the posterior correlations."""
+    size = len(names)
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "correlation", "axes.grid": False}):
+        figure = Figure(figsize=(1.6 + 0.62 * size, 1.0 + 0.5 * size))
+        axes = figure.subplots()
+        colors = LinearSegmentedColormap.from_list("signed", ["#c2620a", "#fef3e2", "#ffffff", "#e0eafd", IDENTIFIED])
+        axes.pcolormesh(correlations[::-1], cmap=colors, vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=2)
+        for row in range(size):
+            for column in range(size):
+                value = correlations[row, column]
+                color = "white" if abs(value) > 0.6 else INK
+                text = f"{value:.2f}".replace("-0.00", "0.00")
+                axes.text(column + 0.5, size - row - 0.5, text, ha="center", va="center", color=color, fontsize=8)
+        centres = np.arange(size) + 0.5
+        axes.set_xticks(centres, names, rotation=30, ha="right")
+        axes.set_yticks(centres, list(names)[::-1])
+        for spine in axes.spines.values():
+            spine.set_visible(False)
+        return _svg(figure)
+
+
+def profile_figure(parameters: Sequence[ParameterResult]) -> str | None:
+    """Cost along each parameter; a flat one says that the logs do not see it."""
+    drawn = [(p, *p.profile) for p in parameters if p.profile is not None]
+    if not drawn:
+        return None
+    across = min(4, max(3, len(drawn)))
+    down = -(-len(drawn) // across)
+    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "profile"}):
+        figure = Figure(figsize=(10.4, 2.3 * down))
+        panels = figure.subplots(down, across, squeeze=False).ravel()
+        for axes, (parameter, values, costs) in zip(panels, drawn, strict=False):
+            _draw_profile(axes, parameter, values, np.where(np.isfinite(costs), costs, np.nan))
+        for axes in panels[len(drawn) :]:
+            axes.set_visible(False)
+        return _svg(figure)
+
+
+def _draw_profile(axes: Axes, parameter: ParameterResult, values: FloatArray, costs: FloatArray) -> None:
+    axes.axvspan(parameter.lower, parameter.upper, color="#dbeafe", linewidth=0)
+    axes.axvline(parameter.estimate, color=IDENTIFIED, linewidth=1.0)
+    if values.min() <= parameter.prior <= values.max():
+        axes.axvline(parameter.prior, color=INITIAL, linewidth=1.0, linestyle="--")
+    axes.plot(values, costs, "o-", color=INK, markersize=2.5, linewidth=1.0)
+    axes.set_xlim(values.min(), values.max())
+    low, high = (np.nanmin(costs), np.nanmax(costs)) if np.isfinite(costs).any() else (0.0, 1.0)
+    if high - low < 0.02 * abs(high):  # flat: show it flat, not its rounding errors
+        axes.set_ylim(low - 0.5 * abs(high) - 1e-9, high + 0.5 * abs(high) + 1e-9)
+    axes.set_title(f"{parameter.name} [{parameter.unit}]")
+    axes.locator_params(nbins=5)
+
+
+def _svg(figure: Figure) -> str:
+    """The SVG element alone, sized by the page."""
+    text = io.StringIO()
+    figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
+    svg = text.getvalue()
+    return _PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), svg[svg.index("<svg") :])
