@@ -38,10 +38,21 @@ def trimmed_mean(values: FloatArray, trim: float) -> FloatArray:
     return values.mean(axis=-1)
 
 
+def white_noise_sd(values: FloatArray) -> float:
+    """Noise sd of a smooth signal sampled in rows (n, k), from its third differences.
+
+    A robust (median) estimate that a few jumps do not disturb; 0 for fewer than five rows.
+    """
+    if len(values) < 5:
+        return 0.0
+    third = np.diff(values, 3, axis=0) / np.sqrt(20.0)  # 1, -3, 3, -1: variance 20
+    return float(np.median(np.abs(third)) / 0.6745)
+
+
 def autocorrelation_time(series: FloatArray, valid: FloatArray | None = None) -> float:
     """Integrated autocorrelation time of residuals, in samples, at least 1.
 
-    Averages the autocovariance over rows, and sums it to its first non-positive lag (the initial
+    Averages the autocovariance over rows, and sums it to its first insignificant lag (after the initial
     positive sequence of Geyer 1992): n samples are worth n / time independent ones.
 
     Args:
@@ -62,8 +73,9 @@ def autocorrelation_time(series: FloatArray, valid: FloatArray | None = None) ->
     if covariance[0] <= 0.0:
         return 1.0
     rho = covariance[1 : samples // 2] / covariance[0]
-    negative = np.flatnonzero(rho <= 0.0)
-    rho = rho[: negative[0]] if negative.size else rho
+    noise = 2.0 / np.sqrt(max(mask.sum(), 1))  # what white residuals would show by chance
+    insignificant = np.flatnonzero(rho <= noise)
+    rho = rho[: insignificant[0]] if insignificant.size else rho
     return float(1.0 + 2.0 * rho.sum())
 
 

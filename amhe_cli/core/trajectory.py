@@ -22,12 +22,15 @@ class Series:
         sampled: True on the steps nearest to a real message, shape (T,): only there is a measurement
             that counts as data; every other valid step is interpolated.
         columns: Name of each column, length k.
+        derived: The topic carried no such quantity; it was differentiated from one that it did carry,
+            so it is no second measurement.
     """
 
     values: FloatArray
     valid: BoolArray
     sampled: BoolArray
     columns: tuple[str, ...]
+    derived: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "values", sealed(self.values))

@@ -1,0 +1,108 @@
+"""Rollouts on CPU threads with `mujoco.batch.Batch`: one parameter vector per simulation, one model."""
+
+from __future__ import annotations
+
+import mujoco
+import mujoco.batch
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.errors import SimulationError
+from amhe_cli.engine.rollout import Rollouts
+from amhe_cli.system.edits import ModelEdits
+
+#: Rollouts of different lengths are run in at most this many groups of similar length, so that a short
+#: one does not pay for the longest.
+LENGTH_GROUPS = 6
+
+
+class CpuEngine:
+    """A pool of simulations that is kept between calls.
+
+    Results are bit-identical at any number of threads.
+
+    Args:
+        model: The estimation model.
+        edits: How parameters are written into it.
+        input_spec: mjtState bits of the input vector.
+        threads: CPU threads.
+        sensors: Whether sensor data are wanted; they cost one more step per rollout.
+    """
+
+    def __init__(
+        self, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, threads: int, sensors: bool
+    ) -> None:
+        self._model, self._edits, self._input_spec = model, edits, input_spec
+        self._threads, self.sensors = threads, sensors
+        self._batch: mujoco.batch.Batch | None = None
+        self._fields: dict[str, np.ndarray] = {}
+
+    def rollout(
+        self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
+    ) -> Rollouts:
+        """See `RolloutEngine.rollout`."""
+        count, horizon = inputs.shape[:2]
+        batch = self._ready(count)
+        self._write(batch, theta)
+        batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # clears warm starts and warnings: reproducible
+        batch.bind("qpos")[:count] = qpos
+        batch.bind("qvel")[:count] = qvel
+        result = Rollouts(
+            np.empty((count, horizon, self._model.nq)),
+            np.empty((count, horizon, self._model.nv)),
+            np.empty((count, horizon, self._model.nsensordata)) if self.sensors else None,
+            np.empty(count, dtype=bool),
+        )
+        for ids, steps in _groups(lengths):
+            self._run(batch, ids, steps, inputs, result)
+        result.completed[:] = ~batch.warning[:count].any(axis=(1, 2))
+        return result
+
+    def _ready(self, count: int) -> mujoco.batch.Batch:
+        """The pool, grown to at least `count` simulations."""
+        if self._batch is None or self._batch.nsim < count:
+            self._batch = mujoco.batch.Batch(self._model, count, self._threads)
+            self._fields = {name: self._batch.expand(name) for name in self._edits.fields}
+        return self._batch
+
+    def _write(self, batch: mujoco.batch.Batch, theta: FloatArray) -> None:
+        count = len(theta)
+        self._edits.write({name: field[:count] for name, field in self._fields.items()}, theta)
+        if self._edits.needs_set_const:
+            batch.set_const()  # mass and its like have derived constants, stale until now
+
+    def _run(
+        self, batch: mujoco.batch.Batch, ids: IntArray, steps: int, inputs: FloatArray, into: Rollouts
+    ) -> None:
+        """Run one group and file its records; the last input is held for the sensors' extra step."""
+        control = inputs[ids, :steps]
+        record = ["qpos", "qvel"]
+        if into.sensordata is not None:
+            control = np.concatenate((control, control[:, -1:]), axis=1)
+            record.append("sensordata")
+        try:
+            out = batch.rollout(
+                control.shape[1],
+                control=control if control.shape[2] else None,
+                control_spec=self._input_spec,
+                record=record,
+                ids=ids,
+            )
+        except (mujoco.FatalError, ValueError, RuntimeError) as error:
+            raise SimulationError(f"MuJoCo refused a rollout: {error}") from error
+        into.qpos[ids, :steps] = out["qpos"][:, :steps]
+        into.qvel[ids, :steps] = out["qvel"][:, :steps]
+        if into.sensordata is not None:
+            into.sensordata[ids, :steps] = out["sensordata"][:, 1:]
+
+
+def _groups(lengths: IntArray) -> list[tuple[IntArray, int]]:
+    """Split rollouts into groups of similar length: (ascending ids, steps to run)."""
+    longest = int(lengths.max())
+    edges = np.unique(np.ceil(np.arange(1, LENGTH_GROUPS + 1) * longest / LENGTH_GROUPS).astype(int))
+    group = np.searchsorted(edges, lengths)
+    return [
+        (np.flatnonzero(group == g), int(lengths[group == g].max()))
+        for g in range(edges.size)
+        if (group == g).any()
+    ]

@@ -1,0 +1,39 @@
+"""Perturbing states on their manifold: the tangent space of a quaternion has three coordinates, not four."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import FloatArray
+
+
+def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> FloatArray:
+    """Positions qpos (..., nq) moved by tangent vectors delta (..., nv), as `mj_integratePos` would.
+
+    Rotations of free and ball joints are perturbed in the body's own frame.
+    """
+    moved = np.array(np.broadcast_to(qpos, (*delta.shape[:-1], model.nq)))
+    for joint in range(model.njnt):
+        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        kind = model.jnt_type[joint]
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            moved[..., q : q + 3] += delta[..., v : v + 3]
+            q, v = q + 3, v + 3
+        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            turn = rotations.exp(delta[..., v : v + 3])
+            moved[..., q : q + 4] = rotations.multiply(moved[..., q : q + 4], turn)
+        else:
+            moved[..., q] += delta[..., v]
+    return moved
+
+
+def home(model: mujoco.MjModel, keyframe: int | None, input_spec: int) -> tuple[FloatArray, FloatArray]:
+    """State and inputs of everything that no signal gives: qpos (nq,) and the input vector (nu,)."""
+    data = mujoco.MjData(model)
+    if keyframe is not None:
+        mujoco.mj_resetDataKeyframe(model, data, keyframe)
+    inputs = np.empty(mujoco.mj_stateSize(model, input_spec))
+    mujoco.mj_getState(model, data, inputs, input_spec)
+    return np.array(data.qpos), inputs

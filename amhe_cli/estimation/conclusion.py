@@ -1,0 +1,204 @@
+"""After the search: how well the estimate is known, how well it predicts, and what to show."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.statistics import correlation
+from amhe_cli.core.trajectory import Window
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.variants import contact_variants
+from amhe_cli.estimation import cma, search
+from amhe_cli.estimation.fits import fits
+from amhe_cli.estimation.identifiability import Evidence, combinations, profiles, verdicts
+from amhe_cli.estimation.linearised import Linearisation, information, linearise
+from amhe_cli.estimation.posterior import (
+    Posterior,
+    bootstrap_sd,
+    by_kind,
+    disagreement,
+    halves,
+    posterior,
+)
+from amhe_cli.estimation.problem import Problem, spread_floor
+from amhe_cli.estimation.result import ClipCount, HeldOut, Identification
+from amhe_cli.matching import MatchingCost
+
+logger = logging.getLogger(__name__)
+
+#: What a search ends with.
+Finding = search.State | cma.State
+
+#: Drift within the logs is reported from this many sd, if it is also this share of a prior sd.
+DRIFT, DRIFT_SHARE = 3.0, 0.05
+
+
+def conclude(problem: Problem, finding: Finding, validation: list[Window], interrupted: bool) -> Identification:
+    """Everything that is reported of a finished, or interrupted, search."""
+    system, setting = problem.system, problem.settings.identify
+    study = _study(problem, finding)
+    active = problem.active
+    covariance = study.posterior.covariance
+    _report_drift(problem, study)
+    cost = MatchingCost(system, problem.tiles, problem.engine, problem.settings.cost)
+    evidence = Evidence(
+        z=finding.z,
+        covariance=covariance,
+        active=active,
+        step_ratio=study.step_ratio,
+        bootstrap=bootstrap_sd(finding.z, study.found, study.weight, setting.bootstrap, problem.rng(4)),
+        disagreements=_disagreements(problem, finding, study),
+        shifts=_shifts(problem, finding, study),
+        profiles=profiles(
+            system.space, cost.costs, finding.z, np.sqrt(np.diag(covariance)), active, setting.profile_points
+        ),
+    )
+    return Identification(
+        system=system.name,
+        method="cmaes" if isinstance(finding, cma.State) else "linearised",
+        parameters=verdicts(system.space, evidence),
+        belief=belief_of(system.name, system.space, finding.z, covariance, {}),
+        correlations=correlation(covariance),
+        combinations=combinations(system.space, covariance, active),
+        held_out=validate(problem, validation, finding),
+        iterations=finding.record,
+        rollouts=sum(i.rollouts for i in finding.record),
+        diverged=sum(i.diverged for i in finding.record),
+        clips=ClipCount(
+            fitted=len(problem.tiles),
+            held_out=len(validation),
+            motionless=problem.pool.motionless,
+            across_gaps=problem.pool.across_gaps,
+        ),
+        noise_scale=study.scale,
+        fits=fits(problem, finding.z, validation or list(problem.tiles), bool(validation)),
+        interrupted=interrupted,
+        logs=tuple(dict.fromkeys(s.trajectory.source for s in problem.pool.stretches)),
+    )
+
+
+def validate(problem: Problem, windows: list[Window], finding: Finding) -> HeldOut | None:
+    """Costs and errors on clips that were not fitted, from their recorded first states."""
+    if not windows:
+        return None
+    cost = MatchingCost(problem.system, windows, problem.engine, problem.settings.cost)
+    z = np.stack((finding.z, np.zeros_like(finding.z)))
+    costs, position, orientation = cost.costs(z), cost.errors(z, "position"), cost.errors(z, "orientation")
+    return HeldOut(
+        clips=len(windows),
+        cost=float(costs[0]),
+        initial_cost=float(costs[1]),
+        position_error_m=_mean(position[0]),
+        initial_position_error_m=_mean(position[1]),
+        orientation_error_rad=_mean(orientation[0]),
+        initial_orientation_error_rad=_mean(orientation[1]),
+    )
+
+
+def _mean(errors: FloatArray) -> float:
+    return float(errors.mean()) if errors.size and not np.isnan(errors).all() else float("nan")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Study:
+    """The final linearisation on the tiles, and what it says."""
+
+    slopes: Linearisation
+    found: object
+    weight: FloatArray
+    posterior: Posterior
+    step_ratio: FloatArray
+    scale: Mapping[str, float]
+
+
+def _study(problem: Problem, finding: Finding) -> _Study:
+    """Linearise at the estimate: once to learn the noise, once with it, once at a doubled step."""
+    spread = _final_spread(problem, finding)
+    slopes = _linearised(problem, finding, finding.scale, spread, 0)
+    scale = search.noise_scale(slopes.cost, information(slopes), finding.scale)
+    slopes = _linearised(problem, finding, scale, spread, 0)
+    found = information(slopes)
+    weight = search.clip_weights(slopes.cost, found) * problem.coverage(problem.tiles)
+    doubled = information(_linearised(problem, finding, scale, 2.0 * spread, 1))
+    data = np.einsum("c,cii->i", weight, found.matrix)
+    ratio = np.sqrt(np.einsum("c,cii->i", weight, doubled.matrix) / np.where(data > 0.0, data, np.nan))
+    return _Study(slopes, found, weight, posterior(finding.z, found, weight), ratio, scale)
+
+
+def _linearised(
+    problem: Problem, finding: Finding, scale: Mapping[str, float], spread: FloatArray, place: int
+) -> Linearisation:
+    cost = problem.cost(problem.tiles, scale)
+    first = np.zeros((len(problem.tiles), cost.nx if problem.settings.identify.first_state else 0))
+    samples = problem.settings.identify.samples
+    return linearise(cost, finding.z, first, spread, samples, problem.rng(3, place))
+
+
+def _final_spread(problem: Problem, finding: Finding) -> FloatArray:
+    """The step at which the posterior is taken: the search's own floor."""
+    return spread_floor(problem) * problem.active
+
+
+def _disagreements(
+    problem: Problem, finding: Finding, study: _Study
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Estimates from one kind of measurement against another: a right model makes them agree."""
+    kinds = [_kind(o.channel.key) for o in study.slopes.cost.clips.observed]
+    alone = by_kind(finding.z, study.slopes, study.weight, kinds)
+    names = list(alone)
+    return {
+        f"{one} and {other} data": disagreement(finding.z, alone[one], alone[other])
+        for i, one in enumerate(names)
+        for other in names[i + 1 :]
+    }
+
+
+def _kind(key: str) -> str:
+    return key.rsplit(".", 1)[1].replace("_", " ")
+
+
+def _shifts(problem: Problem, finding: Finding, study: _Study) -> dict[str, FloatArray]:
+    """Where the estimate would move if unmeasured details of contact were others."""
+    system = problem.system
+    shifts = {}
+    for name, model in contact_variants(system.model).items():
+        engine = CpuEngine(
+            model, system.edits, system.input_spec, problem.threads, study.slopes.cost.engine.sensors
+        )
+        cost = MatchingCost(system, problem.tiles, engine, problem.settings.cost, study.scale)
+        residuals = cost.residuals(finding.z[None])
+        both = study.slopes.completed & residuals.completed[0]
+        moved = information(replace(study.slopes, residual=residuals.flat[0], completed=both))
+        there = posterior(finding.z, moved, study.weight * both)
+        shifts[name] = there.step - study.posterior.step
+    return shifts
+
+
+def _report_drift(problem: Problem, study: _Study) -> None:
+    """Warn where the logs' first and second half want different parameters."""
+    tiles = problem.tiles
+    late = _late(tiles)
+    if late.all() or not late.any() or min(late.sum(), (~late).sum()) < 3:
+        return
+    z = np.zeros(len(problem.system.space))
+    early_half, late_half = halves(z, study.found, study.weight, late)
+    difference, sd = disagreement(z, late_half, early_half)
+    space = problem.system.space
+    for i in np.flatnonzero((np.abs(difference) > DRIFT * sd) & (np.abs(difference) > DRIFT_SHARE)):
+        p = space.parameters[i]
+        size = f"{np.expm1(difference[i] * p.prior_sd):+.0%}" if p.log else f"{difference[i] * p.prior_sd:+.2g} {p.unit}"
+        logger.warning(
+            f"{p.name} drifts within the logs: their second half wants {size} against the first "
+            f"({abs(difference[i]) / sd[i]:.1f} sd): one constant value does not describe them"
+        )
+
+
+def _late(tiles: Sequence[Window]) -> BoolArray:
+    """Which clips lie in the second half of their log."""
+    return np.array([w.start + 0.5 * w.length > 0.5 * (w.trajectory.steps - 1) for w in tiles])

@@ -1,0 +1,101 @@
+"""The posterior covariance: what the clips, the independent units of a log, say about z."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.estimation.linearised import Information, Linearisation, information
+
+#: Clips that the model's own noise is worth against the scatter of the clips' scores: with few clips the
+#: scatter is itself uncertain.
+NOISE_WORTH = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """Estimate and covariance of z, from some clips and channels.
+
+    Args:
+        step: One Gauss-Newton step away from where the information was taken, shape (d,).
+        hessian: Information of data and prior, shape (d, d).
+        scatter: Covariance of the data's score, shape (d, d).
+    """
+
+    step: FloatArray
+    hessian: FloatArray
+    scatter: FloatArray
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Posterior covariance of z: the sandwich H^-1 (B + I) H^-1, shape (d, d)."""
+        inverse = np.linalg.inv(self.hessian)
+        return inverse @ (self.scatter + np.eye(len(inverse))) @ inverse
+
+    @property
+    def data_covariance(self) -> FloatArray:
+        """The part of it that other data would change, shape (d, d)."""
+        inverse = np.linalg.inv(self.hessian)
+        return inverse @ self.scatter @ inverse
+
+
+def posterior(z: FloatArray, found: Information, weight: FloatArray) -> Posterior:
+    """Combine the clips' information with the standard normal prior of z.
+
+    The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip
+    as the independent unit), shrunk towards the latter where there are few clips.
+
+    Args:
+        z: Where the information was taken, shape (d,).
+        found: Information of c clips.
+        weight: How often each clip counts, shape (c,); 0 leaves it out.
+    """
+    matrix = np.einsum("c,cij->ij", weight, found.matrix)
+    hessian = matrix + np.eye(z.size)
+    gradient = np.einsum("c,ci->i", weight, found.score) + z
+    step = -np.linalg.solve(hessian, gradient)
+    score = found.score + np.einsum("cij,j->ci", found.matrix, step)
+    count = int((weight > 0.0).sum())
+    centred = score - (weight[:, None] * score).sum(axis=0) / max(weight.sum(), 1e-300)
+    scatter = np.einsum("c,ci,cj->ij", weight, centred, centred) * count / max(count - 1, 1)
+    blended = (count * scatter + NOISE_WORTH * matrix) / (count + NOISE_WORTH)
+    return Posterior(step, hessian, blended)
+
+
+def bootstrap_sd(
+    z: FloatArray, found: Information, weight: FloatArray, resamples: int, rng: np.random.Generator
+) -> FloatArray:
+    """Spread of the one-step estimate over resampled clips, sd of z, shape (d,); NaN without clips."""
+    count = len(weight)
+    if count < 2 or resamples < 2:
+        return np.full(z.size, np.nan)
+    draws = weight * rng.multinomial(count, np.full(count, 1.0 / count), size=resamples)  # (b, c)
+    hessian = np.einsum("bc,cij->bij", draws, found.matrix) + np.eye(z.size)
+    gradient = np.einsum("bc,ci->bi", draws, found.score) + z
+    return np.linalg.solve(hessian, gradient[..., None])[..., 0].std(axis=0, ddof=1)
+
+
+def disagreement(z: FloatArray, one: Posterior, other: Posterior) -> tuple[FloatArray, FloatArray]:
+    """Difference between two estimates from different data, and its sd, each (d,) in z."""
+    difference = one.step - other.step
+    return difference, np.sqrt(np.diag(one.data_covariance + other.data_covariance))
+
+
+def halves(z: FloatArray, found: Information, weight: FloatArray, late: BoolArray) -> tuple[Posterior, Posterior]:
+    """Posteriors of the clips of the logs' first and second half."""
+    return posterior(z, found, weight * ~late), posterior(z, found, weight * late)
+
+
+def by_kind(z: FloatArray, slopes: Linearisation, weight: FloatArray, kinds: Sequence[str]) -> dict[str, Posterior]:
+    """Posterior from each kind of measurement alone.
+
+    Args:
+        kinds: Kind of each compared channel, such as 'position'.
+    """
+    return {
+        kind: posterior(z, information(slopes, [k == kind for k in kinds]), weight)
+        for kind in dict.fromkeys(kinds)
+    }

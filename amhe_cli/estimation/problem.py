@@ -1,0 +1,92 @@
+"""An identification problem: the system, the clips of its logs, and an engine to roll them out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.settings import Settings
+from amhe_cli.core.trajectory import Window
+from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.estimation.clips import ClipPool
+from amhe_cli.matching import MatchingCost
+from amhe_cli.system.system import System
+
+#: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
+OUT_OF_REACH = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a search needs.
+
+    Args:
+        system: Model, parameters with their prior, signals.
+        pool: Source of clips to fit.
+        engine: Rollout engine.
+        seed: Of every random draw.
+        threads: CPU threads of the engines.
+    """
+
+    system: System
+    pool: ClipPool
+    engine: RolloutEngine
+    seed: int
+    threads: int = 1
+
+    @property
+    def settings(self) -> Settings:
+        """The system's settings."""
+        return self.system.settings
+
+    def cost(self, windows: Sequence[Window], scale: Mapping[str, float] | None = None) -> MatchingCost:
+        """Matching cost on some clips, with the noise that the data have shown."""
+        return MatchingCost(self.system, windows, self.engine, self.settings.cost, scale)
+
+    def rng(self, *place: int) -> np.random.Generator:
+        """A generator of its own for each place of the search: nothing to store, the same on resuming."""
+        return np.random.default_rng([self.seed, *place])
+
+    @cached_property
+    def tiles(self) -> tuple[Window, ...]:
+        """The fitted logs cut into clips, each instant used once; thinned evenly where there are many."""
+        low, high = self.settings.clips.length
+        tiles = self.pool.tiles(0.5 * (low + high))
+        most = 4 * self.settings.clips.count
+        if len(tiles) > most:
+            tiles = [tiles[i] for i in np.linspace(0, len(tiles) - 1, most).round().astype(int)]
+        return tuple(tiles)
+
+    def coverage(self, windows: Sequence[Window]) -> float:
+        """Time in the fitted logs over time in these clips: how often each clip's information counts."""
+        return self.moving_time / sum(w.duration for w in windows)
+
+    @cached_property
+    def moving_time(self) -> float:
+        """Time of the fitted logs that clips can use [s]."""
+        low, high = self.settings.clips.length
+        return sum(w.duration for w in self.pool.tiles(0.5 * (low + high)))
+
+    @cached_property
+    def active(self) -> BoolArray:
+        """Parameters that these logs can feel at all, shape (d,)."""
+        d = len(self.system.space)
+        clips = self.tiles[:: max(1, len(self.tiles) // 8)]
+        steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d), -0.5 * np.eye(d)))
+        residuals = self.cost(clips).residuals(self.system.space.clip(steps))
+        moved = np.abs(residuals.flat - residuals.flat[0]).max(axis=(1, 2))[1:].reshape(2, d)
+        broken = ~residuals.completed.all(axis=1)[1:].reshape(2, d)  # it diverged: it was felt
+        return (moved > OUT_OF_REACH).any(axis=0) | broken.any(axis=0)
+
+
+def spread_floor(problem: Problem) -> FloatArray:
+    """Smallest sampling sd of z, shape (d,): 5 % of a log-scaled parameter, 5 % of a linear one's prior sd.
+
+    Smaller steps measure the roughness of contact, not the slope of the residuals.
+    """
+    space = problem.system.space
+    return np.where(space.log, 0.05 / space.prior_sd, 0.05)
