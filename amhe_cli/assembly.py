@@ -12,7 +12,7 @@ from amhe_cli.core.trajectory import Trajectory
 from amhe_cli.logs import read_metadata, read_trajectory
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
-from amhe_cli.system.load import bundled_root, find_system, load_system
+from amhe_cli.system.load import bundled_systems, find_system, load_system
 from amhe_cli.system.system import System
 
 #: What a log is taken to be about when neither it nor the user says.
@@ -65,6 +65,10 @@ def identify_problem(
         ConfigError: A setting, the system folder or the belief is wrong.
         LogError: A log cannot be read, or lacks what the system needs.
     """
+    fitted = {path.resolve() for path in source.paths}
+    for path in held_out:
+        if path.resolve() in fitted:
+            raise ConfigError(f"{path}: is both fitted and held out; validation needs a log of its own")
     loaded = open_system(system, source, assignments, config)
     prior = read_belief(belief, loaded) if belief else None
     training = trajectories(loaded, source)
@@ -93,7 +97,7 @@ def system_of(logs: Sequence[Path]) -> str:
         raise ConfigError(f"the logs are about different systems ({', '.join(names)}); choose one with --system")
     if names:
         return names[0]
-    known = sorted(folder.parent.name for folder in bundled_root().glob("*/system.yaml"))
+    known = bundled_systems()
     if DEFAULT_SYSTEM in known:
         return DEFAULT_SYSTEM
     raise ConfigError(

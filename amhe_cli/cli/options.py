@@ -33,17 +33,13 @@ class Command(click.Command):
     """A command that listens to the library's log from the moment its options are known."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        ctx.ensure_object(_new_session).begin(ctx.command_path)
+        ctx.ensure_object(Session).begin(ctx.command_path)
         return super().invoke(ctx)
-
-
-def _new_session() -> Session:
-    return Session(())
 
 
 def _remember(ctx: click.Context, param: click.Parameter, value: Any) -> None:
     if value and param.name:
-        setattr(ctx.ensure_object(_new_session), param.name, value)
+        setattr(ctx.ensure_object(Session), param.name, value)
 
 
 def _flag(*names: str, help: str, **more: Any) -> Callable[[F], F]:

@@ -33,7 +33,7 @@ class Session:
         terminated: By SIGTERM, not by Ctrl-C.
     """
 
-    def __init__(self, arguments: Sequence[str]) -> None:
+    def __init__(self, arguments: Sequence[str] = ()) -> None:
         self.command = "amhe"
         self.command_line = shlex.join(["amhe", *arguments])
         self.started = time.monotonic()

@@ -1,0 +1,49 @@
+"""Write docs/cli.md from the commands' own help: `make docs`."""
+
+from pathlib import Path
+
+import click
+
+from amhe_cli.cli.main import amhe
+
+WIDE = {"terminal_width": 100, "max_content_width": 100}
+FILE = Path(__file__).with_name("cli.md")
+
+HEAD = """\
+# The command line
+
+This page is written by `make docs` from the commands' own help; a test holds that it is current.
+
+| exit code | meaning |
+|---|---|
+| 0 | done |
+| 1 | failed: the data were read, but the run came to no result |
+| 2 | usage or configuration; a path that does not exist |
+| 3 | with `--strict`: done, with a warning |
+| 4 | an input exists but cannot be read |
+| 130, 143 | interrupted (Ctrl-C), terminated (SIGTERM); an estimation keeps the best so far and writes it |
+
+Results go to stdout, everything else to stderr. With `--json` stdout is one JSON object, the content of
+`result.json`. A setting comes from, in this order: `--set`, the environment (`AMHE_CLIPS_COUNT=40` for
+`clips.count`), `--config`, the system's own `settings:`, its default. Files of a command appear whole or not
+at all.
+"""
+
+
+def document() -> str:
+    """The whole page."""
+    group = click.Context(amhe, info_name="amhe", **WIDE | amhe.context_settings)
+    parts = [HEAD, _section("amhe", amhe.get_help(group))]
+    for name in sorted(amhe.commands):
+        command = amhe.commands[name]
+        context = click.Context(command, info_name=name, parent=group, **WIDE)
+        parts.append(_section(f"amhe {name}", command.get_help(context)))
+    return "\n".join(parts)
+
+
+def _section(title: str, text: str) -> str:
+    return f"## `{title}`\n\n```text\n{text}\n```\n"
+
+
+if __name__ == "__main__":
+    FILE.write_text(document(), encoding="utf-8")

@@ -1,0 +1,169 @@
+"""How every ending becomes an exit code, and what is loaded before a command runs."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from amhe_cli import __version__
+from amhe_cli.cli import main as entry
+from amhe_cli.cli import options
+from amhe_cli.cli.session import Session, Terminated
+from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, LogError
+from docs.make_cli_docs import FILE, document
+
+HEAVY = ("cmaes", "jinja2", "matplotlib", "mcap", "mujoco", "numpy", "pydantic", "rich", "rosbags", "yaml")
+
+
+def raising(error: BaseException):
+    @click.command(cls=options.Command)
+    @options.common
+    @click.pass_obj
+    def trial(session: Session) -> None:
+        raise error
+
+    return trial
+
+
+@pytest.fixture
+def trial(monkeypatch: pytest.MonkeyPatch):
+    """Run a command `trial` that raises an error; gives the exit code."""
+
+    def run(error: BaseException, *arguments: str) -> int:
+        monkeypatch.setitem(entry.amhe.commands, "trial", raising(error))
+        return entry.run(["trial", *arguments])
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (AmheError("what"), 1),
+        (EstimationError("what"), 1),
+        (ConfigError("what"), 2),
+        (click.UsageError("what"), 2),
+        (LogError("what"), 4),
+    ],
+)
+def test_an_expected_error_is_one_line_and_its_code(trial, capsys, error, code) -> None:
+    assert trial(error) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith("amhe trial: error: what")
+    assert len(err.splitlines()) == 1
+
+
+def test_an_error_of_several_mistakes_gives_each_its_line(trial, capsys) -> None:
+    assert trial(ConfigError("system.yaml:3:1: this\nsystem.yaml:9:4: that")) == 2
+    assert capsys.readouterr().err.splitlines() == [
+        "amhe trial: error: system.yaml:3:1: this",
+        "  system.yaml:9:4: that",
+    ]
+
+
+def test_a_bug_shows_its_traceback_and_says_that_it_is_one(trial, capsys) -> None:
+    assert trial(ZeroDivisionError("oh")) == 1
+    err = capsys.readouterr().err
+    assert "Traceback" in err
+    assert "bug in amhe" in err.splitlines()[-1]
+
+
+def test_a_full_disk_is_no_bug(trial, capsys) -> None:
+    assert trial(OSError(28, "No space left on device", "out/report.html")) == 1
+    assert capsys.readouterr().err == "amhe trial: error: out/report.html: No space left on device\n"
+
+
+@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt(), 130), (Terminated(), 143)])
+def test_an_interrupted_command_has_the_code_of_its_signal(trial, monkeypatch, error, code) -> None:
+    if isinstance(error, Terminated):
+        real = Session.begin
+        monkeypatch.setattr(Session, "begin", lambda s, c: (setattr(s, "terminated", True), real(s, c)) and None)
+    assert trial(error) == code
+
+
+def logging_command(*messages: str):
+    @click.command(cls=options.Command)
+    @options.common
+    @click.pass_obj
+    def trial(session: Session) -> None:
+        import logging
+
+        for message in messages:
+            logging.getLogger("amhe_cli.somewhere").warning(message)
+        print(len(session.warnings))
+
+    return trial
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [(["trial"], 0), (["trial", "--strict"], 3), (["--strict", "trial"], 3)],
+)
+def test_strict_makes_a_warning_an_exit_code(monkeypatch, capsys, arguments, code) -> None:
+    monkeypatch.setitem(entry.amhe.commands, "trial", logging_command("a gap", "a gap", "a jump"))
+    assert entry.run(arguments) == code
+    out, err = capsys.readouterr()
+    assert out == "2\n"
+    assert err.splitlines() == ["amhe trial: warning: a gap", "amhe trial: warning: a jump"]
+
+
+def test_strict_without_warnings_is_done(monkeypatch) -> None:
+    monkeypatch.setitem(entry.amhe.commands, "trial", logging_command())
+    assert entry.run(["trial", "--strict"]) == 0
+
+
+def test_an_unknown_option_names_the_nearest(capsys) -> None:
+    assert entry.run(["identify", "--sede", "3"]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith("amhe identify: error:")
+    assert "--seed" in err
+
+
+@pytest.mark.parametrize("command", sorted(entry.amhe.commands))
+def test_a_path_that_does_not_exist_is_a_usage_error(command, capsys, tmp_path) -> None:
+    assert entry.run([command, str(tmp_path / "nothing.mcap")]) == 2
+    assert "does not exist" in capsys.readouterr().err
+
+
+def test_version_and_help(capsys) -> None:
+    assert entry.run(["--version"]) == 0
+    assert entry.run(["identify", "--version"]) == 0
+    assert capsys.readouterr().out == f"amhe {__version__}\n" * 2
+    assert entry.run([]) == 2
+
+
+@pytest.mark.parametrize("command", sorted(entry.amhe.commands))
+def test_every_command_says_what_it_is(command) -> None:
+    found = entry.amhe.commands[command]
+    assert found.help and found.short_help
+    for option in found.params:
+        if isinstance(option, click.Option):
+            assert option.help or option.name == "seed", f"{command} {option.name}"
+
+
+@pytest.mark.parametrize("command", sorted(entry.amhe.commands))
+@pytest.mark.parametrize("option", ["--json", "--strict", "--quiet", "--verbose", "--no-color", "--version"])
+def test_every_command_has_the_common_options(command, option) -> None:
+    assert any(option in parameter.opts for parameter in entry.amhe.commands[command].params)
+
+
+def test_the_documented_help_is_the_real_one() -> None:
+    """Run `make docs` when this fails; white space may differ between versions of click."""
+    assert FILE.read_text(encoding="utf-8").split() == document().split()
+
+
+def test_nothing_heavy_is_loaded_for_help() -> None:
+    code = f"import sys, amhe_cli.cli.main; print([m for m in {HEAVY!r} if m in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_module_is_the_command_too(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "amhe_cli", "--help"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0
+    assert "identify" in done.stdout
