@@ -1,0 +1,9 @@
+"""Robot logs of any common format, as immutable trajectories; the only room that knows mcap and rosbags."""
+
+from __future__ import annotations
+
+from amhe_cli.logs.survey import Survey, TopicSurvey, read_metadata, survey
+from amhe_cli.logs.trajectory import read_trajectory
+from amhe_cli.logs.writer import LogWriter
+
+__all__ = ["LogWriter", "Survey", "TopicSurvey", "read_metadata", "read_trajectory", "survey"]

@@ -1,0 +1,177 @@
+"""Which of a message's three stamps to believe, and what to do with those that cannot be true."""
+
+from __future__ import annotations
+
+import logging
+from bisect import bisect_left
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, IntArray
+from amhe_cli.logs.decode import Samples
+
+logger = logging.getLogger(__name__)
+
+Clock = Literal["header", "publish", "log"]
+
+#: Header stamps this far [s] from where the recorder's clock puts them are wild, if they are few.
+_WILD_HEADER = 60.0
+#: Any stamp this far [s] from the middle of its log is wild, if such stamps are few.
+_WILD = 86400.0
+#: Clocks that differ by more [s] are worth a warning; offsets between topics above OFFSET are reported.
+_DISAGREE = 1.0
+OFFSET = 0.005
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Timeline:
+    """The stamps that were chosen for one topic.
+
+    Args:
+        clock: Where they come from.
+        stamps_ns: Strictly increasing stamps [ns] of the samples kept, shape (m,).
+        kept: Index of these samples, shape (m,).
+        lag: How much later the recorder's clock is than these stamps, median [s].
+        notes: What was dropped and why, in words.
+    """
+
+    clock: Clock
+    stamps_ns: IntArray
+    kept: IntArray
+    lag: float
+    notes: tuple[str, ...]
+
+
+def timeline(samples: Samples, forced: str = "auto") -> Timeline:
+    """Choose a clock for one topic and reduce its stamps to a strictly increasing sequence.
+
+    Args:
+        samples: The topic's samples, in the order they were logged.
+        forced: A clock, or 'auto': header if its stamps are set and run forward, else publish, else log.
+    """
+    notes: list[str] = []
+    order: tuple[Clock, ...] = ("header", "publish", "log") if forced == "auto" else (forced,)  # type: ignore
+    if not samples.has_header and forced == "header":
+        order = ("publish", "log")
+        notes.append("it has no header stamps; publish stamps are used")
+    best: Timeline | None = None
+    for clock in order:
+        stamps = {"header": samples.header_ns, "publish": samples.publish_ns, "log": samples.log_ns}[clock]
+        if clock == "header" and not samples.has_header:
+            continue
+        found = _clean(clock, stamps, samples)
+        if 10 * found.kept.size >= 9 * len(stamps) or len(stamps) - found.kept.size <= 1:
+            best = found
+            break
+        best = found if best is None or found.kept.size > best.kept.size else best
+        if forced == "auto":
+            unset = int(np.sum(stamps == 0))
+            why = f"{unset} of {len(stamps)} are not set" if unset else "they do not run forward"
+            notes.append(f"its {clock} stamps cannot be used ({why})")
+    assert best is not None
+    if notes:
+        notes.append(f"{best.clock} stamps are used")
+    if abs(best.lag) > _DISAGREE:
+        notes.append(f"its header stamps are {_words(best.lag, 'behind', 'ahead of')} the recorder's clock")
+    return Timeline(best.clock, best.stamps_ns, best.kept, best.lag, (*notes, *best.notes))
+
+
+def _clean(clock: Clock, stamps: IntArray, samples: Samples) -> Timeline:
+    """Drop what is unset, wild, superseded, duplicate or out of order, and count it."""
+    notes: list[str] = []
+    kept = np.flatnonzero(stamps != 0) if clock == "header" else np.arange(len(stamps))
+    if kept.size < len(stamps):
+        notes.append(f"{len(stamps) - kept.size} messages without a {clock} stamp are dropped")
+    wild = _wild(stamps[kept], samples.log_ns[kept] if clock == "header" else None)
+    if wild.any():
+        notes.append(f"{int(wild.sum())} messages with a wild {clock} stamp are dropped")
+        kept = kept[~wild]
+    lag = float(np.median((samples.log_ns - stamps)[kept])) / 1e9 if kept.size else 0.0
+    acts = (stamps + samples.delay_ns)[kept]
+    if np.any(samples.delay_ns[kept]):
+        # A trajectory's later points count only until the next trajectory begins.
+        later = np.minimum.accumulate(np.append(acts[1:], np.iinfo(np.int64).max)[::-1])[::-1]
+        kept, acts = kept[acts < later], acts[acts < later]
+    forward = increasing(acts)
+    if not forward.all():
+        repeated = int(np.sum(np.diff(np.sort(acts)) == 0))
+        back = int(np.sum(~forward)) - repeated
+        what = [f"{repeated} with a repeated stamp"] * (repeated > 0) + [f"{back} out of order"] * (back > 0)
+        notes.append(f"messages are dropped: {', '.join(what)}")
+        kept, acts = kept[forward], acts[forward]
+    return Timeline(clock, acts, kept, lag, tuple(notes))
+
+
+def _wild(stamps: IntArray, reference: IntArray | None) -> BoolArray:
+    """Stamps that a few messages have far from all others (epoch 0, years off), shape (n,)."""
+    wild = np.zeros(len(stamps), dtype=bool)
+    if len(stamps) < 3:
+        return wild
+    # Differences of float64: a flipped bit may put a stamp so far off that int64 would overflow.
+    moments = stamps.astype(np.float64)
+    tests = [(moments - np.median(moments), _WILD)]
+    if reference is not None:
+        lead = moments - reference.astype(np.float64)
+        tests.append((lead - np.median(lead), _WILD_HEADER))
+    for distance, limit in tests:
+        far = np.abs(distance) > limit * 1e9
+        if 10 * far.sum() <= len(stamps) or far.sum() == 1:
+            wild |= far
+    return wild
+
+
+def increasing(stamps: IntArray) -> BoolArray:
+    """The largest set of stamps that is strictly increasing in the order given, as a mask (n,).
+
+    So a single stamp that jumps ahead costs one message, and not all those it overtakes.
+    """
+    if np.all(np.diff(stamps) > 0):
+        return np.ones(len(stamps), dtype=bool)
+    tails: list[int] = []  # the smallest stamp that ends a run of each length
+    ends: list[int] = []  # its index
+    before = np.full(len(stamps), -1)
+    for i, stamp in enumerate(stamps.tolist()):
+        length = bisect_left(tails, stamp)
+        before[i] = ends[length - 1] if length else -1
+        tails[length : length + 1] = [stamp]
+        ends[length : length + 1] = [i]
+    keep = np.zeros(len(stamps), dtype=bool)
+    i = ends[-1]
+    while i >= 0:
+        keep[i] = True
+        i = int(before[i])
+    return keep
+
+
+def offsets(lags: Mapping[str, float]) -> dict[str, float]:
+    """Estimated clock offset of each topic [s]: how much later its stamps are than the median topic's.
+
+    A topic whose stamps run ahead reaches the recorder early by its own clock, so its lag is small.
+    Transport takes part of the lag, so this cannot tell a slow network from a slow clock.
+
+    Args:
+        lags: Topic -> median of recorder's stamp minus header stamp [s].
+    """
+    if not lags:
+        return {}
+    middle = float(np.median(list(lags.values())))
+    return {topic: middle - lag for topic, lag in lags.items()}
+
+
+def offset_words(lags: Mapping[str, float]) -> list[str]:
+    """The differences between the topics' clocks, with the sign in words."""
+    ordered = sorted(lags, key=lambda topic: lags[topic])
+    return [
+        f"topic {early!r} is stamped {1e3 * (lags[late] - lags[early]):.0f} ms later than {late!r} "
+        "(judged by when the recorder got them)"
+        for early, late in pairwise(ordered)
+        if lags[late] - lags[early] > OFFSET
+    ]
+
+
+def _words(seconds: float, positive: str, negative: str) -> str:
+    return f"{abs(seconds):.6g} s {positive if seconds > 0 else negative}"

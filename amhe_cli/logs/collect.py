@@ -1,0 +1,93 @@
+"""Read the topics of some signals once, whatever file they are in."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from difflib import get_close_matches
+
+from amhe_cli.core.errors import LogError
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs.decode import SignalDecoder, Splitter
+from amhe_cli.logs.definitions import Definitions
+from amhe_cli.logs.folder import Log
+from amhe_cli.logs.raw import Channel
+
+logger = logging.getLogger(__name__)
+
+
+def collect(log: Log, signals: Sequence[Signal], definitions: Definitions) -> dict[str, SignalDecoder]:
+    """Decode the signals' topics in one pass; damage is logged as warnings.
+
+    Returns:
+        Name of each signal -> its decoder, which has at least one message.
+
+    Raises:
+        LogError: If a topic is absent, of another type, or none of its messages can be read.
+    """
+    splitters: dict[Channel, Splitter] = {}
+    decoders: dict[str, SignalDecoder] = {}
+    used: dict[str, Channel] = {}
+    for batch in log.batches({signal.topic for signal in signals}):
+        channel = batch.channel
+        wanting = [s for s in signals if s.topic == channel.topic and s.type in (None, channel.type)]
+        wanting = [s for s in wanting if used.setdefault(s.name, channel).type == channel.type]
+        if not wanting:
+            continue
+        splitter = splitters.get(channel) or splitters.setdefault(channel, Splitter(channel, definitions))
+        groups = list(splitter.split(batch))
+        for signal in wanting:
+            if signal.name not in decoders:
+                decoders[signal.name] = SignalDecoder(signal, channel)
+            decoders[signal.name].feed(batch, groups)
+    _warn(log, signals, splitters, decoders)
+    for signal in signals:
+        if signal.name not in decoders:
+            raise LogError(f"{log.path}: {_missing(log, signal)}")
+    return decoders
+
+
+def _warn(
+    log: Log,
+    signals: Sequence[Signal],
+    splitters: dict[Channel, Splitter],
+    decoders: dict[str, SignalDecoder],
+) -> None:
+    for problem in log.problems:
+        logger.warning("%s: %s", log.path, problem)
+    for channel, splitter in splitters.items():
+        if splitter.damaged:
+            logger.warning(
+                "%s: topic %r: %d damaged messages are dropped (%s)",
+                log.path, channel.topic, splitter.damaged, splitter.reason,
+            )  # fmt: skip
+    for signal in signals:
+        types = {channel.type for channel in log.channels if channel.topic == signal.topic}
+        decoder = decoders.get(signal.name)
+        if len(types) > 1 and decoder is not None:
+            logger.warning(
+                "%s: topic %r carries several types (%s): only %s is read",
+                log.path, signal.topic, ", ".join(sorted(types)), decoder.type,
+            )  # fmt: skip
+        if decoder is not None and decoder.odd:
+            logger.warning(
+                "%s: topic %r: arrays of another length than the first message's are left out",
+                log.path, signal.topic,
+            )  # fmt: skip
+
+
+def _missing(log: Log, signal: Signal) -> str:
+    """Say why there is nothing for `signal`, and what there is instead."""
+    here = [channel for channel in log.channels if channel.topic == signal.topic]
+    types = sorted({channel.type for channel in here})
+    if signal.type is not None and types and signal.type not in types:
+        return f"topic {signal.topic!r} carries {', '.join(types)}, not {signal.type}"
+    if here:
+        return f"topic {signal.topic!r} has no messages"
+    same = sorted({channel.topic for channel in log.channels if channel.type == signal.type})
+    rest = sorted({channel.topic for channel in log.channels} - set(same))
+    close = get_close_matches(signal.topic, [*same, *rest], n=1)
+    hint = f" (did you mean {close[0]!r}?)" if close else ""
+    listed = ", ".join([*(f"{topic} ({signal.type})" for topic in same), *rest]) or "no topic at all"
+    damage = f"; the log is damaged: {log.problems[0]}" if log.problems else ""
+    return f"no topic {signal.topic!r}{hint}; there is: {listed}{damage}"

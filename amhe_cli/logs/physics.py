@@ -1,0 +1,70 @@
+"""Numbers that no robot can have sent, and units that look wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs.decode import Samples
+
+#: A quaternion whose norm is off by more than this is not a rotation but damage or no data.
+_NORM = 0.05
+#: No SI quantity of a robot is larger.
+_ABSURD = 1e9
+#: quantity -> (value, what larger ones look like).
+_LARGEST = {"position": 50.0, "angular_velocity": 100.0}
+
+
+def checked(samples: Samples, signal: Signal, warn: Callable[[str], None]) -> Samples:
+    """Mask what cannot be true with NaN, count it, and normalise quaternions.
+
+    A pose without a rotation was not measured: a motion capture that loses its markers sends zeros. Its
+    position goes with it, unless no message of the topic has a rotation at all.
+    """
+    values = {quantity: np.array(block) for quantity, block in samples.values.items()}
+    for quantity, block in values.items():
+        with np.errstate(invalid="ignore"):
+            absurd = np.isinf(block) | (np.abs(block) > _ABSURD)
+        if absurd.any():
+            warn(f"{int(absurd.any(axis=1).sum())} messages with impossible {quantity} are dropped")
+            block[absurd.any(axis=1)] = np.nan
+    if "orientation" in values:
+        _check_rotation(values, signal, warn)
+    _check_units(values, signal, warn)
+    return replace(samples, values=values)
+
+
+def _check_rotation(values: dict[str, FloatArray], signal: Signal, warn: Callable[[str], None]) -> None:
+    quaternions = values["orientation"]
+    lost = _lost(quaternions)
+    if lost.all() and "orientation" not in signal.quantities:
+        return
+    values["orientation"] = np.where(
+        lost[:, None], np.nan, rotations.normalised(np.where(lost[:, None], 1.0, quaternions))
+    )
+    if lost.any() and not lost.all():
+        warn(f"{int(lost.sum())} messages without a valid quaternion (zero, NaN or not of unit norm) are dropped")
+    if "position" in values:
+        for block in values.values():
+            block[lost] = np.nan
+
+
+def _lost(quaternions: FloatArray) -> BoolArray:
+    norms = np.linalg.norm(quaternions, axis=1)
+    return ~(np.abs(norms - 1.0) <= _NORM)
+
+
+def _check_units(values: dict[str, FloatArray], signal: Signal, warn: Callable[[str], None]) -> None:
+    joints = "orientation" not in values and ("velocity" in values or bool(signal.names))
+    for quantity, limit in _LARGEST.items():
+        if quantity not in values or (quantity == "position" and not joints):
+            continue
+        largest = float(np.nanmax(np.abs(values[quantity]), initial=0.0))
+        if largest > limit:
+            unit = "rad" if quantity == "position" else "rad/s"
+            warn(f"{quantity} reaches {largest:.4g} {unit}: looks like degrees")

@@ -1,0 +1,101 @@
+"""From samples at their own stamps to rows of one uniform clock. Gaps are never bridged."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.trajectory import Series
+
+#: A topic may stay silent for this many of its own median periods.
+_PERIODS = 5.0
+
+
+def longest_bridge(times: FloatArray, max_gap: float) -> float:
+    """Longest silence [s] of a topic with these stamps (n,) [s] that is not a gap."""
+    return max(max_gap, _PERIODS * float(np.median(np.diff(times)))) if times.size > 1 else max_gap
+
+
+def resample(
+    times: FloatArray,
+    values: FloatArray,
+    columns: tuple[str, ...],
+    grid: FloatArray,
+    *,
+    bridge: float,
+    hold: bool = False,
+    rotation: bool = False,
+) -> Series:
+    """Bring one quantity onto the clock.
+
+    Args:
+        times: Stamps [s], strictly increasing, shape (n,).
+        values: Samples, shape (n, k); NaN where a message does not say.
+        columns: Names of the columns.
+        grid: Instants of the clock [s], uniform, shape (T,).
+        bridge: Longest silence [s] that is filled.
+        hold: Keep each sample until the next (commands), instead of interpolating.
+        rotation: The samples are unit quaternions: interpolate along the arc.
+    """
+    out = np.zeros((grid.size, values.shape[1]))
+    valid = np.ones(grid.size, dtype=bool)
+    sampled = np.ones(grid.size, dtype=bool)
+    fewest = np.inf
+    for group in _alike(np.isfinite(values)):
+        present = np.isfinite(values[:, group[0]])
+        own = times[present]
+        out[:, group], bridged = _fill(own, values[present][:, group], grid, bridge, hold, rotation)
+        valid &= bridged
+        if own.size < fewest:  # columns that come in messages of their own: the rarest ones decide
+            fewest = own.size
+            sampled = _nearest(own, grid)
+    return Series(np.where(valid[:, None], out, 0.0), valid, sampled & valid, columns)
+
+
+def _alike(finite: BoolArray) -> list[list[int]]:
+    """Columns grouped by the messages in which they are present."""
+    groups: dict[bytes, list[int]] = {}
+    for column in range(finite.shape[1]):
+        groups.setdefault(np.packbits(finite[:, column]).tobytes(), []).append(column)
+    return list(groups.values())
+
+
+def _fill(
+    times: FloatArray, values: FloatArray, grid: FloatArray, bridge: float, hold: bool, rotation: bool
+) -> tuple[FloatArray, BoolArray]:
+    """Values (T, k) on the grid, and where they may be believed (T,)."""
+    if times.size == 0:
+        return np.zeros((grid.size, values.shape[1])), np.zeros(grid.size, dtype=bool)
+    slack = _slack(grid)
+    before = np.searchsorted(times, grid + slack, side="right") - 1
+    left, right = np.clip(before, 0, None), np.clip(before + 1, None, times.size - 1)
+    since, until = grid - times[left], times[right] - grid
+    if hold:
+        return values[left], (before >= 0) & (since <= bridge)
+    exact = (np.abs(since) <= slack) | (np.abs(until) <= slack)
+    inside = (before >= 0) & (before + 1 < times.size) & (times[right] - times[left] <= bridge)
+    span = np.where(right > left, times[right] - times[left], 1.0)
+    share = np.clip(since / span, 0.0, 1.0)
+    if rotation:
+        filled = rotations.slerp(values[left], values[right], share)
+    else:
+        filled = values[left] + share[:, None] * (values[right] - values[left])
+    return filled, exact | inside
+
+
+def _nearest(times: FloatArray, grid: FloatArray) -> BoolArray:
+    """Steps of the grid that are nearest to a sample, shape (T,)."""
+    marks = np.zeros(grid.size, dtype=bool)
+    if grid.size == 0:
+        return marks
+    step = grid[1] - grid[0] if grid.size > 1 else 1.0
+    steps = np.rint((times - grid[0]) / step)
+    steps = steps[(steps >= 0) & (steps < grid.size)].astype(np.int64)
+    marks[steps] = True
+    return marks
+
+
+def _slack(grid: FloatArray) -> float:
+    """Rounding of stamps [s] that does not count: 1 us, or a thousandth of a step if that is less."""
+    return min(1e-6, 1e-3 * float(grid[1] - grid[0])) if grid.size > 1 else 1e-6

@@ -1,0 +1,233 @@
+"""What is in a log: topics, rates, gaps, clocks, and what cannot be read and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.core.arrays import IntArray
+from amhe_cli.logs.clocks import Clock, offset_words, timeline
+from amhe_cli.logs.decode import Group, Samples, Splitter, nanoseconds, time_leaves
+from amhe_cli.logs.definitions import Definitions
+from amhe_cli.logs.folder import open_log
+from amhe_cli.logs.layout import Layout
+from amhe_cli.logs.message_types import TYPES
+from amhe_cli.logs.raw import Batch, Channel, readable
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSurvey:
+    """One topic of a log.
+
+    Args:
+        name, type, encoding: As the log declares them; type as 'pkg/msg/Type'.
+        count: Messages.
+        rate: From the median period [Hz]; 0 for fewer than two messages.
+        longest_gap: Longest silence [s], and
+        gap_at: when it begins [s from the log's first message].
+        first_ns, last_ns: First and last stamp [ns] on each clock: 'header' (where set), 'publish', 'log'.
+        header: Its header stamps: 'none' (the type has no header), 'unset', 'partly set', 'not monotone', 'good'.
+        clock: The clock that reading it would use: 'header', 'publish' or 'log'.
+        quantities: What signals can take from it without naming fields.
+        entries: Names in it: joints, child frames; '[n]' for an array of n numbers.
+        problem: Why it cannot be read, in words; None if it can.
+        notes: What is odd about its stamps or messages, in words.
+    """
+
+    name: str
+    type: str
+    encoding: str
+    count: int
+    rate: float
+    longest_gap: float
+    gap_at: float
+    first_ns: Mapping[str, int]
+    last_ns: Mapping[str, int]
+    header: str
+    clock: Clock
+    quantities: tuple[str, ...]
+    entries: tuple[str, ...]
+    problem: str | None
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What is in a log.
+
+    Args:
+        path: The log.
+        format: 'MCAP', 'rosbag2 sqlite3', 'ROS 1 bag'.
+        duration: From the first message to the last, by the recorder's clock [s].
+        topics: By name.
+        problems: What is damaged, in words.
+        metadata: The record named 'amhe'.
+        offsets: Clock offsets between topics above 5 ms, in words.
+    """
+
+    path: Path
+    format: str
+    duration: float
+    topics: tuple[TopicSurvey, ...]
+    problems: tuple[str, ...]
+    metadata: Mapping[str, str]
+    offsets: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class _Scan:
+    """What was seen of one channel."""
+
+    log_ns: list[IntArray] = field(default_factory=list)
+    publish_ns: list[IntArray] = field(default_factory=list)
+    header_ns: list[IntArray] = field(default_factory=list)
+    entries: dict[str, None] = field(default_factory=dict)
+    has_header: bool = False
+    splitter: Splitter | None = None
+
+    def take(self, batch: Batch) -> None:
+        header_ns = np.zeros(batch.starts.size, dtype=np.int64)
+        for group in self.splitter.split(batch) if self.splitter else ():
+            self._look(group, header_ns)
+        self.log_ns.append(batch.log_ns)
+        self.publish_ns.append(batch.publish_ns)
+        self.header_ns.append(header_ns)
+
+    def _look(self, group: Group, header_ns: IntArray) -> None:
+        self.entries |= dict.fromkeys(_entries(group.layout))
+        for path in ("header.stamp", "stamp", "transforms[0].header.stamp"):
+            leaves = time_leaves(group.layout, path)
+            if leaves:
+                self.has_header = True
+                header_ns[group.members] = nanoseconds(group.rows, leaves)
+                return
+
+    def samples(self) -> Samples:
+        log_ns = np.concatenate([*self.log_ns, np.zeros(0, dtype=np.int64)])
+        order = np.argsort(log_ns, kind="stable")
+        publish_ns = np.concatenate([*self.publish_ns, log_ns[:0]])[order]
+        header_ns = np.concatenate([*self.header_ns, log_ns[:0]])[order]
+        return Samples(log_ns[order], publish_ns, header_ns, np.zeros_like(log_ns), {}, {}, self.has_header)
+
+
+def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
+    """Look through a whole log; damage is reported, not raised, as long as anything can be read.
+
+    Args:
+        path: A .mcap, .db3 or .bag file, or a rosbag2 folder.
+        msg_path: Folder of .msg files for types that the log does not define.
+
+    Raises:
+        ConfigError: If the path does not exist.
+        LogError: If it is no log, or nothing in it can be read.
+    """
+    with readable(path):
+        log = open_log(path)
+        definitions = Definitions(msg_path)
+        scans: dict[Channel, _Scan] = {}
+        for batch in log.batches(None):
+            channel = batch.channel
+            if channel not in scans:
+                usable = definitions.problem(channel) is None
+                scans[channel] = _Scan(splitter=Splitter(channel, definitions) if usable else None)
+            scans[channel].take(batch)
+        for channel in log.channels:
+            scans.setdefault(channel, _Scan())
+        samples = {channel: scan.samples() for channel, scan in scans.items()}
+        origin, duration = _span(samples)
+        lags: dict[str, float] = {}
+        topics = [
+            _topic(channel, scans[channel], samples[channel], definitions, origin, lags)
+            for channel in sorted(scans, key=lambda channel: (channel.topic, channel.type))
+        ]
+    return Survey(
+        path, log.format, duration, tuple(topics), tuple(log.problems), log.metadata, tuple(offset_words(lags))
+    )
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """What a log says of itself: the MCAP metadata record named 'amhe'; {} where there is none.
+
+    Raises:
+        ConfigError: If the path does not exist.
+        LogError: If it is no log.
+    """
+    with readable(path):
+        return {key: value for file in open_log(path).files for key, value in file.read_metadata().items()}
+
+
+def _span(samples: Mapping[Channel, Samples]) -> tuple[int, float]:
+    """First stamp [ns] and duration [s] by the recorder's clock, wild stamps left out."""
+    stamps = [timeline(s, "log").stamps_ns for s in samples.values() if s.log_ns.size]
+    if not stamps:
+        return 0, 0.0
+    first, last = min(int(s[0]) for s in stamps), max(int(s[-1]) for s in stamps)
+    return first, (last - first) / 1e9
+
+
+def _topic(
+    channel: Channel,
+    scan: _Scan,
+    samples: Samples,
+    definitions: Definitions,
+    origin: int,
+    lags: dict[str, float],
+) -> TopicSurvey:
+    count = samples.log_ns.size
+    info = TYPES.get(channel.type)
+    rate = gap = gap_at = 0.0
+    clock: Clock = "log"
+    notes: list[str] = []
+    if scan.splitter and scan.splitter.damaged:
+        notes.append(f"{scan.splitter.damaged} messages are damaged ({scan.splitter.reason})")
+    if count:
+        times = timeline(samples)
+        clock = times.clock
+        notes += times.notes
+        if clock == "header":
+            lags[channel.topic] = times.lag
+        if times.kept.size > 1:
+            steps = np.diff(times.stamps_ns) / 1e9
+            rate, widest = float(1.0 / np.median(steps)), int(np.argmax(steps))
+            gap, gap_at = float(steps[widest]), (int(samples.log_ns[times.kept[widest]]) - origin) / 1e9
+    stamps = {"header": samples.header_ns, "publish": samples.publish_ns, "log": samples.log_ns}
+    stamps["header"] = stamps["header"][stamps["header"] != 0]
+    return TopicSurvey(
+        name=channel.topic,
+        type=channel.type,
+        encoding=channel.encoding,
+        count=count,
+        rate=rate,
+        longest_gap=gap,
+        gap_at=gap_at,
+        first_ns={clock: int(s[0]) for clock, s in stamps.items() if s.size},
+        last_ns={clock: int(s[-1]) for clock, s in stamps.items() if s.size},
+        header=_header(samples),
+        clock=clock,
+        quantities=tuple(info.fields) if info else (),
+        entries=tuple(scan.entries),
+        problem=definitions.problem(channel),
+        notes=tuple(notes),
+    )
+
+
+def _header(samples: Samples) -> str:
+    if not samples.has_header:
+        return "none"
+    present = samples.header_ns != 0
+    if not present.any():
+        return "unset"
+    if not present.all():
+        return "partly set"
+    return "good" if np.all(np.diff(samples.header_ns) > 0) else "not monotone"
+
+
+def _entries(layout: Layout) -> list[str]:
+    names = [*layout.names("name"), *layout.names("joint_names")]
+    frames = [text for path, text in layout.strings.items() if path.split(".")[-1] == "child_frame_id"]
+    data = layout.leaves.get("data")
+    sizes = [f"[{data.count}]"] if data is not None and data.count is not None else []
+    return [*names, *frames, *sizes]

@@ -1,0 +1,268 @@
+"""Write MCAP logs that any ROS 2 tool and viewer opens, without ROS."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from numpy.typing import ArrayLike
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from amhe_cli import __version__
+from amhe_cli.core import rotations
+
+logger = logging.getLogger(__name__)
+
+_LEVEL = CompressionType.ZSTD
+
+
+class LogWriter:
+    """A log in the making; use it as a context manager.
+
+    The file appears under its name when the block ends, whole and with checksums over every byte. It is
+    also closed and kept when the block ends by an exception: what a failed run logged says why it failed.
+
+    Args:
+        path: The .mcap file to write; an existing one is replaced at the end.
+        metadata: What the log says of itself (system, seed, truth as JSON); the record named 'amhe'.
+    """
+
+    def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
+        self.path = path
+        self._metadata = dict(metadata)
+        self._store = get_typestore(Stores.LATEST)
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, int] = {}
+        self._sequence: dict[int, int] = {}
+
+    def __enter__(self) -> LogWriter:
+        self._file = NamedTemporaryFile(  # noqa: SIM115 (closed in __exit__)
+            dir=self.path.parent, prefix=f".{self.path.name}.", delete=False
+        )
+        self._mcap = Writer(self._file, compression=_LEVEL, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._mcap.start(profile="ros2", library=f"amhe {__version__}")
+        self._mcap.add_metadata("amhe", self._metadata)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        temporary = Path(self._file.name)
+        try:
+            self._mcap.finish()
+            self._file.close()
+            temporary.chmod(0o644)
+            temporary.replace(self.path)
+        finally:
+            self._file.close()
+            temporary.unlink(missing_ok=True)
+
+    # -- any message ----------------------------------------------------------------------------------
+
+    def define(self, msgtype: str, definition: str) -> None:
+        """Make a type known that ROS does not have; `definition` is the text of its .msg file."""
+        self._store.register(get_types_from_msg(definition, msgtype))
+
+    def message(self, msgtype: str, **fields: Any) -> Any:
+        """An instance of a message type."""
+        return self._store.types[msgtype](**fields)
+
+    def write(self, topic: str, msgtype: str, stamp_ns: int, message: Any) -> None:
+        """Append a message; its header, where it has one, gets the same stamp.
+
+        Args:
+            topic: Name of the topic, for instance '/joint_states'.
+            msgtype: Type such as 'sensor_msgs/msg/JointState'; one topic has one type.
+            stamp_ns: When it was measured or sent [ns].
+            message: An instance made by one of the methods here.
+        """
+        if hasattr(message, "header"):
+            message.header.stamp = self._time(stamp_ns)
+        channel, known = self._channels.get(topic) or self._channel(topic, msgtype)
+        if known != msgtype:
+            raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
+        self._sequence[channel] = self._sequence.get(channel, -1) + 1
+        data = self._store.serialize_cdr(message, msgtype)
+        self._mcap.add_message(channel, stamp_ns, bytes(data), stamp_ns, self._sequence[channel])
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a file, for instance the configuration or the model."""
+        self._mcap.add_attachment(0, 0, name, media_type, data)
+
+    def _channel(self, topic: str, msgtype: str) -> tuple[int, str]:
+        if msgtype not in self._schemas:
+            text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
+            self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", text.encode())
+        channel = self._mcap.register_channel(topic, "cdr", self._schemas[msgtype])
+        self._channels[topic] = channel, msgtype
+        return self._channels[topic]
+
+    # -- the common ones ------------------------------------------------------------------------------
+
+    def joint_state(
+        self,
+        topic: str,
+        stamp_ns: int,
+        names: Iterable[str],
+        position: ArrayLike = (),
+        velocity: ArrayLike = (),
+        effort: ArrayLike = (),
+    ) -> None:
+        """Write a sensor_msgs/JointState: position [rad or m], velocity, effort [N m or N], each (n,) or ()."""
+        message = self.message(
+            "sensor_msgs/msg/JointState",
+            header=self._header(""),
+            name=list(names),
+            position=_numbers(position),
+            velocity=_numbers(velocity),
+            effort=_numbers(effort),
+        )
+        self.write(topic, "sensor_msgs/msg/JointState", stamp_ns, message)
+
+    def odometry(
+        self,
+        topic: str,
+        stamp_ns: int,
+        position: ArrayLike,
+        orientation: ArrayLike,
+        linear_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        angular_velocity: ArrayLike = (0.0, 0.0, 0.0),
+        *,
+        frame: str = "world",
+        child_frame: str = "body",
+    ) -> None:
+        """Write a nav_msgs/Odometry.
+
+        Args:
+            topic, stamp_ns: As in `write`.
+            position: In the world [m], shape (3,).
+            orientation: Unit quaternion w, x, y, z of the body in the world.
+            linear_velocity: In the world [m/s], shape (3,); stored in the child frame, as ROS wants it.
+            angular_velocity: In the body's frame [rad/s], shape (3,).
+            frame, child_frame: Names of the world and of the body.
+        """
+        turn = np.asarray(orientation, dtype=np.float64)
+        linear = rotations.rotate(rotations.conjugate(turn), np.asarray(linear_velocity, dtype=np.float64))
+        geometry = "geometry_msgs/msg/"
+        twist = self.message(
+            f"{geometry}Twist", linear=self._vector(linear), angular=self._vector(angular_velocity)
+        )
+        message = self.message(
+            "nav_msgs/msg/Odometry",
+            header=self._header(frame),
+            child_frame_id=child_frame,
+            pose=self.message(
+                f"{geometry}PoseWithCovariance", pose=self._pose(position, turn), covariance=np.zeros(36)
+            ),
+            twist=self.message(f"{geometry}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+        )
+        self.write(topic, "nav_msgs/msg/Odometry", stamp_ns, message)
+
+    def pose(
+        self, topic: str, stamp_ns: int, position: ArrayLike, orientation: ArrayLike, *, frame: str = "world"
+    ) -> None:
+        """Write a geometry_msgs/PoseStamped: position [m] (3,), unit quaternion w, x, y, z (4,)."""
+        name = "geometry_msgs/msg/PoseStamped"
+        message = self.message(name, header=self._header(frame), pose=self._pose(position, orientation))
+        self.write(topic, name, stamp_ns, message)
+
+    def transform(
+        self,
+        topic: str,
+        stamp_ns: int,
+        poses: Mapping[str, tuple[ArrayLike, ArrayLike]],
+        *,
+        frame: str = "world",
+    ) -> None:
+        """Write a tf2_msgs/TFMessage: child frame -> position [m] (3,), unit quaternion w, x, y, z (4,)."""
+        transforms = []
+        for child, (position, orientation) in poses.items():
+            transform = self.message(
+                "geometry_msgs/msg/Transform",
+                translation=self._vector(position),
+                rotation=self._quaternion(orientation),
+            )
+            header = self._header(frame)
+            header.stamp = self._time(stamp_ns)
+            transforms.append(
+                self.message(
+                    "geometry_msgs/msg/TransformStamped",
+                    header=header,
+                    child_frame_id=child,
+                    transform=transform,
+                )
+            )
+        name = "tf2_msgs/msg/TFMessage"
+        self.write(topic, name, stamp_ns, self.message(name, transforms=transforms))
+
+    def imu(
+        self,
+        topic: str,
+        stamp_ns: int,
+        orientation: ArrayLike | None,
+        angular_velocity: ArrayLike,
+        linear_acceleration: ArrayLike,
+        *,
+        frame: str = "imu",
+    ) -> None:
+        """Write a sensor_msgs/Imu; orientation None is marked as unknown, as ROS wants it."""
+        unknown = np.zeros(9)
+        unknown[0] = -1.0
+        message = self.message(
+            "sensor_msgs/msg/Imu",
+            header=self._header(frame),
+            orientation=self._quaternion((1.0, 0.0, 0.0, 0.0) if orientation is None else orientation),
+            orientation_covariance=unknown if orientation is None else np.zeros(9),
+            angular_velocity=self._vector(angular_velocity),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=self._vector(linear_acceleration),
+            linear_acceleration_covariance=np.zeros(9),
+        )
+        self.write(topic, "sensor_msgs/msg/Imu", stamp_ns, message)
+
+    def wrench(
+        self, topic: str, stamp_ns: int, force: ArrayLike, torque: ArrayLike, *, frame: str = "sensor"
+    ) -> None:
+        """Write a geometry_msgs/WrenchStamped: force [N] (3,), torque [N m] (3,)."""
+        wrench = self.message(
+            "geometry_msgs/msg/Wrench", force=self._vector(force), torque=self._vector(torque)
+        )
+        name = "geometry_msgs/msg/WrenchStamped"
+        self.write(topic, name, stamp_ns, self.message(name, header=self._header(frame), wrench=wrench))
+
+    def numbers(self, topic: str, stamp_ns: int, values: ArrayLike) -> None:
+        """Write a std_msgs/Float64MultiArray of any numbers, shape (n,)."""
+        name = "std_msgs/msg/Float64MultiArray"
+        layout = self.message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+        self.write(topic, name, stamp_ns, self.message(name, layout=layout, data=_numbers(values)))
+
+    # -- their parts ----------------------------------------------------------------------------------
+
+    def _time(self, stamp_ns: int) -> Any:
+        seconds, nanoseconds = divmod(int(stamp_ns), 10**9)
+        return self.message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+    def _header(self, frame: str) -> Any:
+        return self.message("std_msgs/msg/Header", stamp=self._time(0), frame_id=frame)
+
+    def _vector(self, values: ArrayLike, name: str = "Vector3") -> Any:
+        x, y, z = _numbers(values).tolist()
+        return self.message(f"geometry_msgs/msg/{name}", x=x, y=y, z=z)
+
+    def _quaternion(self, wxyz: ArrayLike) -> Any:
+        w, x, y, z = _numbers(wxyz).tolist()
+        return self.message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+    def _pose(self, position: ArrayLike, orientation: ArrayLike) -> Any:
+        point, turn = self._vector(position, "Point"), self._quaternion(orientation)
+        return self.message("geometry_msgs/msg/Pose", position=point, orientation=turn)
+
+
+def _numbers(values: ArrayLike) -> np.ndarray:
+    return np.array(values, dtype=np.float64).reshape(-1)
