@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -81,11 +82,9 @@ def open_system(
 ) -> System:
     """Load the system that the user named, or else the one that the logs name, with its topics remapped."""
     folder = find_system(name or system_of(source.paths))
-    settings = overrides.merge(
-        overrides.from_file(config) if config else {},
-        overrides.from_environment(),
-        overrides.parse_set(assignments),
-    )
+    settings = overrides.from_file(config) if config else {}
+    settings = overrides.merged(settings, overrides.from_environment(os.environ))
+    settings = overrides.merged(settings, overrides.parse_set(assignments))
     return _remapped(load_system(folder, settings), source.topics)
 
 

@@ -24,7 +24,7 @@ This page is written by `make docs` from the commands' own help; a test holds th
 | 130, 143 | interrupted (Ctrl-C), terminated (SIGTERM); an estimation keeps the best so far and writes it |
 
 Results go to stdout, everything else to stderr. With `--json` stdout is one JSON object, the content of
-`result.json`. A setting comes from, in this order: `--set`, the environment (`AMHE_CLIPS_COUNT=40` for
+`result.json`. A setting comes from, in this order: `--set`, the environment (`AMHE_CLIPS__COUNT=40` for
 `clips.count`), `--config`, the system's own `settings:`, its default. Files of a command appear whole or not
 at all.
 """

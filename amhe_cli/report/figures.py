@@ -6,6 +6,8 @@ import io
 import logging
 import re
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
 
 import matplotlib
 import numpy as np
@@ -22,6 +24,12 @@ logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it tells users about 
 INK, MUTED, RULE = "#1e293b", "#64748b", "#e2e8f0"
 IDENTIFIED, INITIAL, MEASURED = "#2563eb", "#d97706", "#475569"
 
+#: As in report.css.
+FONTS = "Inter, 'Segoe UI', 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
+
+#: Width of the page's figures [inch].
+WIDTH = 10.4
+
 #: Panels of one clip; of a robot with 12 joints those that move most are shown.
 MAX_PANELS = 9
 
@@ -34,7 +42,7 @@ _PATH, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d\d)\d+")
 _STYLE = {
     "path.simplify": False,  # it would drop lines without length
     "svg.fonttype": "none",  # text stays text: small files, and it can be searched
-    "font.family": ["Inter", "Segoe UI", "Helvetica Neue", "Arial", "DejaVu Sans", "sans-serif"],
+    "font.family": "DejaVu Sans",  # matplotlib brings it; the page says what is really used
     "font.size": 9.0,
     "axes.edgecolor": RULE,
     "axes.labelcolor": MUTED,
@@ -52,31 +60,49 @@ _STYLE = {
     "ytick.major.size": 0.0,
     "lines.linewidth": 1.5,
     "legend.frameon": False,
-    "figure.constrained_layout.use": True,
 }
+
+
+@dataclass(frozen=True, slots=True)
+class _Grid:
+    """Cells of equal size over the width of the page; placing axes by hand is twice as fast as a layout engine."""
+
+    count: int
+    across: int
+    height: float  # of a cell [inch]
+
+    def figure(self) -> Figure:
+        return Figure(figsize=(WIDTH, self.height * -(-self.count // self.across)))
+
+    def axes(self, figure: Figure, index: int, bottom: float = 0.42, top: float = 0.26) -> Axes:
+        """Axes in one cell, so many inches from its lower and its upper edge."""
+        row, column = divmod(index, self.across)
+        total = figure.get_figheight()
+        low = total - (row + 1) * self.height + bottom
+        width = WIDTH / self.across
+        box = (column * width + 0.55, low, width - 0.67, self.height - bottom - top)
+        return figure.add_axes((box[0] / WIDTH, box[1] / total, box[2] / WIDTH, box[3] / total))
+
+
+def _style(salt: str, **more: object) -> AbstractContextManager[None]:
+    """The look of a figure; `salt` keeps the ids of several figures on one page apart."""
+    return matplotlib.rc_context(_STYLE | {"svg.hashsalt": salt} | more)
 
 
 def fit_figure(fits: Sequence[Fit]) -> str:
     """Measured against predicted, with residuals below, for the channels of one clip."""
     share = max(1, MAX_PANELS // len(fits))
     cells = [(fit, column) for fit in fits for column in _liveliest(fit, share)][:MAX_PANELS]
-    across = 4 if len(cells) in (4, 7, 8) else min(3, len(cells))
-    down = -(-len(cells) // across)
-    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": fits[0].clip}):
-        figure = Figure(figsize=(10.4, 2.7 * down))
-        panels = figure.subplots(
-            2 * down, across, squeeze=False, sharex=True, gridspec_kw={"height_ratios": [2.4, 1.0] * down}
-        )
+    grid = _Grid(len(cells), 4 if len(cells) in (4, 7, 8) else min(3, len(cells)), height=2.7)
+    with _style(fits[0].clip):
+        figure = grid.figure()
         for index, (fit, column) in enumerate(cells):
-            row, place = divmod(index, across)
-            _draw_fit(panels[2 * row, place], panels[2 * row + 1, place], fit, column)
-        for index in range(len(cells), down * across):
-            row, place = divmod(index, across)
-            panels[2 * row, place].set_visible(False)
-            panels[2 * row + 1, place].set_visible(False)
-        for panel in panels[-1]:
-            panel.set_xlabel("time [s]")
-            panel.tick_params(labelbottom=True)
+            above = grid.axes(figure, index, bottom=1.1)
+            below = grid.axes(figure, index, top=1.75)
+            above.tick_params(labelbottom=False)
+            above.sharex(below)
+            _draw_fit(above, below, fit, column)
+            below.set_xlabel("time [s]")
         return _svg(figure)
 
 
@@ -142,9 +168,10 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
     number = np.arange(1, len(iterations) + 1)
     theta = np.array([i.theta for i in iterations])
     final = np.where(belief.estimate == 0.0, 1.0, belief.estimate)
-    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "convergence"}):
-        figure = Figure(figsize=(10.4, 2.6))
-        cost, sigma, values = figure.subplots(1, 3)
+    grid = _Grid(3, 3, height=2.6)
+    with _style("convergence"):
+        figure = grid.figure()
+        cost, sigma, values = (grid.axes(figure, index) for index in range(3))
         cost.semilogy(number, [i.cost for i in iterations], "o-", color=IDENTIFIED, markersize=3)
         cost.set_title("cost")
         sigma.semilogy(number, [i.sigma for i in iterations], "o-", color=MEASURED, markersize=3)
@@ -163,9 +190,11 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
 def correlation_figure(names: Sequence[str], correlations: FloatArray) -> str:
     """Heat map of the posterior correlations."""
     size = len(names)
-    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "correlation", "axes.grid": False}):
-        figure = Figure(figsize=(1.6 + 0.62 * size, 1.0 + 0.5 * size))
-        axes = figure.subplots()
+    label = 0.2 + 0.075 * max(len(name) for name in names)  # [inch]
+    wide, high = label + 0.62 * size + 0.1, 0.6 * label + 0.5 * size + 0.1
+    with _style("correlation", **{"axes.grid": False}):
+        figure = Figure(figsize=(wide, high))
+        axes = figure.add_axes((label / wide, 0.6 * label / high, 0.62 * size / wide, 0.5 * size / high))
         colors = LinearSegmentedColormap.from_list("signed", ["#c2620a", "#fef3e2", "#ffffff", "#e0eafd", IDENTIFIED])
         axes.pcolormesh(correlations[::-1], cmap=colors, vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=2)
         for row in range(size):
@@ -187,15 +216,12 @@ def profile_figure(parameters: Sequence[ParameterResult]) -> str | None:
     drawn = [(p, *p.profile) for p in parameters if p.profile is not None]
     if not drawn:
         return None
-    across = min(4, max(3, len(drawn)))
-    down = -(-len(drawn) // across)
-    with matplotlib.rc_context(_STYLE | {"svg.hashsalt": "profile"}):
-        figure = Figure(figsize=(10.4, 2.3 * down))
-        panels = figure.subplots(down, across, squeeze=False).ravel()
-        for axes, (parameter, values, costs) in zip(panels, drawn, strict=False):
+    grid = _Grid(len(drawn), min(4, max(3, len(drawn))), height=2.3)
+    with _style("profile"):
+        figure = grid.figure()
+        for index, (parameter, values, costs) in enumerate(drawn):
+            axes = grid.axes(figure, index)
             _draw_profile(axes, parameter, values, np.where(np.isfinite(costs), costs, np.nan))
-        for axes in panels[len(drawn) :]:
-            axes.set_visible(False)
         return _svg(figure)
 
 
@@ -218,4 +244,5 @@ def _svg(figure: Figure) -> str:
     text = io.StringIO()
     figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     svg = text.getvalue()
-    return _PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), svg[svg.index("<svg") :])
+    svg = svg[svg.index("<svg") :].replace("'DejaVu Sans'", FONTS)
+    return _PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), svg)

@@ -54,8 +54,10 @@ def filling(folder: Path) -> Iterator[Path]:
     try:
         yield scratch
         if folder.exists():
-            for file in sorted(scratch.iterdir()):
-                file.replace(folder / file.name)
+            for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
+                place = folder / file.relative_to(scratch)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(place)
         else:
             scratch.rename(folder)
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,14 +13,14 @@ from amhe_cli.estimation.result import Identification
 from amhe_cli.report.belief_file import belief_text
 from amhe_cli.report.folder import filling
 from amhe_cli.report.page import identification_page
-from amhe_cli.system.export import identified_xml
+from amhe_cli.system.export import identified_assets, identified_xml
 from amhe_cli.system.system import System
 
 
 def write_identification(
     folder: Path, system: System, result: Identification, record: Mapping[str, Any], origin: dict[str, object]
 ) -> None:
-    """Write belief.yaml, identified.xml, result.json and report.html, all or none.
+    """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html, all or none.
 
     Args:
         folder: Where to; made if it does not exist.
@@ -38,3 +39,6 @@ def write_identification(
     with filling(folder) as scratch:
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
+        for name, source in identified_assets(system).items():
+            (scratch / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(source, scratch / name)

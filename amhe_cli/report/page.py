@@ -15,7 +15,7 @@ from amhe_cli.estimation.result import VERDICTS, Fit, Identification, ParameterR
 from amhe_cli.report import figures, numbers, words
 
 #: Clips whose fit is drawn, and how many of them are open at once.
-MAX_CLIPS, OPEN_CLIPS = 4, 2
+MAX_CLIPS, OPEN_CLIPS = 3, 2
 
 #: Half-width of the strip that sets prior and posterior side by side, in prior sd.
 STRIP = 2.5

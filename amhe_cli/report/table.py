@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 from rich import box
 from rich.console import Console
@@ -16,9 +18,24 @@ from amhe_cli.report import numbers
 STYLES = {"identified": "green", "weak": "yellow", "prior": "dim", "model-sensitive": "magenta"}
 
 
+#: Columns: heading, alignment, what stands in them.
+_COLUMNS: tuple[tuple[str, Literal["left", "right"], Callable[[ParameterResult], str | Text]], ...] = (
+    ("parameter", "left", lambda p: p.name),
+    ("estimate ± sd", "right", lambda p: numbers.with_sd(p.estimate, p.sd)),
+    ("unit", "left", lambda p: numbers.unit_of(p.unit)),
+    ("90 % interval", "right", lambda p: numbers.interval(p.lower, p.upper)),
+    ("prior", "right", lambda p: numbers.rounded(p.prior, p.prior_sd)),
+    ("shrinkage", "right", lambda p: numbers.percent(max(p.shrinkage, 0.0))),
+    ("verdict", "left", lambda p: Text(p.verdict, style=STYLES.get(p.verdict, ""))),
+)
+
+#: Terminal columns that the whole table needs.
+WIDE = 100
+
+
 def print_identification(result: Identification, folder: Path, console: Console) -> None:
     """Print the parameters, what validation says, and where the files are."""
-    console.print(_parameters(result))
+    console.print(_parameters(result, console.width), "")
     for parameter in result.parameters:
         if parameter.verdict != "identified" and parameter.reasons:
             console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
@@ -31,30 +48,15 @@ def print_identification(result: Identification, folder: Path, console: Console)
     console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
 
 
-def _parameters(result: Identification) -> Table:
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    table.add_column("parameter")
-    table.add_column("unit")
-    table.add_column("estimate ± sd", justify="right")
-    table.add_column("90 % interval", justify="right")
-    table.add_column("prior", justify="right")
-    table.add_column("shrinkage", justify="right")
-    table.add_column("verdict")
+def _parameters(result: Identification, width: int) -> Table:
+    """The table; on a narrow terminal without its prior and shrinkage."""
+    columns = _COLUMNS if width >= WIDE else tuple(c for c in _COLUMNS if c[0] not in ("prior", "shrinkage"))
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for name, justify, _ in columns:
+        table.add_column(name, justify=justify, no_wrap=True)
     for parameter in result.parameters:
-        table.add_row(*_cells(parameter))
+        table.add_row(*(cell(parameter) for _, _, cell in columns))
     return table
-
-
-def _cells(p: ParameterResult) -> tuple[str | Text, ...]:
-    return (
-        p.name,
-        numbers.unit_of(p.unit),
-        numbers.with_sd(p.estimate, p.sd),
-        numbers.interval(p.lower, p.upper),
-        numbers.with_sd(p.prior, p.prior_sd),
-        numbers.percent(max(p.shrinkage, 0.0)),
-        Text(p.verdict, style=STYLES.get(p.verdict, "")),
-    )
 
 
 def held_out_line(held_out: HeldOut | None) -> str:

@@ -1,0 +1,53 @@
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.report.folder import filling, reserve
+
+
+def test_the_default_folder_is_fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    first = reserve(None, "identify", force=False)
+    assert first.parent.name == "amhe-out"
+    assert first.name.startswith("identify-")
+    first.mkdir(parents=True)
+    second = reserve(None, "identify", force=False)
+    assert second != first
+    assert not second.exists()
+
+
+def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
+    assert reserve(tmp_path, "identify", force=False) == tmp_path
+    (tmp_path / "mine.txt").touch()
+    with pytest.raises(ConfigError, match="--force"):
+        reserve(tmp_path, "identify", force=False)
+    assert reserve(tmp_path, "identify", force=True) == tmp_path
+    with pytest.raises(ConfigError, match="is a file"):
+        reserve(tmp_path / "mine.txt", "identify", force=True)
+
+
+def test_a_new_folder_appears_whole(tmp_path: Path) -> None:
+    out = tmp_path / "deep" / "out"
+    with filling(out) as scratch:
+        (scratch / "a").write_text("1")
+        assert not out.exists()
+    assert [p.name for p in out.parent.iterdir()] == ["out"]
+    assert (out / "a").read_text() == "1"
+
+
+def test_a_failure_leaves_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    with pytest.raises(ZeroDivisionError), filling(out) as scratch:
+        (scratch / "a").write_text("1")
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_force_replaces_our_files_and_leaves_others(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("old")
+    (tmp_path / "mine").write_text("stays")
+    with filling(tmp_path) as scratch:
+        (scratch / "a").write_text("new")
+    assert (tmp_path / "a").read_text() == "new"
+    assert (tmp_path / "mine").read_text() == "stays"

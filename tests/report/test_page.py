@@ -1,0 +1,169 @@
+import json
+import math
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from amhe_cli.estimation.result import HeldOut, Identification
+from amhe_cli.report import words
+from amhe_cli.report.page import identification_page
+from amhe_cli.report.record import identification_record, plain
+from amhe_cli.report.table import held_out_line, print_identification
+from tests.report.synthetic import fit, identification, parameter
+
+ORIGIN = {
+    "created": "2030-01-02T03:04:05+00:00",
+    "command": "amhe identify <swing>.mcap",
+    "seed": 0,
+    "versions": {"amhe": "0.1.0", "mujoco": "4.0.0"},
+    "system_files": {"system.yaml": "ab" * 32},
+    "logs": {"swing.mcap": "cd" * 32},
+    "held_out_logs": {},
+}
+
+
+def page(result: Identification, warnings: tuple[str, ...] = ()) -> str:
+    record = {"version": "0.1.0", "seconds": 1.5, "warnings": list(warnings)} | identification_record(result)
+    return identification_page(result, record, ORIGIN)
+
+
+def said(result: Identification) -> str:
+    return " ".join(statement.text for statement in words.statements(result))
+
+
+@pytest.fixture(scope="module")
+def html() -> str:
+    return page(identification(), ("a gap of 0.6 s & more",))
+
+
+def test_the_page_needs_no_network_and_no_script(html: str) -> None:
+    links = re.findall(r"""(?:src|href)=["']([^"']+)""", html)
+    assert all(link.startswith("#") for link in links), links
+    assert "<script" not in html
+    assert "url(http" not in html and "@import" not in html
+
+
+def test_the_page_stays_small(html: str) -> None:
+    assert len(html) < 2_000_000
+
+
+def test_the_page_of_a_robot_with_many_joints_stays_small() -> None:
+    rng = np.random.default_rng(0)
+    fits = []
+    for clip in range(8):
+        for one in fit(f"walk.mcap {clip}", clip < 4, rng):
+            wide = {k: np.tile(getattr(one, k), (1, 12))[:, :12] for k in ("measured", "initial", "identified")}
+            fits += [replace(one, channel=f"{one.channel}{i}", columns=tuple("abcdefghijkl"), **wide) for i in range(4)]
+    assert len(page(identification(fits=tuple(fits)))) < 2_000_000
+
+
+def test_the_page_shows_what_was_found(html: str) -> None:
+    for text in ("load_mass", "0.7421 ± 0.0041", "2 of 4 parameters are identified", "a gap of 0.6 s &amp; more"):
+        assert text in html
+    assert "amhe identify &lt;swing&gt;.mcap" in html
+    assert html.count("<svg") == 6  # three clips, profiles, correlations, convergence
+
+
+def test_the_page_is_well_formed(html: str) -> None:
+    open_tags: list[str] = []
+
+    class Checker(HTMLParser):
+        def handle_starttag(self, tag: str, attrs: object) -> None:
+            if tag not in ("meta", "br", "path", "use", "rect", "line", "circle"):
+                open_tags.append(tag)
+
+        def handle_endtag(self, tag: str) -> None:
+            if open_tags and open_tags[-1] == tag:
+                open_tags.pop()
+
+        def handle_startendtag(self, tag: str, attrs: object) -> None: ...
+
+    Checker().feed(html)
+    assert open_tags == []
+
+
+def test_the_same_result_gives_the_same_page() -> None:
+    assert page(identification()) == page(identification())
+
+
+def test_the_poorest_result_still_has_a_page() -> None:
+    nan = math.nan
+    lone = replace(parameter(3), sd=nan, lower=nan, upper=nan, shrinkage=nan, profile=None, reasons=())
+    belief = identification().belief
+    result = identification(
+        parameters=(lone,),
+        belief=replace(
+            belief, names=("armature",), units=("-",), log=(True,), estimate=[0.01], covariance=[[0.5]]
+        ),
+        correlations=np.array([[1.0]]),
+        combinations=(),
+        held_out=None,
+        iterations=(),
+        fits=(),
+        noise_scale={},
+        interrupted=True,
+    )
+    assert "No parameter is identified" in page(result)
+    assert "interrupted" in said(result)
+    assert "Nothing was held out" in said(result)
+
+
+def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
+    one = fit("toss", True, np.random.default_rng(0))[1]
+    runaway = np.array(one.initial)
+    runaway[100:] = np.inf
+    runaway[50:100] = 1e12
+    assert "inf" not in page(identification(fits=(replace(one, initial=runaway),))).split("<svg")[1].lower()
+
+
+def test_words_warn_when_validation_does_not_improve() -> None:
+    nan = math.nan
+    text = said(identification(held_out=HeldOut(3, 2.0, 1.9, nan, nan, nan, nan)))
+    assert "do not predict unseen data better" in text
+    good = said(identification(held_out=HeldOut(1, 1.0, 9.0, 0.009, 0.042, 0.02, 0.3)))
+    assert "On 1 clip that was not fitted the cost falls from 9 to 1" in good
+    assert "the mean position error from 42 mm to 9 mm" in good
+
+
+def test_words_name_every_verdict_that_is_not_identified() -> None:
+    text = said(identification())
+    assert "friction_loss: the log says something" in text
+    assert "armature: the log says nothing" in text
+    assert "arm.velocity are 3.6 times the declared noise" in text
+    assert "arm.position" not in text
+
+
+def test_the_record_has_the_keys_that_scripts_rely_on() -> None:
+    record = json.loads(json.dumps(identification_record(identification()), allow_nan=False))
+    keys = ("name", "unit", "estimate", "prior", "prior_sd", "sd", "lower", "upper", "shrinkage", "verdict")
+    assert set(keys) <= set(record["parameters"][0])
+    assert record["held_out"]["cost"] == 1.08
+    assert record["held_out"]["position_error_m"] is None
+    assert record["rollouts"] == {"count": 9216, "diverged": 3}
+    assert np.array(record["correlations"]).shape == (4, 4)
+    assert record["clips"]["fitted"] == 18
+
+
+def test_plain_values() -> None:
+    assert plain({"a": np.float64("inf"), "b": (np.int64(2), np.array([1.0, np.nan]))}) == {"a": None, "b": [2, [1.0, None]]}
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_the_table_fits_a_terminal(tmp_path, width) -> None:
+    console = Console(width=width, record=True, highlight=False, file=(tmp_path / "out").open("w"))
+    print_identification(identification(), tmp_path / "out", console)
+    text = console.export_text()
+    assert "0.7421 ± 0.0041" in text
+    assert "model-sensitive" not in text
+    assert "cost 14.2 -> 1.08" in text
+    assert "report.html" in text
+    assert all(len(line) <= width for line in text.splitlines() if "report:" not in line)
+
+
+def test_the_held_out_line() -> None:
+    line = held_out_line(HeldOut(20, 1.2, 8.0, 0.0085, 0.031, 0.05, 0.2))
+    assert line == "20 clips: cost 8 -> 1.2, position error 31 mm -> 8.5 mm, orientation error 11.5° -> 2.86°"
