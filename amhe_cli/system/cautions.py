@@ -33,12 +33,16 @@ def _texts(model: mujoco.MjModel, part: Cells, cells: tuple[Cells, ...], lower: 
     if part.field == "geom_friction":
         yield from _geom_friction(model, part, cells, lower)
     elif part.field == "pair_friction":
-        yield from _dimension(part, int(model.pair_dim[part.row]), f"pair {model.pair(part.row).name!r}", pair=True)
+        yield from _dimension(
+            part, int(model.pair_dim[part.row]), f"pair {model.pair(part.row).name!r}", pair=True
+        )
     elif part.field in ("geom_solref", "pair_solref") and part.columns == (0,):
         yield from _time_constant(model, part, lower)
 
 
-def _geom_friction(model: mujoco.MjModel, part: Cells, cells: tuple[Cells, ...], lower: float) -> Iterator[str]:
+def _geom_friction(
+    model: mujoco.MjModel, part: Cells, cells: tuple[Cells, ...], lower: float
+) -> Iterator[str]:
     """Contact friction is the element-wise maximum of both geoms, unless their priorities differ."""
     row, column = part.row, part.columns[0]
     name = _geom_name(model, row)
@@ -79,7 +83,9 @@ def _partners(model: mujoco.MjModel, row: int) -> Iterator[int]:
     """Geoms that may touch a geom, other than through an explicit pair."""
     pairs = {(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)}
     body = model.geom_bodyid[row]
-    mask = (model.geom_contype[row] & model.geom_conaffinity) | (model.geom_conaffinity[row] & model.geom_contype)
+    mask = (model.geom_contype[row] & model.geom_conaffinity) | (
+        model.geom_conaffinity[row] & model.geom_contype
+    )
     for other in np.flatnonzero(mask):
         other_body = model.geom_bodyid[other]
         if model.body_weldid[other_body] == model.body_weldid[body]:

@@ -90,8 +90,8 @@ class PseudoInertiaEdit:
             )
         except np.linalg.LinAlgError:
             raise ConfigError(
-                f"body {model.body(body).name!r} has an inertia that no real body has "
-                f"(mass {model.body_mass[body]:g}, principal moments {model.body_inertia[body]}); correct it first"
+                f"body {model.body(body).name!r} has an inertia that no real body has: mass "
+                f"{model.body_mass[body]:g}, principal moments {model.body_inertia[body]}; correct it first"
             ) from None
 
     @property

@@ -71,8 +71,9 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None) -> Sys
     """
     folder = Path(folder)
     file = YamlFile(folder / FILE_NAME, _placed(overrides or {}))
+    _check_names(file, overrides or {})
     entry = validated(file)
-    spec = None if entry is None else _spec(file, folder, entry)
+    spec = None if entry is None else _spec(file, folder / entry.model, entry)
     if entry is None or spec is None:
         file.raise_problems()
         raise ConfigError(f"{file.path}: not a system")
@@ -90,13 +91,14 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None) -> Sys
     unset = planned.unset_joints()
     if unset and keyframe is None:
         logger.warning(
-            "%s: no signal gives the state of joint %s: it starts every clip at its zero; give a signal, or a keyframe",
+            "%s: no signal gives the state of joint %s: it starts each clip at zero; give one, or a keyframe",
             file.path,
             ", ".join(unset),
         )
     return System(
         name=folder.resolve().name,
         folder=folder,
+        model_path=folder / entry.model,
         spec=spec,
         model=model,
         space=space,
@@ -125,15 +127,35 @@ def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:
     return merged(own, {"settings": settings}) if settings else own
 
 
-def _spec(file: YamlFile, folder: Path, entry: SystemEntry) -> mujoco.MjSpec | None:
-    path = folder / entry.model
+def _check_names(file: YamlFile, overrides: Mapping[str, Any]) -> None:
+    """Refuse overrides of parameters and signals that the file does not have."""
+    for group in ("parameters", "signals"):
+        known, given = file.own.get(group), overrides.get(group)
+        for name in given if isinstance(given, Mapping) and isinstance(known, Mapping) else ():
+            if name not in known:
+                raise ConfigError(f"setting {group}.{name}: {one_of(group[:-1], str(name), map(str, known))}")
+
+
+def read_spec(path: Path) -> mujoco.MjSpec:
+    """A model file, MJCF or URDF.
+
+    Raises:
+        ConfigError: MuJoCo cannot read it.
+    """
+    try:
+        return mujoco.MjSpec.from_file(str(path))
+    except (ValueError, mujoco.FatalError) as error:
+        raise ConfigError(f"MuJoCo cannot read {path.name!r}: {' '.join(str(error).split())}") from None
+
+
+def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | None:
     if not path.is_file():
         file.problem(("model",), f"no file {entry.model!r} beside this one; give an MJCF or a URDF")
         return None
     try:
-        return mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        file.problem(("model",), f"MuJoCo cannot read {entry.model!r}: {' '.join(str(error).split())}")
+        return read_spec(path)
+    except ConfigError as error:
+        file.problem(("model",), str(error))
         return None
 
 

@@ -117,7 +117,8 @@ def validated(file: YamlFile) -> SystemEntry | None:
     for mistake in mistakes:
         by_place.setdefault(tuple(_real(file.data, mistake["loc"])), []).append(mistake)
     for place, found in by_place.items():
-        file.problem(place, _in_words(found, place, file.data))
+        unknown_key = found[0]["type"] == "extra_forbidden"
+        file.problem(place, _in_words(found, place, file.data), at_key=unknown_key)
         group = remaining.get(str(place[0])) if place else None
         if len(place) > 1 and isinstance(group, dict):
             group.pop(place[1], None)
@@ -169,7 +170,9 @@ def _real(data: Any, place: Place) -> Iterator[str | int]:
     for index, part in enumerate(place):
         here = at_place(data, walked)
         last = index == len(place) - 1
-        known = part in here if isinstance(here, Mapping) else isinstance(here, list) and isinstance(part, int)
+        known = (
+            part in here if isinstance(here, Mapping) else isinstance(here, list) and isinstance(part, int)
+        )
         if known or (last and isinstance(here, Mapping) and part != "[key]"):
             walked.append(part)
             yield part
@@ -178,12 +181,11 @@ def _real(data: Any, place: Place) -> Iterator[str | int]:
 def _in_words(mistakes: list[Any], place: Place, data: Any) -> str:
     """What is wrong, and what would be valid; a union of types has one mistake for each member."""
     kind, value = mistakes[0]["type"], at_place(data, place)
-    label = ".".join(map(str, place)) or "this file"
+    label = place[-1] if place else "this file"
     if kind == "extra_forbidden":
         return one_of("key", str(place[-1]), keys_at(SystemEntry, place[:-1]) or [])
     if kind == "missing":
-        missing = ", ".join(repr(str(mistake["loc"][-1])) for mistake in mistakes)
-        return f"{label} lacks the key {missing}"
+        return f"{'.'.join(map(str, place[:-1])) or 'this file'} lacks the key {str(place[-1])!r}"
     if kind == "value_error":
         return str(mistakes[0]["ctx"]["error"])
     if kind in ("float_type", "float_parsing", "int_type", "int_parsing"):

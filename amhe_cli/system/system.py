@@ -62,6 +62,7 @@ class System:
     Args:
         name: The folder's name.
         folder: The system folder.
+        model_path: The model file that the folder names.
         spec: MuJoCo spec of the estimation model, sensors of the measured quantities added.
         model: `spec` compiled, at the nominal parameters.
         space: The unknown parameters.
@@ -76,6 +77,7 @@ class System:
 
     name: str
     folder: Path
+    model_path: Path
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     space: ParameterSpace

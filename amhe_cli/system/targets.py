@@ -203,7 +203,9 @@ def _contact(geom_field: str, pair_field: str, geom: int, pair: tuple[int, ...])
 
     def of_body(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
         first, count = int(model.body_geomadr[row]), int(model.body_geomnum[row])
-        colliding = [g for g in range(first, first + count) if model.geom_contype[g] or model.geom_conaffinity[g]]
+        colliding = [
+            g for g in range(first, first + count) if model.geom_contype[g] or model.geom_conaffinity[g]
+        ]
         if not colliding:
             raise ConfigError(f"body {model.body(row).name!r} has no geom that collides")
         return [Cells(geom_field, g, (geom,)) for g in colliding]
@@ -220,9 +222,7 @@ def _joint(field: str) -> Mapping:
     def cells(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
         if field.startswith("jnt_"):
             return [Cells(field, row)]
-        width = {mujoco.mjtJoint.mjJNT_FREE: 6, mujoco.mjtJoint.mjJNT_BALL: 3}
-        first = int(model.jnt_dofadr[row])
-        return [Cells(field, first + i) for i in range(width.get(model.jnt_type[row], 1))]
+        return [Cells(field, int(dof)) for dof in np.flatnonzero(model.dof_jntid == row)]
 
     return {"joint": cells}
 
@@ -243,7 +243,9 @@ def _gain(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
 def _actuator_damping(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
     name = model.actuator(row).name
     if model.actuator_biastype[row] != mujoco.mjtBias.mjBIAS_AFFINE:
-        raise ConfigError(f"actuator {name!r} is a motor, which has no velocity term; set the joint's damping")
+        raise ConfigError(
+            f"actuator {name!r} is a motor, which has no velocity term; set the joint's damping"
+        )
     return [Cells("actuator_biasprm", row, (2,), -1.0)]
 
 

@@ -139,7 +139,9 @@ def _claim(found: _Unknowns, name: str, target: TargetEntry, cells: list[Cells])
         for column in part.columns or (0,):
             other = found.set_by.setdefault((part.field, part.row, column), name)
             if other != name:
-                raise ConfigError(f"parameter {other!r} already sets this number; use mode: scale or add for one")
+                raise ConfigError(
+                    f"parameter {other!r} already sets this number; use mode: scale or add for one"
+                )
 
 
 def _parameter(
@@ -173,7 +175,7 @@ def _own_value(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -
     own = np.concatenate([part.of(model) for part in cells])
     if np.ptp(own) > 1e-9 * np.abs(own).max():
         raise ConfigError(
-            f"the model's own values differ ({own.min():g} to {own.max():g}): give a nominal value, or mode: scale"
+            f"the model's own values differ, {own.min():g} to {own.max():g}: give a nominal, or mode: scale"
         )
     if own[0] == 0.0 and _limit(target) >= 0.0:
         raise ConfigError(f"the model's own {target.set} is 0: give a nominal value")
@@ -194,9 +196,8 @@ def _check_limits(
         for smallest in _smallest(parameter, target, cells, model):
             if smallest < limit or (strict and smallest == limit):
                 wanted = f"{'above' if strict else 'at least'} {limit:g}"
-                raise ConfigError(
-                    f"the lower bound {parameter.lower:g} makes {target.set} {smallest:g}; it must be {wanted}"
-                )
+                text = f"the lower bound {parameter.lower:g} makes {target.set} {smallest:g}"
+                raise ConfigError(f"{text}; it must be {wanted}")
 
 
 def _smallest(
@@ -218,8 +219,10 @@ def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str
     unit = SETTERS[target.set].unit
     slides = {"N m s/rad": "N s/m", "kg m^2": "kg", "N m": "N", "N m/rad": "N/m"}
     if target.joint and cells:
-        row = id_of(model, "joint", target.joint) if cells[0].field.startswith("jnt_") else int(
-            model.dof_jntid[cells[0].row]
+        row = (
+            id_of(model, "joint", target.joint)
+            if cells[0].field.startswith("jnt_")
+            else int(model.dof_jntid[cells[0].row])
         )
         if model.jnt_type[row] == mujoco.mjtJoint.mjJNT_SLIDE:
             return slides.get(unit, unit)

@@ -25,6 +25,11 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict = {}  # noqa: RUF012 (PyYAML's own registry, filled below)
 
 
+def _decimal(loader: yaml.SafeLoader, node: Any) -> int:
+    """An integer as people read it: `010` is ten, not eight."""
+    return int(loader.construct_scalar(node))
+
+
 _FLOAT = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
 for _tag, _pattern, _first in (
     ("bool", "true|True|TRUE|false|False|FALSE", "tTfF"),
@@ -34,7 +39,7 @@ for _tag, _pattern, _first in (
     ("merge", "<<", "<"),
 ):
     _Loader.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"^(?:{_pattern})$"), list(_first))
-_Loader.add_constructor("tag:yaml.org,2002:int", lambda loader, node: int(loader.construct_scalar(node)))
+_Loader.add_constructor("tag:yaml.org,2002:int", _decimal)
 
 
 def scalar(text: str) -> Any:
@@ -44,7 +49,7 @@ def scalar(text: str) -> Any:
         ConfigError: It is not valid YAML.
     """
     try:
-        return yaml.load(text, _Loader)  # noqa: S506 (a SafeLoader)
+        return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
         raise ConfigError(f"{text!r} is not a value: {_said(error)}") from None
 
@@ -65,17 +70,18 @@ class YamlFile:
         self._overrides = overrides or {}
         self._problems: dict[str, tuple[int, int]] = {}
         self._node = self._composed()
-        own = {} if self._node is None else self._constructed(self._node)
-        if not isinstance(own, dict):
+        self.own: dict[str, Any] = {} if self._node is None else self._constructed(self._node)
+        if not isinstance(self.own, dict):
             raise ConfigError(f"{path}:1:1: this file must be a mapping of keys to values")
-        self.data: dict[str, Any] = merged(own, self._overrides)
+        self.data = merged(self.own, self._overrides)
 
-    def problem(self, place: Place, text: str) -> None:
-        """Note a mistake at the value that `place` names; `raise_problems` reports all of them."""
+    def problem(self, place: Place, text: str, at_key: bool = False) -> None:
+        """Note a mistake at the value, or key, that `place` names; `raise_problems` reports all of them."""
         if self._is_override(place):
-            self._problems[f"setting {'.'.join(map(str, place))}: {text}"] = (0, 0)
+            name = ".".join(map(str, place)).removeprefix("settings.")
+            self._problems[f"setting {name}: {text}"] = (0, 0)
             return
-        mark = self._mark(place)
+        mark = self._mark(place, at_key)
         line, column = mark.line + 1, mark.column + 1
         self._problems[f"{self.path}:{line}:{column}: {text}"] = (line, column)
 
@@ -132,16 +138,17 @@ class YamlFile:
                 first.setdefault(name, mark.line + 1)
                 waiting.append(value)
 
-    def _mark(self, place: Place) -> yaml.Mark:
+    def _mark(self, place: Place, at_key: bool) -> yaml.Mark:
         """Start of the deepest part of `place` that the file has."""
-        node, mark = self._node, yaml.Mark(str(self.path), 0, 0, 0, None, None)
+        node, mark = self._node, yaml.Mark(str(self.path), 0, 0, 0, None, 0)
         for part in place:
             if isinstance(node, yaml.MappingNode):
                 found = [(k, v) for k, v in node.value if str(k.value) == str(part)]
                 if not found:
                     break
                 key, node = found[-1]
-                mark = key.start_mark if isinstance(node, yaml.CollectionNode) else node.start_mark
+                at_its_key = at_key or isinstance(node, yaml.CollectionNode)
+                mark = key.start_mark if at_its_key else node.start_mark
             elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):
                 node = node.value[part]
                 mark = node.start_mark
@@ -150,12 +157,13 @@ class YamlFile:
         return mark
 
     def _is_override(self, place: Place) -> bool:
+        """The value at `place` was given from outside, or is missing in a group that was."""
         part: Any = self._overrides
-        for key in place:
+        for depth, key in enumerate(place):
             if not isinstance(part, Mapping):
                 return True
             if key not in part:
-                return False
+                return depth > 0 and at_place(self.own, place[:depth]) is None
             part = part[key]
         return bool(place)
 
@@ -165,8 +173,9 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     result = dict(base)
     for key, value in over.items():
         old = result.get(key)
-        both = isinstance(old, Mapping) and isinstance(value, Mapping)
-        result[key] = merged(old, value) if both else value
+        if isinstance(old, Mapping) and isinstance(value, Mapping):
+            value = merged(old, value)
+        result[key] = value
     return result
 
 

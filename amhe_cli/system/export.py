@@ -1,0 +1,125 @@
+"""The identified model as an MJCF file that MuJoCo loads on its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import Any
+from xml.etree import ElementTree
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.system.load import read_spec
+from amhe_cli.system.system import System
+
+#: Folder beside an exported model for its meshes, textures and height fields.
+ASSETS = "assets"
+_INERTIAL = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
+#: Attributes of asset elements that name files, and the compiler attribute with their folder.
+_FILES = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
+
+
+def identified_xml(system: System, theta: FloatArray) -> str:
+    """MJCF text of the system's model with parameters theta (d,) in it.
+
+    Numbers have the six digits that MuJoCo writes. Sensors, sites and actuators that amhe added are not
+    in it; a comment lists the parameters, and is the only place where a command delay stands. Files
+    are referred to as `assets/...` only: copy those that `identified_assets` names beside the text.
+    """
+    spec = read_spec(system.model_path)
+    spec.compile()  # gives every element its row in the compiled model
+    model = system.edits.apply(system.model, theta)
+    _write_inertials(spec, model, {c.row for c in system.edits.cells if c.field in _INERTIAL})
+    for field, row in dict.fromkeys((c.field, c.row) for c in system.edits.cells):
+        if field not in _INERTIAL:
+            _write(spec, model, field, row)
+    spec.comment = _comment(system.name, system.space, theta)
+    return _portable(spec, system.model_path.parent)[0]
+
+
+def identified_assets(system: System) -> dict[str, Path]:
+    """Files that the text of `identified_xml` refers to: path beside it -> the original."""
+    spec = read_spec(system.model_path)
+    spec.compile()
+    return _portable(spec, system.model_path.parent)[1]
+
+
+def _comment(name: str, space: ParameterSpace, theta: FloatArray) -> str:
+    values = zip(space.parameters, theta, strict=True)
+    lines = (f"{p.name} = {value:.6g}{'' if p.unit == '-' else f' {p.unit}'}" for p, value in values)
+    return "; ".join((f"identified by amhe, system {name}", *lines)).replace("--", "- -")
+
+
+def _write_inertials(spec: mujoco.MjSpec, model: mujoco.MjModel, rows: set[int]) -> None:
+    """Give bodies their compiled inertia in place of the one from their geoms."""
+    options = spec.compiler
+    if (
+        options.settotalmass > 0
+        or options.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    ):
+        rows = set(range(1, model.nbody)) if rows else rows  # else these would undo the values
+        options.settotalmass = -1
+        options.inertiafromgeom = mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_AUTO
+    for body in spec.bodies:
+        if body.id in rows and model.body_mass[body.id] > 0.0:
+            body.explicitinertial = True
+            body.mass = model.body_mass[body.id]
+            body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
+            body.inertia = model.body_inertia[body.id]
+            body.fullinertia = np.full(6, np.nan)
+            body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+def _write(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, row: int) -> None:
+    """Write one row of a compiled array into the element that it came from."""
+    kind, attribute = field.split("_", 1)
+    if kind in ("dof", "jnt"):
+        joint = _with_id(spec.joints, int(model.dof_jntid[row]) if kind == "dof" else row)
+        value = float(getattr(model, field)[row])
+        joint.springdamper = np.zeros(2)  # else it would decide stiffness and damping again
+        if attribute in ("damping", "stiffness"):  # polynomials; the first coefficient is the linear one
+            getattr(joint, attribute)[0] = value
+        else:
+            setattr(joint, attribute, value)
+        return
+    elements = {"geom": spec.geoms, "pair": spec.pairs, "actuator": spec.actuators}[kind]
+    setattr(_with_id(elements, row), attribute, getattr(model, field)[row])
+
+
+def _with_id(elements: Any, row: int) -> Any:
+    return next(element for element in elements if element.id == row)
+
+
+def _portable(spec: mujoco.MjSpec, folder: Path) -> tuple[str, dict[str, Path]]:
+    """Text of a spec whose files are `assets/...`, and where those files are now."""
+    parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+    root = ElementTree.fromstring(spec.to_xml(), parser)
+    compiler = root.find("compiler")
+    folders = {} if compiler is None else {k: compiler.attrib.pop(k, "") for k in ("meshdir", "texturedir")}
+    strip = compiler is not None and compiler.attrib.pop("strippath", "false") == "true"
+    names: dict[Path, str] = {}
+    for element, attribute in _file_attributes(root):
+        written = element.attrib[attribute]
+        inner = PurePosixPath(written).name if strip else written
+        source = (folder / folders.get(_FILES[element.tag], "") / inner).resolve()
+        names.setdefault(source, _free_name(PurePosixPath(inner).name, set(names.values())))
+        element.attrib[attribute] = names[source]
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n", {name: path for path, name in names.items()}
+
+
+def _file_attributes(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str]]:
+    for element in root.iter():
+        if element.tag in _FILES:
+            yield from ((element, key) for key in list(element.attrib) if key.startswith("file"))
+
+
+def _free_name(base: str, taken: set[str]) -> str:
+    name, number = f"{ASSETS}/{base}", 1
+    while name in taken:
+        number += 1
+        name = f"{ASSETS}/{number}_{base}"
+    return name

@@ -1,0 +1,159 @@
+"""Where a log meets the model: what is read, what is compared, what drives it.
+
+Two steps, because sensors are added between them: a `Plan` is made from the model as the user wrote it
+(`channels.plan`) and adds to its spec what the measured quantities need; `Plan.wired` then finds the
+addresses in the final model. Everything added is called `amhe/...`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.signals import QUANTITIES, Signal
+from amhe_cli.system.schema import SignalEntry
+from amhe_cli.system.system import Channel, Input
+from amhe_cli.system.targets import id_of
+
+
+@dataclass(frozen=True, slots=True)
+class Wiring:
+    """How a log meets the model; see the same fields of `System`."""
+
+    signals: tuple[Signal, ...]
+    channels: tuple[Channel, ...]
+    inputs: tuple[Input, ...]
+    input_spec: int
+
+
+@dataclass
+class Plan:
+    """Signals whose addresses in the final model are still to be found."""
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+    signals: list[Signal] = field(default_factory=list)
+    state: list[Channel] = field(default_factory=list)
+    sensed: list[tuple[str, str, float, list[str]]] = field(
+        default_factory=list
+    )  # key, quantity, sd, sensors
+    driven: list[tuple[str, mujoco.mjtState, list[int | str], bool]] = field(default_factory=list)
+    joints_set: set[int] = field(default_factory=set)
+
+    def wired(self, model: mujoco.MjModel) -> Wiring:
+        """Addresses in the final model: the plan's spec, compiled."""
+        channels = list(self.state)
+        for key, quantity, noise, sensors in self.sensed:
+            rows = [id_of(model, "sensor", name) for name in sensors]
+            columns = [int(model.sensor_adr[r]) + i for r in rows for i in range(int(model.sensor_dim[r]))]
+            channels.append(channel_of(key, quantity, "sensordata", columns, noise))
+        spec = 0
+        for _, bit, _, _ in self.driven:
+            spec |= int(bit)
+        inputs = []
+        for key, bit, parts, delayed in self.driven:
+            first = mujoco.mj_stateSize(
+                model, spec & (int(bit) - 1)
+            )  # parts stand in the order of their bits
+            columns = [
+                int(model.actuator_ctrladr[id_of(model, "actuator", part)]) if isinstance(part, str) else part
+                for part in parts
+            ]
+            inputs.append(Input(key, tuple(first + column for column in columns), delayed))
+        return Wiring(tuple(self.signals), tuple(channels), tuple(inputs), spec)
+
+    def unset_joints(self) -> list[str]:
+        """Joints whose state no signal gives."""
+        return [
+            self.model.joint(row).name or f"number {row}"
+            for row in range(self.model.njnt)
+            if row not in self.joints_set
+        ]
+
+    def site_on(self, body: str) -> str:
+        """Name of a site in the frame of a body, added once."""
+        name = f"amhe/at/{body}"
+        if all(site.name != name for site in self.spec.sites):
+            self.spec.body(body).add_site(name=name)
+        return name
+
+
+def signal_of(
+    name: str,
+    entry: SignalEntry,
+    quantities: tuple[str, ...],
+    names: Sequence[str] = (),
+    is_input: bool = False,
+) -> Signal:
+    """What to read from the log for an entry of the file."""
+    fields = {q: (p,) if isinstance(p, str) else tuple(p) for q, p in entry.fields.items()}
+    return Signal(
+        name,
+        entry.topic,
+        quantities,
+        type=entry.type,
+        names=tuple(names),
+        child_frame=entry.child_frame,
+        fields=fields,
+        is_input=is_input,
+        offset=entry.offset,
+    )
+
+
+def channel_of(key: str, quantity: str, source: str, columns: Iterable[int], noise: float | None) -> Channel:
+    """Channel of one quantity; orientations are compared as rotations."""
+    kind = "rotation" if quantity == "orientation" else "linear"
+    unit = "rad" if kind == "rotation" else QUANTITIES[quantity]
+    return Channel(key, kind, source, tuple(columns), noise, unit)  # pyright: ignore[reportArgumentType]
+
+
+def names_of_log(names: list[str] | Mapping[str, str] | None) -> tuple[list[str], list[str]]:
+    """The model's names and the log's."""
+    if isinstance(names, Mapping):
+        return list(names), list(names.values())
+    return list(names or ()), list(names or ())
+
+
+def known(entry: SignalEntry, quantities: tuple[str, ...]) -> None:
+    """Refuse noise of a quantity that this kind of signal does not have."""
+    for quantity in entry.noise:
+        if quantity not in quantities:
+            raise ConfigError(one_of("quantity to compare", quantity, quantities))
+
+
+def chosen(entry: SignalEntry, usual: tuple[str, ...]) -> tuple[str, ...]:
+    """`quantity:` if given, else the usual ones."""
+    if entry.noise:
+        raise ConfigError("noise is for what is compared with the model; this signal is not")
+    given = tuple([entry.quantity] if isinstance(entry.quantity, str) else entry.quantity or ())
+    for quantity in given:
+        if usual and quantity not in usual:
+            raise ConfigError(one_of("quantity of this signal", quantity, usual))
+    return given or usual
+
+
+def one_quantity(entry: SignalEntry, usual: str) -> str:
+    """The one quantity of a signal of plain numbers."""
+    if entry.noise and entry.sensor is None:
+        raise ConfigError("noise is for what is compared with the model; a command is not")
+    given = [entry.quantity] if isinstance(entry.quantity, str) else list(entry.quantity or ())
+    given = given or list(entry.fields) or [usual]
+    if len(given) > 1:
+        raise ConfigError(f"one quantity drives this, not {', '.join(given)}")
+    return given[0]
+
+
+def single_joints(model: mujoco.MjModel, names: Iterable[str]) -> list[int]:
+    """Rows of hinge and slide joints."""
+    rows = [id_of(model, "joint", name) for name in names]
+    for row in rows:
+        if model.jnt_type[row] in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            body = model.body(model.jnt_bodyid[row]).name
+            raise ConfigError(
+                f"joint {model.joint(row).name!r} has no single position; only hinge and slide joints do. "
+                f"Measure its body instead: body: {body}"
+            )
+    return rows

@@ -1,0 +1,170 @@
+"""A system file is read whole: every mistake at once, each with its place."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.system.load import bundled_root, find_system, load_system
+from amhe_cli.system.yaml_file import YamlFile, scalar
+
+Write = Callable[..., Path]
+
+WRONG = """\
+model: scene.xml
+keyframe: hone
+colour: red
+parameters:
+  friction:
+    nominal: "0.5"
+    bounds: [0.1, 1.5]
+    targets:
+      - {pair: slide, set: sliding_friction}
+  mass:
+    targets:
+      - {body: boxx, set: mass}
+      - {geom: floor, set: sliding_frction}
+  damping:
+    scale: logg
+    targets: [{joint: hip, set: damping, mod: scale}]
+  stray: {}
+signals:
+  hip:
+    topic: /joint_states
+    joints: [hipp]
+    noise: {positon: 0.01}
+  knee:
+    topic: /joint_states
+    joints: [keen]
+  none:
+    joints: [hip]
+  both: {topic: /x, body: box, site: imu}
+settings:
+  clips: {lenght: [0.3, 2]}
+"""
+
+
+def problems(folder: Path, **overrides) -> list[str]:
+    with pytest.raises(ConfigError) as error:
+        load_system(folder, overrides)
+    return [line.removeprefix(f"{folder / 'system.yaml'}:") for line in str(error.value).splitlines()]
+
+
+def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
+    folder = written("")
+    (folder / "system.yaml").write_text(WRONG)
+    assert problems(folder) == [
+        "2:11: no keyframe 'hone' (did you mean 'home'?); there is: home",
+        "3:1: no key 'colour'; there is: keyframe, model, parameters, settings, signals",
+        "6:14: nominal is '0.5'; a number (without quotes) would be valid",
+        "12:9: no body 'boxx' (did you mean 'box'?); there is: arm, ball, box, hand, marker, table, world",
+        "13:9: no target 'sliding_frction' (did you mean 'sliding_friction'?); there is: actuator_damping, "
+        "armature, center_of_mass, command_delay, contact_damping_ratio, contact_time_constant, damping, "
+        "friction_loss, gain, inertia, mass, pseudo_inertia, rolling_friction, sliding_friction, stiffness, "
+        "torsional_friction",
+        "15:12: scale is 'logg'; 'log' or 'linear' would be valid",
+        "16:42: no key 'mod' (did you mean 'mode'?); there is: actuator, axis, body, carry_inertia, geom, "
+        "joint, mode, pair, set",
+        "17:3: parameters.stray lacks the key 'targets'",
+        "19:3: no quantity 'positon' (did you mean 'position'?); there is: angular_velocity, effort, force, "
+        "linear_acceleration, linear_velocity, orientation, position, torque, value, velocity",
+        "25:5: no joint 'keen' (did you mean 'knee'?); there is: box, hip, knee, socket",
+        "26:3: signals.none lacks the key 'topic'",
+        "28:3: a signal is one thing; keep one of: body, site",
+        "30:11: no key 'lenght' (did you mean 'length'?); there is: count, held_out, held_out_first_only, "
+        "held_out_length, length, still",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ("model: a\nmodel: b\n", "2:1: key 'model' is here twice; its first value is in line 1"),
+        ("model: [\n", "2:1: not valid YAML"),
+        ("- a\n", "1:1: this file must be a mapping"),
+        ("", "1:1: this file lacks the key 'model'"),
+        ("model: !!python/object/apply:os.system [ls]\n", "1:8: not valid YAML: could not determine a constructor"),
+        ("a: {b: 1, b: 2}\nc: 1\nc: 2\n", "1:11: key 'b' is here twice"),
+    ],
+)
+def test_what_is_no_system_file_is_refused(text: str, line: str, tmp_path: Path) -> None:
+    (tmp_path / "system.yaml").write_text(text)
+    assert problems(tmp_path)[0].startswith(line)
+
+
+def test_a_missing_or_broken_model_is_a_mistake_of_the_model_key(written: Write) -> None:
+    folder = written("  p: {targets: [{body: box, set: mass}]}\n")
+    (folder / "scene.xml").write_text("<mujoco><worldbody><geom/></worldbody></mujoco>")
+    assert "1:8: MuJoCo cannot compile it" in problems(folder)[0]
+    (folder / "scene.xml").write_text("<mujoco><worldbod/></mujoco>")
+    assert "1:8: MuJoCo cannot read 'scene.xml'" in problems(folder)[0]
+    (folder / "scene.xml").unlink()
+    assert "1:8: no file 'scene.xml' beside this one" in problems(folder)[0]
+
+
+def test_numbers_and_words_are_what_people_mean() -> None:
+    assert scalar("1e-3") == 0.001
+    assert scalar("010") == 10
+    assert scalar("on") == "on"
+    assert scalar("yes") == "yes"
+    assert scalar("[1, .5, true, null, ~]") == [1, 0.5, True, None, None]
+    assert scalar("12:30") == "12:30"
+
+
+def test_a_missing_file_and_a_binary_one_are_errors(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="No such file"):
+        YamlFile(tmp_path / "no.yaml")
+    (tmp_path / "b.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="not a text file"):
+        YamlFile(tmp_path / "b.yaml")
+
+
+def test_bundled_systems_are_found_by_name_and_folders_by_path(tmp_path: Path) -> None:
+    assert find_system("pendulum") == bundled_root() / "models" / "pendulum"
+    assert find_system(str(bundled_root() / "models" / "cube_toss")).name == "cube_toss"
+    with pytest.raises(ConfigError, match=r"did you mean 'pendulum'\?\); there is: cube_toss, .*pendulum"):
+        find_system("pendulun")
+    with pytest.raises(ConfigError, match="amhe init"):
+        find_system(str(tmp_path))
+
+
+def test_joints_that_no_signal_measures_are_named_unless_a_keyframe_holds_them(written: Write, caplog) -> None:
+    target = "  p: {targets: [{body: box, set: mass}]}\n"
+    with caplog.at_level(logging.WARNING):
+        load_system(written(target))
+        assert not caplog.records
+        load_system(written(target, more=""))
+    assert "no signal gives the state of joint box, knee, socket" in caplog.text
+
+
+def test_overrides_reach_settings_parameters_and_signals(written: Write) -> None:
+    folder = written("  p: {targets: [{body: box, set: mass}]}\n")
+    overrides = {
+        "clips": {"length": [0.1, 0.2]},
+        "parameters": {"p": {"nominal": 3.0}},
+        "signals": {"hip": {"topic": "/other"}},
+    }
+    system = load_system(folder, overrides)
+    assert system.settings.clips.length == (0.1, 0.2)
+    assert system.settings.clips.count == 24
+    assert system.space.nominal[0] == 3.0
+    assert system.signals[0].topic == "/other"
+
+
+def test_wrong_overrides_are_named_as_settings(written: Write) -> None:
+    folder = written("  p: {targets: [{body: box, set: mass}]}\n")
+    assert problems(folder, clip={"length": 1})[0].startswith("no setting 'clip' (did you mean 'clips'?)")
+    assert problems(folder, clips={"count": "many"}) == [
+        "setting clips.count: count is 'many'; a number (without quotes) would be valid"
+    ]
+    assert problems(folder, parameters={"p": {"bounds": [3, 4]}})[0].startswith("setting parameters.p")
+    assert problems(folder, parameters={"q": {"nominal": 1.0}}) == [
+        "setting parameters.q: no parameter 'q'; there is: p"
+    ]
+    assert problems(folder, parameters={"p": {"nominl": 1.0}})[0].startswith(
+        "setting parameters.p.nominl: no key 'nominl' (did you mean 'nominal'?)"
+    )
