@@ -7,10 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.errors import ConfigError, LogError, one_of
 from amhe_cli.core.parameters import Belief
+from amhe_cli.core.signals import Signal
 from amhe_cli.core.trajectory import Trajectory
-from amhe_cli.logs import read_metadata, read_trajectory
+from amhe_cli.logs import Survey, read_metadata, read_trajectory, survey
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
 from amhe_cli.system.load import bundled_systems, find_system, load_system
@@ -40,6 +41,40 @@ class LogSource:
     def __post_init__(self) -> None:
         if self.start is not None and self.end is not None and self.end <= self.start:
             raise ConfigError(f"--to {self.end:g} is not after --from {self.start:g}")
+
+
+@dataclass(frozen=True, slots=True)
+class SignalCheck:
+    """Whether a log has what one signal of a system needs.
+
+    Args:
+        signal: What is needed.
+        problem: Why it cannot be read, in words; None if it can.
+        valid: Share of the time in which it is measured, gaps left out.
+    """
+
+    signal: Signal
+    problem: str | None
+    valid: float
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """What is in one log, and how it suits a system.
+
+    Args:
+        survey: What is in the log.
+        system: Name of the system it was held against; None: of none.
+        checks: One for each of the system's signals.
+        duration: Time that all signals share [s].
+        problem: Why the log as a whole cannot be used, though each signal can; None if it can.
+    """
+
+    survey: Survey
+    system: str | None = None
+    checks: tuple[SignalCheck, ...] = ()
+    duration: float = 0.0
+    problem: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +138,43 @@ def system_of(logs: Sequence[Path]) -> str:
         f"{_listed(logs)} does not say which system it is about; name one with --system NAME|DIR "
         f"(bundled: {', '.join(known)}), or describe your own: amhe init MODEL.xml LOG -o my_system/"
     )
+
+
+def inspections(source: LogSource, system: str | None) -> list[Inspection]:
+    """Look through every log, and hold it against the system that the user or the log names, if any."""
+    return [_inspection(replace(source, paths=(path,)), system) for path in source.paths]
+
+
+def _inspection(source: LogSource, system: str | None) -> Inspection:
+    found = survey(source.paths[0], msg_path=source.msg_path)
+    name = system or found.metadata.get("system")
+    if not name:
+        if source.topics or source.start is not None or source.end is not None:
+            raise ConfigError("--topic, --from and --to are about a system's signals: name it with --system")
+        return Inspection(found)
+    held = open_system(name, source)
+    checks = tuple(_checked(held, signal, source) for signal in held.signals)
+    if any(check.problem for check in checks):
+        return Inspection(found, held.name, checks)
+    try:
+        whole = trajectories(held, source)[0]
+    except LogError as error:
+        return Inspection(found, held.name, checks, problem=_without_path(error, source))
+    return Inspection(found, held.name, checks, whole.duration)
+
+
+def _checked(system: System, signal: Signal, source: LogSource) -> SignalCheck:
+    """Read one signal alone: whatever would stop `identify` is found in the same words."""
+    try:
+        alone = trajectories(replace(system, signals=(signal,)), source)[0]
+    except LogError as error:
+        return SignalCheck(signal, _without_path(error, source), 0.0)
+    valid = alone.usable(tuple(alone.series))
+    return SignalCheck(signal, None, float(valid.mean()) if valid.size else 0.0)
+
+
+def _without_path(error: LogError, source: LogSource) -> str:
+    return str(error).removeprefix(f"{source.paths[0]}: ")
 
 
 def trajectories(system: System, source: LogSource) -> tuple[Trajectory, ...]:

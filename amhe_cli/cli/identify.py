@@ -62,7 +62,6 @@ def identify(
     checkpoint: Path | None,
     seed: int,
     threads: int,
-    engine: str,
     assignments: tuple[str, ...],
     config: Path | None,
     out: Path | None,

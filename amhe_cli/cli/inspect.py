@@ -28,12 +28,14 @@ def inspect(
 
     With a system, named by --system or by the log itself, also what it needs and what is missing.
     """
-    from amhe_cli.assembly import LogSource, inspection
-    from amhe_cli.report.inspection import inspection_record, print_inspection
+    from amhe_cli.assembly import LogSource, inspections
+    from amhe_cli.report.inspection import inspection_record, losses, print_inspection
 
     session.hush_mujoco()
-    found = inspection(LogSource(logs, topics, msg_path, start, end), system)
+    found = inspections(LogSource(logs, topics, msg_path, start, end), system)
+    session.warnings += [text for one in found for text in losses(one)]
     if session.json:
-        session.print_json(inspection_record(found, session.seconds, session.warnings))
-    else:
-        print_inspection(found, session.console())
+        session.print_json(session.record(logs=[inspection_record(one) for one in found]))
+        return
+    for one in found:
+        print_inspection(one, session.console())
