@@ -169,8 +169,9 @@ class MatchingCost:
 
 def measures(channel: Channel, quantity: str) -> bool:
     """Whether a channel measures a body's 'position' or 'orientation'."""
-    three = len(channel.columns) == 3 and channel.unit == "m" and channel.key.endswith(".position")
-    return channel.kind == "rotation" if quantity == "orientation" else three
+    if quantity == "orientation":
+        return channel.kind == "rotation"
+    return channel.key.endswith(".position") and len(channel.columns) == 3
 
 
 def whitened(observed: Observed, predicted: FloatArray) -> FloatArray:

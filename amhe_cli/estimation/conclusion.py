@@ -16,7 +16,7 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.variants import contact_variants
 from amhe_cli.estimation import cma, search
 from amhe_cli.estimation.fits import fits
-from amhe_cli.estimation.identifiability import Evidence, combinations, profiles, verdicts
+from amhe_cli.estimation.identifiability import SURPRISE, Evidence, combinations, profiles, verdicts
 from amhe_cli.estimation.linearised import Linearisation, information, linearise
 from amhe_cli.estimation.posterior import (
     Posterior,
@@ -26,7 +26,7 @@ from amhe_cli.estimation.posterior import (
     halves,
     posterior,
 )
-from amhe_cli.estimation.problem import Problem, spread_floor
+from amhe_cli.estimation.problem import ROUGH, Problem, spread_floor
 from amhe_cli.estimation.result import ClipCount, HeldOut, Identification
 from amhe_cli.matching import MatchingCost
 
@@ -35,8 +35,9 @@ logger = logging.getLogger(__name__)
 #: What a search ends with.
 Finding = search.State | cma.State
 
-#: Drift within the logs is reported from this many sd, if it is also this share of a prior sd.
-DRIFT, DRIFT_SHARE = 3.0, 0.05
+#: Drift within the logs is reported if it is also this share of a prior sd.
+DRIFT_SHARE = 0.05
+HALVES = "the first and second half of the logs"
 
 
 def conclude(problem: Problem, finding: Finding, validation: list[Window], interrupted: bool) -> Identification:
@@ -44,8 +45,10 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], inter
     system, setting = problem.system, problem.settings.identify
     study = _study(problem, finding)
     active = problem.active
-    covariance = study.posterior.covariance
-    _report_drift(problem, study)
+    disagreements = _disagreements(problem, finding, study)
+    _report_drift(problem, disagreements)
+    shifts = _shifts(problem, finding, study)
+    covariance = study.posterior.covariance + np.diag(systematic(study.posterior, disagreements, shifts) * active)
     cost = MatchingCost(system, problem.tiles, problem.engine, problem.settings.cost)
     evidence = Evidence(
         z=finding.z,
@@ -53,8 +56,8 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], inter
         active=active,
         step_ratio=study.step_ratio,
         bootstrap=bootstrap_sd(finding.z, study.found, study.weight, setting.bootstrap, problem.rng(4)),
-        disagreements=_disagreements(problem, finding, study),
-        shifts=_shifts(problem, finding, study),
+        disagreements=disagreements,
+        shifts=shifts,
         profiles=profiles(
             system.space, cost.costs, finding.z, np.sqrt(np.diag(covariance)), active, setting.profile_points
         ),
@@ -118,14 +121,20 @@ class _Study:
 
 
 def _study(problem: Problem, finding: Finding) -> _Study:
-    """Linearise at the estimate: once to learn the noise, once with it, once at a doubled step."""
-    spread = _final_spread(problem, finding)
+    """Linearise at the estimate: to learn the noise and how rough the cost is, then at a step that suits
+    both, and at twice that step."""
+    coverage = problem.coverage(problem.tiles)
+    spread = spread_floor(problem, np.inf) * problem.active
     slopes = _linearised(problem, finding, finding.scale, spread, 0)
-    scale = search.noise_scale(slopes.cost, information(slopes), finding.scale)
-    slopes = _linearised(problem, finding, scale, spread, 0)
     found = information(slopes)
-    weight = search.clip_weights(slopes.cost, found) * problem.coverage(problem.tiles)
-    doubled = information(_linearised(problem, finding, scale, 2.0 * spread, 1))
+    if slopes.roughness <= ROUGH:
+        sd = posterior(finding.z, found, search.clip_weights(slopes.cost, found) * coverage).sd
+        spread = np.clip(2.0 * sd, spread_floor(problem, slopes.roughness), spread) * problem.active
+    scale = search.noise_scale(slopes.cost, found, finding.scale)
+    slopes = _linearised(problem, finding, scale, spread, 1)
+    found = information(slopes)
+    weight = search.clip_weights(slopes.cost, found) * coverage
+    doubled = information(_linearised(problem, finding, scale, 2.0 * spread, 2))
     data = np.einsum("c,cii->i", weight, found.matrix)
     ratio = np.sqrt(np.einsum("c,cii->i", weight, doubled.matrix) / np.where(data > 0.0, data, np.nan))
     return _Study(slopes, found, weight, posterior(finding.z, found, weight), ratio, scale)
@@ -140,23 +149,44 @@ def _linearised(
     return linearise(cost, finding.z, first, spread, samples, problem.rng(3, place))
 
 
-def _final_spread(problem: Problem, finding: Finding) -> FloatArray:
-    """The step at which the posterior is taken: the search's own floor."""
-    return spread_floor(problem) * problem.active
-
-
 def _disagreements(
     problem: Problem, finding: Finding, study: _Study
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Estimates from one kind of measurement against another: a right model makes them agree."""
+    """Estimates from one part of the data against another: under a right model they agree.
+
+    Returns:
+        What is compared -> (difference, its sd), each (d,) in z.
+    """
     kinds = [_kind(o.channel.key) for o in study.slopes.cost.clips.observed]
     alone = by_kind(finding.z, study.slopes, study.weight, kinds)
     names = list(alone)
-    return {
-        f"{one} and {other} data": disagreement(finding.z, alone[one], alone[other])
+    compared = {
+        f"{one} and {other} data": disagreement(alone[one], alone[other])
         for i, one in enumerate(names)
         for other in names[i + 1 :]
     }
+    late = _late(problem.tiles)
+    if min(late.sum(), (~late).sum()) >= 3:
+        early_half, late_half = halves(finding.z, study.found, study.weight, late)
+        compared[HALVES] = disagreement(late_half, early_half)
+    return compared
+
+
+def systematic(
+    found: Posterior, disagreements: Mapping[str, tuple[FloatArray, FloatArray]], shifts: Mapping[str, FloatArray]
+) -> FloatArray:
+    """Variance of z beyond what noise explains, shape (d,).
+
+    Where parts of the data disagree by more than chance, or details of contact that nobody measured move
+    the estimate, no part is known to be right: half the difference is added as a standard deviation, as
+    random-effects models do.
+    """
+    extra = np.zeros(len(found.step))
+    sd = np.sqrt(np.diag(found.covariance))
+    for difference, chance in (*disagreements.values(), *((shift, sd) for shift in shifts.values())):
+        beyond = np.maximum(difference**2 - (SURPRISE * chance) ** 2, 0.0)
+        extra = np.maximum(extra, 0.25 * beyond)
+    return extra
 
 
 def _kind(key: str) -> str:
@@ -180,17 +210,13 @@ def _shifts(problem: Problem, finding: Finding, study: _Study) -> dict[str, Floa
     return shifts
 
 
-def _report_drift(problem: Problem, study: _Study) -> None:
+def _report_drift(problem: Problem, disagreements: Mapping[str, tuple[FloatArray, FloatArray]]) -> None:
     """Warn where the logs' first and second half want different parameters."""
-    tiles = problem.tiles
-    late = _late(tiles)
-    if late.all() or not late.any() or min(late.sum(), (~late).sum()) < 3:
+    if HALVES not in disagreements:
         return
-    z = np.zeros(len(problem.system.space))
-    early_half, late_half = halves(z, study.found, study.weight, late)
-    difference, sd = disagreement(z, late_half, early_half)
+    difference, sd = disagreements[HALVES]
     space = problem.system.space
-    for i in np.flatnonzero((np.abs(difference) > DRIFT * sd) & (np.abs(difference) > DRIFT_SHARE)):
+    for i in np.flatnonzero((np.abs(difference) > SURPRISE * sd) & (np.abs(difference) > DRIFT_SHARE)):
         p = space.parameters[i]
         size = f"{np.expm1(difference[i] * p.prior_sd):+.0%}" if p.log else f"{difference[i] * p.prior_sd:+.2g} {p.unit}"
         logger.warning(

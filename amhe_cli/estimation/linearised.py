@@ -11,7 +11,8 @@ the noise of the recorded first state leaves of a clip's information on z is
     M = Gz' W Gz - Gz' W Gx (Gx' W Gx + I)^-1 Gx' W Gz.
 
 W holds the robust weights of the pseudo-Huber loss and, because neighbouring residuals of an imperfect
-model repeat each other, the inverse autocorrelation time of each channel.
+model repeat each other, the inverse autocorrelation time of each channel. What the samples bend away from
+a straight line counts as noise, so that a residual behind a chaotic bounce has little weight.
 """
 
 from __future__ import annotations
@@ -33,6 +34,9 @@ class Linearisation:
     Args:
         residual: Residuals at (z, first), shape (c, R).
         gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
+        bend: Mean square of what is not linear in the samples, shape (c, R).
+        roughness: Even over odd response of the median clip: small where the model is smooth on the
+            scale of the samples, near one behind chaotic contact.
         first: First-state errors there, shape (c, nx).
         completed: Clips that could be linearised, shape (c,).
         rollouts, diverged: How many were run, and how many of them diverged.
@@ -41,6 +45,8 @@ class Linearisation:
     cost: MatchingCost
     residual: FloatArray
     gain: FloatArray
+    bend: FloatArray
+    roughness: float
     first: FloatArray
     completed: BoolArray
     rollouts: int
@@ -101,11 +107,15 @@ def linearise(
     residuals = cost.residuals(candidates, first + signs[:, None, d:] if nx else None)
     # a bound may have cut a step short: what was really tried is (plus - minus) / 2
     steps = np.concatenate((0.5 * (candidates[:half] - candidates[half:-1]), directions[:, d:]), axis=1)
-    gain, completed = _regress(residuals, steps)
+    odd, even, pairs = _parity(residuals, half)
+    gain = _regress(odd, pairs, steps)
+    completed = residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half)
     return Linearisation(
         cost=cost,
         residual=residuals.flat[-1],
         gain=gain,
+        bend=np.einsum("ch,hcr->cr", pairs, even**2) / np.maximum(pairs.sum(axis=1), 1.0)[:, None],
+        roughness=_roughness(odd, even, pairs),
         first=first,
         completed=completed,
         rollouts=residuals.completed.size,
@@ -125,18 +135,26 @@ def orthogonal_directions(dimension: int, count: int, rng: np.random.Generator) 
     return np.concatenate(blocks)[:count] * np.sqrt(dimension)
 
 
-def _regress(residuals: Residuals, steps: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Least squares of the antisymmetric residuals on the steps: gain (c, n, R) and usable clips (c,)."""
-    half = len(steps)
-    flat, done = residuals.flat, residuals.completed
-    odd = 0.5 * (flat[:half] - flat[half:-1])  # (half, c, R); even orders of the nonlinearity cancel
-    pair = (done[:half] & done[half:-1]).T.astype(float)  # (c, half)
-    normal = np.einsum("ch,hi,hj->cij", pair, steps, steps)
-    size = np.maximum(np.einsum("hi,hi->i", steps, steps), 1e-300)
-    normal += np.diag(1e-9 * size + (size <= 1e-300))  # an unmoved parameter has slope zero
-    right = np.einsum("chi,hcr->cir", pair[..., None] * steps, odd, optimize=True)
-    usable = done[-1] & (pair.sum(axis=1) >= 0.75 * half)
-    return np.linalg.solve(normal, right), usable
+def _parity(residuals: Residuals, half: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Odd and even response to each pair of samples (half, c, R), and which pairs completed (c, half)."""
+    plus, minus, centre = residuals.flat[:half], residuals.flat[half:-1], residuals.flat[-1]
+    pairs = (residuals.completed[:half] & residuals.completed[half:-1] & residuals.completed[-1]).T
+    return 0.5 * (plus - minus), 0.5 * (plus + minus) - centre, pairs.astype(float)
+
+
+def _regress(odd: FloatArray, pairs: FloatArray, steps: FloatArray) -> FloatArray:
+    """Least squares of the odd response on the steps: gain (c, n, R); even orders have cancelled."""
+    normal = np.einsum("ch,hi,hj->cij", pairs, steps, steps)
+    size = np.einsum("hi,hi->i", steps, steps)
+    normal += np.diag(1e-9 * size + (size <= 0.0))  # an unmoved parameter has slope zero
+    right = np.einsum("chi,hcr->cir", pairs[..., None] * steps, odd, optimize=True)
+    return np.linalg.solve(normal, right)
+
+
+def _roughness(odd: FloatArray, even: FloatArray, pairs: FloatArray) -> float:
+    above = np.einsum("ch,hcr->c", pairs, even**2)
+    below = np.einsum("ch,hcr->c", pairs, odd**2)
+    return float(np.median(np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), 0.0)))
 
 
 def information(found: Linearisation, channels: Sequence[bool] | None = None) -> Information:
@@ -150,6 +168,7 @@ def information(found: Linearisation, channels: Sequence[bool] | None = None) ->
     nx = found.first.shape[1]
     gz, gx = found.gain[:, : found.gain.shape[1] - nx], found.gain[:, found.gain.shape[1] - nx :]
     heard = _expand(cost, channels or [True] * len(cost.clips.observed)) * found.completed[:, None]
+    heard = heard / (1.0 + found.bend)
     fitted, times = start, (1.0,) * len(cost.clips.observed)
     for _ in range(2):  # the weights need the fitted residuals, which need the weights
         weight = _weights(cost, fitted, times) * heard

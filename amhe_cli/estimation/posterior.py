@@ -36,6 +36,11 @@ class Posterior:
         return inverse @ (self.scatter + np.eye(len(inverse))) @ inverse
 
     @property
+    def sd(self) -> FloatArray:
+        """Posterior sd of each z, shape (d,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
     def data_covariance(self) -> FloatArray:
         """The part of it that other data would change, shape (d, d)."""
         inverse = np.linalg.inv(self.hessian)
@@ -78,7 +83,7 @@ def bootstrap_sd(
     return np.linalg.solve(hessian, gradient[..., None])[..., 0].std(axis=0, ddof=1)
 
 
-def disagreement(z: FloatArray, one: Posterior, other: Posterior) -> tuple[FloatArray, FloatArray]:
+def disagreement(one: Posterior, other: Posterior) -> tuple[FloatArray, FloatArray]:
     """Difference between two estimates from different data, and its sd, each (d,) in z."""
     difference = one.step - other.step
     return difference, np.sqrt(np.diag(one.data_covariance + other.data_covariance))

@@ -18,6 +18,8 @@ from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
 OUT_OF_REACH = 1e-2
+#: Even over odd response from which a model is rough on the scale of the samples.
+ROUGH = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,10 +85,12 @@ class Problem:
         return (moved > OUT_OF_REACH).any(axis=0) | broken.any(axis=0)
 
 
-def spread_floor(problem: Problem) -> FloatArray:
-    """Smallest sampling sd of z, shape (d,): 5 % of a log-scaled parameter, 5 % of a linear one's prior sd.
+def spread_floor(problem: Problem, roughness: float) -> FloatArray:
+    """Smallest sampling sd of z, shape (d,): a share of a log-scaled parameter, or of a linear one's prior sd.
 
-    Smaller steps measure the roughness of contact, not the slope of the residuals.
+    On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
+    ones they are exact, and large steps are not.
     """
+    share = 0.05 if roughness > ROUGH else 0.001
     space = problem.system.space
-    return np.where(space.log, 0.05 / space.prior_sd, 0.05)
+    return np.where(space.log, share / space.prior_sd, share)

@@ -21,8 +21,8 @@ Stage = Literal["explore", "polish", "done"]
 POLISH = 4
 #: A step below this share of the posterior sd has settled.
 SETTLED = 0.1
-#: Shares of the Gauss-Newton step that are tried; 0 keeps the estimate.
-LINE = np.array([1.0, 0.5, 0.2, 0.05, 0.0])
+#: Multiples of the Gauss-Newton step that are tried: on rough costs it is often too timid; 0 keeps the estimate.
+LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +67,8 @@ def advance(problem: Problem, state: State) -> State:
     first = np.zeros((len(windows), cost.nx if setting.first_state else 0))
     slopes = linearise(cost, state.z, first, state.spread, setting.samples, rng)
     found = information(slopes)
-    taken = gauss_newton(problem, cost, state, found, windows)
+    floor = spread_floor(problem, slopes.roughness)
+    taken = gauss_newton(problem, cost, state, found, windows, floor)
     scale = noise_scale(cost, found, state.scale)
     moved = np.abs(taken.z - state.z) / taken.sd
     settled = bool((moved < SETTLED).all()) and taken.spread_settled
@@ -97,9 +98,18 @@ class Step:
 
 
 def gauss_newton(
-    problem: Problem, cost: MatchingCost, state: State, found: Information, windows: Sequence[Window]
+    problem: Problem,
+    cost: MatchingCost,
+    state: State,
+    found: Information,
+    windows: Sequence[Window],
+    floor: FloatArray,
 ) -> Step:
-    """Step towards the minimum of the linearised cost plus prior; the true cost decides how far."""
+    """Step towards the minimum of the linearised cost plus prior; the true cost decides how far.
+
+    Args:
+        floor: Smallest sampling sd worth having, shape (d,).
+    """
     weight = clip_weights(cost, found) * problem.coverage(windows)
     hessian = np.einsum("c,cij->ij", weight, found.matrix) + np.eye(state.z.size)
     gradient = np.einsum("c,ci->i", weight, found.score) + state.z
@@ -112,8 +122,7 @@ def gauss_newton(
     residuals = cost.residuals(tried, first if first.shape[2] else None)
     values = objective(cost, residuals, first, found.times, weight) + (tried**2).sum(axis=1)
     best = int(np.argmin(values))
-    floor = spread_floor(problem)
-    wanted = 2.0 * state.spread if reach.max() > 1.0 else np.maximum(2.0 * sd, 0.4 * state.spread)
+    wanted = 2.0 * state.spread if reach.max() > 1.0 else np.maximum(2.0 * sd, 0.6 * state.spread)
     spread = np.clip(wanted, floor, np.maximum(0.5, floor)) * problem.active
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     return Step(
