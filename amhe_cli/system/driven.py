@@ -33,7 +33,7 @@ def actuators(made: Plan, name: str, entry: SignalEntry) -> None:
 def _commanded(model: mujoco.MjModel, row: int) -> str:
     """What an actuator's control is: a servo's target or a motor's effort."""
     bias = model.actuator_biasprm[row]
-    if model.actuator_biastype[row] == mujoco.mjtBias.mjBIAS_AFFINE:
+    if int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE:
         return "position" if bias[1] else "velocity"
     return "effort"
 

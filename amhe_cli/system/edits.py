@@ -112,7 +112,8 @@ class ModelEdits:
     """Writes parameter vectors into a model's arrays.
 
     Edits act in the order given, always upon the base model's own values: writing twice is the same
-    as writing once.
+    as writing once. Where single moments of inertia are parameters, the largest is kept to the sum of
+    the other two: no real body has more, and MuJoCo would load none.
 
     Args:
         model: The base model.
@@ -134,6 +135,8 @@ class ModelEdits:
         self.cells = tuple(cells for edit in self._edits for cells in edit.cells)
         self.fields: tuple[str, ...] = tuple(dict.fromkeys(cells.field for cells in self.cells))
         self.needs_set_const = any(field in mujoco.MjModel._setconst_inputs for field in self.fields)
+        single = (c for c in self.cells if c.field == "body_inertia" and len(c.columns) == 1)
+        self._moments = tuple(dict.fromkeys(c.row for c in single))
         self._base = [(c, np.array(getattr(model, c.field)[c.index[1:]])) for c in self.cells]
 
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
@@ -155,6 +158,9 @@ class ModelEdits:
             arrays[cells.field][cells.index] = own
         for edit in self._edits:
             edit.write(arrays, theta)
+        for row in self._moments:
+            inertia = arrays["body_inertia"][:, row]
+            inertia[:] = np.minimum(inertia, inertia.sum(axis=-1, keepdims=True) - inertia)
 
     def apply(self, model: mujoco.MjModel, theta: FloatArray) -> mujoco.MjModel:
         """Copy of the model with one candidate (d,) in it, derived constants included.

@@ -12,7 +12,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.system.load import read_spec
+from amhe_cli.system.model_file import compiled, read_spec
 from amhe_cli.system.system import System
 
 #: Folder beside an exported model for its meshes, textures and height fields.
@@ -30,7 +30,7 @@ def identified_xml(system: System, theta: FloatArray) -> str:
     are referred to as `assets/...` only: copy those that `identified_assets` names beside the text.
     """
     spec = read_spec(system.model_path)
-    spec.compile()  # gives every element its row in the compiled model
+    compiled(spec)  # gives every element its row in the compiled model
     model = system.edits.apply(system.model, theta)
     _write_inertials(spec, model, {c.row for c in system.edits.cells if c.field in _INERTIAL})
     for field, row in dict.fromkeys((c.field, c.row) for c in system.edits.cells):
@@ -43,7 +43,7 @@ def identified_xml(system: System, theta: FloatArray) -> str:
 def identified_assets(system: System) -> dict[str, Path]:
     """Files that the text of `identified_xml` refers to: path beside it -> the original."""
     spec = read_spec(system.model_path)
-    spec.compile()
+    compiled(spec)
     return _portable(spec, system.model_path.parent)[1]
 
 
@@ -58,7 +58,7 @@ def _write_inertials(spec: mujoco.MjSpec, model: mujoco.MjModel, rows: set[int])
     options = spec.compiler
     if (
         options.settotalmass > 0
-        or options.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+        or int(options.inertiafromgeom) == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
     ):
         rows = set(range(1, model.nbody)) if rows else rows  # else these would undo the values
         options.settotalmass = -1
@@ -68,9 +68,21 @@ def _write_inertials(spec: mujoco.MjSpec, model: mujoco.MjModel, rows: set[int])
             body.explicitinertial = True
             body.mass = model.body_mass[body.id]
             body.ipos, body.iquat = model.body_ipos[body.id], model.body_iquat[body.id]
-            body.inertia = model.body_inertia[body.id]
+            body.inertia = _loadable(model.body_inertia[body.id])
             body.fullinertia = np.full(6, np.nan)
             body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
+
+
+def _loadable(moments: FloatArray) -> FloatArray:
+    """Moments of six digits that still satisfy the triangle inequality, which MuJoCo checks exactly."""
+    rounded = np.array([float(f"{moment:.6g}") for moment in moments])
+    largest = int(np.argmax(rounded))
+    most = rounded.sum() - rounded[largest]
+    value = rounded[largest]
+    while rounded[largest] > most:
+        value *= 1.0 - 1e-6
+        rounded[largest] = float(f"{value:.6g}")
+    return rounded
 
 
 def _write(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, row: int) -> None:

@@ -13,6 +13,7 @@ import amhe_cli
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.system.cautions import caution
 from amhe_cli.system.channels import plan
+from amhe_cli.system.model_file import compiled, read_spec
 from amhe_cli.system.schema import SystemEntry, keys_at, validated
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import id_of
@@ -136,18 +137,6 @@ def _check_names(file: YamlFile, overrides: Mapping[str, Any]) -> None:
                 raise ConfigError(f"setting {group}.{name}: {one_of(group[:-1], str(name), map(str, known))}")
 
 
-def read_spec(path: Path) -> mujoco.MjSpec:
-    """A model file, MJCF or URDF.
-
-    Raises:
-        ConfigError: MuJoCo cannot read it.
-    """
-    try:
-        return mujoco.MjSpec.from_file(str(path))
-    except (ValueError, mujoco.FatalError) as error:
-        raise ConfigError(f"MuJoCo cannot read {path.name!r}: {' '.join(str(error).split())}") from None
-
-
 def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | None:
     if not path.is_file():
         file.problem(("model",), f"no file {entry.model!r} beside this one; give an MJCF or a URDF")
@@ -161,9 +150,9 @@ def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | Non
 
 def _compiled(file: YamlFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
-        return spec.compile()
-    except (ValueError, mujoco.FatalError) as error:
-        file.problem(("model",), f"MuJoCo cannot compile it: {' '.join(str(error).split())}")
+        return compiled(spec)
+    except ConfigError as error:
+        file.problem(("model",), str(error))
         file.raise_problems()
         raise
 

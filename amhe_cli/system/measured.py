@@ -10,7 +10,7 @@ from amhe_cli.system.targets import id_of
 from amhe_cli.system.wiring import (
     Plan,
     channel_of,
-    known,
+    check_noise,
     names_of_log,
     one_quantity,
     signal_of,
@@ -33,7 +33,7 @@ _SITE_SENSORS = {
 def _free_joint(model: mujoco.MjModel, body: int) -> int | None:
     """The body's free joint."""
     first = int(model.body_jntadr[body])
-    return first if first >= 0 and model.jnt_type[first] == mujoco.mjtJoint.mjJNT_FREE else None
+    return first if first >= 0 and int(model.jnt_type[first]) == mujoco.mjtJoint.mjJNT_FREE else None
 
 
 def body(made: Plan, name: str, entry: SignalEntry) -> None:
@@ -46,7 +46,7 @@ def body(made: Plan, name: str, entry: SignalEntry) -> None:
     if joint is None:
         _at_site(made, name, entry, made.site_on(own), POSE)
         return
-    known(entry, POSE)
+    check_noise(entry, POSE)
     signal = signal_of(name, entry, POSE)
     position, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     for quantity, source, first, width in (
@@ -71,7 +71,7 @@ def site(made: Plan, name: str, entry: SignalEntry) -> None:
 
 def _at_site(made: Plan, name: str, entry: SignalEntry, site: str, known: tuple[str, ...]) -> None:
     """Compare quantities at a site with sensors that are added there."""
-    known(entry, known)
+    check_noise(entry, known)
     compared = {quantity: sd for quantity, sd in entry.noise.items() if sd is not None}
     if not compared:
         raise ConfigError(f"give noise for what is to be compared: {', '.join(known)}")
@@ -87,7 +87,7 @@ def _at_site(made: Plan, name: str, entry: SignalEntry, site: str, known: tuple[
 
 def joints(made: Plan, name: str, entry: SignalEntry) -> None:
     """State of hinge and slide joints, and the effort of their actuators."""
-    known(entry, ("position", "velocity", "effort"))
+    check_noise(entry, ("position", "velocity", "effort"))
     own, logged = names_of_log(entry.joints)
     rows = single_joints(made.model, own)
     effort = entry.noise.get("effort")
@@ -113,7 +113,7 @@ def joints(made: Plan, name: str, entry: SignalEntry) -> None:
 def sensor(made: Plan, name: str, entry: SignalEntry) -> None:
     """Sensors that the model has itself."""
     quantity = one_quantity(entry, "value")
-    known(entry, (quantity,))
+    check_noise(entry, (quantity,))
     sd = entry.noise.get(quantity)
     if sd is None:
         raise ConfigError(f"give noise: {{{quantity}: SD}}, the standard deviation of the measurement")

@@ -230,11 +230,11 @@ def _joint(field: str) -> Mapping:
 def _gain(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
     """Gain of a motor or servo; a servo's bias holds the same gain, negated, and must follow it."""
     name = model.actuator(row).name
-    if model.actuator_gaintype[row] != mujoco.mjtGain.mjGAIN_FIXED:
+    if int(model.actuator_gaintype[row]) != mujoco.mjtGain.mjGAIN_FIXED:
         raise ConfigError(f"actuator {name!r} has no fixed gain: only motors and servos have one to set")
     gain, bias = model.actuator_gainprm[row, 0], model.actuator_biasprm[row]
     cells = [Cells("actuator_gainprm", row, (0,))]
-    if model.actuator_biastype[row] == mujoco.mjtBias.mjBIAS_AFFINE and gain:
+    if int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE and gain:
         tied = next((column for column in (1, 2) if np.isclose(bias[column], -gain)), None)
         cells += [Cells("actuator_biasprm", row, (tied,), -1.0)] if tied else []
     return cells
@@ -242,7 +242,7 @@ def _gain(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
 
 def _actuator_damping(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
     name = model.actuator(row).name
-    if model.actuator_biastype[row] != mujoco.mjtBias.mjBIAS_AFFINE:
+    if int(model.actuator_biastype[row]) != mujoco.mjtBias.mjBIAS_AFFINE:
         raise ConfigError(
             f"actuator {name!r} is a motor, which has no velocity term; set the joint's damping"
         )

@@ -224,6 +224,6 @@ def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str
             if cells[0].field.startswith("jnt_")
             else int(model.dof_jntid[cells[0].row])
         )
-        if model.jnt_type[row] == mujoco.mjtJoint.mjJNT_SLIDE:
+        if int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_SLIDE:
             return slides.get(unit, unit)
     return unit

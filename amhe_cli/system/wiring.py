@@ -117,7 +117,7 @@ def names_of_log(names: list[str] | Mapping[str, str] | None) -> tuple[list[str]
     return list(names or ()), list(names or ())
 
 
-def known(entry: SignalEntry, quantities: tuple[str, ...]) -> None:
+def check_noise(entry: SignalEntry, quantities: tuple[str, ...]) -> None:
     """Refuse noise of a quantity that this kind of signal does not have."""
     for quantity in entry.noise:
         if quantity not in quantities:
@@ -150,7 +150,7 @@ def single_joints(model: mujoco.MjModel, names: Iterable[str]) -> list[int]:
     """Rows of hinge and slide joints."""
     rows = [id_of(model, "joint", name) for name in names]
     for row in rows:
-        if model.jnt_type[row] in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+        if int(model.jnt_type[row]) in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
             body = model.body(model.jnt_bodyid[row]).name
             raise ConfigError(
                 f"joint {model.joint(row).name!r} has no single position; only hinge and slide joints do. "

@@ -19,7 +19,7 @@ TARGETS = {  # target: (keys, theta, field, index, expected)
     "{body: box, set: mass}": ("", 3.0, "body_mass", 1, 3.0),
     "{body: box, set: mass, mode: scale}": ("", 1.5, "body_mass", 1, 3.0),
     "{body: box, set: mass, mode: add}": ("bounds: [-1, 1]", 0.5, "body_mass", 1, 2.5),
-    "{body: box, set: inertia, axis: z}": ("", 0.05, "body_inertia", (1, 2), 0.05),
+    "{body: box, set: inertia, axis: z}": ("", 0.02, "body_inertia", (1, 2), 0.02),
     "{body: hand, set: inertia, axis: x, mode: scale}": ("", 2.0, "body_inertia", None, None),
     "{body: hand, set: center_of_mass, axis: x}": ("bounds: [-0.1, 0.1]", 0.05, "body_ipos", (3, 0), 0.05),
     "{pair: slide, set: sliding_friction}": ("", 0.3, "pair_friction", (0, slice(2)), 0.3),
@@ -128,6 +128,19 @@ def test_the_model_is_compiled_at_the_nominal_parameters(with_target: Write) -> 
     assert back.body_inertia[1, 0] == pytest.approx(2.0 * 0.2**2 / 6.0)
 
 
+def test_single_moments_stay_those_of_a_real_body(written: Write) -> None:
+    keys = "bounds: [0.0001, 1]"
+    system = load_system(
+        written(
+            f"  x: {{targets: [{{body: box, set: inertia, axis: x}}], {keys}}}\n"
+            f"  y: {{targets: [{{body: box, set: inertia, axis: y}}], {keys}}}\n"
+        )
+    )
+    inertia = system.edits.apply(system.model, np.array([0.5, 0.1])).body_inertia[1]
+    np.testing.assert_allclose(inertia, [0.1 + 2.0 * 0.2**2 / 6.0, 0.1, 2.0 * 0.2**2 / 6.0])
+    assert_batch_equals_models(system, np.array([[0.5, 0.1], [0.01, 0.02]]))
+
+
 class TestPseudoInertia:
     @pytest.fixture
     def system(self, with_target: Write):
@@ -232,9 +245,7 @@ def test_a_target_that_changes_nothing_is_refused_by_name(target: str, with_targ
         ("{body: hand, set: pseudo_inertia}", "nominal: 0.1", "relative to the model's own inertia"),
     ],
 )
-def test_impossible_values_are_refused(
-    target: str, keys: str, text: str, with_target: Write
-) -> None:
+def test_impossible_values_are_refused(target: str, keys: str, text: str, with_target: Write) -> None:
     """MuJoCo accepts a negative mass in silence."""
     with pytest.raises(ConfigError, match=text):
         load_system(with_target(target, keys))

@@ -87,7 +87,10 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
         ("model: [\n", "2:1: not valid YAML"),
         ("- a\n", "1:1: this file must be a mapping"),
         ("", "1:1: this file lacks the key 'model'"),
-        ("model: !!python/object/apply:os.system [ls]\n", "1:8: not valid YAML: could not determine a constructor"),
+        (
+            "model: !!python/object/apply:os.system [ls]\n",
+            "1:8: not valid YAML: could not determine a constructor",
+        ),
         ("a: {b: 1, b: 2}\nc: 1\nc: 2\n", "1:11: key 'b' is here twice"),
     ],
 )
@@ -99,7 +102,7 @@ def test_what_is_no_system_file_is_refused(text: str, line: str, tmp_path: Path)
 def test_a_missing_or_broken_model_is_a_mistake_of_the_model_key(written: Write) -> None:
     folder = written("  p: {targets: [{body: box, set: mass}]}\n")
     (folder / "scene.xml").write_text("<mujoco><worldbody><geom/></worldbody></mujoco>")
-    assert "1:8: MuJoCo cannot compile it" in problems(folder)[0]
+    assert "1:8: MuJoCo cannot compile the model" in problems(folder)[0]
     (folder / "scene.xml").write_text("<mujoco><worldbod/></mujoco>")
     assert "1:8: MuJoCo cannot read 'scene.xml'" in problems(folder)[0]
     (folder / "scene.xml").unlink()
@@ -132,7 +135,9 @@ def test_bundled_systems_are_found_by_name_and_folders_by_path(tmp_path: Path) -
         find_system(str(tmp_path))
 
 
-def test_joints_that_no_signal_measures_are_named_unless_a_keyframe_holds_them(written: Write, caplog) -> None:
+def test_joints_that_no_signal_measures_are_named_unless_a_keyframe_holds_them(
+    written: Write, caplog
+) -> None:
     target = "  p: {targets: [{body: box, set: mass}]}\n"
     with caplog.at_level(logging.WARNING):
         load_system(written(target))

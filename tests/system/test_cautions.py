@@ -1,0 +1,81 @@
+"""Contact traps that make a parameter look unidentifiable are said when a system is loaded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.system.load import load_system
+
+MODEL = """
+<mujoco>
+  <worldbody>
+    <geom name="floor" type="plane" size="5 5 1" friction="1 0.005 0.0001"/>
+    <body name="box" pos="0 0 0.1">
+      <freejoint/><geom name="box" type="box" size="0.1 0.1 0.1" friction="0.5 0.005 0.0001" {box}/>
+    </body>
+  </worldbody>
+  {pair}
+</mujoco>
+"""
+SIGNALS = "signals: {b: {topic: /b, body: box, noise: {position: 0.01}}}\n"
+
+
+@pytest.fixture
+def said(written: Callable[..., Path], caplog) -> Callable[..., str]:
+    """What is warned of one target."""
+
+    def load(target: str, keys: str = "", box: str = "", pair: str = "") -> str:
+        model = MODEL.format(box=box, pair=pair)
+        text = f"  p: {{targets: [{target}]{keys}}}\n"
+        load_system(written(text, signals=SIGNALS, model=model, more=""))
+        return caplog.text
+
+    return load
+
+
+PAIR = '<contact><pair name="slide" geom1="box" geom2="floor" condim="{}"/></contact>'
+FRICTION = "{geom: box, set: sliding_friction}"
+
+
+def test_the_larger_friction_of_two_geoms_hides_the_smaller(said) -> None:
+    assert "below 1 it changes nothing against geom 'floor'" in said(FRICTION)
+
+
+def test_not_when_both_are_set_together(said) -> None:
+    both = f"{FRICTION}, {{geom: floor, set: sliding_friction}}"
+    assert said(both, ", nominal: 0.5") == ""
+
+
+def test_not_when_the_geom_has_priority(said) -> None:
+    assert said(FRICTION, box='priority="1"') == ""
+
+
+def test_priority_of_the_other_geom_decides(said) -> None:
+    assert "whose higher priority decides" in said("{geom: floor, set: sliding_friction}", box='priority="1"')
+
+
+def test_not_when_the_bounds_stay_above_the_other_geom(said) -> None:
+    assert said(FRICTION, ", nominal: 2, bounds: [1.5, 3]") == ""
+
+
+def test_a_geom_that_only_collides_in_pairs_ignores_its_own_friction(said) -> None:
+    text = said(FRICTION, box='contype="0" conaffinity="0"', pair=PAIR.format(3))
+    assert "target the pair" in text
+
+
+def test_torsional_friction_needs_a_larger_contact_dimension(said) -> None:
+    text = said("{pair: slide, set: torsional_friction}", pair=PAIR.format(3))
+    assert "pair 'slide' has condim 3; torsional friction acts from condim 4" in text
+    assert "rolling friction acts from condim 6" in said("{geom: box, set: rolling_friction}")
+
+
+def test_enough_contact_dimension_is_quiet(said) -> None:
+    assert said("{pair: slide, set: torsional_friction}", pair=PAIR.format(4)) == ""
+
+
+def test_a_time_constant_below_two_steps_is_not_what_is_simulated(said) -> None:
+    text = said("{geom: box, set: contact_time_constant}", ", bounds: [0.001, 0.1]")
+    assert "below two time steps, 0.004 s, acts as 0.004 s" in text
