@@ -33,7 +33,7 @@ class ClipSettings(_Group):
     length: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (0.3, 2.0)
     """Clip lengths [s], drawn uniformly; capped by the log's own length."""
     count: Annotated[int, Field(ge=1)] = 24
-    """Clips in one iteration; re-drawn for the next."""
+    """Clips in one iteration, re-drawn for the next; fewer where they would cover the logs twice."""
     held_out: Annotated[float, Field(ge=0, lt=1)] = 0.25
     """Share of the logs' time kept for validation when no `--held-out` log is given."""
     held_out_length: Annotated[float, Field(gt=0)] | None = None
@@ -56,8 +56,9 @@ class CostSettings(_Group):
 class IdentifySettings(_Group):
     """SPI: offline identification over all clips."""
 
-    samples: Annotated[int, Field(ge=4)] = 32
-    """Candidates of one iteration."""
+    samples: Annotated[int, Field(ge=4)] = 16
+    """Candidates of one iteration; the linearised method takes two for each unknown of a clip if that is
+    more."""
     iterations: Annotated[int, Field(ge=1)] = 12
     """Iterations of the linearised method."""
     cmaes_iterations: Annotated[int, Field(ge=1)] = 40

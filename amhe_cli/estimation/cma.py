@@ -66,7 +66,7 @@ def total(problem: Problem, state: State) -> int:
 def advance(problem: Problem, state: State) -> State:
     """One generation: draw clips, ask, evaluate all candidates on the same clips, tell."""
     rng = problem.rng(1, state.start, state.generation)
-    windows = problem.pool.draw(rng, problem.settings.clips.count)
+    windows = problem.pool.draw(rng, problem.clip_count)
     cost = problem.cost(windows, state.scale)
     optimizer = _restored(problem, state, rng)
     free = np.flatnonzero(problem.active)

@@ -18,6 +18,8 @@ from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
 OUT_OF_REACH = 1e-2
+#: Random clips drawn even from a log too short for them side by side.
+FEWEST = 8
 #: Even over odd response from which a model is rough on the scale of the samples.
 ROUGH = 0.02
 
@@ -62,6 +64,11 @@ class Problem:
         if len(tiles) > most:
             tiles = [tiles[i] for i in np.linspace(0, len(tiles) - 1, most).round().astype(int)]
         return tuple(tiles)
+
+    @cached_property
+    def clip_count(self) -> int:
+        """Random clips of one iteration: no more than the logs hold side by side, but some."""
+        return min(self.settings.clips.count, max(FEWEST, len(self.tiles)))
 
     def coverage(self, windows: Sequence[Window]) -> float:
         """Time in the fitted logs over time in these clips: how often each clip's information counts."""

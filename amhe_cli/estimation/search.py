@@ -62,7 +62,7 @@ def advance(problem: Problem, state: State) -> State:
     setting = problem.settings.identify
     exploring = state.stage == "explore"
     rng = problem.rng(0, state.number)
-    windows = problem.pool.draw(rng, problem.settings.clips.count) if exploring else problem.tiles
+    windows = problem.pool.draw(rng, problem.clip_count) if exploring else problem.tiles
     cost = problem.cost(windows, state.scale)
     first = np.zeros((len(windows), cost.nx if setting.first_state else 0))
     slopes = linearise(cost, state.z, first, state.spread, setting.samples, rng)
