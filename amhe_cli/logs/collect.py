@@ -69,6 +69,13 @@ def _warn(
                 "%s: topic %r carries several types (%s): only %s is read",
                 log.path, signal.topic, ", ".join(sorted(types)), decoder.type,
             )  # fmt: skip
+        for quantity, count in (decoder.not_finite if decoder else {}).items():
+            # A driver that never fills in its efforts is no damage.
+            if decoder is not None and 0 < count < decoder.count:
+                logger.warning(
+                    "%s: topic %r: %d messages with %s that is not finite are dropped",
+                    log.path, signal.topic, count, quantity,
+                )  # fmt: skip
         if decoder is not None and decoder.odd:
             logger.warning(
                 "%s: topic %r: arrays of another length than the first message's are left out",

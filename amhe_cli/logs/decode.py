@@ -158,9 +158,10 @@ class SignalDecoder:
         self._seen: set[str] = set()
         self._parts = _Parts(values={quantity: [] for quantity in self._wanted})
         self._recipes: dict[int, tuple[Layout, list[_Columns]]] = {}
-        self._count = 0
+        self.count = 0
         self._has_header = False
         self.odd = 0
+        self.not_finite: dict[str, int] = dict.fromkeys(self._wanted, 0)
 
     def feed(self, batch: Batch, groups: Sequence[Group]) -> None:
         """Take the samples of one batch, as the splitter grouped it."""
@@ -171,7 +172,7 @@ class SignalDecoder:
                 self._recipes[key] = (group.layout, self._recipe(group.layout))
             for columns in self._recipes[key][1]:
                 self._take(columns, group, batch)
-        self._count += batch.starts.size
+        self.count += batch.starts.size
 
     def samples(self) -> Samples:
         """Everything collected.
@@ -291,13 +292,15 @@ class SignalDecoder:
         size = members.size
         zero = np.zeros(size, dtype=np.int64)
         parts = self._parts
-        parts.order.append(self._count + members)
+        parts.order.append(self.count + members)
         parts.log_ns.append(batch.log_ns[members])
         parts.publish_ns.append(batch.publish_ns[members])
         parts.header_ns.append(nanoseconds(rows, columns.stamp) if columns.stamp else zero)
         parts.delay_ns.append(nanoseconds(rows, columns.delay) if columns.delay else zero)
         for quantity, leaves in columns.values.items():
             block = _gather(rows, leaves)
+            present = [leaf is not None for leaf in leaves]
+            self.not_finite[quantity] += int((~np.isfinite(block[:, present])).any(axis=1).sum())
             if quantity in columns.unknown:
                 block[_gather(rows, [columns.unknown[quantity]])[:, 0] == -1.0] = np.nan
             parts.values[quantity].append(block)

@@ -6,7 +6,8 @@ Only definitions are parsed. No code is generated from them, so a log cannot mak
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cache
+from dataclasses import replace
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -58,7 +59,7 @@ class Definitions:
                 f"{topic} is encoded as {channel.encoding!r}; only ROS messages (cdr, ros1) are read"
             )
         try:
-            own = _parse(channel)
+            own = _parse(replace(channel, topic=""))
         except Exception as error:  # rosbags' parser raises many kinds on malformed text
             if channel.type not in _bundled(channel.encoding) and channel.type not in self._folder:
                 raise LogError(f"{topic}: the definition of {channel.type} in the log is damaged") from error
@@ -72,6 +73,7 @@ class Definitions:
         return types
 
 
+@lru_cache(maxsize=256)
 def _parse(channel: Channel) -> Types:
     """The log's own definition; nothing where it has none or a damaged one.
 

@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import Channel as ChannelRecord
 from mcap.records import ChunkIndex, Metadata, Schema, Statistics
@@ -57,6 +58,10 @@ class McapFile:
         self.metadata: dict[str, str] = {}
         self._schemas: dict[int, Schema] = {}
         self._by_id: dict[int, Channel] = {}
+        self._closed = self._data[-len(MAGIC) :] == MAGIC
+        self._notes: list[bytes] = []
+        self._intact = True
+        self._broken_chunks = 0
         self._read = 0
         self._latest_ns = 0
         self._first_ns: int | None = None
@@ -75,11 +80,13 @@ class McapFile:
         self._conclude(summary, whole)
 
     def read_metadata(self) -> dict[str, str]:
-        """The record named 'amhe', without reading any message."""
-        self._pieces(self._summary())
+        """The record named 'amhe', without decoding any message."""
+        for _ in self.batches(()):
+            pass
         return self.metadata
 
     def _conclude(self, summary: _Summary | None, whole: bool) -> None:
+        self._note_metadata()
         expected = summary.messages if summary else None
         if not whole and summary is None:
             seconds = (self._latest_ns - (self._first_ns or 0)) / 1e9
@@ -87,6 +94,8 @@ class McapFile:
                 f"recovered {self._read} messages up to t = {seconds:.1f} s; the file was not closed "
                 "(recorder crashed or copy incomplete)"
             )
+        elif not self._closed:
+            self.problems.append(f"the end of the file is missing, but all of its {self._read} messages are there")
         elif expected is not None and expected > self._read:
             self.problems.append(f"{expected - self._read} of {expected} messages are lost to damage")
 
@@ -95,7 +104,7 @@ class McapFile:
     def _summary(self) -> _Summary | None:
         """The summary section; None where there is none or its checksum is wrong."""
         tail = 9 + _FOOTER.size + len(MAGIC)
-        if len(self._data) < tail + len(MAGIC) or self._data[-len(MAGIC) :] != MAGIC:
+        if len(self._data) < tail + len(MAGIC) or not self._closed:
             return None
         at = len(self._data) - tail
         opcode, size = _RECORD.unpack_from(self._data, at)
@@ -109,7 +118,7 @@ class McapFile:
         try:
             for opcode, first, stop in _split(self._data, start, at):
                 self._summarise(summary, opcode, self._data[first:stop])
-        except (ValueError, struct.error):
+        except (ValueError, struct.error, EndOfFile):
             return None
         return summary
 
@@ -128,8 +137,7 @@ class McapFile:
         end = summary.start if summary else len(self._data)
         chunks: dict[int, tuple[int, int, int]] = {}
         loose: list[tuple[int, int, int]] = []
-        metadata: list[bytes] = []
-        whole, crc = False, 0
+        whole, crc, crc_end = False, 0, 0
         try:
             for opcode, start, stop in _split(self._data, len(MAGIC), end):
                 if opcode == Opcode.DATA_END:
@@ -142,34 +150,29 @@ class McapFile:
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
                     _extend(loose, start - 9, stop)
                 elif opcode == Opcode.METADATA:
-                    metadata.append(self._data[start:stop])
+                    self._notes.append(self._data[start:stop])
         except ValueError as error:
             self.problems.append(f"the file is damaged or cut off: {error}")
-        intact = not (whole and crc) or zlib.crc32(memoryview(self._data)[:crc_end]) == crc
-        self._trust(intact, loose, metadata)
+        self._intact = not (whole and crc) or zlib.crc32(memoryview(self._data)[:crc_end]) == crc
+        if loose and not self._intact:
+            raise ValueError("its checksum is wrong and it has no chunks: no message in it can be trusted")
         for offset, index in (summary.chunks if summary else {}).items():
             chunks.setdefault(offset, (offset + 9, offset + index.chunk_length, Opcode.CHUNK))
         return sorted([*chunks.values(), *loose]), whole
 
-    def _trust(self, intact: bool, loose: list[tuple[int, int, int]], metadata: list[bytes]) -> None:
-        """Use what lies outside of chunks only if the checksum over the whole file does not deny it."""
-        if intact:
-            for body in metadata:
-                self._note(body)
-            return
-        if loose:
-            raise ValueError("its checksum is wrong and it has no chunks: no message in it can be trusted")
-        if metadata:
+    def _note_metadata(self) -> None:
+        """Take the metadata, unless the checksum over the file is wrong and no chunk is to blame."""
+        if self._notes and not self._intact and not self._broken_chunks:
             self.problems.append("the file's checksum is wrong: its metadata record is not used")
-
-    def _note(self, body: bytes) -> None:
-        try:
-            record = Metadata.read(_stream(body))
-        except (ValueError, struct.error):
-            self.problems.append("a metadata record is damaged and not used")
             return
-        if record.name == "amhe":
-            self.metadata |= record.metadata
+        for body in self._notes:
+            try:
+                record = Metadata.read(_stream(body))
+            except (ValueError, struct.error, EndOfFile):
+                self.problems.append("a metadata record is damaged and not used")
+                continue
+            if record.name == "amhe":
+                self.metadata |= record.metadata
 
     # -- what is in a piece ---------------------------------------------------------------------------
 
@@ -177,6 +180,7 @@ class McapFile:
         try:
             data = self._unfold(start, stop)
         except (ValueError, struct.error) as error:
+            self._broken_chunks += 1
             self.problems.append(f"a chunk at byte {start - 9}{self._span(start)} is lost: {error}")
             return
         yield from self._records(data, 0, len(data), topics)

@@ -29,7 +29,7 @@ def checked(samples: Samples, signal: Signal, warn: Callable[[str], None]) -> Sa
     values = {quantity: np.array(block) for quantity, block in samples.values.items()}
     for quantity, block in values.items():
         with np.errstate(invalid="ignore"):
-            absurd = np.isinf(block) | (np.abs(block) > _ABSURD)
+            absurd = np.abs(block) > _ABSURD
         if absurd.any():
             warn(f"{int(absurd.any(axis=1).sum())} messages with impossible {quantity} are dropped")
             block[absurd.any(axis=1)] = np.nan

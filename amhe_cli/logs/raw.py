@@ -113,8 +113,10 @@ def readable(path: Path) -> Iterator[None]:
     """Turn whatever a broken or hostile file makes the libraries raise into one line that names it."""
     try:
         yield
-    except AmheError:
-        raise
+    except AmheError as error:
+        if str(path) in str(error):
+            raise
+        raise type(error)(f"{path}: {error}") from error
     except Exception as error:
         logger.debug("%s: unreadable", path, exc_info=True)
         reason = str(error).split("\n")[0] or type(error).__name__

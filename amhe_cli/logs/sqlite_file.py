@@ -6,10 +6,14 @@ out, but a flipped bit inside a message's payload cannot be noticed.
 
 from __future__ import annotations
 
+import os
 import re
 import sqlite3
 from collections.abc import Collection, Iterator
 from pathlib import Path
+from shutil import copyfileobj
+from tempfile import NamedTemporaryFile
+from typing import IO
 from urllib.parse import quote
 
 from amhe_cli.logs.compression import LIMIT
@@ -25,18 +29,22 @@ class SqliteFile:
     format = "rosbag2 sqlite3"
 
     def __init__(self, path: Path) -> None:
+        self.channels: list[Channel] = []
+        self.problems: list[str] = []
+        self.metadata: dict[str, str] = {}
+        self._size = path.stat().st_size
+        self._completed = _completed(path)
+        if self._completed is not None:
+            self.problems.append("the file is cut off (copy incomplete)")
+            path = Path(self._completed.name)
         # A journal beside the file means that the recorder crashed; sqlite then needs to see it.
         journal = path.with_name(path.name + "-wal")
         mode = "mode=ro" if journal.exists() and journal.stat().st_size else "immutable=1"
-        self._size = path.stat().st_size
         self._database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
         # Without this, sqlite refuses a file that is shorter than its header says.
         self._database.execute("PRAGMA writable_schema=ON")
         self._database.execute("PRAGMA cell_size_check=ON")
         self._database.text_factory = lambda text: text.decode("utf-8", "replace")
-        self.channels: list[Channel] = []
-        self.problems: list[str] = []
-        self.metadata: dict[str, str] = {}
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all), in the order they were recorded."""
@@ -99,8 +107,8 @@ class SqliteFile:
 
     def _suspect_rows(self) -> set[int]:
         """Rows whose stamp contradicts the index."""
-        if self._size > LIMIT:
-            return set()  # a check as long as the reading itself
+        if self._size > LIMIT or self._completed is not None:
+            return set()  # a check as long as the reading itself, or one that finds only what is known
         try:
             report = [line for (line,) in self._database.execute("PRAGMA integrity_check(1000)")]
         except sqlite3.DatabaseError as error:
@@ -114,3 +122,30 @@ class SqliteFile:
 def _batch(channel: Channel, rows: list[tuple[int, bytes]]) -> Batch:
     times, payloads = zip(*rows, strict=True)
     return batch_of(channel, times, times, payloads)
+
+
+def _completed(path: Path) -> IO[bytes] | None:
+    """A copy of a cut-off file at its full length; None if the file is not cut off.
+
+    sqlite would read the missing bytes as zeros, and those pass as measurements. Pages of 0xFF instead are
+    no valid pages, and as payload they are NaN.
+    """
+    with path.open("rb") as file:
+        head = file.read(100)
+        page = int.from_bytes(head[16:18], "big")
+        page = 65536 if page == 1 else page
+        missing = page * int.from_bytes(head[28:32], "big") - path.stat().st_size
+        if len(head) == 100 and missing <= 0:
+            return None
+        if len(head) < 100 or missing > LIMIT:
+            raise ValueError("the database is cut off, and too much of it is missing")
+        file.seek(0)
+        copy = NamedTemporaryFile(prefix="amhe-", suffix=".db3")  # noqa: SIM115 (lives as long as the reader)
+        copyfileobj(file, copy)
+        copy.truncate(path.stat().st_size // page * page)
+        copy.seek(0, os.SEEK_END)
+        missing += path.stat().st_size % page
+        for start in range(0, missing, 2**20):
+            copy.write(b"\xff" * min(2**20, missing - start))
+        copy.flush()
+    return copy

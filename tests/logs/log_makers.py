@@ -1,0 +1,211 @@
+"""Small logs with known content, in every format, written with the libraries that roboticists use."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from rosbags import rosbag1, rosbag2
+from rosbags.typesys import Stores, get_typestore
+
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.core.trajectory import Trajectory
+
+T0 = 1_700_000_000_000_000_000
+DT = 0.01
+JOINTS = ("hip", "knee", "ankle")
+ROS2 = get_typestore(Stores.LATEST)
+ROS1 = get_typestore(Stores.ROS1_NOETIC)
+JS, ODOM, ARRAY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry", "std_msgs/msg/Float64MultiArray"
+
+SIGNALS = (
+    Signal("joints", "/joint_states", ("position", "velocity"), names=JOINTS),
+    Signal("body", "/odom", ("position", "orientation", "linear_velocity", "angular_velocity")),
+)
+SETTINGS = LogSettings()
+
+
+@dataclass(frozen=True)
+class Message:
+    """A message of either ROS, before it is serialised."""
+
+    topic: str
+    type: str
+    stamp_ns: int
+    content: Any
+
+
+def make(store: Any, name: str, /, **fields: Any) -> Any:
+    return store.types[name](**fields)
+
+
+def header(store: Any, stamp_ns: int, frame: str = "world", seq: int = 0) -> Any:
+    time = make(store, "builtin_interfaces/msg/Time", sec=stamp_ns // 10**9, nanosec=stamp_ns % 10**9)
+    extra = {"seq": seq} if store is ROS1 else {}
+    return make(store, "std_msgs/msg/Header", stamp=time, frame_id=frame, **extra)
+
+
+def vector(store: Any, xyz: Sequence[float], name: str = "Vector3") -> Any:
+    return make(store, f"geometry_msgs/msg/{name}", x=float(xyz[0]), y=float(xyz[1]), z=float(xyz[2]))
+
+
+def quaternion(store: Any, wxyz: Sequence[float]) -> Any:
+    w, x, y, z = map(float, wxyz)
+    return make(store, "geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+
+def pose(store: Any, xyz: Sequence[float], wxyz: Sequence[float]) -> Any:
+    return make(
+        store,
+        "geometry_msgs/msg/Pose",
+        position=vector(store, xyz, "Point"),
+        orientation=quaternion(store, wxyz),
+    )
+
+
+def joint_state(
+    store: Any,
+    stamp_ns: int,
+    names: Sequence[str],
+    position: Sequence[float],
+    velocity: Sequence[float] = (),
+    effort: Sequence[float] = (),
+) -> Any:
+    arrays = {"position": position, "velocity": velocity, "effort": effort}
+    return make(
+        store,
+        JS,
+        header=header(store, stamp_ns),
+        name=list(names),
+        **{key: np.array(value, dtype=float) for key, value in arrays.items()},
+    )
+
+
+def odometry(store: Any, stamp_ns: int, p: Any, q: Any, v: Any, w: Any) -> Any:
+    """v in the child frame, as ROS has it."""
+    g = "geometry_msgs/msg/"
+    twist = make(store, f"{g}Twist", linear=vector(store, v), angular=vector(store, w))
+    return make(
+        store,
+        ODOM,
+        header=header(store, stamp_ns),
+        child_frame_id="body",
+        pose=make(store, f"{g}PoseWithCovariance", pose=pose(store, p, q), covariance=np.zeros(36)),
+        twist=make(store, f"{g}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
+    )
+
+
+def truth(t: np.ndarray) -> dict[str, np.ndarray]:
+    """The motion in every made log: series of SIGNALS at times t [s] since T0."""
+    t = np.asarray(t, dtype=float)
+    zero, rate = np.zeros_like(t), 0.7
+    joints = np.stack([np.sin((k + 1) * t) for k in range(3)], axis=-1)
+    speeds = np.stack([(k + 1) * np.cos((k + 1) * t) for k in range(3)], axis=-1)
+    return {
+        "joints.position": joints,
+        "joints.velocity": speeds,
+        "body.position": np.stack([np.cos(t), np.sin(t), 0.1 * t], axis=-1),
+        "body.orientation": np.stack([np.cos(rate * t / 2), zero, zero, np.sin(rate * t / 2)], axis=-1),
+        "body.linear_velocity": np.stack([-np.sin(t), np.cos(t), 0.1 + zero], axis=-1),
+        "body.angular_velocity": np.stack([zero, zero, rate + zero], axis=-1),
+    }
+
+
+def motion(store: Any, steps: int = 200, dt: float = DT) -> list[Message]:
+    """Joint states and odometry of `truth`, both at multiples of dt."""
+    t = np.arange(steps) * dt
+    values = truth(t)
+    messages = []
+    for i in range(steps):
+        stamp = T0 + round(i * dt * 1e9)
+        row = {key: value[i] for key, value in values.items()}
+        turn = 0.7 * t[i]
+        c, s = np.cos(turn), np.sin(turn)
+        vx, vy, vz = row["body.linear_velocity"]
+        child = (c * vx + s * vy, -s * vx + c * vy, vz)
+        joints = joint_state(store, stamp, JOINTS, row["joints.position"], row["joints.velocity"])
+        body = odometry(
+            store, stamp, row["body.position"], row["body.orientation"], child, row["body.angular_velocity"]
+        )
+        messages += [Message("/joint_states", JS, stamp, joints), Message("/odom", ODOM, stamp, body)]
+    return messages
+
+
+def write_mcap(
+    path: Path,
+    messages: Sequence[Message],
+    *,
+    chunk_size: int = 8_192,
+    compression: CompressionType = CompressionType.ZSTD,
+    definitions: bool = True,
+    finish: bool = True,
+    log_delay_ns: int = 0,
+    **options: Any,
+) -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=chunk_size, compression=compression, **options)
+        writer.start(profile="ros2")
+        writer.add_metadata("amhe", {"system": "made", "seed": "7"})
+        channels: dict[tuple[str, str], int] = {}
+        for message in messages:
+            key = message.topic, message.type
+            if key not in channels:
+                text = ROS2.generate_msgdef(message.type, ros_version=2)[0] if definitions else ""
+                schema = writer.register_schema(message.type, "ros2msg" if definitions else "", text.encode())
+                channels[key] = writer.register_channel(message.topic, "cdr", schema)
+            data = bytes(ROS2.serialize_cdr(message.content, message.type))
+            log_ns = message.stamp_ns + log_delay_ns
+            writer.add_message(channels[key], log_ns, data, log_ns)
+        if finish:
+            writer.finish()
+    return path
+
+
+def write_rosbag2(path: Path, messages: Sequence[Message], storage: str = "sqlite3", mode: str = "none") -> Path:
+    plugin = {"sqlite3": rosbag2.StoragePlugin.SQLITE3, "mcap": rosbag2.StoragePlugin.MCAP}[storage]
+    writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+    if mode != "none":
+        writer.set_compression(rosbag2.CompressionMode[mode.upper()], rosbag2.CompressionFormat.ZSTD)
+    with writer:
+        connections: dict[str, Any] = {}
+        for message in messages:
+            if message.topic not in connections:
+                connections[message.topic] = writer.add_connection(message.topic, message.type, typestore=ROS2)
+            data = ROS2.serialize_cdr(message.content, message.type)
+            writer.write(connections[message.topic], message.stamp_ns, bytes(data))
+    return path
+
+
+def write_bag(path: Path, messages: Sequence[Message], compression: str = "", chunk_size: int = 8_192) -> Path:
+    writer = rosbag1.Writer(path)
+    writer.chunk_threshold = chunk_size
+    if compression:
+        writer.set_compression(rosbag1.Writer.CompressionFormat[compression.upper()])
+    with writer:
+        connections: dict[str, Any] = {}
+        for message in messages:
+            if message.topic not in connections:
+                connections[message.topic] = writer.add_connection(message.topic, message.type, typestore=ROS1)
+            data = ROS1.serialize_ros1(message.content, message.type)
+            writer.write(connections[message.topic], message.stamp_ns, bytes(data))
+    return path
+
+
+def wrong_samples(trajectory: Trajectory, tolerance: float = 1e-9) -> dict[str, int]:
+    """How many steps of each series claim a measurement that the true motion does not have."""
+    t = (trajectory.start_ns - T0) / 1e9 + np.arange(trajectory.steps) * trajectory.dt
+    true = truth(t)
+    if (trajectory.start_ns - T0) % round(DT * 1e9):  # a damaged first stamp: every step is interpolated
+        tolerance = 1e-3
+    wrong = {}
+    for key, series in trajectory.series.items():
+        error = np.abs(series.values - true[key]).max(axis=1)
+        wrong[key] = int(np.sum(error[series.sampled] > tolerance))
+        interpolated = series.valid & ~series.sampled
+        wrong[key] += int(np.sum(error[interpolated] > 0.15))
+    return wrong

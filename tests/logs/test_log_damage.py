@@ -1,0 +1,121 @@
+"""Cut-off and flipped logs: read with a warning, or refused in one line; never wrong, never a traceback."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.logs.log_makers import DT, ROS1, ROS2, SETTINGS, SIGNALS, motion, write_bag, write_mcap, write_rosbag2, wrong_samples
+
+from amhe_cli.core.errors import LogError
+from amhe_cli.core.trajectory import Trajectory
+from amhe_cli.logs import read_metadata, read_trajectory, survey
+
+FORMATS = ("mcap", "mcap_plain", "mcap_loose", "db3", "bag", "bag_lz4", "bag_bz2")
+STEPS = 120
+#: Formats without checksums, and how many samples a flipped bit may spoil there: those of its message, or
+#: of its chunk where compression copies it.
+UNPROTECTED = {"db3": 1, "bag": 1, "bag_lz4": 40}
+
+
+@pytest.fixture(scope="module")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    folder = tmp_path_factory.mktemp("originals")
+    two, one = motion(ROS2, STEPS), motion(ROS1, STEPS)
+    from mcap.writer import CompressionType
+
+    plain = CompressionType.NONE
+    paths = {
+        "mcap": write_mcap(folder / "a.mcap", two),
+        "mcap_plain": write_mcap(folder / "b.mcap", two, compression=plain, enable_data_crcs=True),
+        "mcap_loose": write_mcap(folder / "c.mcap", two, use_chunking=False, enable_data_crcs=True),
+        "db3": write_rosbag2(folder / "d", two) / "d.db3",
+        "bag": write_bag(folder / "e.bag", one),
+        "bag_lz4": write_bag(folder / "f.bag", one, "lz4"),
+        "bag_bz2": write_bag(folder / "g.bag", one, "bz2"),
+    }
+    return {name: path.read_bytes() for name, path in paths.items()}
+
+
+def attempt(path: Path, content: bytes, caplog: pytest.LogCaptureFixture) -> Trajectory | None:
+    """Read damaged content; None where it is refused. Anything but a LogError fails the test."""
+    path.write_bytes(content)
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        try:
+            return read_trajectory(path, SIGNALS, DT, SETTINGS)
+        except LogError as error:
+            assert str(path) in str(error)
+            assert "\n" not in str(error)
+            return None
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_intact_logs_are_read_without_a_warning(
+    name: str, originals: dict[str, bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    trajectory = attempt(tmp_path / "log", originals[name], caplog)
+    assert trajectory is not None
+    assert trajectory.steps == STEPS
+    assert all(series.sampled.all() for series in trajectory.series.values())
+    assert not any(wrong_samples(trajectory).values())
+    assert not caplog.records
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_cut_at_every_percent(
+    name: str, originals: dict[str, bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    content = originals[name]
+    steps = []
+    for percent in range(100):
+        trajectory = attempt(tmp_path / "log", content[: len(content) * percent // 100], caplog)
+        if trajectory is not None:
+            assert caplog.records, f"{percent} %: nothing was said"
+            assert not any(wrong_samples(trajectory).values()), f"{percent} %"
+        steps.append(trajectory.steps if trajectory else 0)
+    assert steps[95] > STEPS // 2, "most of a nearly complete log is recovered"
+    if name != "db3":  # its pages do not lie in the order of time
+        assert steps[50] > STEPS // 4
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_flipped_bits(
+    name: str, originals: dict[str, bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    rng = np.random.default_rng(20261121)
+    read = 0
+    for place in rng.integers(0, 8 * len(originals[name]), 200).tolist():
+        content = bytearray(originals[name])
+        content[place // 8] ^= 1 << place % 8
+        trajectory = attempt(tmp_path / "log", bytes(content), caplog)
+        if trajectory is None:
+            continue
+        read += 1
+        wrong = wrong_samples(trajectory)
+        assert max(wrong.values()) <= UNPROTECTED.get(name, 0), f"bit {place}: {wrong}"
+        lost = any(not series.sampled.all() for series in trajectory.series.values()) or trajectory.steps < STEPS
+        assert caplog.records or not lost or name in UNPROTECTED, f"bit {place}: data are lost without a word"
+    if name != "mcap_loose":
+        assert read > 150, "one bit must not cost the whole log"
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_survey_and_metadata_of_damaged_logs(name: str, originals: dict[str, bytes], tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    content = originals[name]
+    cases = [content[: len(content) * percent // 100] for percent in range(0, 100, 9)]
+    for place in rng.integers(0, 8 * len(content), 20).tolist():
+        flipped = bytearray(content)
+        flipped[place // 8] ^= 1 << place % 8
+        cases.append(bytes(flipped))
+    for case in cases:
+        path = tmp_path / "log"
+        path.write_bytes(case)
+        for look in (survey, read_metadata):
+            try:
+                look(path)
+            except LogError as error:
+                assert str(path) in str(error)
