@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Belief
@@ -180,6 +181,9 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
             values.plot(number, column, "-", label=name, linewidth=1.2)
         values.set_title("parameters / final value")
         values.legend(fontsize=7.5, ncols=1 + len(belief.names) // 5, handlelength=1.2)
+        for axes in (cost, sigma):  # ticks that a range of less than a decade has too
+            axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+            axes.yaxis.set_major_formatter("{x:g}")
         for axes in (cost, sigma, values):
             axes.set_xlabel("iteration")
             axes.minorticks_off()

@@ -15,7 +15,7 @@ def rounded(value: float, resolution: float) -> str:
     if not (math.isfinite(resolution) and resolution > 0.0):
         return f"{value:.4g}"
     decimals = 1 - math.floor(math.log10(resolution))
-    if decimals > 6 or abs(value) >= 1e6:
+    if decimals > 8 or abs(value) >= 1e6:
         digits = 1 + max(0, math.floor(math.log10(abs(value) or resolution)) + decimals)
         return f"{value:.{min(digits, 6)}g}"
     return f"{round(value, decimals):.{max(decimals, 0)}f}"

@@ -1,0 +1,166 @@
+"""`amhe identify` from the outside: files, streams, exit codes, interruption."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import mujoco
+import pytest
+import yaml
+
+from amhe_cli.cli.main import run
+
+ROOT = Path(__file__).parents[2]
+
+#: Little work, and nothing that only the report needs.
+QUICK = [
+    *("--set", "clips.count=6", "--set", "clips.length=[0.3, 0.5]"),
+    *("--set", "identify.samples=12", "--set", "identify.iterations=3"),
+    *("--set", "identify.bootstrap=0", "--set", "identify.profile_points=0"),
+]
+FILES = ["belief.yaml", "identified.xml", "report.html", "result.json"]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands write below the folder that they are run in."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def done(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of one quick run."""
+    out = tmp_path_factory.mktemp("identify") / "out"
+    assert run(["identify", str(pendulum_log), "-o", str(out), "-q", "--seed", "3", *QUICK]) == 0
+    return out
+
+
+def test_it_writes_its_files(done: Path) -> None:
+    assert sorted(path.name for path in done.iterdir()) == FILES
+
+
+def test_result_json_has_the_keys_of_every_command_and_its_own(done: Path) -> None:
+    record = json.loads((done / "result.json").read_text())
+    assert record["schema_version"] == 1
+    assert record["command"] == "identify"
+    assert record["system"] == "pendulum"
+    assert record["seed"] == 3
+    assert record["seconds"] > 0
+    assert {"version", "warnings", "correlations", "clips"} <= set(record)
+    assert {"cost", "initial_cost", "position_error_m", "orientation_error_rad"} <= set(record["held_out"])
+    assert {"count", "diverged"} <= set(record["rollouts"])
+    mass = record["parameters"][0]
+    assert mass["name"] == "load_mass"
+    assert mass["lower"] < mass["estimate"] < mass["upper"]
+    assert mass["verdict"] in ("identified", "weak", "prior", "model-sensitive")
+
+
+def test_the_identified_model_loads_and_holds_the_estimate(done: Path) -> None:
+    record = json.loads((done / "result.json").read_text())
+    model = mujoco.MjModel.from_xml_path(str(done / "identified.xml"))
+    assert model.body("load").mass[0] == pytest.approx(record["parameters"][0]["estimate"], rel=1e-4)
+
+
+def test_the_belief_says_where_it_came_from(done: Path, pendulum_log: Path) -> None:
+    origin = yaml.safe_load((done / "belief.yaml").read_text())["provenance"]
+    assert origin["command"].startswith("amhe identify ")
+    assert origin["seed"] == 3
+    assert list(origin["logs"]) == [str(pendulum_log)]
+    assert {"system.yaml", "scene.xml"} <= set(origin["system_files"])
+    assert {"amhe", "mujoco"} <= set(origin["versions"])
+
+
+def test_the_belief_is_a_prior_for_the_next_run(done: Path, pendulum_log: Path, capsys) -> None:
+    arguments = ["identify", str(pendulum_log), "--belief", str(done / "belief.yaml"), "-q", "--json", *QUICK]
+    assert run(arguments) == 0
+    record = json.loads(capsys.readouterr().out)
+    before = json.loads((done / "result.json").read_text())
+    assert record["parameters"][0]["prior"] == pytest.approx(before["parameters"][0]["estimate"])
+
+
+def test_json_on_stdout_is_result_json(pendulum_log: Path, capsys) -> None:
+    assert run(["identify", str(pendulum_log), "-o", "out", "--json", "-q", *QUICK]) == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(Path("out/result.json").read_text())
+
+
+def test_the_table_is_on_stdout_and_progress_on_stderr(pendulum_log: Path, capsys) -> None:
+    assert run(["identify", str(pendulum_log), "--no-color", *QUICK]) == 0
+    out, err = capsys.readouterr()
+    assert "load_mass" in out
+    assert "held-out: " in out
+    assert "report: amhe-out/identify-" in out
+    assert "cost" in err
+    assert not Path("MUJOCO_LOG.TXT").exists()
+
+
+def test_a_folder_that_holds_something_is_refused_before_any_work(pendulum_log: Path, capsys) -> None:
+    Path("out").mkdir()
+    Path("out/mine").touch()
+    assert run(["identify", str(pendulum_log), "-o", "out"]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert os.listdir("out") == ["mine"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--engine", "gpu"], 2, "no GPU engine"),
+        (["--topic", "joints"], 2, "SIGNAL=/name"),
+        (["--topic", "jonts=/x"], 2, "did you mean 'joints'"),
+        (["--topic", "joints=/nothing"], 4, "/nothing"),
+        (["--system", "pendulu"], 2, "did you mean 'pendulum'"),
+        (["--set", "clips.cuont=4"], 2, "did you mean 'count'"),
+        (["--set", "clips.count"], 2, "clips.count=32"),
+        (["--from", "5", "--to", "3"], 2, "not after"),
+        (["--from", "-1"], 2, "from"),
+        (["--threads", "0"], 2, "threads"),
+        (["--max-time", "0"], 2, "max-time"),
+    ],
+)
+def test_a_mistake_in_an_option_is_one_line(pendulum_log: Path, capsys, arguments, code, said) -> None:
+    assert run(["identify", str(pendulum_log), *arguments]) == code
+    err = capsys.readouterr().err
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert os.listdir() == []
+
+
+def test_a_log_cannot_validate_itself(pendulum_log: Path, capsys) -> None:
+    assert run(["identify", str(pendulum_log), "--held-out", str(pendulum_log)]) == 2
+    assert "both fitted and held out" in capsys.readouterr().err
+
+
+def test_garbage_is_unreadable(capsys) -> None:
+    Path("noise.mcap").write_bytes(bytes(range(256)) * 40)
+    assert run(["identify", "noise.mcap", "--system", "pendulum"]) == 4
+    assert capsys.readouterr().err.startswith("amhe identify: error: noise.mcap: ")
+
+
+def test_a_log_that_names_no_system_says_what_to_do(capsys, tmp_path_factory) -> None:
+    from tests.conftest import write_pendulum_log
+
+    log = write_pendulum_log(tmp_path_factory.mktemp("logs") / "nameless.mcap", 0.2)
+    assert run(["identify", str(log)]) in (2, 4)  # 4 once the default system is bundled
+    assert "--system" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: int, code: int) -> None:
+    command = [sys.executable, "-m", "amhe_cli", "identify", str(pendulum_log), "-o", "out", *QUICK]
+    command += ["--set", "identify.iterations=100000"]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen(command, text=True, env=environment, **pipes) as process:
+        assert process.stderr is not None
+        for line in process.stderr:
+            if "cost" in line:
+                break
+        process.send_signal(number)
+        out, err = process.communicate(timeout=60)
+    assert process.returncode == code, err
+    assert "interrupted" in out
+    assert sorted(os.listdir("out")) == FILES
+    assert json.loads(Path("out/result.json").read_text())["interrupted"] is True

@@ -1,0 +1,46 @@
+"""What several rooms' tests share: a small log of a pendulum whose parameters are known."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from amhe_cli.logs import LogWriter
+
+MODELS = Path(__file__).parents[1] / "models"
+
+#: The pendulum that the log is of; system.yaml starts elsewhere.
+PENDULUM_TRUTH = {"load_mass": 0.62, "damping": 0.035, "friction_loss": 0.03, "armature": 0.006}
+
+
+def write_pendulum_log(path: Path, seconds: float, seed: int = 0, **metadata: str) -> Path:
+    """Swing the bundled pendulum with other parameters; log states at 250 Hz and commands at 50 Hz."""
+    model = mujoco.MjModel.from_xml_path(str(MODELS / "pendulum" / "scene.xml"))
+    model.body("load").mass[0] = PENDULUM_TRUTH["load_mass"]
+    hinge = model.joint("hinge").dofadr[0]
+    model.dof_damping[hinge] = PENDULUM_TRUTH["damping"]
+    model.dof_frictionloss[hinge] = PENDULUM_TRUTH["friction_loss"]
+    model.dof_armature[hinge] = PENDULUM_TRUTH["armature"]
+    data = mujoco.MjData(model)
+    mujoco.mj_setConst(model, data)
+    rng = np.random.default_rng(seed)
+    with LogWriter(path, metadata) as log:
+        for step in range(round(seconds / model.opt.timestep) + 1):
+            stamp_ns = 1_700_000_000_000_000_000 + round(step * model.opt.timestep * 1e9)
+            if step % 2 == 0:
+                position = data.qpos + rng.normal(0.0, 0.002, 1)
+                velocity = data.qvel + rng.normal(0.0, 0.05, 1)
+                log.joint_state("/joint_states", stamp_ns, ["hinge"], position, velocity)
+            if step % 10 == 0:
+                if step % 250 == 0:
+                    data.ctrl[:] = rng.uniform(-1.2, 1.2)
+                log.joint_state("/joint_commands", stamp_ns, ["hinge"], data.ctrl)
+            mujoco.mj_step(model, data)
+    return path
+
+
+@pytest.fixture(scope="session")
+def pendulum_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Eight seconds of the pendulum; the log names its system."""
+    return write_pendulum_log(tmp_path_factory.mktemp("logs") / "pendulum.mcap", 8.0, system="pendulum")
