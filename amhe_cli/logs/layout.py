@@ -21,6 +21,9 @@ from amhe_cli.logs.definitions import Types
 #: Strings whose content matters; of all others only the length is part of a layout.
 _KEPT = {"name", "joint_names", "frame_id", "child_frame_id"}
 
+#: ROS 2 gives an empty structure one byte under this name; ROS 1 gives it none.
+_FILLER = "structure_needs_at_least_one_member"
+
 _DTYPES: Mapping[str, str] = {
     "bool": "u1", "byte": "u1", "char": "u1", "octet": "u1", "int8": "i1", "uint8": "u1",
     "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
@@ -113,8 +116,12 @@ class _Walker:
         """Walk all fields of a structure."""
         if type_name not in self._types:
             raise MalformedMessage(f"type {type_name} is not defined")
-        for name, description in self._types[type_name]:
-            self._field(f"{path}.{name}" if path else name, description)
+        fields = self._types[type_name]
+        if self._cdr and not fields:
+            self._skip(1, 1)
+        for name, description in fields:
+            if self._cdr or name != _FILLER:
+                self._field(f"{path}.{name}" if path else name, description)
 
     def finish(self) -> None:
         """Check that nothing but CDR's padding is left over."""
