@@ -23,14 +23,14 @@ def actuators(made: Plan, name: str, entry: SignalEntry) -> None:
     for row in rows:
         if made.model.actuator_ctrlnum[row] != 1:
             raise ConfigError(f"actuator {made.model.actuator(row).name!r} takes several controls, not one")
-    usual = "value" if str(entry.type).endswith("MultiArray") else _commanded(made.model, rows[0])
+    usual = "value" if str(entry.type).endswith("MultiArray") else commanded(made.model, rows[0])
     quantity = one_quantity(entry, usual)
     signal = signal_of(name, entry, (quantity,), logged, is_input=True)
     made.driven.append((signal.key(quantity), _CTRL, list(own), True))
     made.signals.append(signal)
 
 
-def _commanded(model: mujoco.MjModel, row: int) -> str:
+def commanded(model: mujoco.MjModel, row: int) -> str:
     """What an actuator's control is: a servo's target or a motor's effort."""
     bias = model.actuator_biasprm[row]
     if int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE:

@@ -37,14 +37,14 @@ def identified_xml(system: System, theta: FloatArray) -> str:
         if field not in _INERTIAL:
             _write(spec, model, field, row)
     spec.comment = _comment(system.name, system.space, theta)
-    return _portable(spec, system.model_path.parent)[0]
+    return portable(spec, system.model_path.parent)[0]
 
 
 def identified_assets(system: System) -> dict[str, Path]:
     """Files that the text of `identified_xml` refers to: path beside it -> the original."""
     spec = read_spec(system.model_path)
     compiled(spec)
-    return _portable(spec, system.model_path.parent)[1]
+    return portable(spec, system.model_path.parent)[1]
 
 
 def _comment(name: str, space: ParameterSpace, theta: FloatArray) -> str:
@@ -105,7 +105,7 @@ def _with_id(elements: Any, row: int) -> Any:
     return next(element for element in elements if element.id == row)
 
 
-def _portable(spec: mujoco.MjSpec, folder: Path) -> tuple[str, dict[str, Path]]:
+def portable(spec: mujoco.MjSpec, folder: Path) -> tuple[str, dict[str, Path]]:
     """Text of a spec whose files are `assets/...`, and where those files are now."""
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     root = ElementTree.fromstring(spec.to_xml(), parser)

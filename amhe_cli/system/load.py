@@ -59,13 +59,14 @@ def find_system(name_or_dir: str) -> Path:
     raise ConfigError(f"{one_of('system', name_or_dir, bundled)} (or any folder with a {FILE_NAME})")
 
 
-def load_system(folder: Path, overrides: Mapping[str, Any] | None = None) -> System:
+def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, warn: bool = True) -> System:
     """Read, check and compile a system.
 
     Args:
         folder: The system folder.
         overrides: Nested settings that replace the folder's own, and `parameters` or `signals` parts of
             its file; see `overrides`.
+        warn: Log what is allowed but will not do what it seems to.
 
     Raises:
         ConfigError: One line for each mistake, `file:line:column: what, what would be valid`.
@@ -88,14 +89,9 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None) -> Sys
     space, edits = unknowns_of(file, entry, base)
     wiring = planned.wired(base)
     model = edits.apply(base, space.nominal)
-    caution(str(file.path), base, edits)
-    unset = planned.unset_joints()
-    if unset and keyframe is None:
-        logger.warning(
-            "%s: no signal gives the state of joint %s: it starts each clip at zero; give one, or a keyframe",
-            file.path,
-            ", ".join(unset),
-        )
+    if warn:
+        caution(str(file.path), base, edits)
+        _warn_of_unset(str(file.path), planned.unset_joints(), keyframe)
     return System(
         name=folder.resolve().name,
         folder=folder,
@@ -111,6 +107,15 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None) -> Sys
         settings=entry.settings,
         keyframe=keyframe,
     )
+
+
+def _warn_of_unset(where: str, joints: list[str], keyframe: int | None) -> None:
+    if joints and keyframe is None:
+        logger.warning(
+            "%s: no signal gives the state of joint %s: it starts each clip at zero; give one, or a keyframe",
+            where,
+            ", ".join(joints),
+        )
 
 
 def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:

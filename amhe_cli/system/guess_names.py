@@ -1,0 +1,85 @@
+"""Whether a name in a log means a name in a model."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+
+#: Words that say what kind of thing a name is, not which one.
+_KINDS = {
+    "joint",
+    "jnt",
+    "link",
+    "body",
+    "motor",
+    "actuator",
+    "act",
+    "servo",
+    "frame",
+    "site",
+    "free",
+    "freejoint",
+}
+_COMMANDS = {
+    *("cmd", "cmds", "command", "commands", "commanded", "goal", "goals", "desired", "target", "targets"),
+    *("setpoint", "setpoints", "reference", "ref", "control", "controls", "ctrl", "action", "actions"),
+}
+
+
+def words(name: str) -> list[str]:
+    """Lower-case words of a name: '/leftArm/shoulder_pan-joint' has left, arm, shoulder, pan, joint."""
+    spaced = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
+    return [word for word in re.split(r"[^a-z0-9]+", spaced.lower()) if word]
+
+
+def core(name: str) -> str:
+    """What is left of a name without namespace and without the words for its kind."""
+    own = words(name.rsplit("/", 1)[-1])
+    return "_".join(word for word in own if word not in _KINDS) or "_".join(own)
+
+
+def is_command(topic: str, kind: str) -> bool:
+    """A topic carries commands, to judge by its name and type."""
+    return kind.endswith("JointTrajectory") or bool(_COMMANDS & set(words(topic)))
+
+
+def matched(own: Mapping[str, Sequence[str]], logged: Iterable[str]) -> dict[str, str]:
+    """Model name -> log name.
+
+    Equal names first, then equal cores, then one core that ends with the other; never one log name
+    twice, never a choice between two.
+
+    Args:
+        own: Model name -> names that it may go by (itself, its joint, ...).
+        logged: Names in the log.
+    """
+    free = list(dict.fromkeys(logged))
+    found: dict[str, str] = {}
+    for alike in (_equal, _equal_cores, _ends_alike):
+        for name, aliases in own.items():
+            if name in found:
+                continue
+            candidates = [other for other in free if any(alike(alias, other) for alias in aliases)]
+            if len(candidates) == 1:
+                found[name] = candidates[0]
+                free.remove(candidates[0])
+    return {name: found[name] for name in own if name in found}
+
+
+def names_the_same(body: str, topic_words: Sequence[str]) -> bool:
+    """All words of a body's name, kinds left out, are in those of a topic or frame."""
+    own = words(core(body))
+    return bool(own) and set(own) <= set(topic_words)
+
+
+def _equal(a: str, b: str) -> bool:
+    return a == b
+
+
+def _equal_cores(a: str, b: str) -> bool:
+    return core(a) == core(b)
+
+
+def _ends_alike(a: str, b: str) -> bool:
+    short, long = sorted((core(a), core(b)), key=len)
+    return long.endswith(f"_{short}")

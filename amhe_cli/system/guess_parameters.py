@@ -1,0 +1,144 @@
+"""Candidate parameters of a model: what is usually not known of a robot and its surroundings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from amhe_cli.system.guess_signals import Guess, free_bodies, joint_of
+from amhe_cli.system.targets import names_of
+
+#: More actuated joints than this share one parameter of each kind.
+_OWN_PARAMETERS = 3
+#: Prior sd (log scale) and range of a number that the model has, and of one that it leaves at zero.
+_KNOWN, _UNKNOWN = (0.5, 10.0), (1.0, 100.0)
+_KINDS = (
+    ("damping", "dof_damping", "viscous: torque per speed"),
+    ("friction_loss", "dof_frictionloss", "dry: torque against any motion"),
+    ("armature", "dof_armature", "inertia of rotor and gears, seen at the joint"),
+)
+
+
+def guess_parameters(
+    model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool
+) -> tuple[list[Guess], list[Guess]]:
+    """Parameters to start with, and others that a user may want in their place.
+
+    Args:
+        model: The model.
+        signals: What the log has: only joints that it moves and measures get parameters.
+        guessed_gains: The actuators were added by us, so that their gain is unknown.
+    """
+    moved = [name for guess in signals for name in guess.entry.get("actuators", ())]
+    measured = {name for guess in signals for name in guess.entry.get("joints", ())}
+    joints = [j for j in dict.fromkeys(joint_of(model, name) for name in moved) if j and j in measured]
+    joints = joints or sorted(measured)
+    gain = _gain(moved)
+    return (
+        [*_joint_parameters(model, joints), *_masses(model, joints, signals), *_frictions(model, signals)]
+        + (gain if guessed_gains else []),
+        [] if guessed_gains else gain,
+    )
+
+
+def _joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[Guess]:
+    groups = [[joint] for joint in joints] if len(joints) <= _OWN_PARAMETERS else [list(joints)]
+    for group in groups:
+        own = f"{group[0]}_" if len(group) == 1 < len(joints) else ""
+        of = f"of joint {group[0]}" if len(group) == 1 else f"of {len(group)} joints alike"
+        for kind, field, meaning in _KINDS:
+            dofs = [int(model.joint(joint).dofadr[0]) for joint in group]
+            values = np.array(getattr(model, field)[dofs])
+            unknown = not np.all(values > 0.0)
+            # of the right size, no more: damping that stops a motion in a second, friction worth 1 rad/s^2, a
+            # tenth of the inertia in the rotor
+            scale = 0.1 if kind == "armature" else 1.0
+            nominal = float(scale * np.median(model.dof_M0[dofs]) if unknown else np.median(values))
+            targets = [{"joint": joint, "set": kind} for joint in group]
+            note = "the model has none: a guess from the joint's inertia" if unknown else "from the model"
+            yield Guess(f"{own}{kind}", _entry(nominal, unknown, targets), f"{meaning}, {of}; {note}")
+
+
+def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:
+    """Masses of the free bodies that are measured, and of the last link of each actuated chain."""
+    measured = {guess.entry.get("body") for guess in signals}
+    bodies = [body for body in free_bodies(model) if body in measured]
+    ends = {_heaviest_end(model, int(model.joint(joint).bodyid[0])) for joint in joints}
+    parents = {int(model.body_parentid[row]) for row in range(1, model.nbody)}
+    bodies += [
+        model.body(row).name for row in sorted(ends) if row not in parents or not _moving_child(model, row)
+    ]
+    for body in dict.fromkeys(name for name in bodies if name):
+        mass = float(model.body(body).mass[0])
+        if mass > 0.0:
+            why = "inertia carried along; motion without a known force cannot tell it"
+            yield Guess(f"{body}_mass", _entry(mass, False, [{"body": body, "set": "mass"}], 0.3), why)
+
+
+def _heaviest_end(model: mujoco.MjModel, link: int) -> int:
+    """The heaviest of the bodies that are welded to a link, itself among them: often its payload."""
+    welded = np.flatnonzero(model.body_weldid == model.body_weldid[link])
+    named = [int(row) for row in welded if model.body(row).name]
+    return max(named or [link], key=lambda row: float(model.body_mass[row]))
+
+
+def _moving_child(model: mujoco.MjModel, row: int) -> bool:
+    """Something with a joint hangs on this body's link."""
+    weld = model.body_weldid[row]
+    return any(
+        model.body_weldid[model.body_parentid[child]] == weld and model.body_weldid[child] != weld
+        for child in range(1, model.nbody)
+    )
+
+
+def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Guess]:
+    """One friction for each contact pair; without pairs one for free bodies and all that is fixed."""
+    if not free_bodies(model):
+        return
+    for name in names_of(model, "pair"):
+        nominal = float(model.pair_friction[model.pair(name).id, 0])
+        why = "sliding friction of the contact pair"
+        yield Guess(
+            f"{name}_friction", _entry(nominal, False, [{"pair": name, "set": "sliding_friction"}]), why
+        )
+    if model.npair:
+        return
+    colliding = (model.geom_contype | model.geom_conaffinity) != 0
+    bodies = [int(row) for row in dict.fromkeys(model.geom_bodyid[colliding])]
+    fixed = [row for row in bodies if int(model.body_weldid[row]) == 0]
+    moving = [row for row in bodies if row not in fixed]
+    names = [model.body(row).name for row in fixed + moving]
+    if fixed and moving and all(names):
+        nominal = float(np.median(model.geom_friction[colliding, 0]))
+        targets = [{"body": name, "set": "sliding_friction"} for name in names]
+        why = "of every contact: MuJoCo takes the larger friction of both geoms, so both are set"
+        yield Guess("friction", _entry(nominal, False, targets), why)
+
+
+def _gain(actuators: Sequence[str]) -> list[Guess]:
+    if not actuators:
+        return []
+    targets = [{"actuator": name, "set": "gain", "mode": "scale"} for name in actuators]
+    entry = _entry(1.0, False, targets, 0.2) | {"unit": "-"}
+    why = "of all actuators; gain and masses together are only known up to a factor: fix one of them"
+    return [Guess("gain_scale", entry, why)]
+
+
+def _entry(
+    nominal: float, unknown: bool, targets: list[dict[str, Any]], sd: float | None = None
+) -> dict[str, Any]:
+    own_sd, factor = _UNKNOWN if unknown else _KNOWN
+    return {
+        "nominal": _short(nominal),
+        "bounds": [_short(nominal / factor), _short(nominal * factor)],
+        "scale": "log",
+        "prior_sd": sd or own_sd,
+        "targets": targets,
+    }
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")
