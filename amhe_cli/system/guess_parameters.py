@@ -15,6 +15,8 @@ from amhe_cli.system.targets import names_of
 _OWN_PARAMETERS = 3
 #: Prior sd (log scale) and range of a number that the model has, and of one that it leaves at zero.
 _KNOWN, _UNKNOWN = (0.5, 10.0), (1.0, 100.0)
+#: More ends of chains than this are feet, not tools: their masses are known.
+_TOOLS = 2
 _KINDS = (
     ("damping", "dof_damping", "viscous: torque per speed"),
     ("friction_loss", "dof_frictionloss", "dry: torque against any motion"),
@@ -66,11 +68,10 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
     """Masses of the free bodies that are measured, and of the last link of each actuated chain."""
     measured = {guess.entry.get("body") for guess in signals}
     bodies = [body for body in free_bodies(model) if body in measured]
-    ends = {_heaviest_end(model, int(model.joint(joint).bodyid[0])) for joint in joints}
-    parents = {int(model.body_parentid[row]) for row in range(1, model.nbody)}
-    bodies += [
-        model.body(row).name for row in sorted(ends) if row not in parents or not _moving_child(model, row)
-    ]
+    links = {int(model.joint(joint).bodyid[0]) for joint in joints}
+    ends = sorted({_heaviest(model, link) for link in links if not _carries_links(model, link)})
+    if len(ends) <= _TOOLS:
+        bodies += [model.body(row).name for row in ends]
     for body in dict.fromkeys(name for name in bodies if name):
         mass = float(model.body(body).mass[0])
         if mass > 0.0:
@@ -78,20 +79,18 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
             yield Guess(f"{body}_mass", _entry(mass, False, [{"body": body, "set": "mass"}], 0.3), why)
 
 
-def _heaviest_end(model: mujoco.MjModel, link: int) -> int:
+def _heaviest(model: mujoco.MjModel, link: int) -> int:
     """The heaviest of the bodies that are welded to a link, itself among them: often its payload."""
     welded = np.flatnonzero(model.body_weldid == model.body_weldid[link])
     named = [int(row) for row in welded if model.body(row).name]
     return max(named or [link], key=lambda row: float(model.body_mass[row]))
 
 
-def _moving_child(model: mujoco.MjModel, row: int) -> bool:
-    """Something with a joint hangs on this body's link."""
-    weld = model.body_weldid[row]
-    return any(
-        model.body_weldid[model.body_parentid[child]] == weld and model.body_weldid[child] != weld
-        for child in range(1, model.nbody)
-    )
+def _carries_links(model: mujoco.MjModel, link: int) -> bool:
+    """Another joint hangs on this link."""
+    weld = model.body_weldid
+    parent_weld = weld[model.body_parentid]
+    return bool(np.any((parent_weld == weld[link]) & (weld != weld[link])))
 
 
 def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Guess]:

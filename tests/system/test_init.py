@@ -219,7 +219,8 @@ def test_the_real_push_finds_its_block(tmp_path: Path) -> None:
     if not bag.is_file():
         pytest.skip(f"{bag} is not here")
     model = """<mujoco><worldbody><geom name="table" type="plane" size="2 2 1"/>
-      <body name="MetalSquare" pos="0 0 0.1"><freejoint/><geom type="box" size="0.05 0.05 0.01"/></body></worldbody></mujoco>"""
+      <body name="MetalSquare" pos="0 0 0.1"><freejoint/><geom type="box" size="0.05 0.05 0.01"/></body>
+      </worldbody></mujoco>"""
     system, text, _ = made(tmp_path, model, [bag])
     assert system.signals[0].topic == "/vicon/MetalSquare/MetalSquare"
     assert "not used: /vicon/markers" in text
