@@ -78,7 +78,7 @@ def upper_factor(j: FloatArray) -> FloatArray:
     Raises:
         numpy.linalg.LinAlgError: `j` is not positive definite: no real body has this inertia.
     """
-    return np.linalg.cholesky(j[::-1, ::-1])[::-1, ::-1]
+    return np.asarray(np.linalg.cholesky(j[::-1, ::-1])[::-1, ::-1], dtype=np.float64)
 
 
 def log_cholesky(p: FloatArray) -> FloatArray:

@@ -137,9 +137,10 @@ def _check_names(file: YamlFile, overrides: Mapping[str, Any]) -> None:
     """Refuse overrides of parameters and signals that the file does not have."""
     for group in ("parameters", "signals"):
         known, given = file.own.get(group), overrides.get(group)
-        for name in given if isinstance(given, Mapping) and isinstance(known, Mapping) else ():
-            if name not in known:
-                raise ConfigError(f"setting {group}.{name}: {one_of(group[:-1], str(name), map(str, known))}")
+        if not isinstance(known, Mapping) or not isinstance(given, Mapping):
+            continue
+        for name in set(given) - set(known):
+            raise ConfigError(f"setting {group}.{name}: {one_of(group[:-1], str(name), map(str, known))}")
 
 
 def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | None:
