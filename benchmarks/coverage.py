@@ -1,0 +1,120 @@
+"""How often the 90 % intervals of `amhe identify` hold the truth: they should in 86-94 % of 400 trials.
+
+    python benchmarks/coverage.py [--case pendulum box] [--seeds 400] [--quick]
+
+Each trial draws its truth from the prior, simulates a short log with sensor noise, the first states of
+its clips included, and identifies it with the product's own settings, but fewer and shorter clips.
+"""
+
+from __future__ import annotations
+
+import argparse
+import functools
+import logging
+from typing import Any
+
+from common import (
+    SYSTEMS,
+    drawn_from_prior,
+    multisine,
+    over_seeds,
+    show,
+    simulated,
+    stop_and_go,
+)
+
+import numpy as np
+
+from amhe_cli.core.trajectory import Trajectory
+from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
+
+GOAL = (0.86, 0.94)
+#: What a trial leaves out: figures and validation cost time and change no interval.
+CHEAP = {
+    "clips": {"held_out": 0.0, "count": 12},
+    "identify": {"samples": 16, "iterations": 24, "profile_points": 0, "bootstrap": 0},
+}
+CASES = ("pendulum", "box")
+
+
+def system_of(case: str) -> System:
+    """The system of a case, with cheap settings."""
+    return load_system(find_system("pendulum") if case == "pendulum" else SYSTEMS / "pushed_box", CHEAP)
+
+
+def log_of(case: str, system: System, theta: np.ndarray, rng: np.random.Generator) -> Trajectory:
+    """One short log."""
+    if case == "pendulum":
+        return simulated(system, theta, multisine(rng), 8.0, rng, state_hz=100)
+    return simulated(system, theta, stop_and_go(rng, 6.0), 6.0, rng, state_hz=50, settle=0.5)
+
+
+def trial(case: str, seed: int) -> dict[str, Any]:
+    """Identify one log; everything in z, the search's coordinates."""
+    logging.disable(logging.WARNING)
+    rng = np.random.default_rng([seed, CASES.index(case)])
+    system = system_of(case)
+    truth = drawn_from_prior(system, rng)
+    result = identify(system, [log_of(case, system, truth, rng)], None, IdentifyOptions(seed=seed))
+    space = system.space
+    return {
+        "truth": space.z_of(truth).tolist(),
+        "estimate": space.z_of(result.belief.estimate).tolist(),
+        "sd": (np.sqrt(np.diag(result.belief.covariance)) / space.prior_sd).tolist(),
+        "lower": [p.lower for p in result.parameters],
+        "upper": [p.upper for p in result.parameters],
+        "held": [bool(p.lower <= t <= p.upper) for p, t in zip(result.parameters, truth, strict=True)],
+        "verdicts": [p.verdict for p in result.parameters],
+        "clips": result.clips.fitted,
+        "noise_scale": dict(result.noise_scale),
+        "iterations": len(result.iterations),
+    }
+
+
+def rows(case: str, results: list[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """One line for each parameter."""
+    system = system_of(case)
+    held = np.array([r["held"] for r in results])
+    error = np.array([np.subtract(r["estimate"], r["truth"]) for r in results])
+    sd = np.array([r["sd"] for r in results])
+    lines = []
+    for i, p in enumerate(system.space.parameters):
+        share = held[:, i].mean()
+        chance = np.sqrt(share * (1.0 - share) / len(held))
+        t = error[:, i] / sd[:, i]
+        lines.append(
+            (
+                f"{case}: {p.name}",
+                f"{share:.1%} +- {chance:.1%}",
+                f"{np.sqrt(np.median(t**2)) / 0.6745:.2f}",
+                f"{np.sqrt((t**2).mean()):.2f}",
+                f"{np.median(sd[:, i]) * p.prior_sd:.2%}" if p.log else f"{np.median(sd[:, i]) * p.prior_sd:.2g}",
+                "yes" if GOAL[0] <= share <= GOAL[1] else "NO",
+            )
+        )
+    return lines
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--case", nargs="+", choices=CASES, default=list(CASES))
+    parser.add_argument("--seeds", type=int, default=400)
+    parser.add_argument("--quick", action="store_true", help="10 seeds")
+    parser.add_argument("--processes", type=int, default=2)
+    asked = parser.parse_args()
+    seeds = 10 if asked.quick else asked.seeds
+    lines = []
+    for case in asked.case:
+        results = over_seeds(f"coverage-{case}", functools.partial(trial, case), range(seeds), asked.processes)
+        lines += rows(case, results)
+    show(
+        f"Coverage of 90 % intervals over {seeds} logs (goal {GOAL[0]:.0%} to {GOAL[1]:.0%})",
+        ("parameter", "held the truth", "error / sd, median", "rms", "median sd", "in goal"),
+        lines,
+    )
+
+
+if __name__ == "__main__":
+    main()
