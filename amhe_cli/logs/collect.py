@@ -35,7 +35,7 @@ def collect(log: Log, signals: Sequence[Signal], definitions: Definitions) -> di
         if not wanting:
             continue
         splitter = splitters.get(channel) or splitters.setdefault(channel, Splitter(channel, definitions))
-        groups = list(splitter.split(batch))
+        groups = sorted(splitter.split(batch), key=lambda group: int(group.members[0]))
         for signal in wanting:
             if signal.name not in decoders:
                 decoders[signal.name] = SignalDecoder(signal, channel)

@@ -24,11 +24,15 @@ from mcap.records import ChunkIndex, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from amhe_cli.logs.compression import LIMIT, decompress
-from amhe_cli.logs.raw import Batch, Channel, DefinitionFormat, normal_type, stamps
+from amhe_cli.logs.raw import Batch, Channel, DefinitionFormat, normal_type
 
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
+#: A message record up to its payload.
+_MESSAGE = np.dtype(
+    [("opcode", "u1"), ("size", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
+     ("publish_ns", "<u8")]
+)  # fmt: skip
 _CHUNK = struct.Struct("<QQQI")
 _FOOTER = struct.Struct("<QQI")
 _BATCH_BYTES = 2**25
@@ -73,16 +77,20 @@ class McapFile:
             self._declare(opcode, body)
         pieces, whole = self._pieces(summary)
         for start, stop, opcode in pieces:
-            if opcode == Opcode.CHUNK:
-                yield from self._chunk(start, stop, topics)
-            else:
+            if opcode != Opcode.CHUNK:
                 yield from self._records(self._data, start, stop, topics)
+            elif (data := self._unfold(start, stop)) is not None:
+                yield from self._records(data, 0, len(data), topics)
         self._conclude(summary, whole)
 
     def read_metadata(self) -> dict[str, str]:
         """The record named 'amhe', without decoding any message."""
-        for _ in self.batches(()):
-            pass
+        pieces, _ = self._pieces(self._summary())
+        if not self._intact:  # find out whether a chunk is to blame
+            for start, stop, opcode in pieces:
+                if opcode == Opcode.CHUNK and self._unfold(start, stop) is None:
+                    break
+        self._note_metadata()
         return self.metadata
 
     def _conclude(self, summary: _Summary | None, whole: bool) -> None:
@@ -176,14 +184,14 @@ class McapFile:
 
     # -- what is in a piece ---------------------------------------------------------------------------
 
-    def _chunk(self, start: int, stop: int, topics: Collection[str] | None) -> Iterator[Batch]:
+    def _unfold(self, start: int, stop: int) -> bytes | None:
+        """Records of a chunk; None, with a note, if it is damaged."""
         try:
-            data = self._unfold(start, stop)
+            return self._checked(start, stop)
         except (ValueError, struct.error) as error:
             self._broken_chunks += 1
             self.problems.append(f"a chunk at byte {start - 9}{self._span(start)} is lost: {error}")
-            return
-        yield from self._records(data, 0, len(data), topics)
+            return None
 
     def _span(self, start: int) -> str:
         first, last = struct.unpack_from("<QQ", self._data, start) if start + 16 <= len(self._data) else (0, 0)
@@ -191,7 +199,7 @@ class McapFile:
         seconds = (first - origin) / 1e9, (last - origin) / 1e9
         return f" (t = {seconds[0]:.2f} to {seconds[1]:.2f} s)" if -1e6 < seconds[0] <= seconds[1] < 1e6 else ""
 
-    def _unfold(self, start: int, stop: int) -> bytes:
+    def _checked(self, start: int, stop: int) -> bytes:
         """Records of a chunk, decompressed, checksum verified."""
         if stop > len(self._data):
             raise ValueError("the file ends within it")
@@ -217,43 +225,57 @@ class McapFile:
         self, data: bytes | mmap.mmap, start: int, stop: int, topics: Collection[str] | None
     ) -> Iterator[Batch]:
         buffer = np.frombuffer(data, np.uint8)
-        pending: dict[int, list[tuple[int, int, int, int]]] = {}
-        flush_at = start + _BATCH_BYTES
+        messages: list[int] = []
+        position, flush_at = start, start + _BATCH_BYTES
+        unpack, message = _RECORD.unpack_from, int(Opcode.MESSAGE)
         try:
-            for opcode, first, last in _split(data, start, stop):
-                if opcode == Opcode.MESSAGE:
-                    if last - first < _MESSAGE.size:
-                        raise ValueError("a message record is too short")
-                    number, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, first)
-                    row = (log_ns, publish_ns, first + _MESSAGE.size, last - first - _MESSAGE.size)
-                    pending.setdefault(number, []).append(row)
+            while position < stop:  # the one loop over all messages: only what each needs is in it
+                opcode, size = unpack(data, position)
+                after = position + 9 + size
+                if after > stop:
+                    raise ValueError(f"the record at byte {position} is cut off")
+                if opcode == message:
+                    messages.append(position)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._declare(opcode, bytes(data[first:last]))
-                if last > flush_at:
-                    yield from self._flush(buffer, pending, topics)
-                    pending, flush_at = {}, last + _BATCH_BYTES
-        except ValueError as error:
+                    self._declare(opcode, bytes(data[position + 9 : after]))
+                position = after
+                if position > flush_at:
+                    yield from self._flush(buffer, messages, topics)
+                    messages, flush_at = [], position + _BATCH_BYTES
+        except (ValueError, struct.error, EndOfFile) as error:
             self.problems.append(f"records are damaged: {error}")
-        yield from self._flush(buffer, pending, topics)
+        yield from self._flush(buffer, messages, topics)
 
     def _flush(
-        self,
-        buffer: NDArray[np.uint8],
-        pending: dict[int, list[tuple[int, int, int, int]]],
-        topics: Collection[str] | None,
+        self, buffer: NDArray[np.uint8], messages: list[int], topics: Collection[str] | None
     ) -> Iterator[Batch]:
-        for number, rows in pending.items():
-            self._read += len(rows)
-            self._first_ns = rows[0][0] if self._first_ns is None else min(self._first_ns, rows[0][0])
-            self._latest_ns = max(self._latest_ns, rows[-1][0])
+        starts = np.array(messages, dtype=np.int64)
+        starts = starts[starts + _MESSAGE.itemsize <= buffer.size]
+        if not starts.size:
+            return
+        rows = np.lib.stride_tricks.sliding_window_view(buffer, _MESSAGE.itemsize)[starts]
+        heads = rows.view(_MESSAGE)[:, 0]
+        self._count(heads["log_ns"])
+        for number in np.unique(heads["channel"]).tolist():
+            mine = np.flatnonzero(heads["channel"] == number)
             channel = self._by_id.get(number)
             if channel is None:
-                self.problems.append(f"{len(rows)} messages belong to a channel whose declaration is lost")
+                self.problems.append(f"{mine.size} messages belong to a channel whose declaration is lost")
             elif topics is None or channel.topic in topics:
-                log_ns, publish_ns, starts, lengths = zip(*rows, strict=True)
                 yield Batch(
-                    channel, stamps(log_ns), stamps(publish_ns), buffer, np.array(starts), np.array(lengths)
+                    channel,
+                    heads["log_ns"][mine].astype(np.int64),
+                    heads["publish_ns"][mine].astype(np.int64),
+                    buffer,
+                    starts[mine] + _MESSAGE.itemsize,
+                    heads["size"][mine].astype(np.int64) - (_MESSAGE.itemsize - 9),
                 )
+
+    def _count(self, log_ns: NDArray[np.uint64]) -> None:
+        self._read += log_ns.size
+        first, last = int(log_ns.min()), int(log_ns.max())
+        self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
+        self._latest_ns = max(self._latest_ns, last)
 
     def _declare(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:

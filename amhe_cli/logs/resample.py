@@ -26,6 +26,7 @@ def resample(
     bridge: float,
     hold: bool = False,
     rotation: bool = False,
+    derived: bool = False,
 ) -> Series:
     """Bring one quantity onto the clock.
 
@@ -37,6 +38,7 @@ def resample(
         bridge: Longest silence [s] that is filled.
         hold: Keep each sample until the next (commands), instead of interpolating.
         rotation: The samples are unit quaternions: interpolate along the arc.
+        derived: The samples were differentiated from another quantity.
     """
     out = np.zeros((grid.size, values.shape[1]))
     valid = np.ones(grid.size, dtype=bool)
@@ -45,16 +47,25 @@ def resample(
     for group in _alike(np.isfinite(values)):
         present = np.isfinite(values[:, group[0]])
         own = times[present]
-        out[:, group], bridged = _fill(own, values[present][:, group], grid, bridge, hold, rotation)
+        whole = present.all() and len(group) == values.shape[1]
+        samples = values if whole else values[np.ix_(present, group)]
+        filled, bridged = _fill(own, samples, grid, bridge, hold, rotation)
+        if whole:
+            out = filled
+        else:
+            out[:, group] = filled
         valid &= bridged
         if own.size < fewest:  # columns that come in messages of their own: the rarest ones decide
             fewest = own.size
             sampled = _nearest(own, grid)
-    return Series(np.where(valid[:, None], out, 0.0), valid, sampled & valid, columns)
+    out[~valid] = 0.0
+    return Series(out, valid, sampled & valid, columns, derived)
 
 
 def _alike(finite: BoolArray) -> list[list[int]]:
     """Columns grouped by the messages in which they are present."""
+    if finite.all():
+        return [list(range(finite.shape[1]))]
     groups: dict[bytes, list[int]] = {}
     for column in range(finite.shape[1]):
         groups.setdefault(np.packbits(finite[:, column]).tobytes(), []).append(column)
@@ -74,6 +85,8 @@ def _fill(
     if hold:
         return values[left], (before >= 0) & (since <= bridge)
     exact = (np.abs(since) <= slack) | (np.abs(until) <= slack)
+    if exact.all():  # recorded at the clock's own instants: nothing to interpolate
+        return values[np.where(np.abs(since) <= slack, left, right)], exact
     inside = (before >= 0) & (before + 1 < times.size) & (times[right] - times[left] <= bridge)
     span = np.where(right > left, times[right] - times[left], 1.0)
     share = np.clip(since / span, 0.0, 1.0)

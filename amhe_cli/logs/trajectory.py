@@ -136,8 +136,9 @@ def _grid(
     anchor = max(int(track.times.stamps_ns[0]) for track in states)
     last = max(int(track.times.stamps_ns[-1]) for track in states)
     step = dt * 1e9
-    begin = anchor + np.ceil((begun - anchor) / step - 1e-6) * step
-    rows = int(np.floor((last - begin) / step + 1e-6)) + 1
+    # Relative to the anchor: a stamp in float64 would be off by hundreds of nanoseconds.
+    begin = float(np.ceil((begun - anchor) / step - 1e-6)) * step
+    rows = int(np.floor((last - anchor - begin) / step + 1e-6)) + 1
     if rows < 1:
         raise LogError(f"{path}: {_no_overlap(tracks)}")
     low = 0 if start is None else int(np.ceil(start / dt - 1e-6))
@@ -152,7 +153,7 @@ def _grid(
             f"{path}: {(high - low) * dt:.0f} s at steps of {dt:g} s are {high - low} rows, more than "
             f"{_MOST_ROWS}; cut it with --from and --to, or look for a wrong stamp with `amhe inspect`"
         )
-    start_ns = round(begin + low * step)
+    start_ns = anchor + round(begin + low * step)
     return np.arange(high - low) * dt, start_ns
 
 
@@ -174,24 +175,31 @@ def _series(
     bridge = longest_bridge(times, settings.max_gap)
     series: dict[str, Series] = {}
     for quantity in signal.quantities:
-        values, columns = _values(path, track, quantity, times, bridge)
+        values, columns, derived = _values(path, track, quantity, times, bridge)
         series[signal.key(quantity)] = resample(
-            times, values, columns, grid, bridge=bridge, hold=signal.is_input,
+            times,
+            values,
+            columns,
+            grid,
+            bridge=bridge,
+            hold=signal.is_input,
             rotation=quantity == "orientation",
-        )  # fmt: skip
+            derived=derived,
+        )
     return series
 
 
 def _values(
     path: Path, track: _Track, quantity: str, times: FloatArray, bridge: float
-) -> tuple[FloatArray, tuple[str, ...]]:
-    """Samples (m, k) of one quantity in our convention, differentiated where the topic lacks them."""
+) -> tuple[FloatArray, tuple[str, ...], bool]:
+    """Samples (m, k) of one quantity in our convention, their columns, and whether the topic lacks them
+    and they are differentiated."""
     known: Mapping[str, FloatArray] = track.samples.values
     if quantity in known and np.isfinite(known[quantity]).any():
         values = known[quantity]
         if quantity == "linear_velocity" and track.twist_in_child:
             values = rotations.rotate(known["orientation"], values)
-        return values, track.samples.columns[quantity]
+        return values, track.samples.columns[quantity], False
     source = DERIVED.get(quantity, "")
     if source not in known or not np.isfinite(known[source]).any():
         raise LogError(f"{path}: topic {track.signal.topic!r} carries no {quantity}")
@@ -199,7 +207,7 @@ def _values(
         "%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source
     )
     columns = ("x", "y", "z") if source == "orientation" else track.samples.columns[source]
-    return _differentiated(times, known[source], source, bridge), columns
+    return _differentiated(times, known[source], source, bridge), columns, True
 
 
 def _differentiated(times: FloatArray, values: FloatArray, source: str, bridge: float) -> FloatArray:

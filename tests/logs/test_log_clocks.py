@@ -1,0 +1,294 @@
+"""Clocks that lie, the uniform clock of a trajectory, and velocities from positions."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from amhe_cli.core import rotations
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs import LogWriter, read_trajectory, survey
+from amhe_cli.logs.clocks import increasing
+from amhe_cli.logs.differentiate import angular_velocity, derivative
+from amhe_cli.logs.resample import resample
+from tests.logs.log_makers import DT, JS, ROS2, SETTINGS, T0, Message, joint_state, write_mcap
+
+S = 10**9
+JOINT = Signal("j", "/js", ("position",))
+
+
+def log_of(
+    path: Path, header_ns: list[int], log_ns: list[int], topic: str = "/js", values: list[float] | None = None
+) -> Path:
+    """Joint states whose header and recorder stamps are given; position i in message i."""
+    values = values or [float(i) for i in range(len(log_ns))]
+    messages = [
+        Message(topic, JS, log, joint_state(ROS2, max(header, 0), ("a",), [value]))
+        for header, log, value in zip(header_ns, log_ns, values, strict=True)
+    ]
+    return write_mcap(path, messages)
+
+
+def times(n: int, start: int = T0, period: float = DT) -> list[int]:
+    return [start + round(i * period * S) for i in range(n)]
+
+
+def read(path: Path, *signals: Signal, dt: float = DT, settings: LogSettings = SETTINGS, **options: Any) -> Any:
+    return read_trajectory(path, signals or (JOINT,), dt, settings, **options)
+
+
+def warnings(caplog: pytest.LogCaptureFixture) -> str:
+    return "\n".join(record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING)
+
+
+def test_header_stamps_are_the_default_and_agree_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = log_of(tmp_path / "a", times(50), [t + 3_000_000 for t in times(50)])
+    trajectory = read(path)
+    assert trajectory.start_ns == T0
+    assert not warnings(caplog)
+
+
+def test_a_forced_clock(tmp_path: Path) -> None:
+    path = log_of(tmp_path / "a", times(50), [t + 3_000_000 for t in times(50)])
+    assert read(path, settings=LogSettings(stamp="log")).start_ns == T0 + 3_000_000
+
+
+def test_unset_headers_fall_back_and_say_so(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    trajectory = read(log_of(tmp_path / "a", [0] * 50, times(50)))
+    assert trajectory.start_ns == T0 and trajectory.steps == 50
+    assert "header stamps cannot be used (50 of 50 are not set)" in warnings(caplog)
+    assert "publish stamps are used" in warnings(caplog)
+
+
+def test_clocks_that_disagree_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    read(log_of(tmp_path / "a", [t - 20 * S for t in times(50)], times(50)))
+    assert "its header stamps are 20 s behind the recorder's clock" in warnings(caplog)
+
+
+@pytest.mark.parametrize("wild", [1, 5 * S, T0 - 40_000 * 86400 * S // 100, T0 + 3 * 365 * 86400 * S])
+@pytest.mark.parametrize("place", [0, 20, 49])
+def test_one_wild_stamp_costs_one_message(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, wild: int, place: int
+) -> None:
+    header = times(50)
+    header[place] = wild
+    trajectory = read(log_of(tmp_path / "a", header, times(50)))
+    assert 49 <= trajectory.steps <= 50
+    first = (trajectory.start_ns - T0) / S / DT
+    np.testing.assert_allclose(trajectory["j.position"].values[:, 0], first + np.arange(trajectory.steps), atol=1e-6)
+    assert trajectory["j.position"].sampled.sum() == 49
+    assert "1 messages" in warnings(caplog)
+
+
+def test_a_small_jump_ahead_does_not_cost_what_it_overtakes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    header = times(100)
+    header[30] += 200_000_000
+    assert read(log_of(tmp_path / "a", header, times(100)))["j.position"].sampled.sum() == 99
+    assert "1 out of order" in warnings(caplog)
+
+
+def test_repeated_stamps_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    header = times(100)
+    for i in (10, 20, 30):
+        header[i] = header[i - 1]
+    trajectory = read(log_of(tmp_path / "a", header, times(100)))
+    assert (~trajectory["j.position"].sampled).sum() == 3
+    assert "3 with a repeated stamp" in warnings(caplog)
+
+
+def test_a_clock_that_is_set_back_falls_to_the_recorder(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    header = times(50) + times(50, T0 - 3 * S)
+    trajectory = read(log_of(tmp_path / "a", header, times(100)))
+    assert trajectory.steps == 100
+    assert "do not run forward" in warnings(caplog)
+
+
+def test_messages_written_out_of_order_are_sorted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    stamps = times(50)
+    order = np.random.default_rng(0).permutation(50).tolist()
+    shuffled = [stamps[i] for i in order]
+    trajectory = read(log_of(tmp_path / "a", shuffled, shuffled, values=[float(i) for i in order]))
+    np.testing.assert_allclose(trajectory["j.position"].values[:, 0], np.arange(50))
+    assert not warnings(caplog)
+
+
+def test_headerless_commands_join_the_header_clock_of_a_simulation(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    array = ROS2.types["std_msgs/msg/Float64MultiArray"]
+    layout = ROS2.types["std_msgs/msg/MultiArrayLayout"](dim=[], data_offset=0)
+    messages = []
+    for i, log in enumerate(times(50)):
+        state = joint_state(ROS2, 132 * S + i * 10_000_000, ("a",), [float(i)])
+        messages.append(Message("/js", JS, log, state))
+        command = array(layout=layout, data=np.array([float(i)]))
+        messages.append(Message("/u", "std_msgs/msg/Float64MultiArray", log, command))
+    path = write_mcap(tmp_path / "a", messages)
+    trajectory = read(path, JOINT, Signal("u", "/u", ("value",), is_input=True))
+    assert trajectory.steps == 50 and trajectory.start_ns == 132 * S
+    np.testing.assert_allclose(trajectory["u.value"].values, trajectory["j.position"].values)
+    assert "onto the header clock" in warnings(caplog)
+
+
+def offset_log(path: Path) -> Path:
+    """/late is stamped 12 ms later than /early although both were logged at once."""
+    messages = []
+    for log in times(100):
+        for topic, shift in (("/early", 0), ("/late", 12_000_000)):
+            header = log + shift
+            value = (header - shift - T0) / S  # what happened at log time
+            messages.append(Message(topic, JS, log, joint_state(ROS2, header, ("a",), [value])))
+    return write_mcap(path, messages)
+
+
+def test_clock_offsets_are_put_in_words_and_corrected_on_request(tmp_path: Path) -> None:
+    path = offset_log(tmp_path / "a")
+    assert survey(path).offsets == (
+        "topic '/late' is stamped 12 ms later than '/early' (judged by when the recorder got them)",
+    )
+    signals = (Signal("e", "/early", ("position",)), Signal("l", "/late", ("position",)))
+    apart = read(path, *signals)
+    gap = apart["e.position"].values - apart["l.position"].values
+    np.testing.assert_allclose(gap[5:-5], 0.012, atol=1e-9)
+    together = read(path, *signals, settings=LogSettings(align=True))
+    gap = together["e.position"].values - together["l.position"].values
+    np.testing.assert_allclose(gap[5:-5], 0.0, atol=1e-9)
+    told = read(path, signals[0], Signal("l", "/late", ("position",), offset=-0.012))
+    np.testing.assert_allclose((told["e.position"].values - told["l.position"].values)[5:-5], 0.0, atol=1e-9)
+
+
+@given(st.lists(st.integers(-50, 50), min_size=1, max_size=40))
+def test_the_increasing_subset_is_increasing_and_none_is_larger(stamps: list[int]) -> None:
+    array = np.array(stamps)
+    keep = increasing(array)
+    assert np.all(np.diff(array[keep]) > 0)
+    longest = [1] * len(stamps)  # by the quadratic textbook recursion
+    for i, stamp in enumerate(stamps):
+        longest[i] = 1 + max((longest[j] for j in range(i) if stamps[j] < stamp), default=0)
+    assert keep.sum() == max(longest)
+
+
+# -- the uniform clock ------------------------------------------------------------------------------------
+
+
+def test_the_grid_starts_when_all_have_begun_in_phase_with_the_slowest_state(tmp_path: Path) -> None:
+    messages = [Message("/a", JS, t, joint_state(ROS2, t, ("a",), [0.0])) for t in times(100)]
+    messages += [Message("/b", JS, t, joint_state(ROS2, t, ("a",), [0.0])) for t in times(50, T0 + 203_000_000)]
+    messages += [Message("/u", JS, t, joint_state(ROS2, t, ("a",), [1.0])) for t in times(50, T0 + 316_000_000)]
+    path = write_mcap(tmp_path / "a", messages)
+    a, b = Signal("a", "/a", ("position",)), Signal("b", "/b", ("position",))
+    command = Signal("u", "/u", ("position",), is_input=True)
+    assert read(path, a, b).start_ns == T0 + 203_000_000
+    trajectory = read(path, a, b, command)
+    assert trajectory.start_ns == T0 + 323_000_000
+    assert trajectory["u.position"].valid[0]
+    part = read(path, a, b, start=0.1, end=0.2)
+    assert part.start_ns == T0 + 303_000_000 and part.steps == 11
+    with pytest.raises(ConfigError, match="no part of it"):
+        read(path, a, b, start=30.0)
+
+
+def test_topics_that_do_not_overlap_are_told_with_their_spans(tmp_path: Path) -> None:
+    messages = [Message("/a", JS, t, joint_state(ROS2, t, ("a",), [0.0])) for t in times(10)]
+    late = T0 + 60 * S
+    messages += [Message("/u", JS, late, joint_state(ROS2, late, ("a",), [0.0]))]
+    path = write_mcap(tmp_path / "a", messages)
+    with pytest.raises(LogError, match=r"do not overlap.*/a 0.000 to 0.090 s.*/u 60.000 to 60.000 s"):
+        read(path, Signal("a", "/a", ("position",)), Signal("u", "/u", ("position",), is_input=True))
+
+
+def test_absurdly_long_trajectories_are_refused(tmp_path: Path) -> None:
+    path = log_of(tmp_path / "a", [T0, T0 + 9000 * S], [T0, T0 + 9000 * S])
+    with pytest.raises(LogError, match="rows, more than"):
+        read(path, dt=1e-4)
+
+
+def test_gaps_are_not_bridged_and_commands_are_held() -> None:
+    stamps = np.concatenate([np.arange(10) * 0.01, 1.0 + np.arange(10) * 0.01])
+    values = np.arange(20.0)[:, None]
+    grid = np.arange(0, 120) * 0.01
+    state = resample(stamps, values, ("a",), grid, bridge=0.2)
+    np.testing.assert_array_equal(np.flatnonzero(state.valid), [*range(10), *range(100, 110)])
+    command = resample(stamps, values, ("a",), grid, bridge=0.2, hold=True)
+    assert command.valid[:29].all() and not command.valid[30:100].any() and command.valid[100:].all()
+    assert command.values[15, 0] == 9.0
+    assert command.sampled.sum() == state.sampled.sum() == 20
+
+
+def test_a_slow_topic_may_be_silent_for_five_periods(tmp_path: Path) -> None:
+    stamps = [t for i, t in enumerate(times(20, period=0.1)) if i not in (5, 6, 7)]
+    series = read(log_of(tmp_path / "a", stamps, stamps))["j.position"]
+    assert series.valid.all()
+
+
+def test_held_commands_have_no_lookahead_and_interpolation_is_linear() -> None:
+    stamps, values = np.array([0.0, 0.1, 0.2]), np.array([[0.0], [1.0], [0.0]])
+    grid = np.arange(0, 9) * 0.025
+    held = resample(stamps, values, ("a",), grid, bridge=1.0, hold=True)
+    np.testing.assert_allclose(held.values[:, 0], [0, 0, 0, 0, 1, 1, 1, 1, 0])
+    linear = resample(stamps, values, ("a",), grid, bridge=1.0)
+    np.testing.assert_allclose(linear.values[:, 0], [0, 0.25, 0.5, 0.75, 1, 0.75, 0.5, 0.25, 0])
+
+
+def test_orientations_go_along_the_arc_whatever_their_signs() -> None:
+    stamps = np.arange(11) * 0.1
+    q = rotations.exp(np.outer(stamps, [0.0, 0.0, 2.0])) * np.where(np.arange(11) % 2, -1.0, 1.0)[:, None]
+    grid = np.arange(0, 41) * 0.025
+    found = resample(stamps, q, tuple("wxyz"), grid, bridge=1.0, rotation=True)
+    expected = rotations.exp(np.outer(grid, [0.0, 0.0, 2.0]))
+    assert np.abs(rotations.difference(found.values, expected)).max() < 1e-12
+
+
+# -- velocities -------------------------------------------------------------------------------------------
+
+
+def test_derivative_on_jittered_stamps_is_exact_for_parabolas_and_stops_at_gaps() -> None:
+    rng = np.random.default_rng(0)
+    t = np.cumsum(rng.uniform(0.005, 0.015, 200))
+    t[100:] += 1.0
+    y = np.stack([3.0 * t, t * t], axis=1)
+    np.testing.assert_allclose(derivative(t, y, 0.2), np.stack([np.full(200, 3.0), 2 * t], axis=1), atol=1e-8)
+    broken = np.where(np.arange(200)[:, None] < 100, y, y + 50.0)
+    np.testing.assert_allclose(derivative(t, broken, 0.2)[:, 0], 3.0, atol=1e-8)
+
+
+def test_derivative_smooths_noise() -> None:
+    rng = np.random.default_rng(1)
+    t = np.arange(2000) * 1e-3
+    y = np.sin(3 * t)[:, None] + rng.normal(scale=1e-3, size=(2000, 1))
+    error = derivative(t, y, 0.2)[:, 0] - 3 * np.cos(3 * t)
+    raw = np.gradient(y[:, 0], t) - 3 * np.cos(3 * t)
+    assert error.std() < 0.02 * raw.std() + 0.02
+
+
+def test_angular_velocity_is_in_the_body_frame() -> None:
+    t = np.arange(300) * 0.005
+    body = np.array([0.5, -1.0, 2.0])
+    tilt = rotations.exp(np.array([0.4, 0.3, -0.2]))
+    q = rotations.multiply(np.tile(tilt, (300, 1)), rotations.exp(np.outer(t, body)))
+    np.testing.assert_allclose(angular_velocity(t, q, 0.2), np.tile(body, (300, 1)), atol=1e-6)
+
+
+def test_too_few_samples_have_no_velocity() -> None:
+    assert np.isnan(derivative(np.array([0.0, 0.1]), np.ones((2, 1)), 1.0)).all()
+    lonely = derivative(np.array([0.0, 5.0, 5.1, 5.2, 9.0]), np.zeros((5, 1)), 1.0)
+    np.testing.assert_array_equal(np.isnan(lonely[:, 0]), [True, False, False, False, True])
+
+
+def test_a_written_log_lands_exactly_on_its_own_grid(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    dt = 1 / 148
+    with LogWriter(path, {}) as log:
+        for i in range(300):
+            log.joint_state("/js", T0 + round(i * dt * S), ("a",), [np.sin(i)])
+    series = read(path, dt=dt)["j.position"]
+    assert series.valid.all() and series.sampled.all() and series.valid.size == 300
+    np.testing.assert_allclose(series.values[:, 0], np.sin(np.arange(300)), atol=1e-6)

@@ -1,0 +1,381 @@
+"""Every message type becomes SI numbers in our conventions, from every format."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs import read_trajectory
+from tests.logs.log_makers import (
+    ARRAY,
+    DT,
+    JOINTS,
+    JS,
+    ROS1,
+    ROS2,
+    SETTINGS,
+    SIGNALS,
+    T0,
+    Message,
+    header,
+    joint_state,
+    make,
+    motion,
+    pose,
+    quaternion,
+    truth,
+    vector,
+    write_bag,
+    write_mcap,
+    write_rosbag2,
+)
+
+N = 50
+TURN = (np.cos(0.3), 0.0, 0.0, np.sin(0.3))
+g = "geometry_msgs/msg/"
+
+
+def series(store: Any, topic: str, name: str, content: Callable[[int, int], Any]) -> list[Message]:
+    """N messages; content(i, stamp)."""
+    stamps = [T0 + i * 10_000_000 for i in range(N)]
+    return [Message(topic, name, stamp, content(i, stamp)) for i, stamp in enumerate(stamps)]
+
+
+def read(path: Path, *signals: Signal, **options: Any) -> Any:
+    return read_trajectory(path, signals, DT, SETTINGS, **options)
+
+
+def stamped(store: Any, name: str, stamp: int, **fields: Any) -> Any:
+    return make(store, name, header=header(store, stamp), **fields)
+
+
+@pytest.fixture(scope="module", params=["mcap", "db3", "bag"])
+def zoo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """One log with every built-in type."""
+    store = ROS1 if request.param == "bag" else ROS2
+    covariance = {"covariance": np.zeros(36)}
+
+    def at(i: int) -> Any:
+        return pose(store, (i * DT, 2, 3), TURN)
+
+    def transform(i: int) -> Any:
+        return make(
+            store, f"{g}Transform", translation=vector(store, (i * DT, 2, 3)), rotation=quaternion(store, TURN)
+        )
+
+    def transform_stamped(i: int, stamp: int, child: str) -> Any:
+        return stamped(store, f"{g}TransformStamped", stamp, child_frame_id=child, transform=transform(i))
+
+    twist = make(store, f"{g}Twist", linear=vector(store, (1, 2, 3)), angular=vector(store, (4, 5, 6)))
+    wrench = make(store, f"{g}Wrench", force=vector(store, (1, 2, 3)), torque=vector(store, (4, 5, 6)))
+    nine = {f"{q}_covariance": np.zeros(9) for q in ("orientation", "angular_velocity", "linear_acceleration")}
+    layout = make(store, "std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+    kinds: dict[str, tuple[str, Callable[[int, int], Any]]] = {
+        "/pose": (f"{g}PoseStamped", lambda i, s: stamped(store, f"{g}PoseStamped", s, pose=at(i))),
+        "/posecov": (
+            f"{g}PoseWithCovarianceStamped",
+            lambda i, s: stamped(
+                store,
+                f"{g}PoseWithCovarianceStamped",
+                s,
+                pose=make(store, f"{g}PoseWithCovariance", pose=at(i), **covariance),
+            ),
+        ),
+        "/transform": (f"{g}TransformStamped", lambda i, s: transform_stamped(i, s, "box")),
+        "/twist": (f"{g}TwistStamped", lambda i, s: stamped(store, f"{g}TwistStamped", s, twist=twist)),
+        "/wrench": (f"{g}WrenchStamped", lambda i, s: stamped(store, f"{g}WrenchStamped", s, wrench=wrench)),
+        "/imu": (
+            "sensor_msgs/msg/Imu",
+            lambda i, s: stamped(
+                store,
+                "sensor_msgs/msg/Imu",
+                s,
+                orientation=quaternion(store, TURN),
+                angular_velocity=vector(store, (4, 5, 6)),
+                linear_acceleration=vector(store, (0, 0, 9.81)),
+                **nine,
+            ),
+        ),
+        "/array": (ARRAY, lambda i, s: make(store, ARRAY, layout=layout, data=np.array([i, 2.0 * i]))),
+        "/number": ("std_msgs/msg/Float64", lambda i, s: make(store, "std_msgs/msg/Float64", data=float(i))),
+    }
+    if store is ROS2:  # rosbags has no ROS 1 TFMessage to write
+        name = "tf2_msgs/msg/TFMessage"
+        kinds["/tf"] = name, lambda i, s: make(
+            store, name, transforms=[transform_stamped(2 * i, s, "arm"), transform_stamped(i, s, "box")]
+        )
+    messages = [m for topic, (kind, content) in kinds.items() for m in series(store, topic, kind, content)]
+    messages.sort(key=lambda message: message.stamp_ns)
+    folder = tmp_path_factory.mktemp("zoo")
+    if request.param == "mcap":
+        return write_mcap(folder / "zoo.mcap", messages)
+    return write_bag(folder / "zoo.bag", messages) if store is ROS1 else write_rosbag2(folder / "zoo", messages)
+
+
+@pytest.mark.parametrize("topic", ["/pose", "/posecov", "/transform", "/tf"])
+def test_poses(zoo: Path, topic: str) -> None:
+    if topic == "/tf" and zoo.suffix == ".bag":
+        pytest.skip("rosbags cannot write a ROS 1 TFMessage")
+    child = "box" if topic == "/tf" else None
+    quantities = ("position", "orientation", "linear_velocity", "angular_velocity")
+    trajectory = read(zoo, Signal("b", topic, quantities, child_frame=child))
+    steps = np.arange(N) * DT
+    np.testing.assert_allclose(trajectory["b.position"].values[:, 0], steps, atol=1e-9)
+    np.testing.assert_allclose(trajectory["b.orientation"].values, np.tile(TURN, (N, 1)), atol=1e-12)
+    np.testing.assert_allclose(trajectory["b.linear_velocity"].values, np.tile((1, 0, 0), (N, 1)), atol=1e-6)
+    np.testing.assert_allclose(trajectory["b.angular_velocity"].values, 0.0, atol=1e-9)
+    assert trajectory["b.orientation"].columns == ("w", "x", "y", "z")
+
+
+def test_sensors_and_numbers(zoo: Path) -> None:
+    trajectory = read(
+        zoo,
+        Signal("twist", "/twist", ("linear_velocity", "angular_velocity")),
+        Signal("ft", "/wrench", ("force", "torque")),
+        Signal("imu", "/imu", ("orientation", "angular_velocity", "linear_acceleration")),
+        Signal("u", "/array", ("value",), is_input=True),
+        Signal("x", "/number", ("value",)),
+    )
+    expected = {
+        "twist.linear_velocity": (1, 2, 3),
+        "twist.angular_velocity": (4, 5, 6),
+        "ft.force": (1, 2, 3),
+        "ft.torque": (4, 5, 6),
+        "imu.orientation": TURN,
+        "imu.angular_velocity": (4, 5, 6),
+        "imu.linear_acceleration": (0, 0, 9.81),
+        "u.value": (7, 14),
+        "x.value": (7,),
+    }
+    for key, row in expected.items():
+        np.testing.assert_allclose(trajectory[key].values[7], row, atol=1e-9, err_msg=key)
+        assert trajectory[key].valid.all()
+
+
+@pytest.mark.parametrize("kind", ["mcap", "db3", "bag", "folder_mcap", "file_zstd", "message_zstd", "mcap_message"])
+def test_the_same_motion_from_every_container(kind: str, tmp_path: Path) -> None:
+    store = ROS1 if kind == "bag" else ROS2
+    messages = motion(store, N)
+    path = {
+        "mcap": lambda: write_mcap(tmp_path / "a", messages),
+        "db3": lambda: next(write_rosbag2(tmp_path / "a", messages).glob("*.db3")),
+        "bag": lambda: write_bag(tmp_path / "a.bag", messages),
+        "folder_mcap": lambda: write_rosbag2(tmp_path / "a", messages, "mcap"),
+        "file_zstd": lambda: write_rosbag2(tmp_path / "a", messages, "sqlite3", "file"),
+        "message_zstd": lambda: write_rosbag2(tmp_path / "a", messages, "sqlite3", "message"),
+        "mcap_message": lambda: write_rosbag2(tmp_path / "a", messages, "mcap", "message"),
+    }[kind]()
+    trajectory = read(path, *SIGNALS)
+    assert trajectory.steps == N and trajectory.start_ns == T0 and trajectory.source == str(path)
+    for key, values in truth(np.arange(N) * DT).items():
+        np.testing.assert_allclose(trajectory[key].values, values, atol=1e-12, err_msg=key)
+        assert trajectory[key].sampled.all()
+    assert trajectory["joints.position"].columns == JOINTS
+
+
+def test_joints_are_taken_by_name_whatever_their_order(tmp_path: Path) -> None:
+    def content(i: int, stamp: int) -> Any:
+        names = ("a", "b", "c") if i % 2 else ("c", "x", "a", "b")
+        values = {"a": 1.0 + i, "b": 2.0, "c": 3.0, "x": 9.0}
+        return joint_state(ROS2, stamp, names, [values[name] for name in names])
+
+    path = write_mcap(tmp_path / "a", series(ROS2, "/js", JS, content))
+    trajectory = read(path, Signal("j", "/js", ("position",), names=("b", "a")))
+    np.testing.assert_allclose(trajectory["j.position"].values[:, 1], 1.0 + np.arange(N))
+    np.testing.assert_allclose(trajectory["j.position"].values[:, 0], 2.0)
+    everything = read(path, Signal("j", "/js", ("position",)))
+    assert everything["j.position"].columns == ("c", "x", "a", "b")
+    assert everything["j.position"].valid[:-1].all(), "x is interpolated where a message lacks it"
+    assert everything["j.position"].sampled.sum() == N // 2
+    with pytest.raises(LogError, match="no joint 'd'.*there is: a, b, c, x"):
+        read(path, Signal("j", "/js", ("position",), names=("d",)))
+
+
+def test_two_drivers_sharing_a_topic(tmp_path: Path) -> None:
+    def content(i: int, stamp: int) -> Any:
+        return joint_state(ROS2, stamp, ("arm",) if i % 2 else ("hand",), [float(i)])
+
+    path = write_mcap(tmp_path / "a", series(ROS2, "/js", JS, content))
+    trajectory = read(path, Signal("j", "/js", ("position", "velocity"), names=("arm", "hand")))
+    position = trajectory["j.position"]
+    assert position.valid[1:-1].all()
+    np.testing.assert_allclose(position.values[1:-1], np.arange(N)[1:-1, None] * [1.0, 1.0])
+    np.testing.assert_allclose(trajectory["j.velocity"].values[1:-1], 1 / DT, rtol=1e-6)
+
+
+def test_empty_velocity_is_differentiated_and_empty_effort_refused(tmp_path: Path) -> None:
+    t = np.arange(N) * DT
+
+    def content(i: int, stamp: int) -> Any:
+        return joint_state(ROS2, stamp, ("a",), [np.sin(5 * t[i])])
+
+    path = write_mcap(tmp_path / "a", series(ROS2, "/js", JS, content))
+    velocity = read(path, Signal("j", "/js", ("velocity",)))["j.velocity"]
+    assert velocity.derived
+    np.testing.assert_allclose(velocity.values[3:-3, 0], 5 * np.cos(5 * t[3:-3]), atol=0.02)
+    with pytest.raises(LogError, match="carries no effort"):
+        read(path, Signal("j", "/js", ("effort",)))
+
+
+def test_trajectory_points_act_after_their_delay_until_the_next_command(tmp_path: Path) -> None:
+    name, point = "trajectory_msgs/msg/JointTrajectory", "trajectory_msgs/msg/JointTrajectoryPoint"
+    empty = np.zeros(0)
+
+    def points(i: int) -> list[Any]:
+        delays = (20_000_000, 500_000_000)
+        return [
+            make(
+                ROS2,
+                point,
+                positions=np.array([10.0 * k, float(i)]),
+                velocities=empty,
+                accelerations=empty,
+                effort=empty,
+                time_from_start=make(ROS2, "builtin_interfaces/msg/Duration", sec=0, nanosec=delay),
+            )
+            for k, delay in enumerate(delays)
+        ]
+
+    messages = series(ROS2, "/cmd", name, lambda i, s: stamped(ROS2, name, s, joint_names=["b", "a"], points=points(i)))
+    path = write_mcap(tmp_path / "a", messages)
+    command = read(path, Signal("u", "/cmd", ("position",), names=("a", "b"), is_input=True))["u.position"]
+    np.testing.assert_allclose(command.values[:N, 0], np.arange(N))
+    np.testing.assert_allclose(command.values[: N - 1, 1], 0.0)
+    np.testing.assert_allclose(command.values[-1], (N - 1, 10.0))  # nothing superseded the last message
+
+
+def custom_log(path: Path, definitions: bool, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A type that ROS does not have."""
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.LATEST)
+    store.register(get_types_from_msg("float32 q\nfloat32 dq\nstring name", "go_msgs/msg/Motor"))
+    store.register(get_types_from_msg("uint32 tick\nMotor[3] motorState\nfloat64[] u", "go_msgs/msg/Low"))
+    monkeypatch.setattr("tests.logs.log_makers.ROS2", store)
+
+    def content(i: int, stamp: int) -> Any:
+        motors = [make(store, "go_msgs/msg/Motor", q=k + i, dq=-k, name="m" * (i % 3)) for k in range(3)]
+        return make(store, "go_msgs/msg/Low", tick=i, motorState=motors, u=np.array([1.0, i]))
+
+    return write_mcap(path, series(store, "/low", "go_msgs/msg/Low", content), definitions=definitions)
+
+
+FIELDS = {"position": ("motorState[2].q", "motorState[0].q"), "velocity": ("motorState[2].dq",), "value": ("u",)}
+
+
+def test_fields_of_foreign_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = custom_log(tmp_path / "a", True, monkeypatch)
+    trajectory = read(path, Signal("m", "/low", ("position", "velocity", "value"), fields=FIELDS))
+    np.testing.assert_allclose(trajectory["m.position"].values, np.arange(N)[:, None] + [2.0, 0.0])
+    np.testing.assert_allclose(trajectory["m.velocity"].values, -2.0)
+    np.testing.assert_allclose(trajectory["m.value"].values[5], (1, 5))
+    assert trajectory["m.position"].columns == FIELDS["position"]
+    with pytest.raises(LogError, match=r"no number field 'motorState\[3\].q' \(did you mean"):
+        read(path, Signal("m", "/low", ("value",), fields={"value": ("motorState[3].q",)}))
+    with pytest.raises(LogError, match="not built in; name its fields"):
+        read(path, Signal("m", "/low", ("value",)))
+
+
+@pytest.mark.parametrize("layout", ["go_msgs/msg", "go_msgs"])
+def test_definitions_from_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: str) -> None:
+    path = custom_log(tmp_path / "a", False, monkeypatch)
+    signal = Signal("m", "/low", ("value",), fields={"value": ("motorState[1].q",)})
+    with pytest.raises(LogError, match="no definition of go_msgs/msg/Low.*--msg-path"):
+        read(path, signal)
+    folder = tmp_path / "defs" / layout
+    folder.mkdir(parents=True)
+    (folder / "Motor.msg").write_text("float32 q\nfloat32 dq\nstring name\n")
+    (folder / "Low.msg").write_text("uint32 tick\nMotor[3] motorState\nfloat64[] u\n")
+    for root in (tmp_path / "defs", tmp_path / "defs" / "go_msgs"):
+        trajectory = read(path, signal, msg_path=root)
+        np.testing.assert_allclose(trajectory["m.value"].values[:, 0], 1.0 + np.arange(N))
+    with pytest.raises(ConfigError, match=r"no \.msg file"):
+        read(path, signal, msg_path=tmp_path / "nowhere")
+
+
+def test_bundled_definitions_stand_in_for_missing_ones(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", motion(ROS2, N), definitions=False)
+    assert read(path, *SIGNALS).steps == N
+
+
+def test_lost_quaternions_take_their_positions_along(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    def content(i: int, stamp: int) -> Any:
+        lost = {10: (0, 0, 0, 0), 11: (np.nan,) * 4, 12: (3, 0, 0, 0)}
+        place = (0, 0, 0) if i in lost else (1, 1, 1)
+        return stamped(ROS2, f"{g}PoseStamped", stamp, pose=pose(ROS2, place, lost.get(i, TURN)))
+
+    path = write_mcap(tmp_path / "a", series(ROS2, "/p", f"{g}PoseStamped", content))
+    with caplog.at_level(logging.WARNING):
+        position = read(path, Signal("p", "/p", ("position",)))["p.position"]
+    np.testing.assert_allclose(position.values, 1.0)
+    assert position.valid.all() and (~position.sampled).sum() == 3
+    assert "3 messages without a valid quaternion" in caplog.text
+
+
+def test_unknown_imu_orientation_is_not_data(tmp_path: Path) -> None:
+    unknown = np.array([-1.0, *np.zeros(8)])
+
+    def content(i: int, stamp: int) -> Any:
+        return stamped(
+            ROS2,
+            "sensor_msgs/msg/Imu",
+            stamp,
+            orientation=quaternion(ROS2, (1, 0, 0, 0)),
+            orientation_covariance=unknown,
+            angular_velocity=vector(ROS2, (200, 0, 0)),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=vector(ROS2, (0, 0, 9.8)),
+            linear_acceleration_covariance=np.zeros(9),
+        )
+
+    path = write_mcap(tmp_path / "a", series(ROS2, "/imu", "sensor_msgs/msg/Imu", content))
+    with pytest.raises(LogError, match="carries no orientation"):
+        read(path, Signal("i", "/imu", ("orientation",)))
+
+
+@pytest.mark.parametrize(
+    ("values", "text"), [([[90.0]], "position reaches 90 rad: looks like degrees"), ([[1.0, 2.0]], None)]
+)
+def test_units_that_look_like_degrees(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, values: list[list[float]], text: str | None
+) -> None:
+    names = tuple("ab"[: len(values[0])])
+    path = write_mcap(tmp_path / "a", series(ROS2, "/js", JS, lambda i, s: joint_state(ROS2, s, names, values[0])))
+    with caplog.at_level(logging.WARNING):
+        read(path, Signal("j", "/js", ("position",), names=names))
+    assert (text in caplog.text) if text else not caplog.records
+
+
+def test_what_is_absent_is_named_with_what_there_is(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a", motion(ROS2, N))
+    with pytest.raises(LogError, match=r"no topic '/odm' \(did you mean '/odom'\?\); there is: /odom \(nav"):
+        read(path, Signal("b", "/odm", ("position",), type="nav_msgs/msg/Odometry"))
+    with pytest.raises(LogError, match="carries nav_msgs/msg/Odometry, not geometry_msgs/msg/PoseStamped"):
+        read(path, Signal("b", "/odom", ("position",), type=f"{g}PoseStamped"))
+    with pytest.raises(LogError, match="no quantity 'force'"):
+        read(path, Signal("b", "/odom", ("force",)))
+    with pytest.raises(ConfigError, match="no such file"):
+        read(tmp_path / "nothing.mcap", *SIGNALS)
+
+
+def test_child_frames(tmp_path: Path) -> None:
+    name = "tf2_msgs/msg/TFMessage"
+
+    def content(i: int, stamp: int) -> Any:
+        t = make(ROS2, f"{g}Transform", translation=vector(ROS2, (1, 2, 3)), rotation=quaternion(ROS2, TURN))
+        child = {"child_frame_id": "box", "transform": t}
+        return make(ROS2, name, transforms=[stamped(ROS2, f"{g}TransformStamped", stamp, **child)])
+
+    path = write_mcap(tmp_path / "a", series(ROS2, "/tf", name, content))
+    assert read(path, Signal("b", "/tf", ("position",), child_frame="/box"))["b.position"].valid.all()
+    with pytest.raises(LogError, match="no child frame 'bix'.*'box'"):
+        read(path, Signal("b", "/tf", ("position",), child_frame="bix"))
+    with pytest.raises(ConfigError, match="name the child_frame.*box"):
+        read(path, Signal("b", "/tf", ("position",)))
