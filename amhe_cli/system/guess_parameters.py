@@ -75,8 +75,9 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
     for body in dict.fromkeys(name for name in bodies if name):
         mass = float(model.body(body).mass[0])
         if mass > 0.0:
-            why = "inertia carried along; motion without a known force cannot tell it"
-            yield Guess(f"{body}_mass", _entry(mass, False, [{"body": body, "set": "mass"}], 0.3), why)
+            free = "; motion without a known force cannot tell it" if body in free_bodies(model) else ""
+            entry = _entry(mass, False, [{"body": body, "set": "mass"}], 0.3)
+            yield Guess(f"{body}_mass", entry, f"of body {body}, inertia carried along{free}; from the model")
 
 
 def _heaviest(model: mujoco.MjModel, link: int) -> int:

@@ -83,7 +83,12 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, war
     plain = _compiled(file, spec)
     planned = plan(file, entry, spec, plain)
     keyframe = _keyframe(file, entry, plain)
-    space, edits = unknowns_of(file, entry, plain)
+    unknowns_of(file, entry, plain)
+    for name, parameter in entry.parameters.items():
+        if not planned.has_commands() and any(target.set == "command_delay" for target in parameter.targets):
+            file.problem(
+                ("parameters", name), "a command delay changes nothing: no signal commands actuators"
+            )
     file.raise_problems()
     base = _compiled(file, spec)
     space, edits = unknowns_of(file, entry, base)

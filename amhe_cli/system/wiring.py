@@ -65,6 +65,10 @@ class Plan:
             inputs.append(Input(key, tuple(first + column for column in columns), delayed))
         return Wiring(tuple(self.signals), tuple(channels), tuple(inputs), spec)
 
+    def has_commands(self) -> bool:
+        """Some signal commands actuators."""
+        return any(delayed for _, _, _, delayed in self.driven)
+
     def unset_joints(self) -> list[str]:
         """Joints whose state no signal gives."""
         return [

@@ -185,12 +185,19 @@ def test_a_command_delay_is_a_column_of_theta(written: Write) -> None:
     system = load_system(
         written(
             "  mass: {targets: [{body: box, set: mass}]}\n"
-            "  delay: {nominal: 0.01, bounds: [0.001, 0.05], targets: [{set: command_delay}]}\n"
+            "  delay: {nominal: 0.01, bounds: [0.001, 0.05], targets: [{set: command_delay}]}\n",
+            signals="signals: {c: {topic: /c, actuators: [hip_servo]}}\n",
         )
     )
     assert system.edits.delay_column == 1
     np.testing.assert_array_equal(system.edits.delays(np.array([[1.0, 0.02], [1.0, 0.03]])), [0.02, 0.03])
     assert system.space.parameters[1].unit == "s"
+
+
+def test_a_delay_of_no_command_is_refused(written: Write) -> None:
+    folder = written("  delay: {nominal: 0.01, bounds: [0.001, 0.05], targets: [{set: command_delay}]}\n")
+    with pytest.raises(ConfigError, match="no signal commands actuators"):
+        load_system(folder)
 
 
 def test_without_a_command_delay_it_is_zero(with_target: Write) -> None:
