@@ -3,7 +3,7 @@
 PYTHON ?= $(shell for p in python3 python3.14 python3.13 python3.12 python3.11 python; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
 BIN := .venv/bin
-PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+PIP := $(BIN)/python -m pip --quiet --quiet --disable-pip-version-check
 
 export OMP_NUM_THREADS ?= 1
 
@@ -46,16 +46,16 @@ clean:
 $(BIN)/python:
 	@test -n "$(PYTHON)" || { echo "amhe needs Python >= 3.11; set PYTHON=/path/to/python3" >&2; exit 1; }
 	@echo "Setting up .venv (once; a minute or two) ..."
-	$(PYTHON) -m venv .venv
+	@$(PYTHON) -m venv .venv
 
 .venv/.installed: pyproject.toml | $(BIN)/python
-	$(PIP) install --editable .
+	@$(PIP) install --editable .
 	@touch $@
 
 .venv/.installed-dev: pyproject.toml | $(BIN)/python
-	$(PIP) install --editable '.[dev]'
+	@$(PIP) install --editable '.[dev]'
 	@touch .venv/.installed $@
 
 .venv/.installed-bench: pyproject.toml | $(BIN)/python
-	$(PIP) install --editable '.[bench]'
+	@$(PIP) install --editable '.[bench]'
 	@touch .venv/.installed $@

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -79,12 +80,20 @@ class Inspection:
 
 @dataclass(frozen=True, slots=True)
 class IdentifyProblem:
-    """All that an identification starts from."""
+    """All that an identification starts from.
+
+    Args:
+        system: What is identified.
+        training, held_out: Its logs; no held-out ones: a share of the training logs.
+        prior: A belief to start from.
+        truth: Parameters that the logs themselves call true, as simulated ones do; nothing is fitted to it.
+    """
 
     system: System
     training: tuple[Trajectory, ...]
     held_out: tuple[Trajectory, ...] | None
     prior: Belief | None
+    truth: Mapping[str, float]
 
 
 def identify_problem(
@@ -109,7 +118,17 @@ def identify_problem(
     prior = read_belief(belief, loaded) if belief else None
     training = trajectories(loaded, source)
     validation = trajectories(loaded, replace(source, paths=tuple(held_out), start=None, end=None))
-    return IdentifyProblem(loaded, training, validation or None, prior)
+    return IdentifyProblem(loaded, training, validation or None, prior, _truth(training))
+
+
+def _truth(logs: Sequence[Trajectory]) -> dict[str, float]:
+    """The `truth` of the logs' metadata, a JSON object of numbers; {} where they disagree or have none."""
+    said = {log.metadata.get("truth") for log in logs}
+    try:
+        truth = json.loads(said.pop() or "{}") if len(said) == 1 else {}
+        return {str(name): float(value) for name, value in truth.items()}
+    except (ValueError, TypeError, AttributeError):
+        return {}  # somebody else's idea of the key: not for us
 
 
 def open_system(
@@ -128,7 +147,9 @@ def system_of(logs: Sequence[Path]) -> str:
     named = {path: str(name) for path in logs if (name := read_metadata(path).get("system"))}
     names = sorted(set(named.values()))
     if len(names) > 1:
-        raise ConfigError(f"the logs are about different systems ({', '.join(names)}); choose one with --system")
+        raise ConfigError(
+            f"the logs are about different systems ({', '.join(names)}); choose one with --system"
+        )
     if names:
         return names[0]
     known = bundled_systems()

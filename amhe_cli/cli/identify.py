@@ -34,7 +34,10 @@ from amhe_cli.cli.session import Session
     help="Estimator; linearised falls back on cmaes where it does not help.",
 )
 @click.option(
-    "--max-time", type=click.FloatRange(min=0, min_open=True), metavar="S", help="Stop in time, with the best so far."
+    "--max-time",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="S",
+    help="Stop in time, with the best so far.",
 )
 @click.option(
     "--checkpoint",
@@ -91,9 +94,9 @@ def identify(
         result = run(problem.system, problem.training, problem.held_out, search, on_iteration)
     session.interrupted = result.interrupted
     origin = provenance(session.command_line, seed, result.method, problem.system.folder, logs, held_out)
-    record = session.record(**identification_record(result), seed=seed, out=str(folder))
+    record = session.record(**identification_record(result, problem.truth), seed=seed, out=str(folder))
     write_identification(folder, problem.system, result, record, origin)
     if session.json:
         session.print_json(record)
     else:
-        print_identification(result, folder, session.console())
+        print_identification(result, folder, session.console(), problem.truth)

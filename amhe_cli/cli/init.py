@@ -44,8 +44,10 @@ def init(
 
     session.hush_mujoco()
     folder = reserve(out, "init", force)
-    init_system(model, logs, folder, msg_path=msg_path, force=force)
+    guessed = init_system(model, logs, folder, msg_path=msg_path, force=force)
     if session.json:
-        session.print_json(session.record(system=str(folder)))
-    else:
-        print(f"{folder}/system.yaml: read it, correct it, then: amhe identify LOG --system {folder}")
+        session.print_json(session.record(system=str(folder), guessed=guessed))
+        return
+    for sentence in guessed:
+        print(sentence)
+    print(f"wrote {folder}/system.yaml: read it, correct it, then: amhe identify LOG --system {folder}")

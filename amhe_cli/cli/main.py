@@ -10,6 +10,7 @@ import signal
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import TextIOWrapper
 from types import FrameType
 
 import click
@@ -39,7 +40,7 @@ def main() -> None:
 def run(arguments: Sequence[str]) -> int:
     """Run one command line and return its exit code; every message is on stderr by then."""
     for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):  # a terminal without Unicode shows '?', it does not end the run
+        if isinstance(stream, TextIOWrapper):  # a terminal without Unicode shows '?', it does not end the run
             stream.reconfigure(errors="replace")
     session = Session(arguments)
     with _terminable(session):
@@ -66,7 +67,9 @@ def _failed(session: Session, error: Exception) -> int:
         return USAGE
     if isinstance(error, AmheError):
         session.say("error", str(error))
-        return USAGE if isinstance(error, ConfigError) else UNREADABLE if isinstance(error, LogError) else FAILED
+        return (
+            USAGE if isinstance(error, ConfigError) else UNREADABLE if isinstance(error, LogError) else FAILED
+        )
     if isinstance(error, OSError) and error.filename is not None:
         session.say("error", f"{error.filename}: {error.strerror}")
         return FAILED

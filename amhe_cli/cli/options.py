@@ -33,6 +33,7 @@ class Command(click.Command):
     """A command that listens to the library's log from the moment its options are known."""
 
     def invoke(self, ctx: click.Context) -> Any:
+        """Run the command's body."""
         ctx.ensure_object(Session).begin(ctx.command_path)
         return super().invoke(ctx)
 
@@ -43,8 +44,8 @@ def _remember(ctx: click.Context, param: click.Parameter, value: Any) -> None:
 
 
 def _flag(*names: str, help: str, **more: Any) -> Callable[[F], F]:
-    kind = {"is_flag": True} | more
-    return click.option(*names, help=help, expose_value=False, callback=_remember, **kind)
+    options: dict[str, Any] = {"is_flag": True, "expose_value": False, "callback": _remember}
+    return click.option(*names, help=help, **(options | more))
 
 
 def _pairs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> dict[str, str]:
@@ -110,7 +111,9 @@ where = _stack(
         help="Read a signal of the system from another topic; repeat for more.",
     ),
     msg_path,
-    click.option("--from", "start", type=_SECONDS, metavar="S", help="Begin S seconds after the log's start."),
+    click.option(
+        "--from", "start", type=_SECONDS, metavar="S", help="Begin S seconds after the log's start."
+    ),
     click.option("--to", "end", type=_SECONDS, metavar="S", help="End S seconds after the log's start."),
 )
 

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, TypeAlias
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from amhe_cli.estimation.result import Iteration
 
 #: Called after each iteration with its record and the total expected.
@@ -33,7 +35,7 @@ def progress(session: Session) -> Iterator[OnIteration]:
 
 
 @contextmanager
-def _bar(console) -> Iterator[OnIteration]:  # noqa: ANN001 -- rich is loaded only when it is used
+def _bar(console: Console) -> Iterator[OnIteration]:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (
@@ -48,7 +50,11 @@ def _bar(console) -> Iterator[OnIteration]:  # noqa: ANN001 -- rich is loaded on
 
         def show(iteration: Iteration, total: int) -> None:
             bars.update(
-                task, description=iteration.method, total=total, completed=iteration.number, state=_state(iteration)
+                task,
+                description=iteration.method,
+                total=total,
+                completed=iteration.number,
+                state=_state(iteration),
             )
 
         yield show

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from logging import Handler
+
     from rich.console import Console
 
 DONE, FAILED, USAGE, LOSSY, UNREADABLE, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4, 130, 143
@@ -117,8 +119,8 @@ class Session:
         print(json.dumps(record, indent=2, allow_nan=False))
 
 
-def _listener(session: Session):  # noqa: ANN202 -- the class needs logging, which is not loaded for --help
-    import logging
+def _listener(session: Session) -> Handler:
+    import logging  # not at the top: --help needs none
 
     class Listener(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:

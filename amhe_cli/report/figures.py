@@ -8,13 +8,14 @@ import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import Any
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator
+from matplotlib.ticker import LogLocator, MaxNLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Belief
@@ -66,7 +67,7 @@ _STYLE = {
 
 @dataclass(frozen=True, slots=True)
 class _Grid:
-    """Cells of equal size over the width of the page; placing axes by hand is twice as fast as a layout engine."""
+    """Cells of equal size over the width of the page; twice as fast as a layout engine."""
 
     count: int
     across: int
@@ -85,9 +86,10 @@ class _Grid:
         return figure.add_axes((box[0] / WIDTH, box[1] / total, box[2] / WIDTH, box[3] / total))
 
 
-def _style(salt: str, **more: object) -> AbstractContextManager[None]:
+def _style(salt: str, **more: Any) -> AbstractContextManager[None]:
     """The look of a figure; `salt` keeps the ids of several figures on one page apart."""
-    return matplotlib.rc_context(_STYLE | {"svg.hashsalt": salt} | more)
+    style: Any = {**_STYLE, "svg.hashsalt": salt, **more}
+    return matplotlib.rc_context(style)
 
 
 def fit_figure(fits: Sequence[Fit]) -> str:
@@ -146,7 +148,9 @@ def _frame(axes: Axes, *shown: FloatArray) -> None:
 
 def _liveliest(fit: Fit, count: int) -> list[int]:
     """The `count` columns with the widest motion, in their own order."""
-    spread = np.nan_to_num(fit.measured[fit.valid].std(axis=0)) if fit.valid.any() else np.zeros(len(fit.columns))
+    spread = (
+        np.nan_to_num(fit.measured[fit.valid].std(axis=0)) if fit.valid.any() else np.zeros(len(fit.columns))
+    )
     return sorted(np.argsort(-spread, kind="stable")[:count].tolist())
 
 
@@ -187,7 +191,7 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
         for axes in (cost, sigma, values):
             axes.set_xlabel("iteration")
             axes.minorticks_off()
-            axes.xaxis.get_major_locator().set_params(integer=True)
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         return _svg(figure)
 
 
@@ -199,14 +203,18 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> str:
     with _style("correlation", **{"axes.grid": False}):
         figure = Figure(figsize=(wide, high))
         axes = figure.add_axes((label / wide, 0.6 * label / high, 0.62 * size / wide, 0.5 * size / high))
-        colors = LinearSegmentedColormap.from_list("signed", ["#c2620a", "#fef3e2", "#ffffff", "#e0eafd", IDENTIFIED])
+        colors = LinearSegmentedColormap.from_list(
+            "signed", ["#c2620a", "#fef3e2", "#ffffff", "#e0eafd", IDENTIFIED]
+        )
         axes.pcolormesh(correlations[::-1], cmap=colors, vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=2)
         for row in range(size):
             for column in range(size):
                 value = correlations[row, column]
                 color = "white" if abs(value) > 0.6 else INK
                 text = f"{value:.2f}".replace("-0.00", "0.00")
-                axes.text(column + 0.5, size - row - 0.5, text, ha="center", va="center", color=color, fontsize=8)
+                axes.text(
+                    column + 0.5, size - row - 0.5, text, ha="center", va="center", color=color, fontsize=8
+                )
         centres = np.arange(size) + 0.5
         axes.set_xticks(centres, names, rotation=30, ha="right")
         axes.set_yticks(centres, list(names)[::-1])

@@ -56,14 +56,18 @@ def losses(found: Any) -> list[str]:
     """What a script should know to be wrong with a log, a line each."""
     path = found.survey.path
     lost = [f"{path}: {problem}" for problem in found.survey.problems]
-    return lost if _usable(found) in (None, True) else [*lost, f"{path}: not usable for system {found.system}"]
+    return (
+        lost if _usable(found) in (None, True) else [*lost, f"{path}: not usable for system {found.system}"]
+    )
 
 
 def print_inspection(found: Any, console: Console) -> None:
     """Print the topics, what is wrong, and how the log suits the system."""
     survey: Survey = found.survey
     messages = sum(topic.count for topic in survey.topics)
-    title = Text.assemble((str(survey.path), "bold"), f"  {survey.format}, {survey.duration:.4g} s, {messages:,} messages")
+    title = Text.assemble(
+        (str(survey.path), "bold"), f"  {survey.format}, {survey.duration:.4g} s, {messages:,} messages"
+    )
     console.print(title, soft_wrap=True)
     if survey.metadata:
         said = ", ".join(f"{key} = {value}" for key, value in survey.metadata.items())
@@ -98,7 +102,9 @@ def _rate(rate: float) -> str:
 def _gap(topic: TopicSurvey) -> str:
     if topic.count < 2:
         return numbers.MISSING
-    silence = f"{topic.longest_gap:.2g} s" if topic.longest_gap >= 1.0 else f"{1e3 * topic.longest_gap:.3g} ms"
+    silence = (
+        f"{topic.longest_gap:.2g} s" if topic.longest_gap >= 1.0 else f"{1e3 * topic.longest_gap:.3g} ms"
+    )
     long = topic.longest_gap * topic.rate > GAP_PERIODS
     return f"{silence} at {topic.gap_at:.2f} s" if long else silence
 
@@ -134,7 +140,9 @@ def _print_suitability(found: Any, console: Console) -> None:
         console.print(f"usable: {found.duration:.4g} s in which all signals are there", style="green")
     else:
         missing = ", ".join(check.signal.name for check in found.checks if check.problem)
-        console.print(f"not usable: {found.problem or f'{missing} cannot be read'}", style="yellow", soft_wrap=True)
+        console.print(
+            f"not usable: {found.problem or f'{missing} cannot be read'}", style="yellow", soft_wrap=True
+        )
 
 
 def _needs(signal: Signal) -> str:

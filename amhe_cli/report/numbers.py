@@ -40,6 +40,12 @@ def percent(fraction: float) -> str:
     return f"{value:.0f} %" if abs(value) >= 10.0 or value == 0.0 else f"{value:.2g} %"
 
 
+def shrinkage(fraction: float) -> str:
+    """A percentage that never claims 100 %: no log tells everything."""
+    value = 100.0 * max(fraction, 0.0)
+    return f"{min(value, 99.9):.1f} %" if value > 99.0 else percent(max(fraction, 0.0))
+
+
 def unit_of(unit: str) -> str:
     """The unit to print behind a number: nothing for '-'."""
     return "" if unit in ("-", "") else unit

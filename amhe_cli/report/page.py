@@ -102,10 +102,7 @@ def _fit_figures(fits: Sequence[Fit]) -> list[dict[str, Any]]:
 
 
 def _strips(result: Identification) -> dict[str, Strip]:
-    return {
-        p.name: _strip(p, log)
-        for p, log in zip(result.parameters, result.belief.log, strict=True)
-    }
+    return {p.name: _strip(p, log) for p, log in zip(result.parameters, result.belief.log, strict=True)}
 
 
 def _strip(p: ParameterResult, log: bool) -> Strip:

@@ -12,7 +12,9 @@ from pathlib import Path
 from amhe_cli import __version__
 
 #: Files of a system folder that decide what the system is.
-SYSTEM_SUFFIXES = frozenset({".yaml", ".yml", ".xml", ".urdf", ".obj", ".stl", ".msh", ".dae", ".png", ".msg"})
+SYSTEM_SUFFIXES = frozenset(
+    {".yaml", ".yml", ".xml", ".urdf", ".obj", ".stl", ".msh", ".dae", ".png", ".msg"}
+)
 
 
 def provenance(

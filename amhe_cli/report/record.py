@@ -30,14 +30,20 @@ _PARAMETER_FIELDS = (
 )
 
 
-def identification_record(result: Identification) -> dict[str, Any]:
-    """The keys of `amhe identify`, ready for JSON; a number that does not exist is None."""
+def identification_record(result: Identification, truth: Mapping[str, float]) -> dict[str, Any]:
+    """The keys of `amhe identify`, ready for JSON; a number that does not exist is None.
+
+    Args:
+        result: What was found.
+        truth: True values that the logs tell, by parameter; {} for real ones.
+    """
     return plain(
         {
             "system": result.system,
             "method": result.method,
             "interrupted": result.interrupted,
             "parameters": [_parameter(p) for p in result.parameters],
+            "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
             "correlations": result.correlations,
             "combinations": [asdict(c) for c in result.combinations],
             "held_out": _held_out(result.held_out),

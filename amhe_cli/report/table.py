@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -25,7 +25,7 @@ _COLUMNS: tuple[tuple[str, Literal["left", "right"], Callable[[ParameterResult],
     ("unit", "left", lambda p: numbers.unit_of(p.unit)),
     ("90 % interval", "right", lambda p: numbers.interval(p.lower, p.upper)),
     ("prior", "right", lambda p: numbers.rounded(p.prior, p.prior_sd)),
-    ("shrinkage", "right", lambda p: numbers.percent(max(p.shrinkage, 0.0))),
+    ("shrinkage", "right", lambda p: numbers.shrinkage(p.shrinkage)),
     ("verdict", "left", lambda p: Text(p.verdict, style=STYLES.get(p.verdict, ""))),
 )
 
@@ -33,16 +33,23 @@ _COLUMNS: tuple[tuple[str, Literal["left", "right"], Callable[[ParameterResult],
 WIDE = 100
 
 
-def print_identification(result: Identification, folder: Path, console: Console) -> None:
+#: Combinations that are listed; the report has all.
+MAX_COMBINATIONS = 3
+
+
+def print_identification(
+    result: Identification, folder: Path, console: Console, truth: Mapping[str, float]
+) -> None:
     """Print the parameters, what validation says, and where the files are."""
     console.print(_parameters(result, console.width), "")
     for parameter in result.parameters:
         if parameter.verdict != "identified" and parameter.reasons:
             console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
-    if result.combinations:
-        known = ", ".join(f"{c.text} to {numbers.percent(c.sd)}" for c in result.combinations)
-        console.print(f"known together: {known}")
+    for c in sorted(result.combinations, key=lambda c: c.sd)[:MAX_COMBINATIONS]:
+        console.print(f"known together: {c.text} to {numbers.percent(c.sd)}", soft_wrap=True)
     console.print(f"held-out: {held_out_line(result.held_out)}")
+    if truth:
+        console.print(truth_line(result, truth), soft_wrap=True)
     if result.interrupted:
         console.print("interrupted: this is the best so far", style="yellow")
     console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
@@ -59,6 +66,16 @@ def _parameters(result: Identification, width: int) -> Table:
     return table
 
 
+def truth_line(result: Identification, truth: Mapping[str, float]) -> str:
+    """'truth told by the logs: mass 0.55 (inside), damping 0.03 (outside)'."""
+    told = [
+        f"{p.name} {truth[p.name]:g} ({'inside' if p.lower <= truth[p.name] <= p.upper else 'outside'})"
+        for p in result.parameters
+        if p.name in truth
+    ]
+    return f"truth told by the logs, against the 90 % interval: {', '.join(told)}"
+
+
 def held_out_line(held_out: HeldOut | None) -> str:
     """'6 clips: cost 12.3 -> 1.04, position error 42 mm -> 9 mm'."""
     if held_out is None:
@@ -66,7 +83,12 @@ def held_out_line(held_out: HeldOut | None) -> str:
     parts = [f"cost {held_out.initial_cost:.3g} -> {held_out.cost:.3g}"]
     pairs = (
         ("position error", numbers.length, held_out.initial_position_error_m, held_out.position_error_m),
-        ("orientation error", numbers.angle, held_out.initial_orientation_error_rad, held_out.orientation_error_rad),
+        (
+            "orientation error",
+            numbers.angle,
+            held_out.initial_orientation_error_rad,
+            held_out.orientation_error_rad,
+        ),
     )
     for name, form, before, after in pairs:
         if form(after) != numbers.MISSING:

@@ -54,7 +54,9 @@ def _validation(held_out: HeldOut | None) -> Iterator[Statement]:
     if held_out is None or held_out.clips == 0:
         yield Statement("bad", "Nothing was held out, so nothing shows that the values predict unseen data.")
         return
-    clips = f"{held_out.clips} clip{'s' * (held_out.clips != 1)} that {'were' if held_out.clips != 1 else 'was'} not fitted"
+    clips = (
+        f"{held_out.clips} clips that were not fitted" if held_out.clips > 1 else "a clip that was not fitted"
+    )
     costs = f"from {held_out.initial_cost:.3g} to {held_out.cost:.3g}"
     if held_out.cost < held_out.initial_cost:
         yield Statement("good", f"On {clips} the cost falls {costs}{_errors(held_out)}.")
@@ -79,7 +81,11 @@ def _errors(held_out: HeldOut) -> str:
 
 def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
     """One sentence per verdict that is not 'identified'; the table has the rest."""
-    tones: dict[str, Literal["good", "mixed", "bad"]] = {"weak": "mixed", "prior": "mixed", "model-sensitive": "bad"}
+    tones: dict[str, Literal["good", "mixed", "bad"]] = {
+        "weak": "mixed",
+        "prior": "mixed",
+        "model-sensitive": "bad",
+    }
     for verdict, tone in tones.items():
         names = [p.name for p in parameters if p.verdict == verdict]
         if names:

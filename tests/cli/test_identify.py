@@ -24,6 +24,10 @@ QUICK = [
 FILES = ["belief.yaml", "identified.xml", "report.html", "result.json"]
 
 
+def names(folder: str | Path) -> list[str]:
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
 @pytest.fixture(autouse=True)
 def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Commands write below the folder that they are run in."""
@@ -39,7 +43,7 @@ def done(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_it_writes_its_files(done: Path) -> None:
-    assert sorted(path.name for path in done.iterdir()) == FILES
+    assert names(done) == FILES
 
 
 def test_result_json_has_the_keys_of_every_command_and_its_own(done: Path) -> None:
@@ -101,7 +105,7 @@ def test_a_folder_that_holds_something_is_refused_before_any_work(pendulum_log: 
     Path("out/mine").touch()
     assert run(["identify", str(pendulum_log), "-o", "out"]) == 2
     assert "--force" in capsys.readouterr().err
-    assert os.listdir("out") == ["mine"]
+    assert names("out") == ["mine"]
 
 
 @pytest.mark.parametrize(
@@ -125,7 +129,7 @@ def test_a_mistake_in_an_option_is_one_line(pendulum_log: Path, capsys, argument
     err = capsys.readouterr().err
     assert said in err
     assert len(err.splitlines()) == 1
-    assert os.listdir() == []
+    assert names(".") == []
 
 
 def test_a_log_cannot_validate_itself(pendulum_log: Path, capsys) -> None:
@@ -162,5 +166,5 @@ def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: in
         out, err = process.communicate(timeout=60)
     assert process.returncode == code, err
     assert "interrupted" in out
-    assert sorted(os.listdir("out")) == FILES
+    assert names("out") == FILES
     assert json.loads(Path("out/result.json").read_text())["interrupted"] is True

@@ -1,5 +1,6 @@
 """How every ending becomes an exit code, and what is loaded before a command runs."""
 
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ import pytest
 from amhe_cli import __version__
 from amhe_cli.cli import main as entry
 from amhe_cli.cli import options
-from amhe_cli.cli.session import Session, Terminated
+from amhe_cli.cli.session import Session
 from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, LogError
 from docs.make_cli_docs import FILE, document
 
@@ -76,12 +77,16 @@ def test_a_full_disk_is_no_bug(trial, capsys) -> None:
     assert capsys.readouterr().err == "amhe trial: error: out/report.html: No space left on device\n"
 
 
-@pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt(), 130), (Terminated(), 143)])
-def test_an_interrupted_command_has_the_code_of_its_signal(trial, monkeypatch, error, code) -> None:
-    if isinstance(error, Terminated):
-        real = Session.begin
-        monkeypatch.setattr(Session, "begin", lambda s, c: (setattr(s, "terminated", True), real(s, c)) and None)
-    assert trial(error) == code
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, number, code) -> None:
+    @click.command(cls=options.Command)
+    @options.common
+    def trial() -> None:
+        signal.raise_signal(number)
+
+    monkeypatch.setitem(entry.amhe.commands, "trial", trial)
+    assert entry.run(["trial"]) == code
+    assert "interrupted; nothing was written" in capsys.readouterr().err
 
 
 def logging_command(*messages: str):

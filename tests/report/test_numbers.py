@@ -28,7 +28,9 @@ def test_rounding_moves_a_value_by_less_than_its_resolution(value, resolution) -
     assert math.isclose(shown, value, rel_tol=1e-5) or abs(shown - value) <= resolution
 
 
-@pytest.mark.parametrize(("fraction", "text"), [(0.99, "99 %"), (0.0123, "1.2 %"), (0.0, "0 %"), (math.inf, "–")])
+@pytest.mark.parametrize(
+    ("fraction", "text"), [(0.99, "99 %"), (0.0123, "1.2 %"), (0.0, "0 %"), (math.inf, "–")]
+)
 def test_percent(fraction, text) -> None:
     assert numbers.percent(fraction) == text
 

@@ -26,8 +26,13 @@ ORIGIN = {
 }
 
 
+TRUTH = {"load_mass": 0.74, "damping": 0.06, "another": 1.0}
+
+
 def page(result: Identification, warnings: tuple[str, ...] = ()) -> str:
-    record = {"version": "0.1.0", "seconds": 1.5, "warnings": list(warnings)} | identification_record(result)
+    record = {"version": "0.1.0", "seconds": 1.5, "warnings": list(warnings)} | identification_record(
+        result, TRUTH
+    )
     return identification_page(result, record, ORIGIN)
 
 
@@ -56,13 +61,23 @@ def test_the_page_of_a_robot_with_many_joints_stays_small() -> None:
     fits = []
     for clip in range(8):
         for one in fit(f"walk.mcap {clip}", clip < 4, rng):
-            wide = {k: np.tile(getattr(one, k), (1, 12))[:, :12] for k in ("measured", "initial", "identified")}
-            fits += [replace(one, channel=f"{one.channel}{i}", columns=tuple("abcdefghijkl"), **wide) for i in range(4)]
+            wide = {
+                k: np.tile(getattr(one, k), (1, 12))[:, :12] for k in ("measured", "initial", "identified")
+            }
+            fits += [
+                replace(one, channel=f"{one.channel}{i}", columns=tuple("abcdefghijkl"), **wide)
+                for i in range(4)
+            ]
     assert len(page(identification(fits=tuple(fits)))) < 2_000_000
 
 
 def test_the_page_shows_what_was_found(html: str) -> None:
-    for text in ("load_mass", "0.7421 ± 0.0041", "2 of 4 parameters are identified", "a gap of 0.6 s &amp; more"):
+    for text in (
+        "load_mass",
+        "0.7421 ± 0.0041",
+        "2 of 4 parameters are identified",
+        "a gap of 0.6 s &amp; more",
+    ):
         assert text in html
     assert "amhe identify &lt;swing&gt;.mcap" in html
     assert html.count("<svg") == 6  # three clips, profiles, correlations, convergence
@@ -125,7 +140,7 @@ def test_words_warn_when_validation_does_not_improve() -> None:
     text = said(identification(held_out=HeldOut(3, 2.0, 1.9, nan, nan, nan, nan)))
     assert "do not predict unseen data better" in text
     good = said(identification(held_out=HeldOut(1, 1.0, 9.0, 0.009, 0.042, 0.02, 0.3)))
-    assert "On 1 clip that was not fitted the cost falls from 9 to 1" in good
+    assert "On a clip that was not fitted the cost falls from 9 to 1" in good
     assert "the mean position error from 42 mm to 9 mm" in good
 
 
@@ -138,7 +153,7 @@ def test_words_name_every_verdict_that_is_not_identified() -> None:
 
 
 def test_the_record_has_the_keys_that_scripts_rely_on() -> None:
-    record = json.loads(json.dumps(identification_record(identification()), allow_nan=False))
+    record = json.loads(json.dumps(identification_record(identification(), TRUTH), allow_nan=False))
     keys = ("name", "unit", "estimate", "prior", "prior_sd", "sd", "lower", "upper", "shrinkage", "verdict")
     assert set(keys) <= set(record["parameters"][0])
     assert record["held_out"]["cost"] == 1.08
@@ -146,22 +161,27 @@ def test_the_record_has_the_keys_that_scripts_rely_on() -> None:
     assert record["rollouts"] == {"count": 9216, "diverged": 3}
     assert np.array(record["correlations"]).shape == (4, 4)
     assert record["clips"]["fitted"] == 18
+    assert record["truth"] == {"load_mass": 0.74, "damping": 0.06}
 
 
 def test_plain_values() -> None:
-    assert plain({"a": np.float64("inf"), "b": (np.int64(2), np.array([1.0, np.nan]))}) == {"a": None, "b": [2, [1.0, None]]}
+    assert plain({"a": np.float64("inf"), "b": (np.int64(2), np.array([1.0, np.nan]))}) == {
+        "a": None,
+        "b": [2, [1.0, None]],
+    }
 
 
 @pytest.mark.parametrize("width", [80, 100])
 def test_the_table_fits_a_terminal(tmp_path, width) -> None:
     console = Console(width=width, record=True, highlight=False, file=(tmp_path / "out").open("w"))
-    print_identification(identification(), tmp_path / "out", console)
+    print_identification(identification(), tmp_path / "out", console, TRUTH)
     text = console.export_text()
     assert "0.7421 ± 0.0041" in text
     assert "model-sensitive" not in text
     assert "cost 14.2 -> 1.08" in text
+    assert "load_mass 0.74 (inside), damping 0.06 (outside)" in text
     assert "report.html" in text
-    assert all(len(line) <= width for line in text.splitlines() if "report:" not in line)
+    assert all(len(line) <= width for line in text.splitlines() if not line.startswith(("report:", "truth")))
 
 
 def test_the_held_out_line() -> None:

@@ -1,0 +1,65 @@
+"""`amhe inspect` from the outside."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.cli.main import run
+
+
+def test_it_lists_topics_and_holds_the_log_against_its_system(pendulum_log: Path, capsys) -> None:
+    assert run(["inspect", str(pendulum_log)]) == 0
+    out, err = capsys.readouterr()
+    for text in ("/joint_states", "sensor_msgs/JointState", "250 Hz", "for system pendulum", "usable: 8 s"):
+        assert text in out
+    assert err == ""
+
+
+def test_it_says_what_is_missing_with_the_nearest_name(pendulum_log: Path, capsys) -> None:
+    arguments = ["inspect", str(pendulum_log), "--topic", "joints=/joint_state"]
+    assert run(arguments) == 0
+    assert "did you mean '/joint_states'" in capsys.readouterr().out
+    assert run([*arguments, "--strict"]) == 3
+
+
+def test_json_is_one_object(pendulum_log: Path, capsys) -> None:
+    assert run(["inspect", str(pendulum_log), str(pendulum_log), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["command"] == "inspect"
+    assert len(record["logs"]) == 2
+    log = record["logs"][0]
+    assert [topic["name"] for topic in log["topics"]] == ["/joint_commands", "/joint_states"]
+    assert log["usable"] is True
+    assert [signal["problem"] for signal in log["signals"]] == [None, None]
+
+
+def test_a_part_of_the_log(pendulum_log: Path, capsys) -> None:
+    assert run(["inspect", str(pendulum_log), "--from", "1", "--to", "3"]) == 0
+    assert "usable: 2 s" in capsys.readouterr().out
+
+
+def test_a_truncated_log_is_shown_and_its_damage_said(pendulum_log: Path, tmp_path: Path, capsys) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(pendulum_log.read_bytes()[: pendulum_log.stat().st_size * 2 // 3])
+    assert run(["inspect", str(cut), "--strict"]) == 3
+    assert "damage: " in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", bytes(2000)])
+def test_what_is_no_log_is_one_line(tmp_path: Path, capsys, content) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(content)
+    assert run(["inspect", str(path)]) == 4
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert len(err.splitlines()) == 1
+
+
+def test_a_part_needs_a_system(tmp_path_factory, capsys) -> None:
+    from tests.conftest import write_pendulum_log
+
+    log = write_pendulum_log(tmp_path_factory.mktemp("logs") / "nameless.mcap", 0.2)
+    assert run(["inspect", str(log)]) == 0
+    assert "for system" not in capsys.readouterr().out
+    assert run(["inspect", str(log), "--from", "0.1"]) == 2
