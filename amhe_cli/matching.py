@@ -76,7 +76,9 @@ class MatchingCost:
         """Number of first-state coordinates whose measurement error is known."""
         return int(self.clips.first_sd.size)
 
-    def predict(self, z: FloatArray, first: FloatArray | None = None) -> tuple[tuple[FloatArray, ...], BoolArray]:
+    def predict(
+        self, z: FloatArray, first: FloatArray | None = None
+    ) -> tuple[tuple[FloatArray, ...], BoolArray]:
         """Roll out and pick what the channels measure, at the times they measured it.
 
         Args:
@@ -109,7 +111,9 @@ class MatchingCost:
         picked = tuple(o.pick(rollouts, count) for o in clips.observed)
         return picked, rollouts.completed.reshape(count)
 
-    def _first_states(self, first: FloatArray | None, count: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+    def _first_states(
+        self, first: FloatArray | None, count: tuple[int, int]
+    ) -> tuple[FloatArray, FloatArray]:
         """Initial qpos (p, c, nq) and qvel (p, c, nv)."""
         clips, model = self.clips, self.system.model
         if first is None:
@@ -124,9 +128,7 @@ class MatchingCost:
     def residuals(self, z: FloatArray, first: FloatArray | None = None) -> Residuals:
         """Whitened residuals of candidates z (p, d); see `predict` for `first`."""
         predicted, completed = self.predict(z, first)
-        values = tuple(
-            whitened(o, p) for o, p in zip(self.clips.observed, predicted, strict=True)
-        )
+        values = tuple(whitened(o, p) for o, p in zip(self.clips.observed, predicted, strict=True))
         return Residuals(values, completed)
 
     def clip_costs(self, residuals: Residuals) -> FloatArray:

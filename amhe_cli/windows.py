@@ -169,8 +169,10 @@ def _history(system: System) -> int:
 def _inputs(
     system: System, windows: Sequence[Window], home_input: FloatArray, history: int, horizon: int
 ) -> FloatArray:
-    """Input vectors of each window, and of `history` steps before it (the first row, repeated, before
-    the log began; the last after the window's end)."""
+    """Input vectors of each window and of `history` steps before it.
+
+    Before the log began its first row is repeated, after the window's end its last.
+    """
     inputs = np.tile(home_input, (len(windows), history + horizon, 1))
     for i, window in enumerate(windows):
         rows = np.clip(np.arange(window.start - history, window.start + horizon), 0, window.stop - 1)

@@ -59,7 +59,7 @@ class IdentifySettings(_Group):
     samples: Annotated[int, Field(ge=4)] = 16
     """Candidates of one iteration; the linearised method takes two for each unknown of a clip if that is
     more."""
-    iterations: Annotated[int, Field(ge=1)] = 12
+    iterations: Annotated[int, Field(ge=1)] = 16
     """Iterations of the linearised method."""
     cmaes_iterations: Annotated[int, Field(ge=1)] = 40
     """Iterations of one CMA-ES start."""

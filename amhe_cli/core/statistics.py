@@ -16,7 +16,7 @@ def pseudo_huber(squared: FloatArray, delta: float) -> FloatArray:
     Twice the usual pseudo-Huber loss, 2 delta^2 (sqrt(1 + s / delta^2) - 1), so that it equals the
     square near zero. `delta` is in standard deviations.
     """
-    return 2.0 * delta**2 * (np.sqrt(1.0 + squared / delta**2) - 1.0)
+    return 2.0 * squared / (1.0 + np.sqrt(1.0 + squared / delta**2))  # the same, without cancellation
 
 
 def pseudo_huber_weight(squared: FloatArray, delta: float) -> FloatArray:

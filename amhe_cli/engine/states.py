@@ -17,7 +17,7 @@ def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> Fl
     moved = np.array(np.broadcast_to(qpos, (*delta.shape[:-1], model.nq)))
     for joint in range(model.njnt):
         q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        kind = model.jnt_type[joint]
+        kind = mujoco.mjtJoint(model.jnt_type[joint])  # a bare numpy integer equals no enum inside a tuple
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             moved[..., q : q + 3] += delta[..., v : v + 3]
             q, v = q + 3, v + 3

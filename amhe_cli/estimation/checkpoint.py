@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -44,7 +43,7 @@ class Checkpoint:
         text = json.dumps({"format": FORMAT, "problem": self._key, "kind": kind, "state": saved})
         temporary = self._path.with_name(self._path.name + ".part")
         temporary.write_text(text)
-        os.replace(temporary, self._path)
+        temporary.replace(self._path)
 
     def load(self) -> search.State | cma.State | None:
         """The saved state; None where there is none.
@@ -60,7 +59,9 @@ class Checkpoint:
                 raise ValueError(f"format {saved['format']}")
             state = _restore(saved["kind"], saved["state"])
         except (ValueError, KeyError, TypeError, OSError) as error:
-            raise ConfigError(f"{self._path}: not a checkpoint of this version ({error}); delete it to start anew") from None
+            raise ConfigError(
+                f"{self._path}: not a checkpoint of this version ({error}); delete it to start anew"
+            ) from None
         if saved["problem"] != self._key:
             raise ConfigError(
                 f"{self._path}: a checkpoint of other logs, settings, seed or system; "
@@ -73,7 +74,13 @@ def _fingerprint(problem: Problem, method: str) -> str:
     """Hash of all that decides the search."""
     system = problem.system
     digest = sha256()
-    for text in (method, str(problem.seed), system.spec.to_xml(), repr(system.space), system.settings.model_dump_json()):
+    for text in (
+        method,
+        str(problem.seed),
+        system.spec.to_xml(),
+        repr(system.space),
+        system.settings.model_dump_json(),
+    ):
         digest.update(text.encode())
     for stretch in problem.pool.stretches:
         digest.update(f"{stretch.start} {stretch.stop} {stretch.trajectory.dt}".encode())
@@ -102,5 +109,7 @@ def _restore(kind: str, saved: dict[str, Any]) -> search.State | cma.State:
 
 def _array(value: Any) -> Any:
     if isinstance(value, dict):
-        return np.array(value["array"]) if set(value) == {"array"} else {k: _array(v) for k, v in value.items()}
+        return (
+            np.array(value["array"]) if set(value) == {"array"} else {k: _array(v) for k, v in value.items()}
+        )
     return value

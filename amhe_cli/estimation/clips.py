@@ -26,9 +26,7 @@ class Stretch:
     stop: int
 
 
-def split_held_out(
-    logs: Sequence[Trajectory], share: float
-) -> tuple[list[Stretch], list[Stretch]]:
+def split_held_out(logs: Sequence[Trajectory], share: float) -> tuple[list[Stretch], list[Stretch]]:
     """Divide logs into stretches to fit and stretches to validate on.
 
     With many logs every n-th is held out whole; with few, the last part of each.

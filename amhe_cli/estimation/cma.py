@@ -60,7 +60,11 @@ def start(problem: Problem, starts: int, after: search.State | None = None) -> S
 
 def total(problem: Problem, state: State) -> int:
     """Expected number of iterations."""
-    return state.number - state.generation + (state.starts - state.start) * problem.settings.identify.cmaes_iterations
+    return (
+        state.number
+        - state.generation
+        + (state.starts - state.start) * problem.settings.identify.cmaes_iterations
+    )
 
 
 def advance(problem: Problem, state: State) -> State:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.trajectory import Window
@@ -17,13 +17,12 @@ from amhe_cli.engine.variants import contact_variants
 from amhe_cli.estimation import cma, search
 from amhe_cli.estimation.fits import fits
 from amhe_cli.estimation.identifiability import SURPRISE, Evidence, combinations, profiles, verdicts
-from amhe_cli.estimation.linearised import Linearisation, information, linearise
+from amhe_cli.estimation.linearised import Information, Linearisation, information, linearise
 from amhe_cli.estimation.posterior import (
     Posterior,
     bootstrap_sd,
     by_kind,
     disagreement,
-    halves,
     posterior,
 )
 from amhe_cli.estimation.problem import ROUGH, Problem, spread_floor
@@ -38,9 +37,13 @@ Finding = search.State | cma.State
 #: Drift within the logs is reported if it is also this share of a prior sd.
 DRIFT_SHARE = 0.05
 HALVES = "the first and second half of the logs"
+#: Iterations that each half gets to find its own estimate, and the clips that it must have.
+REFITS, FEWEST_CLIPS = 3, 3
 
 
-def conclude(problem: Problem, finding: Finding, validation: list[Window], interrupted: bool) -> Identification:
+def conclude(
+    problem: Problem, finding: Finding, validation: list[Window], interrupted: bool
+) -> Identification:
     """Everything that is reported of a finished, or interrupted, search."""
     system, setting = problem.system, problem.settings.identify
     study = _study(problem, finding)
@@ -48,13 +51,16 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], inter
     disagreements = _disagreements(problem, finding, study)
     _report_drift(problem, disagreements)
     shifts = _shifts(problem, finding, study)
-    covariance = study.posterior.covariance + np.diag(systematic(study.posterior, disagreements, shifts) * active)
-    cost = MatchingCost(system, problem.tiles, problem.engine, problem.settings.cost)
+    covariance = study.posterior.covariance + np.diag(
+        systematic(study.posterior, disagreements, shifts) * active
+    )
+    some = _thinned(problem, np.arange(len(problem.tiles)))
+    cost = MatchingCost(system, some, problem.engine, problem.settings.cost)
     evidence = Evidence(
         z=finding.z,
         covariance=covariance,
         active=active,
-        step_ratio=study.step_ratio,
+        step_ratio=_step_ratio(problem, finding, study),
         bootstrap=bootstrap_sd(finding.z, study.found, study.weight, setting.bootstrap, problem.rng(4)),
         disagreements=disagreements,
         shifts=shifts,
@@ -113,16 +119,15 @@ class _Study:
     """The final linearisation on the tiles, and what it says."""
 
     slopes: Linearisation
-    found: object
+    found: Information
     weight: FloatArray
     posterior: Posterior
-    step_ratio: FloatArray
+    spread: FloatArray
     scale: Mapping[str, float]
 
 
 def _study(problem: Problem, finding: Finding) -> _Study:
-    """Linearise at the estimate: to learn the noise and how rough the cost is, then at a step that suits
-    both, and at twice that step."""
+    """Linearise at the estimate: to learn the noise and how rough the cost is, then at a step that suits."""
     coverage = problem.coverage(problem.tiles)
     spread = spread_floor(problem, np.inf) * problem.active
     slopes = _linearised(problem, finding, finding.scale, spread, 0)
@@ -134,10 +139,14 @@ def _study(problem: Problem, finding: Finding) -> _Study:
     slopes = _linearised(problem, finding, scale, spread, 1)
     found = information(slopes)
     weight = search.clip_weights(slopes.cost, found) * coverage
-    doubled = information(_linearised(problem, finding, scale, 2.0 * spread, 2))
-    data = np.einsum("c,cii->i", weight, found.matrix)
-    ratio = np.sqrt(np.einsum("c,cii->i", weight, doubled.matrix) / np.where(data > 0.0, data, np.nan))
-    return _Study(slopes, found, weight, posterior(finding.z, found, weight), ratio, scale)
+    return _Study(slopes, found, weight, posterior(finding.z, found, weight), spread, scale)
+
+
+def _step_ratio(problem: Problem, finding: Finding, study: _Study) -> FloatArray:
+    """Sqrt of each parameter's information at a doubled step over that at the step, shape (d,)."""
+    doubled = information(_linearised(problem, finding, study.scale, 2.0 * study.spread, 2))
+    data = np.einsum("c,cii->i", study.weight, study.found.matrix)
+    return np.sqrt(np.einsum("c,cii->i", study.weight, doubled.matrix) / np.where(data > 0.0, data, np.nan))
 
 
 def _linearised(
@@ -165,15 +174,59 @@ def _disagreements(
         for i, one in enumerate(names)
         for other in names[i + 1 :]
     }
-    late = _late(problem.tiles)
-    if min(late.sum(), (~late).sum()) >= 3:
-        early_half, late_half = halves(finding.z, study.found, study.weight, late)
-        compared[HALVES] = disagreement(late_half, early_half)
+    if (parts := _halves(problem, finding)) is not None:
+        compared[HALVES] = parts
+    logs = _later_logs(problem.tiles)
+    if _both(logs):
+        earlier, later = (posterior(finding.z, study.found, study.weight * side) for side in (~logs, logs))
+        compared["the earlier and the later logs"] = disagreement(later, earlier)
     return compared
 
 
+def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray] | None:
+    """What the second half of the logs wants more than the first, and the sd of that, each (d,).
+
+    Each half is searched by itself: where they differ much, the misfit of their compromise looks like
+    noise, and would hide that they do.
+    """
+    late = np.array([w.start + 0.5 * w.length > 0.5 * (w.trajectory.steps - 1) for w in problem.tiles])
+    if not _both(late):
+        return None
+    means, variances = [], []
+    for side in (late, ~late):
+        part = replace(problem, only=_thinned(problem, np.flatnonzero(side)))
+        state = search.restart(part, finding.z)
+        for _ in range(REFITS):
+            state = search.advance(part, state)
+        found = _study(part, state).posterior
+        means.append(state.z + found.step)
+        variances.append(np.diag(found.data_covariance))
+    return means[0] - means[1], np.sqrt(variances[0] + variances[1])
+
+
+def _thinned(problem: Problem, rows: IntArray) -> tuple[Window, ...]:
+    """The tiles of these rows, evenly thinned to what one iteration takes."""
+    most = problem.settings.clips.count
+    if len(rows) > most:
+        rows = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
+    return tuple(problem.tiles[i] for i in rows)
+
+
+def _both(side: BoolArray) -> bool:
+    """Enough clips on either side to compare them."""
+    return min(side.sum(), (~side).sum()) >= FEWEST_CLIPS
+
+
+def _later_logs(tiles: Sequence[Window]) -> BoolArray:
+    """Which clips are of the second half of the logs; none where there is one log."""
+    order = {source: i for i, source in enumerate(dict.fromkeys(w.trajectory.source for w in tiles))}
+    return np.array([2 * order[w.trajectory.source] >= len(order) > 1 for w in tiles])
+
+
 def systematic(
-    found: Posterior, disagreements: Mapping[str, tuple[FloatArray, FloatArray]], shifts: Mapping[str, FloatArray]
+    found: Posterior,
+    disagreements: Mapping[str, tuple[FloatArray, FloatArray]],
+    shifts: Mapping[str, FloatArray],
 ) -> FloatArray:
     """Variance of z beyond what noise explains, shape (d,).
 
@@ -218,13 +271,12 @@ def _report_drift(problem: Problem, disagreements: Mapping[str, tuple[FloatArray
     space = problem.system.space
     for i in np.flatnonzero((np.abs(difference) > SURPRISE * sd) & (np.abs(difference) > DRIFT_SHARE)):
         p = space.parameters[i]
-        size = f"{np.expm1(difference[i] * p.prior_sd):+.0%}" if p.log else f"{difference[i] * p.prior_sd:+.2g} {p.unit}"
+        size = (
+            f"{np.expm1(difference[i] * p.prior_sd):+.0%}"
+            if p.log
+            else f"{difference[i] * p.prior_sd:+.2g} {p.unit}"
+        )
         logger.warning(
             f"{p.name} drifts within the logs: their second half wants {size} against the first "
             f"({abs(difference[i]) / sd[i]:.1f} sd): one constant value does not describe them"
         )
-
-
-def _late(tiles: Sequence[Window]) -> BoolArray:
-    """Which clips lie in the second half of their log."""
-    return np.array([w.start + 0.5 * w.length > 0.5 * (w.trajectory.steps - 1) for w in tiles])

@@ -87,11 +87,16 @@ def _interval(space: ParameterSpace, z: FloatArray, sd: float, i: int) -> tuple[
     return ends[0], ends[1]
 
 
-def _verdict(space: ParameterSpace, evidence: Evidence, i: int, shrinkage: float) -> tuple[str, tuple[str, ...]]:
+def _verdict(
+    space: ParameterSpace, evidence: Evidence, i: int, shrinkage: float
+) -> tuple[str, tuple[str, ...]]:
     if not evidence.active[i]:
         return "prior", ("no measurement in these logs depends on it: not identifiable, held at its prior",)
     if shrinkage < NOTHING:
-        return "prior", ("the logs hardly narrow it down: the value is your prior", *_bound(space, evidence, i))
+        return "prior", (
+            "the logs hardly narrow it down: the value is your prior",
+            *_bound(space, evidence, i),
+        )
     sensitive = _sensitivities(space, evidence, i)
     if sensitive:
         return "model-sensitive", (*sensitive, *_bound(space, evidence, i))
@@ -148,7 +153,9 @@ def _size(space: ParameterSpace, i: int, dz: float) -> str:
     return f"{np.expm1(dz * p.prior_sd):+.0%}" if p.log else f"{dz * p.prior_sd:+.2g} {p.unit}"
 
 
-def combinations(space: ParameterSpace, covariance: FloatArray, active: np.ndarray) -> tuple[Combination, ...]:
+def combinations(
+    space: ParameterSpace, covariance: FloatArray, active: np.ndarray
+) -> tuple[Combination, ...]:
     """Products of log-scaled parameters that are known much better, or worse, than each alone.
 
     For every strongly correlated pair, the eigenvectors of its covariance in log(theta): the sharp one is

@@ -110,8 +110,8 @@ def _pose(
 
 def _no_clips(pool: ClipPool) -> str:
     return (
-        f"no clip of these logs can be used: {pool.motionless} are motionless, {pool.across_gaps} cross gaps; "
-        f"record a log in which the system moves, or loosen `clips.still` or `logs.max_gap`"
+        f"no clip of these logs can be used: {pool.motionless} are motionless, {pool.across_gaps} cross "
+        f"gaps; record a log in which the system moves, or loosen `clips.still` or `logs.max_gap`"
     )
 
 
@@ -121,6 +121,7 @@ class _Watch:
     def __init__(self, on_iteration: Callable[[Iteration, int], None], max_time: float | None) -> None:
         self._on_iteration, self._limit = on_iteration, max_time
         self._began = time.monotonic()
+        self._late = False
         self.interrupted = False
 
     def saw(self, iteration: Iteration, total: int) -> None:
@@ -129,13 +130,17 @@ class _Watch:
     @property
     def stopped(self) -> bool:
         """Whether to stop with the best so far."""
-        late = self._limit is not None and time.monotonic() - self._began > self._limit
-        if late:
-            logger.warning(f"stopped after {self._limit:g} s as asked (--max-time): the search had not settled")
-        return self.interrupted or late
+        if self._limit is not None and not self._late and time.monotonic() - self._began > self._limit:
+            self._late = True
+            logger.warning(
+                f"stopped after {self._limit:g} s as asked (--max-time): the search had not settled"
+            )
+        return self.interrupted or self._late
 
 
-def _search(problem: Problem, validation: list[Window], method: str, watch: _Watch, kept: Checkpoint) -> Finding:
+def _search(
+    problem: Problem, validation: list[Window], method: str, watch: _Watch, kept: Checkpoint
+) -> Finding:
     """Run the method, and CMA-ES from several starts where the linearised one did not help."""
     finding = kept.load() or (search.start(problem) if method == "linearised" else cma.start(problem, 1))
     if isinstance(finding, search.State):

@@ -215,9 +215,7 @@ def _times(cost: MatchingCost, flat: FloatArray, completed: BoolArray) -> tuple[
     for observed, values in zip(cost.clips.observed, split(cost, flat), strict=True):
         rows = np.moveaxis(values[completed], 2, 1)  # (c, k, s)
         mask = np.broadcast_to(observed.mask[completed, None], rows.shape)
-        times.append(
-            autocorrelation_time(rows.reshape(-1, rows.shape[2]), mask.reshape(-1, rows.shape[2]))
-        )
+        times.append(autocorrelation_time(rows.reshape(-1, rows.shape[2]), mask.reshape(-1, rows.shape[2])))
     return tuple(times)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.linearised import Information, Linearisation, information
 
 #: Clips that the model's own noise is worth against the scatter of the clips' scores: with few clips the
@@ -89,12 +89,9 @@ def disagreement(one: Posterior, other: Posterior) -> tuple[FloatArray, FloatArr
     return difference, np.sqrt(np.diag(one.data_covariance + other.data_covariance))
 
 
-def halves(z: FloatArray, found: Information, weight: FloatArray, late: BoolArray) -> tuple[Posterior, Posterior]:
-    """Posteriors of the clips of the logs' first and second half."""
-    return posterior(z, found, weight * ~late), posterior(z, found, weight * late)
-
-
-def by_kind(z: FloatArray, slopes: Linearisation, weight: FloatArray, kinds: Sequence[str]) -> dict[str, Posterior]:
+def by_kind(
+    z: FloatArray, slopes: Linearisation, weight: FloatArray, kinds: Sequence[str]
+) -> dict[str, Posterior]:
     """Posterior from each kind of measurement alone.
 
     Args:

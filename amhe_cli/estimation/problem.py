@@ -34,6 +34,7 @@ class Problem:
         engine: Rollout engine.
         seed: Of every random draw.
         threads: CPU threads of the engines.
+        only: Fit these clips alone, a part of the problem.
     """
 
     system: System
@@ -41,6 +42,7 @@ class Problem:
     engine: RolloutEngine
     seed: int
     threads: int = 1
+    only: tuple[Window, ...] = ()
 
     @property
     def settings(self) -> Settings:
@@ -58,6 +60,8 @@ class Problem:
     @cached_property
     def tiles(self) -> tuple[Window, ...]:
         """The fitted logs cut into clips, each instant used once; thinned evenly where there are many."""
+        if self.only:
+            return self.only
         low, high = self.settings.clips.length
         tiles = self.pool.tiles(0.5 * (low + high))
         most = 4 * self.settings.clips.count
@@ -78,7 +82,7 @@ class Problem:
     def moving_time(self) -> float:
         """Time of the fitted logs that clips can use [s]."""
         low, high = self.settings.clips.length
-        return sum(w.duration for w in self.pool.tiles(0.5 * (low + high)))
+        return sum(w.duration for w in self.only or self.pool.tiles(0.5 * (low + high)))
 
     @cached_property
     def active(self) -> BoolArray:
@@ -93,7 +97,7 @@ class Problem:
 
 
 def spread_floor(problem: Problem, roughness: float) -> FloatArray:
-    """Smallest sampling sd of z, shape (d,): a share of a log-scaled parameter, or of a linear one's prior sd.
+    """Smallest sampling sd of z, shape (d,): a share of the parameter, or of a linear one's prior sd.
 
     On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
     ones they are exact, and large steps are not.

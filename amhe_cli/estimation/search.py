@@ -10,7 +10,14 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Window
-from amhe_cli.estimation.linearised import Information, Linearisation, information, linearise, objective, split
+from amhe_cli.estimation.linearised import (
+    Information,
+    Linearisation,
+    information,
+    linearise,
+    objective,
+    split,
+)
 from amhe_cli.estimation.problem import Problem, spread_floor
 from amhe_cli.estimation.result import Iteration
 from amhe_cli.matching import MatchingCost
@@ -18,10 +25,10 @@ from amhe_cli.matching import MatchingCost
 Stage = Literal["explore", "polish", "done"]
 
 #: Iterations on fixed tiles that end the linearised search.
-POLISH = 4
+POLISH = 6
 #: A step below this share of the posterior sd has settled.
 SETTLED = 0.1
-#: Multiples of the Gauss-Newton step that are tried: on rough costs it is often too timid; 0 keeps the estimate.
+#: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
 LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
 
 
@@ -55,6 +62,11 @@ def start(problem: Problem) -> State:
     """The prior mean, and a spread of half the prior."""
     d = len(problem.system.space)
     return State("explore", 0, np.zeros(d), np.full(d, 0.5) * problem.active)
+
+
+def restart(problem: Problem, z: FloatArray) -> State:
+    """Polishing from z (d,), for a problem that is part of a solved one."""
+    return State("polish", 0, z, np.full(z.size, 0.25) * problem.active)
 
 
 def advance(problem: Problem, state: State) -> State:

@@ -1,0 +1,29 @@
+"""The search coordinates z, and what a belief does to a prior."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from amhe_cli.core.parameters import Parameter, ParameterSpace, belief_of
+
+SPACE = ParameterSpace(
+    (Parameter("mass", "kg", 4.0, 0.5, 20.0, True, 0.5), Parameter("offset", "m", 0.1, -1.0, 1.0, False, 0.2))
+)
+
+
+@given(st.floats(0.5, 20.0), st.floats(-1.0, 1.0))
+def test_theta_survives_the_way_to_z_and_back(mass, offset):
+    theta = np.array([mass, offset])
+    assert SPACE.theta_of(SPACE.z_of(theta)) == pytest.approx(theta, rel=1e-12, abs=1e-12)
+
+
+def test_one_prior_sd_is_one():
+    assert SPACE.theta_of(np.array([1.0, -1.0])) == pytest.approx([4.0 * np.exp(0.5), -0.1])
+
+
+def test_a_belief_becomes_the_prior_of_what_it_knows():
+    belief = belief_of("box", SPACE, np.array([1.0, 0.5]), np.diag([0.04, 0.25]), {})
+    space = SPACE.with_prior(belief)
+    assert space.nominal == pytest.approx(belief.estimate)
+    assert space.prior_sd == pytest.approx([0.5 * 0.2, 0.2 * 0.5])
