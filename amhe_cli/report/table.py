@@ -67,13 +67,12 @@ def _parameters(result: Identification, width: int) -> Table:
 
 
 def truth_line(result: Identification, truth: Mapping[str, float]) -> str:
-    """'truth told by the logs: mass 0.55 (inside), damping 0.03 (outside)'."""
-    told = [
-        f"{p.name} {truth[p.name]:g} ({'inside' if p.lower <= truth[p.name] <= p.upper else 'outside'})"
-        for p in result.parameters
-        if p.name in truth
-    ]
-    return f"truth told by the logs, against the 90 % interval: {', '.join(told)}"
+    """'truth told by the log: mass 0.55, damping 0.03; outside its 90 % interval: damping'."""
+    told = [p for p in result.parameters if p.name in truth]
+    values = ", ".join(f"{p.name} {truth[p.name]:g}" for p in told)
+    outside = [p.name for p in told if not p.lower <= truth[p.name] <= p.upper]
+    verdict = f"outside the 90 % interval: {', '.join(outside)}" if outside else "inside all 90 % intervals"
+    return f"truth told by the log: {values}; {verdict}"
 
 
 def held_out_line(held_out: HeldOut | None) -> str:

@@ -179,7 +179,7 @@ def test_the_table_fits_a_terminal(tmp_path, width) -> None:
     assert "0.7421 ± 0.0041" in text
     assert "model-sensitive" not in text
     assert "cost 14.2 -> 1.08" in text
-    assert "load_mass 0.74 (inside), damping 0.06 (outside)" in text
+    assert "load_mass 0.74, damping 0.06; outside the 90 % interval: damping" in text
     assert "report.html" in text
     assert all(len(line) <= width for line in text.splitlines() if not line.startswith(("report:", "truth")))
 
