@@ -78,8 +78,15 @@ def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[G
     measured = {name for guess in guesses for name in guess.entry.get("joints", ())}
     lost = [name for name in single_joints(model) if name not in measured]
     notes = [f"no topic measures joint {', '.join(lost)}: each clip starts it at zero"] if lost else []
-    if model.nactuator and not any("actuators" in guess.entry for guess in guesses):
-        notes.append("no command topic was found: the actuators hold the control 0")
+    if not any("actuators" in guess.entry for guess in guesses):
+        idle = "the actuators hold the control 0" if model.nactuator else "nothing drives the joints"
+        notes += [f"no command topic was found: {idle}"] if measured else []
+        notes += [
+            f"if {guess.entry['topic']} holds the motors' torques, they can drive the model. Add the signal "
+            f"torque: {{topic: {guess.entry['topic']}, joint_force: [{', '.join(guess.entry['joints'])}]}}"
+            for guess in guesses
+            if "joints" in guess.entry
+        ]
     free = {guess.entry.get("body") for guess in guesses}
     notes += [
         f"no topic gives the pose of free body {body}" for body in free_bodies(model) if body not in free

@@ -16,13 +16,16 @@ logger = logging.getLogger(__name__)
 
 
 def read_spec(path: Path) -> mujoco.MjSpec:
-    """Read a model file.
+    """Read a model file; the fixed links of a URDF stay bodies that parameters can name.
 
     Raises:
         ConfigError: MuJoCo cannot read it.
     """
     with _in_our_words(f"MuJoCo cannot read {path.name!r}"):
-        return mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+    if path.suffix.lower() == ".urdf":
+        spec.compiler.fusestatic = False
+    return spec
 
 
 def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:

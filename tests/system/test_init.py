@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -152,6 +152,18 @@ def test_a_urdf_gets_servos_for_its_commanded_joints(tmp_path: Path) -> None:
     assert system.model.actuator_gainprm[0, 0] > 1.0
     assert "gain_scale" in system.space.names
     assert (tmp_path / "out" / "model.xml").is_file()
+
+
+def test_a_fixed_link_of_a_urdf_can_be_named(written: Callable[..., Path], tmp_path: Path) -> None:
+    """MuJoCo would fuse it with its parent: the load at the end of an arm would be no body."""
+    load = """<link name="load"><inertial><mass value="0.3"/>
+      <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="screw" type="fixed"><parent link="upper"/><child link="load"/></joint></robot>"""
+    (tmp_path / "arm.urdf").write_text(URDF.replace("</robot>", load))
+    signals = "signals: {j: {topic: /j, joints: [shoulder_joint], noise: {position: 0.01}}}\n"
+    folder = written("  p: {targets: [{body: load, set: mass}]}\n", signals=signals, more="")
+    system = load_system(folder, {"model": "arm.urdf"})
+    assert system.space.nominal[0] == pytest.approx(0.3)
 
 
 def test_a_model_is_copied_with_its_files(tmp_path: Path, walker_log: Path) -> None:

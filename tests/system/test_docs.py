@@ -1,0 +1,37 @@
+"""What docs/systems.md shows is a system that loads."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+from amhe_cli.system.load import bundled_root, load_system
+from amhe_cli.system.schema import KINDS, ParameterEntry, SignalEntry
+from amhe_cli.system.targets import WORDS
+
+PAGE = Path(__file__).parents[2] / "docs" / "systems.md"
+
+
+def test_the_example_loads(tmp_path: Path) -> None:
+    example = next(re.finditer(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)).group(1)
+    scene = (bundled_root() / "models" / "pendulum" / "scene.xml").read_text()
+    (tmp_path / "scene.xml").write_text(
+        scene.replace("</mujoco>", '<keyframe><key name="home"/></keyframe></mujoco>')
+    )
+    (tmp_path / "system.yaml").write_text(example)
+    system = load_system(tmp_path)
+    assert system.space.names == ("load_mass",)
+    assert system.keyframe == 0
+
+
+def test_every_target_kind_and_key_is_explained() -> None:
+    text = PAGE.read_text()
+    for word in (*WORDS, *KINDS, *ParameterEntry.model_fields, *SignalEntry.model_fields):
+        assert f"`{word}" in text or f"{word}:" in text, word
+
+
+def test_bundled_folders_can_be_copied_and_used_from_anywhere(tmp_path: Path) -> None:
+    for name in ("pendulum", "cube_toss"):
+        shutil.copytree(bundled_root() / "models" / name, tmp_path / name)
+        assert load_system(tmp_path / name).name == name
