@@ -39,7 +39,8 @@ def write(path: Path, count: int) -> None:
             turn = i * DT
             log.joint_state("/joint_states", stamp, names, *joints[i % 64])
             quaternion = (np.cos(turn / 2), 0.0, 0.0, np.sin(turn / 2))
-            log.odometry("/odom", stamp, joints[i % 64, 0, :3], quaternion, joints[i % 64, 1, :3])
+            position, velocity = joints[i % 64, 0, :3], joints[i % 64, 1, :3]
+            log.odometry("/odom", stamp, position, quaternion, velocity)
 
 
 def with_rosbags(path: Path) -> None:
@@ -68,7 +69,9 @@ def main() -> None:
         path = Path(folder) / "log.mcap"
         write(path, options.messages)
         print(f"{2 * options.messages} messages, {path.stat().st_size / 1e6:.1f} MB, zstd")
-        print(f"{'':16} {'ours [s]':>9} {'rosbags [s]':>12} {'times faster':>13} {'lowest':>7} {'highest':>8}")
+        print(
+            f"{'':16} {'ours [s]':>9} {'rosbags [s]':>12} {'times faster':>13} {'lowest':>7} {'highest':>8}"
+        )
         for name, task in tasks.items():
             pairs = [(seconds(task, path), seconds(with_rosbags, path)) for _ in range(options.repetitions)]
             ours, theirs = np.median(pairs, axis=0)

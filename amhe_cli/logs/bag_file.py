@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from amhe_cli.logs.compression import decompress
-from amhe_cli.logs.raw import Batch, Channel, normal_type, stamps
+from amhe_cli.logs.raw import Batch, Channel, messages, normal_type, stamps
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
@@ -92,17 +92,20 @@ class BagFile:
         if not closed:
             seconds = (max(self._times) - min(self._times)) / _NS if self._times else 0.0
             self.problems.append(
-                f"recovered {self._read} messages up to t = {seconds:.1f} s; the bag has no index "
+                f"recovered {messages(self._read)} up to t = {seconds:.1f} s; the bag has no index "
                 "(recorder crashed or copy incomplete; `rosbag reindex` restores it)"
             )
         elif self._read < self._expected:
             self.problems.append(
-                f"{self._expected - self._read} of {self._expected} messages are lost to damage"
+                f"{self._expected - self._read} of {messages(self._expected)} lost to damage"
             )
 
     def _index(self) -> list[int]:
-        """Declare the connections listed at the end of the bag; return the chunks' places, [] if there is
-        no usable index."""
+        """Declare the connections listed at the end of the bag.
+
+        Returns:
+            Places of the chunks; none if there is no usable index.
+        """
         chunks: list[int] = []
         try:
             header = _record(self._data, len(MAGIC))
@@ -141,9 +144,7 @@ class BagFile:
         self._by_id[number] = channel
         self.channels.append(channel)
 
-    def _chunk(
-        self, record: _Record, index: dict[int, dict[int, int]] | None
-    ) -> tuple[bytes, list[_Row]]:
+    def _chunk(self, record: _Record, index: dict[int, dict[int, int]] | None) -> tuple[bytes, list[_Row]]:
         try:
             kind, size = record.fields[b"compression"].decode(), _U32.unpack(record.fields[b"size"])[0]
             if record.start == record.stop:
@@ -215,7 +216,7 @@ class BagFile:
             times = [row.time_ns for row in group]
             self._times += (times[0], times[-1])
             if channel is None:
-                self.problems.append(f"{len(group)} messages belong to a topic whose declaration is lost")
+                self.problems.append(f"{messages(len(group))} of a topic whose declaration is lost")
             elif topics is None or channel.topic in topics:
                 starts, lengths = np.array([(row.start, row.length) for row in group]).T
                 buffer = np.frombuffer(data, np.uint8)

@@ -13,6 +13,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, IntArray
 from amhe_cli.logs.decode import Samples
+from amhe_cli.logs.raw import messages
 
 logger = logging.getLogger(__name__)
 
@@ -85,10 +86,10 @@ def _clean(clock: Clock, stamps: IntArray, samples: Samples) -> Timeline:
     notes: list[str] = []
     kept = np.flatnonzero(stamps != 0) if clock == "header" else np.arange(len(stamps))
     if kept.size < len(stamps):
-        notes.append(f"{len(stamps) - kept.size} messages without a {clock} stamp are dropped")
+        notes.append(f"{messages(len(stamps) - kept.size)} without a {clock} stamp dropped")
     wild = _wild(stamps[kept], samples.log_ns[kept] if clock == "header" else None)
     if wild.any():
-        notes.append(f"{int(wild.sum())} messages with a wild {clock} stamp are dropped")
+        notes.append(f"{messages(int(wild.sum()))} with a wild {clock} stamp dropped")
         kept = kept[~wild]
     lag = float(np.median((samples.log_ns - stamps)[kept])) / 1e9 if kept.size else 0.0
     acts = (stamps + samples.delay_ns)[kept]

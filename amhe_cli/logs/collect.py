@@ -8,10 +8,11 @@ from difflib import get_close_matches
 
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.decode import SignalDecoder, Splitter
+from amhe_cli.logs.decode import SignalDecoder
 from amhe_cli.logs.definitions import Definitions
 from amhe_cli.logs.folder import Log
-from amhe_cli.logs.raw import Channel
+from amhe_cli.logs.raw import Channel, messages
+from amhe_cli.logs.split import Splitter
 
 logger = logging.getLogger(__name__)
 
@@ -58,8 +59,8 @@ def _warn(
     for channel, splitter in splitters.items():
         if splitter.damaged:
             logger.warning(
-                "%s: topic %r: %d damaged messages are dropped (%s)",
-                log.path, channel.topic, splitter.damaged, splitter.reason,
+                "%s: topic %r: %s damaged and dropped (%s)",
+                log.path, channel.topic, messages(splitter.damaged), splitter.reason,
             )  # fmt: skip
     for signal in signals:
         types = {channel.type for channel in log.channels if channel.topic == signal.topic}
@@ -73,8 +74,8 @@ def _warn(
             # A driver that never fills in its efforts is no damage.
             if decoder is not None and 0 < count < decoder.count:
                 logger.warning(
-                    "%s: topic %r: %d messages with %s that is not finite are dropped",
-                    log.path, signal.topic, count, quantity,
+                    "%s: topic %r: %s with %s that is not finite dropped",
+                    log.path, signal.topic, messages(count), quantity,
                 )  # fmt: skip
         if decoder is not None and decoder.odd:
             logger.warning(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,75 +11,12 @@ from numpy.typing import NDArray
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, LogError, one_of
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.definitions import Definitions
-from amhe_cli.logs.layout import Layout, Leaf, MalformedMessage, walk
-from amhe_cli.logs.raw import Batch, Channel
+from amhe_cli.logs.layout import Layout, Leaf
 from amhe_cli.logs.message_types import DERIVED, TYPES, TypeInfo
+from amhe_cli.logs.raw import Batch, Channel
+from amhe_cli.logs.split import Group
 
 _Bytes = NDArray[np.uint8]
-_CACHED_LAYOUTS = 64
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Group:
-    """Messages of one batch that share a layout: rows (n, length), and which of the batch they are."""
-
-    layout: Layout
-    rows: _Bytes
-    members: IntArray
-
-
-class Splitter:
-    """Sorts the messages of one channel by layout, and counts those that are damaged."""
-
-    def __init__(self, channel: Channel, definitions: Definitions) -> None:
-        self._channel = channel
-        self._types = definitions.of(channel)
-        self._layouts: dict[int, list[Layout]] = {}
-        self.damaged = 0
-        self.reason = ""
-
-    def split(self, batch: Batch) -> Iterator[Group]:
-        """Yield groups that together hold every intact message of the batch."""
-        for length in np.unique(batch.lengths).tolist():
-            members = np.flatnonzero(batch.lengths == length)
-            if length == 0:
-                self._damage("it is empty", members.size)
-                continue
-            rows = np.lib.stride_tricks.sliding_window_view(batch.buffer, length)[batch.starts[members]]
-            yield from self._same_length(rows, members)
-
-    def _same_length(self, rows: _Bytes, members: IntArray) -> Iterator[Group]:
-        known = self._layouts.setdefault(rows.shape[1], [])
-        for layout in known:
-            hits = layout.matches(rows)
-            if hits.all():
-                yield Group(layout, rows, members)
-                return
-            if hits.any():
-                yield Group(layout, rows[hits], members[hits])
-                rows, members = rows[~hits], members[~hits]
-        while members.size:
-            layout = self._walk(rows[0])
-            if layout is None:
-                rows, members = rows[1:], members[1:]
-                continue
-            known.append(layout)
-            hits = layout.matches(rows)
-            yield Group(layout, rows[hits], members[hits])
-            rows, members = rows[~hits], members[~hits]
-        del known[:-_CACHED_LAYOUTS]
-
-    def _walk(self, message: _Bytes) -> Layout | None:
-        try:
-            return walk(message, self._channel.type, self._types, self._channel.encoding)
-        except MalformedMessage as error:
-            self._damage(str(error), 1)
-            return None
-
-    def _damage(self, reason: str, count: int) -> None:
-        self.damaged += count
-        self.reason = self.reason or reason
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,7 +145,7 @@ class SignalDecoder:
         fields = self.info.fields
         wanted: list[str] = []
         for quantity in self._signal.quantities:
-            source = DERIVED.get(quantity)
+            source = DERIVED.get(quantity, "")
             if quantity not in fields and source not in fields:
                 raise LogError(f"{self._topic}: {one_of('quantity', quantity, fields)}")
             wanted += [name for name in (quantity, source) if name in fields]

@@ -133,7 +133,7 @@ def _read_folder(folder: Path) -> Types:
         package = parents[-1] if parents else folder.resolve().name
         name = normal_type(f"{package}/{file.stem}")
         try:
-            types |= _fields(get_types_from_msg(file.read_text(encoding="utf-8"), name))
+            types.update(_fields(get_types_from_msg(file.read_text(encoding="utf-8"), name)))
         except Exception as error:  # rosbags' parser raises many kinds on malformed text
             raise ConfigError(f"--msg-path: {file} is not a message definition: {error}") from error
     return types

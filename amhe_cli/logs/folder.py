@@ -166,4 +166,6 @@ def _unpacked(batch: Batch) -> Batch:
         decompress("zstd", batch.buffer[start:end].tobytes())
         for start, end in zip(batch.starts.tolist(), ends.tolist(), strict=True)
     ]
-    return replace(batch_of(batch.channel, [], [], payloads), log_ns=batch.log_ns, publish_ns=batch.publish_ns)
+    return replace(
+        batch_of(batch.channel, [], [], payloads), log_ns=batch.log_ns, publish_ns=batch.publish_ns
+    )

@@ -21,6 +21,8 @@ from amhe_cli.logs.definitions import Types
 #: Strings whose content matters; of all others only the length is part of a layout.
 _KEPT = {"name", "joint_names", "frame_id", "child_frame_id"}
 
+_MOST_FIELDS, _DEEPEST = 1_000_000, 50
+
 #: ROS 2 gives an empty structure one byte under this name; ROS 1 gives it none.
 _FILLER = "structure_needs_at_least_one_member"
 
@@ -31,7 +33,7 @@ _DTYPES: Mapping[str, str] = {
 }  # fmt: skip
 
 
-class MalformedMessage(ValueError):
+class MalformedMessageError(ValueError):
     """The bytes of a message contradict its definition."""
 
 
@@ -89,7 +91,7 @@ def walk(message: NDArray[np.uint8], type_name: str, types: Types, encoding: str
     """Find the layout of one message.
 
     Raises:
-        MalformedMessage: If the bytes cannot be a message of that type.
+        MalformedMessageError: If the bytes cannot be a message of that type.
     """
     walker = _Walker(message.tobytes(), types, encoding)
     walker.structure("", type_name)
@@ -105,6 +107,7 @@ class _Walker:
         self._cdr = encoding == "cdr"
         self._pos = self._origin = 0
         self._order = "<"
+        self._visited = 0
         self.leaves: dict[str, Leaf] = {}
         self.counts: dict[str, int] = {}
         self.strings: dict[str, str] = {}
@@ -115,7 +118,7 @@ class _Walker:
     def structure(self, path: str, type_name: str) -> None:
         """Walk all fields of a structure."""
         if type_name not in self._types:
-            raise MalformedMessage(f"type {type_name} is not defined")
+            raise MalformedMessageError(f"type {type_name} is not defined")
         fields = self._types[type_name]
         if self._cdr and not fields:
             self._skip(1, 1)
@@ -127,16 +130,20 @@ class _Walker:
         """Check that nothing but CDR's padding is left over."""
         left = len(self._data) - self._pos
         if left > (3 if self._cdr else 0):
-            raise MalformedMessage(f"{left} bytes too many")
+            raise MalformedMessageError(f"{left} bytes too many")
 
     def _encapsulation(self) -> None:
         if len(self._data) < 4 or self._data[0] != 0 or self._data[1] > 1:
-            raise MalformedMessage(f"CDR encapsulation {self._data[:2].hex()} is not supported")
+            raise MalformedMessageError(f"CDR encapsulation {self._data[:2].hex()} is not supported")
         self._order = "<" if self._data[1] else ">"
         self.fixed |= {0, 1}
         self._pos = self._origin = 4
 
     def _field(self, path: str, description: tuple) -> None:
+        # Definitions come from the log: they may nest without end, or multiply without using a byte.
+        self._visited += 1
+        if self._visited > _MOST_FIELDS or path.count(".") > _DEEPEST:
+            raise MalformedMessageError("its definition has no end")
         kind, detail = description
         if kind == Nodetype.BASE:
             self._base(path, detail[0])
@@ -162,7 +169,7 @@ class _Walker:
             self.leaves[path] = Leaf(start, dtype, count)
             return
         if count > len(self._data):
-            raise MalformedMessage(f"{path} claims {count} elements")
+            raise MalformedMessageError(f"{path} claims {count} elements")
         self.counts[path] = count
         for i in range(count):
             self._field(f"{path}[{i}]", element)
@@ -182,7 +189,7 @@ class _Walker:
 
     def _dtype(self, base: str) -> np.dtype:
         if base not in _DTYPES:
-            raise MalformedMessage(f"fields of type {base} are not supported")
+            raise MalformedMessageError(f"fields of type {base} are not supported")
         return np.dtype(self._order + _DTYPES[base])
 
     def _skip(self, alignment: int, size: int) -> int:
@@ -192,5 +199,5 @@ class _Walker:
         start = self._pos
         self._pos += size
         if self._pos > len(self._data):
-            raise MalformedMessage(f"{self._pos - len(self._data)} bytes too few")
+            raise MalformedMessageError(f"{self._pos - len(self._data)} bytes too few")
         return start

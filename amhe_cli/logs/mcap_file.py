@@ -24,7 +24,7 @@ from mcap.records import ChunkIndex, Metadata, Schema, Statistics
 from numpy.typing import NDArray
 
 from amhe_cli.logs.compression import LIMIT, decompress
-from amhe_cli.logs.raw import Batch, Channel, DefinitionFormat, normal_type
+from amhe_cli.logs.raw import Batch, Channel, DefinitionFormat, messages, normal_type
 
 MAGIC = b"\x89MCAP0\r\n"
 _RECORD = struct.Struct("<BQ")
@@ -99,13 +99,15 @@ class McapFile:
         if not whole and summary is None:
             seconds = (self._latest_ns - (self._first_ns or 0)) / 1e9
             self.problems.append(
-                f"recovered {self._read} messages up to t = {seconds:.1f} s; the file was not closed "
+                f"recovered {messages(self._read)} up to t = {seconds:.1f} s; the file was not closed "
                 "(recorder crashed or copy incomplete)"
             )
         elif not self._closed:
-            self.problems.append(f"the end of the file is missing, but all of its {self._read} messages are there")
+            self.problems.append(
+                f"the end of the file is missing, but its {messages(self._read)} are all there"
+            )
         elif expected is not None and expected > self._read:
-            self.problems.append(f"{expected - self._read} of {expected} messages are lost to damage")
+            self.problems.append(f"{expected - self._read} of {messages(expected)} lost to damage")
 
     # -- where the pieces are -------------------------------------------------------------------------
 
@@ -120,7 +122,7 @@ class McapFile:
         if opcode != Opcode.FOOTER or size != _FOOTER.size or not 0 < start <= at:
             return None
         if crc and zlib.crc32(self._data[start : at + 9 + 16]) != crc:
-            self.problems.append("the summary at the end of the file is damaged; the file was scanned instead")
+            self.problems.append("the summary at the end of the file is damaged and not used")
             return None
         summary = _Summary(start)
         try:
@@ -140,8 +142,11 @@ class McapFile:
             summary.records.append((opcode, body))
 
     def _pieces(self, summary: _Summary | None) -> tuple[list[tuple[int, int, int]], bool]:
-        """Chunks and runs of loose records as (start, stop, opcode), in file order, and whether the data
-        section was walked to its end."""
+        """Find the chunks and the runs of loose records.
+
+        Returns:
+            (start, stop, opcode) of each in file order; whether the data section was walked to its end.
+        """
         end = summary.start if summary else len(self._data)
         chunks: dict[int, tuple[int, int, int]] = {}
         loose: list[tuple[int, int, int]] = []
@@ -194,10 +199,14 @@ class McapFile:
             return None
 
     def _span(self, start: int) -> str:
-        first, last = struct.unpack_from("<QQ", self._data, start) if start + 16 <= len(self._data) else (0, 0)
+        first, last = (
+            struct.unpack_from("<QQ", self._data, start) if start + 16 <= len(self._data) else (0, 0)
+        )
         origin = self._first_ns if self._first_ns is not None else first
         seconds = (first - origin) / 1e9, (last - origin) / 1e9
-        return f" (t = {seconds[0]:.2f} to {seconds[1]:.2f} s)" if -1e6 < seconds[0] <= seconds[1] < 1e6 else ""
+        return (
+            f" (t = {seconds[0]:.2f} to {seconds[1]:.2f} s)" if -1e6 < seconds[0] <= seconds[1] < 1e6 else ""
+        )
 
     def _checked(self, start: int, stop: int) -> bytes:
         """Records of a chunk, decompressed, checksum verified."""
@@ -225,7 +234,7 @@ class McapFile:
         self, data: bytes | mmap.mmap, start: int, stop: int, topics: Collection[str] | None
     ) -> Iterator[Batch]:
         buffer = np.frombuffer(data, np.uint8)
-        messages: list[int] = []
+        places: list[int] = []
         position, flush_at = start, start + _BATCH_BYTES
         unpack, message = _RECORD.unpack_from, int(Opcode.MESSAGE)
         try:
@@ -235,21 +244,21 @@ class McapFile:
                 if after > stop:
                     raise ValueError(f"the record at byte {position} is cut off")
                 if opcode == message:
-                    messages.append(position)
+                    places.append(position)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._declare(opcode, bytes(data[position + 9 : after]))
                 position = after
                 if position > flush_at:
-                    yield from self._flush(buffer, messages, topics)
-                    messages, flush_at = [], position + _BATCH_BYTES
+                    yield from self._flush(buffer, places, topics)
+                    places, flush_at = [], position + _BATCH_BYTES
         except (ValueError, struct.error, EndOfFile) as error:
             self.problems.append(f"records are damaged: {error}")
-        yield from self._flush(buffer, messages, topics)
+        yield from self._flush(buffer, places, topics)
 
     def _flush(
-        self, buffer: NDArray[np.uint8], messages: list[int], topics: Collection[str] | None
+        self, buffer: NDArray[np.uint8], places: list[int], topics: Collection[str] | None
     ) -> Iterator[Batch]:
-        starts = np.array(messages, dtype=np.int64)
+        starts = np.array(places, dtype=np.int64)
         starts = starts[starts + _MESSAGE.itemsize <= buffer.size]
         if not starts.size:
             return
@@ -260,7 +269,7 @@ class McapFile:
             mine = np.flatnonzero(heads["channel"] == number)
             channel = self._by_id.get(number)
             if channel is None:
-                self.problems.append(f"{mine.size} messages belong to a channel whose declaration is lost")
+                self.problems.append(f"{messages(mine.size)} of a channel whose declaration is lost")
             elif topics is None or channel.topic in topics:
                 yield Batch(
                     channel,
@@ -322,6 +331,6 @@ def _split(data: bytes | mmap.mmap, start: int, stop: int) -> Iterator[tuple[int
         opcode, size = unpack(data, position)
         first = position + 9
         position = first + size
-        if size > LIMIT or position > stop or not 0 < opcode:
+        if size > LIMIT or position > stop or not opcode > 0:
             raise ValueError(f"the record at byte {first - 9} is cut off")
         yield opcode, first, position

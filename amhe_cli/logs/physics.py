@@ -11,6 +11,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.decode import Samples
+from amhe_cli.logs.raw import messages
 
 #: A quaternion whose norm is off by more than this is not a rotation but damage or no data.
 _NORM = 0.05
@@ -31,7 +32,7 @@ def checked(samples: Samples, signal: Signal, warn: Callable[[str], None]) -> Sa
         with np.errstate(invalid="ignore"):
             absurd = np.abs(block) > _ABSURD
         if absurd.any():
-            warn(f"{int(absurd.any(axis=1).sum())} messages with impossible {quantity} are dropped")
+            warn(f"{messages(int(absurd.any(axis=1).sum()))} with impossible {quantity} dropped")
             block[absurd.any(axis=1)] = np.nan
     if "orientation" in values:
         _check_rotation(values, signal, warn)
@@ -48,7 +49,7 @@ def _check_rotation(values: dict[str, FloatArray], signal: Signal, warn: Callabl
         lost[:, None], np.nan, rotations.normalised(np.where(lost[:, None], 1.0, quaternions))
     )
     if lost.any() and not lost.all():
-        warn(f"{int(lost.sum())} messages without a valid quaternion (zero, NaN or not of unit norm) are dropped")
+        warn(f"{messages(int(lost.sum()))} without a valid quaternion (zero, NaN, not of unit norm) dropped")
     if "position" in values:
         for block in values.values():
             block[lost] = np.nan

@@ -102,6 +102,11 @@ def stamps(values: Sequence[int]) -> IntArray:
     return np.array(values, dtype=np.uint64).astype(np.int64)
 
 
+def messages(count: int) -> str:
+    """'1 message', '2 messages'."""
+    return f"{count} message" + "s" * (count != 1)
+
+
 def normal_type(name: str) -> str:
     """Write a type as 'pkg/msg/Type', however the log spells it ('pkg/Type', 'pkg::msg::Type')."""
     parts = name.replace("::", "/").split("/")

@@ -48,7 +48,7 @@ def resample(
         present = np.isfinite(values[:, group[0]])
         own = times[present]
         whole = present.all() and len(group) == values.shape[1]
-        samples = values if whole else values[np.ix_(present, group)]
+        samples = values if whole else values[present][:, group]
         filled, bridged = _fill(own, samples, grid, bridge, hold, rotation)
         if whole:
             out = filled

@@ -17,7 +17,7 @@ from typing import IO
 from urllib.parse import quote
 
 from amhe_cli.logs.compression import LIMIT
-from amhe_cli.logs.raw import Batch, Channel, DefinitionFormat, batch_of, normal_type
+from amhe_cli.logs.raw import Batch, Channel, DefinitionFormat, batch_of, messages, normal_type
 
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl"}
 _BATCH = 4096
@@ -66,7 +66,7 @@ class SqliteFile:
                     rows.clear()
         except sqlite3.DatabaseError as error:
             self.problems.append(
-                f"recovered {read} messages up to t = {(last - first) / 1e9:.1f} s; the rest is lost: {error}"
+                f"recovered {messages(read)} up to t = {(last - first) / 1e9:.1f} s; the rest is lost"
             )
         for topic, rows in pending.items():
             if rows:

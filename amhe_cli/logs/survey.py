@@ -10,12 +10,13 @@ import numpy as np
 
 from amhe_cli.core.arrays import IntArray
 from amhe_cli.logs.clocks import Clock, offset_words, timeline
-from amhe_cli.logs.decode import Group, Samples, Splitter, nanoseconds, time_leaves
+from amhe_cli.logs.decode import Samples, nanoseconds, time_leaves
 from amhe_cli.logs.definitions import Definitions
 from amhe_cli.logs.folder import open_log
 from amhe_cli.logs.layout import Layout
 from amhe_cli.logs.message_types import TYPES
-from amhe_cli.logs.raw import Batch, Channel, readable
+from amhe_cli.logs.raw import Batch, Channel, messages, readable
+from amhe_cli.logs.split import Group, Splitter
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +30,8 @@ class TopicSurvey:
         longest_gap: Longest silence [s], and
         gap_at: when it begins [s from the log's first message].
         first_ns, last_ns: First and last stamp [ns] on each clock: 'header' (where set), 'publish', 'log'.
-        header: Its header stamps: 'none' (the type has no header), 'unset', 'partly set', 'not monotone', 'good'.
+        header: Its header stamps: 'none' (the type has no header), 'unset', 'partly set', 'not monotone' or
+            'good'.
         clock: The clock that reading it would use: 'header', 'publish' or 'log'.
         quantities: What signals can take from it without naming fields.
         entries: Names in it: joints, child frames; '[n]' for an array of n numbers.
@@ -144,7 +146,13 @@ def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
             for channel in sorted(scans, key=lambda channel: (channel.topic, channel.type))
         ]
     return Survey(
-        path, log.format, duration, tuple(topics), tuple(log.problems), log.metadata, tuple(offset_words(lags))
+        path,
+        log.format,
+        duration,
+        tuple(topics),
+        tuple(log.problems),
+        log.metadata,
+        tuple(offset_words(lags)),
     )
 
 
@@ -182,7 +190,7 @@ def _topic(
     clock: Clock = "log"
     notes: list[str] = []
     if scan.splitter and scan.splitter.damaged:
-        notes.append(f"{scan.splitter.damaged} messages are damaged ({scan.splitter.reason})")
+        notes.append(f"{messages(scan.splitter.damaged)} damaged ({scan.splitter.reason})")
     if count:
         times = timeline(samples)
         clock = times.clock

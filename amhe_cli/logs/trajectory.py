@@ -70,7 +70,8 @@ def read_trajectory(
         signals: What to read; topics that are not named are not decoded.
         dt: Step of the clock [s].
         settings: Clock and gap settings.
-        start, end: Part of the log to keep [s], counted from row 0.
+        start: Where to begin [s], counted from row 0.
+        end: Where to stop [s], counted from row 0.
         msg_path: Folder of .msg files for types that the log does not define.
 
     Raises:
@@ -154,7 +155,7 @@ def _grid(
             f"{_MOST_ROWS}; cut it with --from and --to, or look for a wrong stamp with `amhe inspect`"
         )
     start_ns = anchor + round(begin + low * step)
-    return np.arange(high - low) * dt, start_ns
+    return np.arange(high - low, dtype=np.float64) * dt, start_ns
 
 
 def _no_overlap(tracks: Sequence[_Track]) -> str:
@@ -192,8 +193,11 @@ def _series(
 def _values(
     path: Path, track: _Track, quantity: str, times: FloatArray, bridge: float
 ) -> tuple[FloatArray, tuple[str, ...], bool]:
-    """Samples (m, k) of one quantity in our convention, their columns, and whether the topic lacks them
-    and they are differentiated."""
+    """Bring one quantity into our convention; differentiate it where the topic lacks it.
+
+    Returns:
+        Samples (m, k), names of the columns, whether they were differentiated.
+    """
     known: Mapping[str, FloatArray] = track.samples.values
     if quantity in known and np.isfinite(known[quantity]).any():
         values = known[quantity]
@@ -203,9 +207,7 @@ def _values(
     source = DERIVED.get(quantity, "")
     if source not in known or not np.isfinite(known[source]).any():
         raise LogError(f"{path}: topic {track.signal.topic!r} carries no {quantity}")
-    logger.info(
-        "%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source
-    )
+    logger.info("%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source)
     columns = ("x", "y", "z") if source == "orientation" else track.samples.columns[source]
     return _differentiated(times, known[source], source, bridge), columns, True
 

@@ -42,9 +42,7 @@ class LogWriter:
         self._sequence: dict[int, int] = {}
 
     def __enter__(self) -> LogWriter:
-        self._file = NamedTemporaryFile(  # noqa: SIM115 (closed in __exit__)
-            dir=self.path.parent, prefix=f".{self.path.name}.", delete=False
-        )
+        self._file = NamedTemporaryFile(dir=self.path.parent, prefix=f".{self.path.name}.", delete=False)
         self._mcap = Writer(self._file, compression=_LEVEL, enable_data_crcs=True)  # type: ignore[arg-type]
         self._mcap.start(profile="ros2", library=f"amhe {__version__}")
         self._mcap.add_metadata("amhe", self._metadata)
@@ -114,10 +112,10 @@ class LogWriter:
         velocity: ArrayLike = (),
         effort: ArrayLike = (),
     ) -> None:
-        """Write a sensor_msgs/JointState: position [rad or m], velocity, effort [N m or N], each (n,) or ()."""
+        """Write a sensor_msgs/JointState: position [rad or m], velocity, effort [N m or N]; (n,) or ()."""
         message = self.message(
             "sensor_msgs/msg/JointState",
-            header=self._header(""),
+            header=self.header(""),
             name=list(names),
             position=_numbers(position),
             velocity=_numbers(velocity),
@@ -140,12 +138,14 @@ class LogWriter:
         """Write a nav_msgs/Odometry.
 
         Args:
-            topic, stamp_ns: As in `write`.
+            topic: As in `write`.
+            stamp_ns: As in `write`.
             position: In the world [m], shape (3,).
             orientation: Unit quaternion w, x, y, z of the body in the world.
             linear_velocity: In the world [m/s], shape (3,); stored in the child frame, as ROS wants it.
             angular_velocity: In the body's frame [rad/s], shape (3,).
-            frame, child_frame: Names of the world and of the body.
+            frame: Name of the world.
+            child_frame: Name of the body.
         """
         turn = np.asarray(orientation, dtype=np.float64)
         linear = rotations.rotate(rotations.conjugate(turn), np.asarray(linear_velocity, dtype=np.float64))
@@ -155,7 +155,7 @@ class LogWriter:
         )
         message = self.message(
             "nav_msgs/msg/Odometry",
-            header=self._header(frame),
+            header=self.header(frame),
             child_frame_id=child_frame,
             pose=self.message(
                 f"{geometry}PoseWithCovariance", pose=self._pose(position, turn), covariance=np.zeros(36)
@@ -169,7 +169,7 @@ class LogWriter:
     ) -> None:
         """Write a geometry_msgs/PoseStamped: position [m] (3,), unit quaternion w, x, y, z (4,)."""
         name = "geometry_msgs/msg/PoseStamped"
-        message = self.message(name, header=self._header(frame), pose=self._pose(position, orientation))
+        message = self.message(name, header=self.header(frame), pose=self._pose(position, orientation))
         self.write(topic, name, stamp_ns, message)
 
     def transform(
@@ -188,7 +188,7 @@ class LogWriter:
                 translation=self._vector(position),
                 rotation=self._quaternion(orientation),
             )
-            header = self._header(frame)
+            header = self.header(frame)
             header.stamp = self._time(stamp_ns)
             transforms.append(
                 self.message(
@@ -216,7 +216,7 @@ class LogWriter:
         unknown[0] = -1.0
         message = self.message(
             "sensor_msgs/msg/Imu",
-            header=self._header(frame),
+            header=self.header(frame),
             orientation=self._quaternion((1.0, 0.0, 0.0, 0.0) if orientation is None else orientation),
             orientation_covariance=unknown if orientation is None else np.zeros(9),
             angular_velocity=self._vector(angular_velocity),
@@ -234,7 +234,7 @@ class LogWriter:
             "geometry_msgs/msg/Wrench", force=self._vector(force), torque=self._vector(torque)
         )
         name = "geometry_msgs/msg/WrenchStamped"
-        self.write(topic, name, stamp_ns, self.message(name, header=self._header(frame), wrench=wrench))
+        self.write(topic, name, stamp_ns, self.message(name, header=self.header(frame), wrench=wrench))
 
     def numbers(self, topic: str, stamp_ns: int, values: ArrayLike) -> None:
         """Write a std_msgs/Float64MultiArray of any numbers, shape (n,)."""
@@ -248,7 +248,8 @@ class LogWriter:
         seconds, nanoseconds = divmod(int(stamp_ns), 10**9)
         return self.message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
 
-    def _header(self, frame: str) -> Any:
+    def header(self, frame: str) -> Any:
+        """A std_msgs/Header in `frame`; `write` sets its stamp."""
         return self.message("std_msgs/msg/Header", stamp=self._time(0), frame_id=frame)
 
     def _vector(self, values: ArrayLike, name: str = "Vector3") -> Any:

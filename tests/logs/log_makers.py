@@ -166,7 +166,9 @@ def write_mcap(
     return path
 
 
-def write_rosbag2(path: Path, messages: Sequence[Message], storage: str = "sqlite3", mode: str = "none") -> Path:
+def write_rosbag2(
+    path: Path, messages: Sequence[Message], storage: str = "sqlite3", mode: str = "none"
+) -> Path:
     plugin = {"sqlite3": rosbag2.StoragePlugin.SQLITE3, "mcap": rosbag2.StoragePlugin.MCAP}[storage]
     writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
     if mode != "none":
@@ -175,13 +177,17 @@ def write_rosbag2(path: Path, messages: Sequence[Message], storage: str = "sqlit
         connections: dict[str, Any] = {}
         for message in messages:
             if message.topic not in connections:
-                connections[message.topic] = writer.add_connection(message.topic, message.type, typestore=ROS2)
+                connections[message.topic] = writer.add_connection(
+                    message.topic, message.type, typestore=ROS2
+                )
             data = ROS2.serialize_cdr(message.content, message.type)
             writer.write(connections[message.topic], message.stamp_ns, bytes(data))
     return path
 
 
-def write_bag(path: Path, messages: Sequence[Message], compression: str = "", chunk_size: int = 8_192) -> Path:
+def write_bag(
+    path: Path, messages: Sequence[Message], compression: str = "", chunk_size: int = 8_192
+) -> Path:
     writer = rosbag1.Writer(path)
     writer.chunk_threshold = chunk_size
     if compression:
@@ -190,7 +196,9 @@ def write_bag(path: Path, messages: Sequence[Message], compression: str = "", ch
         connections: dict[str, Any] = {}
         for message in messages:
             if message.topic not in connections:
-                connections[message.topic] = writer.add_connection(message.topic, message.type, typestore=ROS1)
+                connections[message.topic] = writer.add_connection(
+                    message.topic, message.type, typestore=ROS1
+                )
             data = ROS1.serialize_ros1(message.content, message.type)
             writer.write(connections[message.topic], message.stamp_ns, bytes(data))
     return path

@@ -41,7 +41,9 @@ def times(n: int, start: int = T0, period: float = DT) -> list[int]:
     return [start + round(i * period * S) for i in range(n)]
 
 
-def read(path: Path, *signals: Signal, dt: float = DT, settings: LogSettings = SETTINGS, **options: Any) -> Any:
+def read(
+    path: Path, *signals: Signal, dt: float = DT, settings: LogSettings = SETTINGS, **options: Any
+) -> Any:
     return read_trajectory(path, signals or (JOINT,), dt, settings, **options)
 
 
@@ -49,7 +51,9 @@ def warnings(caplog: pytest.LogCaptureFixture) -> str:
     return "\n".join(record.getMessage() for record in caplog.records if record.levelno >= logging.WARNING)
 
 
-def test_header_stamps_are_the_default_and_agree_silently(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_header_stamps_are_the_default_and_agree_silently(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     path = log_of(tmp_path / "a", times(50), [t + 3_000_000 for t in times(50)])
     trajectory = read(path)
     assert trajectory.start_ns == T0
@@ -83,14 +87,18 @@ def test_one_wild_stamp_costs_one_message(
     trajectory = read(log_of(tmp_path / "a", header, times(50)))
     assert 49 <= trajectory.steps <= 50
     first = (trajectory.start_ns - T0) / S / DT
-    np.testing.assert_allclose(trajectory["j.position"].values[:, 0], first + np.arange(trajectory.steps), atol=1e-6)
+    np.testing.assert_allclose(
+        trajectory["j.position"].values[:, 0], first + np.arange(trajectory.steps), atol=1e-6
+    )
     assert trajectory["j.position"].sampled.sum() == 49
-    assert "1 messages" in warnings(caplog)
+    assert "1 message " in warnings(caplog)
 
 
-def test_a_small_jump_ahead_does_not_cost_what_it_overtakes(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_small_jump_ahead_does_not_cost_what_it_overtakes(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     header = times(100)
-    header[30] += 200_000_000
+    header[30] += 205_000_000
     assert read(log_of(tmp_path / "a", header, times(100)))["j.position"].sampled.sum() == 99
     assert "1 out of order" in warnings(caplog)
 
@@ -104,7 +112,9 @@ def test_repeated_stamps_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFi
     assert "3 with a repeated stamp" in warnings(caplog)
 
 
-def test_a_clock_that_is_set_back_falls_to_the_recorder(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_clock_that_is_set_back_falls_to_the_recorder(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     header = times(50) + times(50, T0 - 3 * S)
     trajectory = read(log_of(tmp_path / "a", header, times(100)))
     assert trajectory.steps == 100
@@ -181,8 +191,12 @@ def test_the_increasing_subset_is_increasing_and_none_is_larger(stamps: list[int
 
 def test_the_grid_starts_when_all_have_begun_in_phase_with_the_slowest_state(tmp_path: Path) -> None:
     messages = [Message("/a", JS, t, joint_state(ROS2, t, ("a",), [0.0])) for t in times(100)]
-    messages += [Message("/b", JS, t, joint_state(ROS2, t, ("a",), [0.0])) for t in times(50, T0 + 203_000_000)]
-    messages += [Message("/u", JS, t, joint_state(ROS2, t, ("a",), [1.0])) for t in times(50, T0 + 316_000_000)]
+    messages += [
+        Message("/b", JS, t, joint_state(ROS2, t, ("a",), [0.0])) for t in times(50, T0 + 203_000_000)
+    ]
+    messages += [
+        Message("/u", JS, t, joint_state(ROS2, t, ("a",), [1.0])) for t in times(50, T0 + 316_000_000)
+    ]
     path = write_mcap(tmp_path / "a", messages)
     a, b = Signal("a", "/a", ("position",)), Signal("b", "/b", ("position",))
     command = Signal("u", "/u", ("position",), is_input=True)

@@ -7,11 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.logs.log_makers import DT, ROS1, ROS2, SETTINGS, SIGNALS, motion, write_bag, write_mcap, write_rosbag2, wrong_samples
 
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.trajectory import Trajectory
 from amhe_cli.logs import read_metadata, read_trajectory, survey
+from tests.logs.log_makers import (
+    DT,
+    ROS1,
+    ROS2,
+    SETTINGS,
+    SIGNALS,
+    motion,
+    write_bag,
+    write_mcap,
+    write_rosbag2,
+    wrong_samples,
+)
 
 FORMATS = ("mcap", "mcap_plain", "mcap_loose", "db3", "bag", "bag_lz4", "bag_bz2")
 STEPS = 120
@@ -96,7 +107,9 @@ def test_flipped_bits(
         read += 1
         wrong = wrong_samples(trajectory)
         assert max(wrong.values()) <= UNPROTECTED.get(name, 0), f"bit {place}: {wrong}"
-        lost = any(not series.sampled.all() for series in trajectory.series.values()) or trajectory.steps < STEPS
+        lost = (
+            any(not series.sampled.all() for series in trajectory.series.values()) or trajectory.steps < STEPS
+        )
         assert caplog.records or not lost or name in UNPROTECTED, f"bit {place}: data are lost without a word"
     if name != "mcap_loose":
         assert read > 150, "one bit must not cost the whole log"

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
 
-from amhe_cli.logs.decode import Splitter
 from amhe_cli.logs.definitions import Definitions
-from amhe_cli.logs.layout import MalformedMessage, walk
+from amhe_cli.logs.layout import MalformedMessageError, walk
 from amhe_cli.logs.raw import Channel, batch_of
+from amhe_cli.logs.split import Splitter
 from tests.logs.log_makers import ROS1, ROS2
 
 FLOATS, STRINGS = ("float32", "float64"), ("string", "wstring")
@@ -85,18 +85,22 @@ def test_big_endian_cdr() -> None:
     message = random_message(ROS2, name, np.random.default_rng(3))
     message.name, message.position = ["a", "bc"], np.array([1.5, -2.0])
     data = bytes(ROS2.serialize_cdr(message, name, little_endian=False))
-    layout = walk(np.frombuffer(data, np.uint8), name, Definitions().of(Channel("/t", name, "cdr", "", "")), "cdr")
+    layout = walk(
+        np.frombuffer(data, np.uint8), name, Definitions().of(Channel("/t", name, "cdr", "", "")), "cdr"
+    )
     assert layout.names("name") == ("a", "bc")
     leaf = layout.leaves["position"]
     assert np.frombuffer(data, leaf.dtype, 2, leaf.offset).tolist() == [1.5, -2.0]
 
 
-@pytest.mark.parametrize("damage", [lambda d: d[:-1], lambda d: d + b"12345678", lambda d: b"\0\7" + d[2:], lambda d: d[:3]])
+@pytest.mark.parametrize(
+    "damage", [lambda d: d[:-1], lambda d: d + b"12345678", lambda d: b"\0\7" + d[2:], lambda d: d[:3]]
+)
 def test_malformed_messages_are_told_apart(damage: Any) -> None:
     name = "sensor_msgs/msg/Imu"
     data = damage(bytes(ROS2.serialize_cdr(random_message(ROS2, name, np.random.default_rng(0)), name)))
     types = Definitions().of(Channel("/t", name, "cdr", "", ""))
-    with pytest.raises(MalformedMessage):
+    with pytest.raises(MalformedMessageError):
         walk(np.frombuffer(data, np.uint8), name, types, "cdr")
 
 

@@ -67,7 +67,10 @@ def zoo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
     def transform(i: int) -> Any:
         return make(
-            store, f"{g}Transform", translation=vector(store, (i * DT, 2, 3)), rotation=quaternion(store, TURN)
+            store,
+            f"{g}Transform",
+            translation=vector(store, (i * DT, 2, 3)),
+            rotation=quaternion(store, TURN),
         )
 
     def transform_stamped(i: int, stamp: int, child: str) -> Any:
@@ -75,7 +78,9 @@ def zoo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 
     twist = make(store, f"{g}Twist", linear=vector(store, (1, 2, 3)), angular=vector(store, (4, 5, 6)))
     wrench = make(store, f"{g}Wrench", force=vector(store, (1, 2, 3)), torque=vector(store, (4, 5, 6)))
-    nine = {f"{q}_covariance": np.zeros(9) for q in ("orientation", "angular_velocity", "linear_acceleration")}
+    nine = {
+        f"{q}_covariance": np.zeros(9) for q in ("orientation", "angular_velocity", "linear_acceleration")
+    }
     layout = make(store, "std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
     kinds: dict[str, tuple[str, Callable[[int, int], Any]]] = {
         "/pose": (f"{g}PoseStamped", lambda i, s: stamped(store, f"{g}PoseStamped", s, pose=at(i))),
@@ -108,15 +113,20 @@ def zoo(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
     }
     if store is ROS2:  # rosbags has no ROS 1 TFMessage to write
         name = "tf2_msgs/msg/TFMessage"
-        kinds["/tf"] = name, lambda i, s: make(
-            store, name, transforms=[transform_stamped(2 * i, s, "arm"), transform_stamped(i, s, "box")]
+        kinds["/tf"] = (
+            name,
+            lambda i, s: make(
+                store, name, transforms=[transform_stamped(2 * i, s, "arm"), transform_stamped(i, s, "box")]
+            ),
         )
     messages = [m for topic, (kind, content) in kinds.items() for m in series(store, topic, kind, content)]
     messages.sort(key=lambda message: message.stamp_ns)
     folder = tmp_path_factory.mktemp("zoo")
     if request.param == "mcap":
         return write_mcap(folder / "zoo.mcap", messages)
-    return write_bag(folder / "zoo.bag", messages) if store is ROS1 else write_rosbag2(folder / "zoo", messages)
+    return (
+        write_bag(folder / "zoo.bag", messages) if store is ROS1 else write_rosbag2(folder / "zoo", messages)
+    )
 
 
 @pytest.mark.parametrize("topic", ["/pose", "/posecov", "/transform", "/tf"])
@@ -159,7 +169,9 @@ def test_sensors_and_numbers(zoo: Path) -> None:
         assert trajectory[key].valid.all()
 
 
-@pytest.mark.parametrize("kind", ["mcap", "db3", "bag", "folder_mcap", "file_zstd", "message_zstd", "mcap_message"])
+@pytest.mark.parametrize(
+    "kind", ["mcap", "db3", "bag", "folder_mcap", "file_zstd", "message_zstd", "mcap_message"]
+)
 def test_the_same_motion_from_every_container(kind: str, tmp_path: Path) -> None:
     store = ROS1 if kind == "bag" else ROS2
     messages = motion(store, N)
@@ -243,7 +255,9 @@ def test_trajectory_points_act_after_their_delay_until_the_next_command(tmp_path
             for k, delay in enumerate(delays)
         ]
 
-    messages = series(ROS2, "/cmd", name, lambda i, s: stamped(ROS2, name, s, joint_names=["b", "a"], points=points(i)))
+    messages = series(
+        ROS2, "/cmd", name, lambda i, s: stamped(ROS2, name, s, joint_names=["b", "a"], points=points(i))
+    )
     path = write_mcap(tmp_path / "a", messages)
     command = read(path, Signal("u", "/cmd", ("position",), names=("a", "b"), is_input=True))["u.position"]
     np.testing.assert_allclose(command.values[:N, 0], np.arange(N))
@@ -267,7 +281,11 @@ def custom_log(path: Path, definitions: bool, monkeypatch: pytest.MonkeyPatch) -
     return write_mcap(path, series(store, "/low", "go_msgs/msg/Low", content), definitions=definitions)
 
 
-FIELDS = {"position": ("motorState[2].q", "motorState[0].q"), "velocity": ("motorState[2].dq",), "value": ("u",)}
+FIELDS = {
+    "position": ("motorState[2].q", "motorState[0].q"),
+    "velocity": ("motorState[2].dq",),
+    "value": ("u",),
+}
 
 
 def test_fields_of_foreign_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -305,7 +323,9 @@ def test_bundled_definitions_stand_in_for_missing_ones(tmp_path: Path) -> None:
     assert read(path, *SIGNALS).steps == N
 
 
-def test_lost_quaternions_take_their_positions_along(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_lost_quaternions_take_their_positions_along(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     def content(i: int, stamp: int) -> Any:
         lost = {10: (0, 0, 0, 0), 11: (np.nan,) * 4, 12: (3, 0, 0, 0)}
         place = (0, 0, 0) if i in lost else (1, 1, 1)
@@ -347,7 +367,9 @@ def test_units_that_look_like_degrees(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, values: list[list[float]], text: str | None
 ) -> None:
     names = tuple("ab"[: len(values[0])])
-    path = write_mcap(tmp_path / "a", series(ROS2, "/js", JS, lambda i, s: joint_state(ROS2, s, names, values[0])))
+    path = write_mcap(
+        tmp_path / "a", series(ROS2, "/js", JS, lambda i, s: joint_state(ROS2, s, names, values[0]))
+    )
     with caplog.at_level(logging.WARNING):
         read(path, Signal("j", "/js", ("position",), names=names))
     assert (text in caplog.text) if text else not caplog.records

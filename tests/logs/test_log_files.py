@@ -1,0 +1,399 @@
+"""Odd files: foreign, incomplete, misnamed, hostile; surveys; the writer; real logs."""
+
+from __future__ import annotations
+
+import json
+import logging
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import zstandard
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+from rosbags.highlevel import AnyReader
+
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs import LogWriter, compression, read_metadata, read_trajectory, survey
+from tests.logs.log_makers import (
+    DT,
+    JOINTS,
+    JS,
+    ROS1,
+    ROS2,
+    SETTINGS,
+    SIGNALS,
+    T0,
+    Message,
+    joint_state,
+    motion,
+    write_bag,
+    write_mcap,
+    write_rosbag2,
+    wrong_samples,
+)
+
+DATA = Path(__file__).parents[2] / "../shared/data"
+N = 60
+
+
+def read(path: Path) -> Any:
+    return read_trajectory(path, SIGNALS, DT, SETTINGS)
+
+
+# -- containers -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        (b"", "the file is empty"),
+        (b"\x89MCAP", "ends after 5 bytes"),
+        (b"\x89MCAP0\r\n", "no topic"),
+        (b"#ROSBAG V2.0\n", "no topic"),
+        (b"PK\x03\x04 a zip archive, say", "neither MCAP"),
+        (b"SQLite format 3\0" + bytes(200), "cannot be read"),
+    ],
+)
+def test_what_is_no_log(tmp_path: Path, content: bytes, text: str) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(content)
+    with pytest.raises(LogError, match=text):
+        read(path)
+
+
+def test_the_suffix_does_not_matter(tmp_path: Path) -> None:
+    assert read(write_mcap(tmp_path / "log.bag", motion(ROS2, N))).steps == N
+    assert read(write_bag(tmp_path / "log.mcap", motion(ROS1, N))).steps == N
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"index_types": IndexType.NONE},
+        {
+            "use_statistics": False,
+            "use_summary_offsets": False,
+            "repeat_channels": False,
+            "repeat_schemas": False,
+        },
+        {"enable_crcs": False},
+        {"use_chunking": False},
+        {"compression": CompressionType.LZ4},
+        {"enable_data_crcs": True},
+        {"chunk_size": 1},
+    ],
+)
+def test_every_kind_of_mcap(
+    tmp_path: Path, options: dict[str, Any], caplog: pytest.LogCaptureFixture
+) -> None:
+    path = write_mcap(tmp_path / "a", motion(ROS2, N), **options)
+    trajectory = read(path)
+    assert trajectory.steps == N and not any(wrong_samples(trajectory).values())
+    assert not caplog.records
+    assert read_metadata(path) == {"system": "made", "seed": "7"}
+
+
+def test_a_crashed_recorder(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    trajectory = read(write_mcap(tmp_path / "a", motion(ROS2, N), finish=False))
+    assert trajectory.steps > N // 2 and not any(wrong_samples(trajectory).values())
+    assert "the file was not closed (recorder crashed or copy incomplete)" in caplog.text
+    assert "recovered" in caplog.text
+
+
+def test_foreign_topics_are_passed_over_and_named_when_asked_for(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("Foreign", "jsonschema", b"{}")
+        strange = [
+            writer.register_channel("/json", "json", schema),
+            writer.register_channel(
+                "/proto", "protobuf", writer.register_schema("P", "protobuf", b"\xff\x00")
+            ),
+            writer.register_channel("/none", "cdr", 0),
+        ]
+        for channel in strange:
+            writer.add_message(channel, T0, b"{}", T0)
+        text = ROS2.generate_msgdef(JS, ros_version=2)[0].encode()
+        channel = writer.register_channel("/js", "cdr", writer.register_schema(JS, "ros2msg", text))
+        for i in range(10):
+            stamp = T0 + i * 10_000_000
+            data = ROS2.serialize_cdr(joint_state(ROS2, stamp, JOINTS, (1, 2, 3)), JS)
+            writer.add_message(channel, stamp, bytes(data), stamp)
+        writer.finish()
+    trajectory = read_trajectory(path, [Signal("j", "/js", ("position",))], DT, SETTINGS)
+    assert trajectory.steps == 10
+    for topic, text in (
+        ("/json", "encoded as 'json'"),
+        ("/proto", "encoded as 'protobuf'"),
+        ("/none", "no definition"),
+    ):
+        with pytest.raises(LogError, match=text):
+            read_trajectory(path, [Signal("j", topic, ("position",))], DT, SETTINGS)
+    problems = {topic.name: topic.problem for topic in survey(path).topics}
+    assert problems["/js"] is None and "json" in (problems["/json"] or "")
+
+
+def test_a_ros1_mcap(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros1")
+        channels = {}
+        for message in motion(ROS1, N):
+            if message.topic not in channels:
+                text = ROS1.generate_msgdef(message.type)[0].encode()
+                name = message.type.replace("/msg/", "/")
+                schema = writer.register_schema(name, "ros1msg", text)
+                channels[message.topic] = writer.register_channel(message.topic, "ros1", schema)
+            data = bytes(ROS1.serialize_ros1(message.content, message.type))
+            writer.add_message(channels[message.topic], message.stamp_ns, data, message.stamp_ns)
+        writer.finish()
+    assert not any(wrong_samples(read(path)).values())
+
+
+def test_a_folder_without_metadata(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    for storage in ("sqlite3", "mcap"):
+        folder = write_rosbag2(tmp_path / storage, motion(ROS2, N), storage)
+        (folder / "metadata.yaml").unlink()
+        assert read(folder).steps == N
+        assert "has no metadata.yaml" in caplog.text
+        caplog.clear()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(LogError, match="is no log"):
+        read(tmp_path / "empty")
+
+
+def test_a_split_recording_with_a_part_missing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    messages = motion(ROS2, N)
+    folder = tmp_path / "split"
+    folder.mkdir()
+    write_mcap(folder / "split_0.mcap", messages[:N])
+    write_mcap(folder / "split_1.mcap", messages[N:])
+    names = ["split_0.mcap", "split_1.mcap", "split_2.mcap"]
+    lines = "\n".join(f"  - {name}" for name in names)
+    text = f"rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths:\n{lines}\n"
+    (folder / "metadata.yaml").write_text(text)
+    trajectory = read(folder)
+    assert trajectory.steps == N and not any(wrong_samples(trajectory).values())
+    assert "split_2.mcap is missing" in caplog.text
+    assert read_metadata(folder) == {"system": "made", "seed": "7"}
+    (folder / "split_0.mcap").write_bytes(b"")
+    assert read(folder).steps == N // 2
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: 7")
+    with pytest.raises(LogError, match=r"not a rosbag2 metadata\.yaml"):
+        read(folder)
+
+
+def test_an_active_bag_is_read_and_reindexing_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    content = bytearray(write_bag(tmp_path / "a.bag", motion(ROS1, N)).read_bytes())
+    at = content.index(b"index_pos=") + 10
+    (index,) = struct.unpack_from("<Q", content, at)
+    content[at : at + 8] = bytes(8)
+    path = tmp_path / "a.bag.active"
+    path.write_bytes(content[:index])
+    trajectory = read(path)
+    assert trajectory.steps == N and not any(wrong_samples(trajectory).values())
+    assert "rosbag reindex" in caplog.text
+
+
+# -- hostile files ----------------------------------------------------------------------------------------
+
+
+def test_bombs_do_not_unfold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    bomb = zstandard.compress(bytes(2**26))
+    assert len(bomb) < 2**14
+    with pytest.raises(ValueError, match="bytes"):
+        compression.decompress("zstd", bomb, 1000)
+    with pytest.raises(ValueError, match="exceeds the limit"):
+        compression.decompress("zstd", bomb, 2**40)
+    monkeypatch.setattr(compression, "LIMIT", 4096)
+    with pytest.raises(ValueError, match="at most 4096"):
+        compression.decompress("zstd", bomb)
+    packed = tmp_path / "a.db3.zstd"
+    packed.write_bytes(zstandard.compress(bytes(2**26)))
+    with pytest.raises(LogError, match="unfolds to more than"):
+        read(packed)
+    path = write_mcap(tmp_path / "b", motion(ROS2, N), chunk_size=8192)
+    with pytest.raises(LogError):
+        read(path)
+    assert "exceeds the limit" in caplog.text
+
+
+def test_a_definition_that_contains_itself(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("x/msg/Loop", "ros2msg", b"Loop next\n")
+        writer.add_message(writer.register_channel("/l", "cdr", schema), T0, bytes(100), T0)
+        writer.finish()
+    with pytest.raises(LogError):
+        read_trajectory(path, [Signal("l", "/l", ("value",), fields={"value": ("next",)})], DT, SETTINGS)
+    survey(path)
+
+
+# -- survey -----------------------------------------------------------------------------------------------
+
+
+def test_survey_says_what_is_there(tmp_path: Path) -> None:
+    messages = [m for m in motion(ROS2, N) if not 20 <= (m.stamp_ns - T0) // 10_000_000 < 40]
+    found = survey(write_mcap(tmp_path / "a", messages, log_delay_ns=2_000_000))
+    assert (found.format, found.metadata["seed"], found.problems) == ("MCAP", "7", ())
+    assert found.duration == pytest.approx((N - 1) * DT)
+    joints, body = found.topics
+    assert (joints.name, joints.count, joints.entries) == ("/joint_states", N - 20, JOINTS)
+    assert joints.rate == pytest.approx(100.0)
+    assert (joints.longest_gap, joints.gap_at) == pytest.approx((0.21, 0.19))
+    assert joints.quantities == ("position", "velocity", "effort")
+    assert (joints.header, joints.clock, joints.problem) == ("good", "header", None)
+    assert joints.first_ns == {"header": T0, "publish": T0 + 2_000_000, "log": T0 + 2_000_000}
+    assert body.entries == ("body",)
+
+
+def test_survey_of_odd_topics(tmp_path: Path) -> None:
+    stamps = [T0 + i * 10_000_000 for i in range(20)]
+    messages = [Message("/unset", JS, s, joint_state(ROS2, 0, ("a",), [1.0])) for s in stamps]
+    messages += [Message("/once", JS, stamps[0], joint_state(ROS2, stamps[0], ("a",), [1.0]))]
+    once, unset = survey(write_mcap(tmp_path / "a", messages)).topics
+    assert (unset.header, unset.clock) == ("unset", "publish")
+    assert (once.count, once.rate, once.longest_gap) == (1, 0.0, 0.0)
+    with pytest.raises(ConfigError):
+        survey(tmp_path / "nothing")
+
+
+# -- writer -----------------------------------------------------------------------------------------------
+
+
+def write_one(path: Path, fail: bool = False) -> None:
+    with LogWriter(path, {"system": "pendulum", "truth": json.dumps({"mass": 1.0})}) as log:
+        half = np.sqrt(0.5)
+        for i in range(20):
+            stamp = T0 + i * 10_000_000
+            log.joint_state("/js", stamp, ("a", "b"), (1.0, 2.0), effort=(3.0, 4.0))
+            log.odometry("/odom", stamp, (1, 2, 3), (half, 0, 0, half), (1, 0, 0), (0, 0, 5))
+            log.pose("/pose", stamp, (1, 2, 3), (half, 0, 0, half))
+            log.transform("/tf", stamp, {"box": ((1, 2, 3), (half, 0, 0, half))})
+            log.imu("/imu", stamp, None, (1, 2, 3), (0, 0, 9.81))
+            log.wrench("/ft", stamp, (1, 2, 3), (4, 5, 6))
+            log.numbers("/u", stamp, (7.0, 8.0))
+            if fail and i == 10:
+                raise RuntimeError("a fault of the run")
+        log.attach("config.yaml", "application/yaml", b"a: 1\n")
+
+
+def test_what_is_written_is_read_back(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write_one(path)
+    signals = [
+        Signal("j", "/js", ("position", "effort"), names=("b", "a")),
+        Signal("o", "/odom", ("position", "orientation", "linear_velocity", "angular_velocity")),
+        Signal("p", "/pose", ("position", "orientation")),
+        Signal("t", "/tf", ("position",), child_frame="box"),
+        Signal("i", "/imu", ("angular_velocity", "linear_acceleration")),
+        Signal("f", "/ft", ("force", "torque")),
+        Signal("u", "/u", ("value",), is_input=True),
+    ]
+    trajectory = read_trajectory(path, signals, DT, SETTINGS)
+    half = np.sqrt(0.5)
+    expected = {
+        "j.position": (2, 1),
+        "j.effort": (4, 3),
+        "o.linear_velocity": (1, 0, 0),
+        "o.angular_velocity": (0, 0, 5),
+        "p.orientation": (half, 0, 0, half),
+        "t.position": (1, 2, 3),
+        "i.linear_acceleration": (0, 0, 9.81),
+        "f.torque": (4, 5, 6),
+        "u.value": (7, 8),
+    }
+    for key, row in expected.items():
+        np.testing.assert_allclose(trajectory[key].values, np.tile(row, (20, 1)), atol=1e-12, err_msg=key)
+    assert json.loads(trajectory.metadata["truth"]) == {"mass": 1.0}
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_other_tools_read_it(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write_one(path)
+    with AnyReader([path]) as reader:
+        odometry = next(c for c in reader.connections if c.topic == "/odom")
+        message: Any = reader.deserialize(next(reader.messages([odometry]))[2], odometry.msgtype)
+    assert message.twist.twist.linear.y == pytest.approx(-1.0), "ROS has the twist in the child frame"
+    with path.open("rb") as file:
+        mcap = make_reader(file, validate_crcs=True)
+        assert mcap.get_header().profile == "ros2"
+        assert [a.data for a in mcap.iter_attachments()] == [b"a: 1\n"]
+        assert {m.name for m in mcap.iter_metadata()} == {"amhe"}
+
+
+def test_a_failing_run_leaves_a_whole_log(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    path.write_bytes(b"an older log")
+    with pytest.raises(RuntimeError, match="a fault"):
+        write_one(path, fail=True)
+    assert {topic.count for topic in survey(path).topics} == {11}
+    assert not survey(path).problems
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_type_of_our_own_and_one_type_a_topic(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "a", {}) as log:
+        log.define("amhe_msgs/msg/Estimate", "std_msgs/Header header\nstring name\nfloat64 mean")
+        message = log.message("amhe_msgs/msg/Estimate", header=log.header("world"), name="mass", mean=1.5)
+        log.write("/e", "amhe_msgs/msg/Estimate", T0, message)
+        with pytest.raises(ValueError, match="carries amhe_msgs/msg/Estimate"):
+            log.joint_state("/e", T0, ())
+    signal = Signal("e", "/e", ("value",), fields={"value": ("mean",)})
+    assert read_trajectory(tmp_path / "a", [signal], DT, SETTINGS)["e.value"].values == [[1.5]]
+
+
+# -- real logs --------------------------------------------------------------------------------------------
+
+needs_data = pytest.mark.skipif(not DATA.exists(), reason="the real logs (../shared/data) are not here")
+
+
+@needs_data
+def test_a_real_cube_toss(caplog: pytest.LogCaptureFixture) -> None:
+    quantities = ("position", "orientation", "linear_velocity", "angular_velocity")
+    path = DATA / "cube_tosses/toss_000.mcap"
+    trajectory = read_trajectory(path, [Signal("cube", "/cube/odom", quantities)], 1 / 148, SETTINGS)
+    assert trajectory["cube.position"].valid.all()
+    moved = np.gradient(trajectory["cube.position"].values, 1 / 148, axis=0)
+    difference = (moved - trajectory["cube.linear_velocity"].values)[5:-5]
+    assert np.median(np.abs(difference)) < 0.03, "the twist is in the cube's frame and must be turned"
+    assert not [r for r in caplog.records if r.levelno >= logging.WARNING]
+
+
+@needs_data
+def test_a_real_bag() -> None:
+    path = DATA / "planar_push/al_block_push.bag"
+    found = survey(path)
+    counts = {topic.name: topic.count for topic in found.topics}
+    assert found.format == "ROS 1 bag" and not found.problems
+    assert (counts["/joint_states"], counts["/tf"], counts["/netft_data"]) == (663, 1858, 803)
+    box = "/vicon/MetalSquare/MetalSquare"
+    trajectory = read_trajectory(
+        path,
+        [
+            Signal("box", box, ("position", "orientation", "linear_velocity")),
+            Signal("tip", "/tip_pose", ("position",)),
+            Signal("ft", "/netft_data", ("force", "torque")),
+            Signal("arm", "/joint_states", ("position",)),
+            Signal("frame", "/tf", ("position",), child_frame="vicon/MetalSquare/MetalSquare"),
+        ],
+        0.005,
+        SETTINGS,
+    )
+    assert 0.5 < trajectory.duration < 9.0
+    usable = trajectory.usable(("box.position", "tip.position", "ft.force", "arm.position", "frame.position"))
+    assert usable.mean() > 0.5, "the tip's pose stops half way"
+    apart = trajectory["box.position"].values - trajectory["frame.position"].values
+    assert np.abs(apart[usable]).max() < 0.02
