@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 
 #: Half-width of a central 90 % interval of a normal distribution, in standard deviations.
 Z90 = 1.6448536269514722
@@ -49,7 +49,7 @@ def white_noise_sd(values: FloatArray) -> float:
     return float(np.median(np.abs(third)) / 0.6745)
 
 
-def autocorrelation_time(series: FloatArray, valid: FloatArray | None = None) -> float:
+def autocorrelation_time(series: FloatArray, valid: BoolArray | None = None) -> float:
     """Integrated autocorrelation time of residuals, in samples, at least 1.
 
     Averages the autocovariance over rows, and sums it to its first insignificant lag (after the initial

@@ -33,7 +33,7 @@ class CpuEngine:
         self, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, threads: int, sensors: bool
     ) -> None:
         self._model, self._edits, self._input_spec = model, edits, input_spec
-        self._threads, self.sensors = threads, sensors
+        self._threads, self._sensors = threads, sensors
         self._batch: mujoco.batch.Batch | None = None
         self._fields: dict[str, np.ndarray] = {}
 
@@ -50,7 +50,7 @@ class CpuEngine:
         result = Rollouts(
             np.empty((count, horizon, self._model.nq)),
             np.empty((count, horizon, self._model.nv)),
-            np.empty((count, horizon, self._model.nsensordata)) if self.sensors else None,
+            np.empty((count, horizon, self._model.nsensordata)) if self._sensors else None,
             np.empty(count, dtype=bool),
         )
         for ids, steps in _groups(lengths):
@@ -61,8 +61,8 @@ class CpuEngine:
     def _ready(self, count: int) -> mujoco.batch.Batch:
         """The pool, grown to at least `count` simulations."""
         if self._batch is None or self._batch.nsim < count:
-            self._batch = mujoco.batch.Batch(self._model, count, self._threads)
-            self._fields = {name: self._batch.expand(name) for name in self._edits.fields}
+            batch = self._batch = mujoco.batch.Batch(self._model, count, self._threads)
+            self._fields = {name: batch.expand(name) for name in self._edits.fields}
         return self._batch
 
     def _write(self, batch: mujoco.batch.Batch, theta: FloatArray) -> None:

@@ -251,9 +251,7 @@ def _shifts(problem: Problem, finding: Finding, study: _Study) -> dict[str, Floa
     system = problem.system
     shifts = {}
     for name, model in contact_variants(system.model).items():
-        engine = CpuEngine(
-            model, system.edits, system.input_spec, problem.threads, study.slopes.cost.engine.sensors
-        )
+        engine = CpuEngine(model, system.edits, system.input_spec, problem.threads, system.senses)
         cost = MatchingCost(system, problem.tiles, engine, problem.settings.cost, study.scale)
         residuals = cost.residuals(finding.z[None])
         both = study.slopes.completed & residuals.completed[0]

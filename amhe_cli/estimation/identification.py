@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -89,8 +90,7 @@ def _pose(
         fit, held = [whole(log) for log in training], [whole(log) for log in held_out]
     else:
         fit, held = split_held_out(training, clips.held_out)
-    sensors = any(c.source == "sensordata" for c in system.channels)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, options.threads, sensors)
+    engine = CpuEngine(system.model, system.edits, system.input_spec, options.threads, system.senses)
     problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed, options.threads)
     if not problem.tiles:
         raise EstimationError(_no_clips(problem.pool))
@@ -142,32 +142,42 @@ def _search(
     problem: Problem, validation: list[Window], method: str, watch: _Watch, kept: Checkpoint
 ) -> Finding:
     """Run the method, and CMA-ES from several starts where the linearised one did not help."""
-    finding = kept.load() or (search.start(problem) if method == "linearised" else cma.start(problem, 1))
-    if isinstance(finding, search.State):
-        finding = _run(problem, finding, watch, kept)
-        if watch.stopped or not _needs_rescue(problem, finding, validation):
-            return finding
-        logger.warning(
-            "the linearised search did not lower the held-out cost: searching again with CMA-ES from "
-            f"{problem.settings.identify.cmaes_starts} starts"
-        )
-        finding = cma.start(problem, problem.settings.identify.cmaes_starts, finding)
-    return _run(problem, finding, watch, kept)
+    saved = kept.load()
+    if isinstance(saved, cma.State):
+        return _run(cma.advance, cma.total, problem, saved, watch, kept)
+    if method == "cmaes":
+        return _run(cma.advance, cma.total, problem, cma.start(problem, 1), watch, kept)
+    found = _run(search.advance, search.total, problem, saved or search.start(problem), watch, kept)
+    if watch.stopped or not _needs_rescue(problem, found, validation):
+        return found
+    starts = problem.settings.identify.cmaes_starts
+    logger.warning(
+        f"the linearised search did not lower the held-out cost: searching with CMA-ES from {starts} starts"
+    )
+    return _run(cma.advance, cma.total, problem, cma.start(problem, starts, found), watch, kept)
 
 
-def _run(problem: Problem, finding: Finding, watch: _Watch, kept: Checkpoint) -> Finding:
+S = TypeVar("S", search.State, cma.State)
+
+
+def _run(
+    advance: Callable[[Problem, S], S],
+    total: Callable[[Problem, S], int],
+    problem: Problem,
+    state: S,
+    watch: _Watch,
+    kept: Checkpoint,
+) -> S:
     """Advance until done, out of time, or interrupted; a finished iteration is never lost."""
-    step = search.advance if isinstance(finding, search.State) else cma.advance
-    total = problem.settings.identify.iterations if step is search.advance else cma.total(problem, finding)
     try:
-        while not finding.done and not watch.stopped:
-            finding = step(problem, finding)
-            kept.save(finding)
-            watch.saw(finding.record[-1], total)
+        while not state.done and not watch.stopped:
+            state = advance(problem, state)
+            kept.save(state)
+            watch.saw(state.record[-1], total(problem, state))
     except KeyboardInterrupt:
         watch.interrupted = True
         logger.warning("interrupted: the result is the best so far, the search had not settled")
-    return finding
+    return state
 
 
 def _needs_rescue(problem: Problem, finding: search.State, validation: list[Window]) -> bool:

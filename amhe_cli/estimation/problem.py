@@ -92,8 +92,8 @@ class Problem:
         steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d), -0.5 * np.eye(d)))
         residuals = self.cost(clips).residuals(self.system.space.clip(steps))
         moved = np.abs(residuals.flat - residuals.flat[0]).max(axis=(1, 2))[1:].reshape(2, d)
-        broken = ~residuals.completed.all(axis=1)[1:].reshape(2, d)  # it diverged: it was felt
-        return (moved > OUT_OF_REACH).any(axis=0) | broken.any(axis=0)
+        diverged = np.any(~residuals.completed, axis=1)[1:].reshape(2, d)  # then it was felt
+        return (moved > OUT_OF_REACH).any(axis=0) | diverged.any(axis=0)
 
 
 def spread_floor(problem: Problem, roughness: float) -> FloatArray:

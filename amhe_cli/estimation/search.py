@@ -64,6 +64,11 @@ def start(problem: Problem) -> State:
     return State("explore", 0, np.zeros(d), np.full(d, 0.5) * problem.active)
 
 
+def total(problem: Problem, state: State) -> int:
+    """Most iterations that the search may take."""
+    return problem.settings.identify.iterations
+
+
 def restart(problem: Problem, z: FloatArray) -> State:
     """Polishing from z (d,), for a problem that is part of a solved one."""
     return State("polish", 0, z, np.full(z.size, 0.25) * problem.active)

@@ -88,3 +88,8 @@ class System:
     input_spec: int
     settings: Settings
     keyframe: int | None = None
+
+    @property
+    def senses(self) -> bool:
+        """Some channel is predicted by a sensor of the model, not by its state alone."""
+        return any(channel.source == "sensordata" for channel in self.channels)
