@@ -151,6 +151,8 @@ class SignalDecoder:
             wanted += [name for name in (quantity, source) if name in fields]
         if "orientation" in fields and "position" in fields:
             wanted.append("orientation")  # says whether the pose was lost, and turns the twist
+        if self.info.twist_in_child and "linear_velocity" in wanted:
+            wanted.append("position")  # says whether the twist is in the frame that ROS defines
         return tuple(dict.fromkeys(wanted))
 
     # -- where it lies --------------------------------------------------------------------------------

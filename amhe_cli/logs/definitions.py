@@ -116,7 +116,7 @@ def _fields(types: Mapping[str, Any]) -> Types:
 @cache
 def _bundled(encoding: str) -> Types:
     store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.LATEST)
-    types = {name: entry[1] for name, entry in store.fielddefs.items()}
+    types: dict[str, Any] = {name: entry[1] for name, entry in store.fielddefs.items()}
     tf = "tf2_msgs/msg/TFMessage"
     if tf not in types:  # ROS 1's store has only the parts of it
         types |= _fields(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", tf))

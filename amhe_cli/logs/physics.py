@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,13 +11,16 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.decode import Samples
+from amhe_cli.logs.differentiate import derivative
 from amhe_cli.logs.raw import messages
 
 #: A quaternion whose norm is off by more than this is not a rotation but damage or no data.
 _NORM = 0.05
 #: No SI quantity of a robot is larger.
 _ABSURD = 1e9
-#: quantity -> (value, what larger ones look like).
+#: A velocity that is off by less [m/s] may be noise.
+_TWIST_ERROR = 0.05
+#: Larger values [rad, rad/s] look like degrees.
 _LARGEST = {"position": 50.0, "angular_velocity": 100.0}
 
 
@@ -53,6 +56,26 @@ def _check_rotation(values: dict[str, FloatArray], signal: Signal, warn: Callabl
     if "position" in values:
         for block in values.values():
             block[lost] = np.nan
+
+
+def twist_looks_global(
+    times: FloatArray, values: Mapping[str, FloatArray], turned: FloatArray, bridge: float
+) -> bool:
+    """Whether an odometry's velocity fits its positions only if it is *not* turned out of the child frame.
+
+    Args:
+        times: Stamps [s], shape (m,).
+        values: Its position and linear_velocity as logged, shape (m, 3).
+        turned: The velocity turned into the world as ROS defines it, shape (m, 3).
+        bridge: Longest silence [s] that is no gap.
+    """
+    known = np.isfinite(values["position"]).all(axis=1) & np.isfinite(turned).all(axis=1)
+    moved = derivative(times[known], values["position"][known], bridge)
+    as_ros_says = np.nanmedian(np.linalg.norm(moved - turned[known], axis=1)) if known.sum() > 2 else 0.0
+    if not as_ros_says > _TWIST_ERROR:
+        return False
+    as_logged = np.nanmedian(np.linalg.norm(moved - values["linear_velocity"][known], axis=1))
+    return bool(as_logged < 0.3 * as_ros_says)
 
 
 def _lost(quaternions: FloatArray) -> BoolArray:

@@ -64,7 +64,7 @@ class SqliteFile:
                 if len(rows) == _BATCH:
                     yield _batch(wanted[topic], rows)
                     rows.clear()
-        except sqlite3.DatabaseError as error:
+        except sqlite3.DatabaseError:
             self.problems.append(
                 f"recovered {messages(read)} up to t = {(last - first) / 1e9:.1f} s; the rest is lost"
             )

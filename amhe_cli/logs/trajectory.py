@@ -22,7 +22,7 @@ from amhe_cli.logs.definitions import Definitions
 from amhe_cli.logs.differentiate import angular_velocity, derivative
 from amhe_cli.logs.folder import open_log
 from amhe_cli.logs.message_types import DERIVED
-from amhe_cli.logs.physics import checked
+from amhe_cli.logs.physics import checked, twist_looks_global
 from amhe_cli.logs.raw import readable
 from amhe_cli.logs.resample import longest_bridge, resample
 
@@ -64,6 +64,9 @@ def read_trajectory(
     state topic that begins last: a log recorded at multiples of `dt` is taken over as it is. Commands are
     held until the next one, states interpolated, orientations along the arc; silences longer than
     `settings.max_gap` (or five periods of the topic) stay invalid.
+
+    An odometry's linear velocity is turned from its child frame into the world. A TwistStamped, whose frame
+    ROS leaves to the sender, is taken as it is: linear velocity in the world, angular in the body's frame.
 
     Args:
         path: A .mcap, .db3 or .bag file, or a rosbag2 folder.
@@ -203,6 +206,13 @@ def _values(
         values = known[quantity]
         if quantity == "linear_velocity" and track.twist_in_child:
             values = rotations.rotate(known["orientation"], values)
+            if twist_looks_global(times, known, values, bridge):
+                logger.warning(
+                    "%s: topic %r: its twist fits its positions better as a velocity in the world frame, but "
+                    "ROS defines it in the child frame, and so it was read",
+                    path,
+                    track.signal.topic,
+                )
         return values, track.samples.columns[quantity], False
     source = DERIVED.get(quantity, "")
     if source not in known or not np.isfinite(known[source]).any():

@@ -140,7 +140,7 @@ def write_mcap(
     path: Path,
     messages: Sequence[Message],
     *,
-    chunk_size: int = 8_192,
+    chunk_size: int = 16_384,
     compression: CompressionType = CompressionType.ZSTD,
     definitions: bool = True,
     finish: bool = True,
@@ -186,7 +186,7 @@ def write_rosbag2(
 
 
 def write_bag(
-    path: Path, messages: Sequence[Message], compression: str = "", chunk_size: int = 8_192
+    path: Path, messages: Sequence[Message], compression: str = "", chunk_size: int = 16_384
 ) -> Path:
     writer = rosbag1.Writer(path)
     writer.chunk_threshold = chunk_size

@@ -98,7 +98,8 @@ def test_flipped_bits(
 ) -> None:
     rng = np.random.default_rng(20261121)
     read = 0
-    for place in rng.integers(0, 8 * len(originals[name]), 200).tolist():
+    flips = 200 if name in ("mcap", "db3", "bag") else 60
+    for place in rng.integers(0, 8 * len(originals[name]), flips).tolist():
         content = bytearray(originals[name])
         content[place // 8] ^= 1 << place % 8
         trajectory = attempt(tmp_path / "log", bytes(content), caplog)
@@ -112,7 +113,7 @@ def test_flipped_bits(
         )
         assert caplog.records or not lost or name in UNPROTECTED, f"bit {place}: data are lost without a word"
     if name != "mcap_loose":
-        assert read > 150, "one bit must not cost the whole log"
+        assert read > 0.75 * flips, "one bit must not cost the whole log"
 
 
 @pytest.mark.parametrize("name", FORMATS)

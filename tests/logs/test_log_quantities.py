@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.signals import Signal
@@ -28,6 +30,7 @@ from tests.logs.log_makers import (
     joint_state,
     make,
     motion,
+    odometry,
     pose,
     quaternion,
     truth,
@@ -401,3 +404,44 @@ def test_child_frames(tmp_path: Path) -> None:
         read(path, Signal("b", "/tf", ("position",), child_frame="bix"))
     with pytest.raises(ConfigError, match="name the child_frame.*box"):
         read(path, Signal("b", "/tf", ("position",)))
+
+
+def test_a_twist_in_the_wrong_frame_is_noticed(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    t = np.arange(200) * DT
+    true = truth(t)
+
+    def content(i: int, stamp: int) -> Any:
+        row = {key: value[i] for key, value in true.items()}
+        world = row["body.linear_velocity"]
+        turn = row["body.orientation"]
+        return odometry(ROS2, stamp, row["body.position"], turn, world, row["body.angular_velocity"])
+
+    name = "nav_msgs/msg/Odometry"
+    stamps = [T0 + round(s * 1e9) for s in t]
+    messages = [Message("/odom", name, stamp, content(i, stamp)) for i, stamp in enumerate(stamps)]
+    signal = Signal("b", "/odom", ("linear_velocity",))
+    read(write_mcap(tmp_path / "a", messages), signal)
+    assert "better as a velocity in the world frame" in caplog.text
+    caplog.clear()
+    read(write_mcap(tmp_path / "b", motion(ROS2)), signal)
+    assert not caplog.records
+
+
+def test_idl_definitions(tmp_path: Path) -> None:
+    idl = """module tiny { module msg {
+      struct Reading { builtin_interfaces::msg::Time stamp; double level; sequence<float> parts; };
+    }; };"""
+    path = tmp_path / "a"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start(profile="ros2")
+        schema = writer.register_schema("tiny/msg/Reading", "ros2idl", idl.encode())
+        channel = writer.register_channel("/r", "cdr", schema)
+        for i in range(10):
+            stamp = 5 + i / 100
+            body = struct.pack("<iId", 5, i * 10_000_000, float(i)) + struct.pack("<Iff", 2, i, -i)
+            writer.add_message(channel, round(stamp * 1e9), b"\0\1\0\0" + body, round(stamp * 1e9))
+        writer.finish()
+    signal = Signal("r", "/r", ("value",), fields={"value": ("level", "parts[1]")})
+    values = read(path, signal)["r.value"].values
+    np.testing.assert_allclose(values, np.arange(10)[:, None] * [1.0, -1.0])
