@@ -52,6 +52,8 @@ def run(arguments: Sequence[str]) -> int:
             return TERMINATED if session.terminated else INTERRUPTED
         except Exception as error:
             return _failed(session, error)
+        finally:
+            session.end()
 
 
 def _failed(session: Session, error: Exception) -> int:

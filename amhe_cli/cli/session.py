@@ -77,6 +77,17 @@ class Session:
         logger.setLevel([logging.WARNING, logging.INFO, logging.DEBUG][min(self.verbose, 2)])
         logger.propagate = False
 
+    def end(self) -> None:
+        """Leave the log as it was: a process may run more than one command."""
+        if "logging" not in sys.modules:  # no command has begun
+            return
+        import logging
+
+        logging.captureWarnings(False)
+        logger = logging.getLogger("amhe_cli")
+        logger.handlers.clear()
+        logger.propagate = True
+
     def hush_mujoco(self) -> None:
         """Send MuJoCo's warnings to the log; by default it writes MUJOCO_LOG.TXT where the user stands."""
         import logging
