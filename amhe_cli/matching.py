@@ -173,7 +173,7 @@ def measures(channel: Channel, quantity: str) -> bool:
     """Whether a channel measures a body's 'position' or 'orientation'."""
     if quantity == "orientation":
         return channel.kind == "rotation"
-    return channel.key.endswith(".position") and len(channel.columns) == 3
+    return channel.unit == "m" and len(channel.columns) == 3
 
 
 def whitened(observed: Observed, predicted: FloatArray) -> FloatArray:

@@ -16,8 +16,9 @@ from amhe_cli.estimation.result import Combination, ParameterResult
 NOTHING, DETERMINED = 0.3, 0.8
 #: Ratio of information at a doubled step that a linearisation may show.
 LINEAR = (0.7, 1.4)
-#: Disagreements below this many sd, or below this share of the value, are no news.
-SURPRISE, NOTABLE = 3.0, 0.1
+#: Disagreements beyond this many sd are no chance. They widen the sd; from NOTED, a share of the value,
+#: they are told, and from NOTABLE they make the number model-sensitive.
+SURPRISE, NOTED, NOTABLE = 3.0, 0.05, 0.25
 #: Correlation from which two parameters are known only together.
 TOGETHER = 0.9
 
@@ -100,7 +101,12 @@ def _verdict(
     sensitive = _sensitivities(space, evidence, i)
     if sensitive:
         return "model-sensitive", (*sensitive, *_bound(space, evidence, i))
-    reasons = (*_bound(space, evidence, i), *_partners(space, evidence, i))
+    allowed = _contradictions(space, evidence, i, NOTED, NOTABLE)
+    reasons = (
+        *_bound(space, evidence, i),
+        *_partners(space, evidence, i),
+        *(f"{text}, which the sd allows for" for text in allowed),
+    )
     if shrinkage < DETERMINED:
         return "weak", (*reasons, f"the logs narrow the prior by {shrinkage:.0%} only")
     return "identified", reasons
@@ -120,18 +126,28 @@ def _bound(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]
 
 def _sensitivities(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
     """Reasons to distrust the number although the data narrow it down."""
-    reasons = []
     ratio = evidence.step_ratio[i]
-    if np.isfinite(ratio) and not LINEAR[0] <= ratio <= LINEAR[1]:
-        reasons.append(f"its information changes by {ratio:.2f}x when the step is doubled: the sd is rough")
+    jagged = (
+        f"the response is jagged (its information changes {ratio:.2f}x when the step is doubled): the value "
+        f"hangs on details, such as contact, that the model gets wrong; the sd is rough"
+    )
+    rough = np.isfinite(ratio) and not LINEAR[0] <= ratio <= LINEAR[1]
+    return (*([jagged] if rough else []), *_contradictions(space, evidence, i, NOTABLE, np.inf))
+
+
+def _contradictions(
+    space: ParameterSpace, evidence: Evidence, i: int, least: float, most: float
+) -> tuple[str, ...]:
+    """Differences beyond chance between parts of the data, or models, of a size in [least, most)."""
+    found = []
+    own_sd = float(np.sqrt(evidence.covariance[i, i]))
     for name, (difference, sd) in evidence.disagreements.items():
-        if abs(difference[i]) > SURPRISE * sd[i] and _share(space, i, difference[i]) > NOTABLE:
-            reasons.append(f"{name} disagree by {_size(space, i, difference[i])}")
+        if abs(difference[i]) > SURPRISE * sd[i] and least <= _share(space, i, difference[i]) < most:
+            found.append(f"{name} disagree by {_size(space, i, difference[i])}")
     for name, shift in evidence.shifts.items():
-        sd = np.sqrt(evidence.covariance[i, i])
-        if abs(shift[i]) > SURPRISE * sd and _share(space, i, shift[i]) > NOTABLE:
-            reasons.append(f"{name} would move it by {_size(space, i, shift[i])}")
-    return tuple(reasons)
+        if abs(shift[i]) > SURPRISE * own_sd and least <= _share(space, i, shift[i]) < most:
+            found.append(f"{name} would move it by {_size(space, i, shift[i])}")
+    return tuple(found)
 
 
 def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from amhe_cli.system.wiring import (
     one_quantity,
     signal_of,
     single_joints,
+    unit_of,
 )
 
 POSE = ("position", "orientation", "linear_velocity", "angular_velocity")
@@ -57,7 +58,9 @@ def body(made: Plan, name: str, entry: SignalEntry) -> None:
     ):
         columns = range(first, first + width)
         made.state.append(
-            channel_of(signal.key(quantity), quantity, source, columns, entry.noise.get(quantity))
+            channel_of(
+                signal.key(quantity), quantity, source, columns, entry.noise.get(quantity), unit_of(quantity)
+            )
         )
     made.joints_set.add(joint)
     made.signals.append(signal)
@@ -81,7 +84,7 @@ def _at_site(made: Plan, name: str, entry: SignalEntry, site: str, known: tuple[
         made.spec.add_sensor(
             name=sensor, type=_SITE_SENSORS[quantity], objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
         )
-        made.sensed.append((signal.key(quantity), quantity, sd, [sensor]))
+        made.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), [sensor]))
     made.signals.append(signal)
 
 
@@ -90,6 +93,7 @@ def joints(made: Plan, name: str, entry: SignalEntry) -> None:
     check_noise(entry, ("position", "velocity", "effort"))
     own, logged = names_of_log(entry.joints)
     rows = single_joints(made.model, own)
+    kinds = [int(made.model.jnt_type[row]) for row in rows]
     effort = entry.noise.get("effort")
     signal = signal_of(name, entry, ("position", "velocity", *(["effort"] if effort else [])), logged)
     for quantity, source, addresses in (
@@ -98,14 +102,21 @@ def joints(made: Plan, name: str, entry: SignalEntry) -> None:
     ):
         columns = [int(addresses[row]) for row in rows]
         made.state.append(
-            channel_of(signal.key(quantity), quantity, source, columns, entry.noise.get(quantity))
+            channel_of(
+                signal.key(quantity),
+                quantity,
+                source,
+                columns,
+                entry.noise.get(quantity),
+                unit_of(quantity, kinds),
+            )
         )
     if effort:
         sensors = [f"amhe/{name}/effort/{joint}" for joint in own]
         kind = mujoco.mjtSensor.mjSENS_JOINTACTFRC
         for sensor, joint in zip(sensors, own, strict=True):
             made.spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)
-        made.sensed.append((signal.key("effort"), "effort", effort, sensors))
+        made.sensed.append((signal.key("effort"), "effort", effort, unit_of("effort", kinds), sensors))
     made.joints_set.update(rows)
     made.signals.append(signal)
 
@@ -121,5 +132,5 @@ def sensor(made: Plan, name: str, entry: SignalEntry) -> None:
     for sensor in sensors:
         id_of(made.model, "sensor", sensor)
     signal = signal_of(name, entry, (quantity,))
-    made.sensed.append((signal.key(quantity), quantity, sd, sensors))
+    made.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), sensors))
     made.signals.append(signal)

@@ -7,7 +7,7 @@ addresses in the final model. Everything added is called `amhe/...`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -37,19 +37,19 @@ class Plan:
     model: mujoco.MjModel
     signals: list[Signal] = field(default_factory=list)
     state: list[Channel] = field(default_factory=list)
-    sensed: list[tuple[str, str, float, list[str]]] = field(
+    sensed: list[tuple[str, str, float, str, list[str]]] = field(
         default_factory=list
-    )  # key, quantity, sd, sensors
+    )  # key, quantity, sd, unit, sensors
     driven: list[tuple[str, mujoco.mjtState, list[int | str], bool]] = field(default_factory=list)
     joints_set: set[int] = field(default_factory=set)
 
     def wired(self, model: mujoco.MjModel) -> Wiring:
         """Addresses in the final model: the plan's spec, compiled."""
         channels = list(self.state)
-        for key, quantity, noise, sensors in self.sensed:
+        for key, quantity, noise, unit, sensors in self.sensed:
             rows = [id_of(model, "sensor", name) for name in sensors]
             columns = [int(model.sensor_adr[r]) + i for r in rows for i in range(int(model.sensor_dim[r]))]
-            channels.append(channel_of(key, quantity, "sensordata", columns, noise))
+            channels.append(channel_of(key, quantity, "sensordata", columns, noise, unit))
         spec = 0
         for _, bit, _, _ in self.driven:
             spec |= int(bit)
@@ -107,10 +107,22 @@ def signal_of(
     )
 
 
-def channel_of(key: str, quantity: str, source: str, columns: Iterable[int], noise: float | None) -> Channel:
+def unit_of(quantity: str, joints: Collection[int] = ()) -> str:
+    """Unit of a body's quantity, or of joints of these types; joints of both kinds share none."""
+    straight, *turned = QUANTITIES[quantity].split(" or ")
+    if quantity == "orientation":
+        return "rad"
+    kinds = {int(kind) for kind in joints}
+    if turned and len(kinds) > 1:
+        return QUANTITIES[quantity]
+    return turned[0] if turned and kinds == {int(mujoco.mjtJoint.mjJNT_HINGE)} else straight
+
+
+def channel_of(
+    key: str, quantity: str, source: str, columns: Iterable[int], noise: float | None, unit: str
+) -> Channel:
     """Channel of one quantity; orientations are compared as rotations."""
     kind = "rotation" if quantity == "orientation" else "linear"
-    unit = "rad" if kind == "rotation" else QUANTITIES[quantity]
     return Channel(key, kind, source, tuple(columns), noise, unit)  # pyright: ignore[reportArgumentType]
 
 
