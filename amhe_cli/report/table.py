@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from amhe_cli.estimation.result import HeldOut, Identification, ParameterResult
-from amhe_cli.report import numbers
+from amhe_cli.report import numbers, words
 
 #: Colour of each verdict.
 STYLES = {"identified": "green", "weak": "yellow", "prior": "dim", "model-sensitive": "magenta"}
@@ -33,10 +33,6 @@ _COLUMNS: tuple[tuple[str, Literal["left", "right"], Callable[[ParameterResult],
 WIDE = 100
 
 
-#: Combinations that are listed; the report has all.
-MAX_COMBINATIONS = 3
-
-
 def print_identification(
     result: Identification, folder: Path, console: Console, truth: Mapping[str, float]
 ) -> None:
@@ -45,7 +41,7 @@ def print_identification(
     for parameter in result.parameters:
         if parameter.verdict != "identified" and parameter.reasons:
             console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
-    for c in sorted(result.combinations, key=lambda c: c.sd)[:MAX_COMBINATIONS]:
+    for c in sorted(result.combinations, key=lambda c: c.sd)[: words.MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}", soft_wrap=True)
     console.print(f"held-out: {held_out_line(result.held_out)}")
     if truth:

@@ -13,6 +13,9 @@ from amhe_cli.report import numbers
 #: Residuals this many times the declared noise are worth a word.
 LARGE_RESIDUAL = 2.0
 
+#: Combinations that are named outside their own table.
+MAX_COMBINATIONS = 3
+
 
 @dataclass(frozen=True, slots=True)
 class Statement:
@@ -93,8 +96,10 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
 
 
 def _combinations(result: Identification) -> Iterator[Statement]:
-    for combination in result.combinations:
-        yield Statement("good", f"Known together: {combination.text}, to {numbers.percent(combination.sd)}.")
+    best = sorted(result.combinations, key=lambda c: c.sd)[:MAX_COMBINATIONS]
+    if best:
+        known = ", ".join(f"{c.text} to {numbers.percent(c.sd)}" for c in best)
+        yield Statement("good", f"Known together, better than apart: {known}.")
 
 
 def _residuals(result: Identification) -> Iterator[Statement]:
