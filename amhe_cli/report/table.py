@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -29,15 +29,13 @@ _COLUMNS: tuple[tuple[str, Literal["left", "right"], Callable[[ParameterResult],
     ("verdict", "left", lambda p: Text(p.verdict, style=STYLES.get(p.verdict, ""))),
 )
 
-#: Terminal columns that the whole table needs.
-WIDE = 100
-
 
 def print_identification(
     result: Identification, folder: Path, console: Console, truth: Mapping[str, float]
 ) -> None:
     """Print the parameters, what validation says, and where the files are."""
-    console.print(_parameters(result, console.width), "")
+    _print_parameters(result, console)
+    console.print()
     for parameter in result.parameters:
         if parameter.verdict != "identified" and parameter.reasons:
             console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
@@ -51,10 +49,20 @@ def print_identification(
     console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
 
 
-def _parameters(result: Identification, width: int) -> Table:
-    """The table; on a narrow terminal without its prior and shrinkage."""
-    columns = _COLUMNS if width >= WIDE else tuple(c for c in _COLUMNS if c[0] not in ("prior", "shrinkage"))
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+def _print_parameters(result: Identification, console: Console) -> None:
+    """Print the table; a narrow terminal gets fewer columns, never cut names or numbers."""
+    for left_out in ((), ("prior",), ("prior", "shrinkage")):
+        table = _parameters(result, left_out)
+        width = console.measure(table, options=console.options.update(width=1000)).maximum
+        if width <= console.width:
+            break
+    console.width = max(width, console.width)
+    console.print(table)
+
+
+def _parameters(result: Identification, left_out: Sequence[str]) -> Table:
+    columns = [column for column in _COLUMNS if column[0] not in left_out]
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     for name, justify, _ in columns:
         table.add_column(name, justify=justify, no_wrap=True)
     for parameter in result.parameters:

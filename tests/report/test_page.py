@@ -184,6 +184,12 @@ def test_the_table_fits_a_terminal(tmp_path, width) -> None:
     assert all(len(line) <= width for line in text.splitlines() if not line.startswith(("report:", "truth")))
 
 
+def test_a_tiny_terminal_cuts_no_number(tmp_path) -> None:
+    console = Console(width=40, record=True, highlight=False, file=(tmp_path / "out").open("w"))
+    print_identification(identification(), tmp_path, console, {})
+    assert "0.7354 to 0.7488" in console.export_text()
+
+
 def test_the_held_out_line() -> None:
     line = held_out_line(HeldOut(20, 1.2, 8.0, 0.0085, 0.031, 0.05, 0.2))
     assert line == "20 clips: cost 8 -> 1.2, position error 31 mm -> 8.5 mm, orientation error 11.5° -> 2.86°"
