@@ -34,7 +34,9 @@ class Evidence:
         step_ratio: sqrt of information at a doubled step over that at the step.
         bootstrap: Spread over resampled clips.
         disagreements: Name of a comparison -> (difference, its sd).
+        shifts: Name of a change of the model -> what it would do to the estimate.
         profiles: Column -> (theta values (K,), costs (K,)).
+        noise_scale: Channel -> residual sd over declared noise sd.
     """
 
     z: FloatArray
@@ -45,6 +47,7 @@ class Evidence:
     disagreements: Mapping[str, tuple[FloatArray, FloatArray]]
     shifts: Mapping[str, FloatArray]
     profiles: Mapping[int, tuple[FloatArray, FloatArray]]
+    noise_scale: Mapping[str, float]
 
 
 def verdicts(space: ParameterSpace, evidence: Evidence) -> tuple[ParameterResult, ...]:
@@ -142,11 +145,11 @@ def _contradictions(
     found = []
     own_sd = float(np.sqrt(evidence.covariance[i, i]))
     for name, (difference, sd) in evidence.disagreements.items():
-        if abs(difference[i]) > SURPRISE * sd[i] and least <= _share(space, i, difference[i]) < most:
-            found.append(f"{name} disagree by {_size(space, i, difference[i])}")
+        if abs(difference[i]) > SURPRISE * sd[i] and least <= share(space, i, difference[i]) < most:
+            found.append(f"{name} disagree by {size(space, i, difference[i])}")
     for name, shift in evidence.shifts.items():
-        if abs(shift[i]) > SURPRISE * own_sd and least <= _share(space, i, shift[i]) < most:
-            found.append(f"{name} would move it by {_size(space, i, shift[i])}")
+        if abs(shift[i]) > SURPRISE * own_sd and least <= share(space, i, shift[i]) < most:
+            found.append(f"{name} would move it by {size(space, i, shift[i])}")
     return tuple(found)
 
 
@@ -159,12 +162,13 @@ def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, .
     )
 
 
-def _share(space: ParameterSpace, i: int, dz: float) -> float:
+def share(space: ParameterSpace, i: int, dz: float) -> float:
     """Size of a step in z: relative for log-scaled parameters, in prior sd for linear ones."""
     return abs(float(np.expm1(dz * space.prior_sd[i]))) if space.log[i] else abs(dz)
 
 
-def _size(space: ParameterSpace, i: int, dz: float) -> str:
+def size(space: ParameterSpace, i: int, dz: float) -> str:
+    """A step in z in words: a percentage for log-scaled parameters, in the unit for linear ones."""
     p = space.parameters[i]
     return f"{np.expm1(dz * p.prior_sd):+.0%}" if p.log else f"{dz * p.prior_sd:+.2g} {p.unit}"
 

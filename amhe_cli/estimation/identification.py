@@ -18,9 +18,10 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation import cma, search
 from amhe_cli.estimation.checkpoint import Checkpoint
 from amhe_cli.estimation.clips import ClipPool, split_held_out, whole
-from amhe_cli.estimation.conclusion import Finding, conclude, validate
+from amhe_cli.estimation.conclusion import conclude, validate
 from amhe_cli.estimation.problem import Problem
 from amhe_cli.estimation.result import Identification, Iteration
+from amhe_cli.estimation.study import Finding
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -75,7 +76,7 @@ def identify(
     watch = _Watch(on_iteration, options.max_time)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     finding = _search(problem, validation, options.method, watch, kept)
-    return conclude(problem, finding, validation, watch.interrupted)
+    return conclude(problem, finding, validation, interrupted=watch.interrupted, hurried=watch.stopped)
 
 
 def _pose(

@@ -1,0 +1,140 @@
+"""Whether parts of the data, or unmeasured details of the model, want another estimate.
+
+Noise makes parts of a log disagree by chance, a wrong model beyond it; that is how it shows itself.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.trajectory import Window
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.variants import contact_variants
+from amhe_cli.estimation import search
+from amhe_cli.estimation.identifiability import NOTED, SURPRISE, share, size
+from amhe_cli.estimation.linearised import information
+from amhe_cli.estimation.posterior import Posterior, by_kind, disagreement, posterior
+from amhe_cli.estimation.problem import Problem
+from amhe_cli.estimation.study import Finding, Study, study_of, thinned
+from amhe_cli.matching import MatchingCost
+
+logger = logging.getLogger(__name__)
+
+HALVES = "the first and second half of the logs"
+#: Iterations that each half gets to find its own estimate, and the clips that it must have.
+REFITS, FEWEST_CLIPS = 3, 3
+
+
+def disagreements(
+    problem: Problem, finding: Finding, study: Study, *, with_halves: bool
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Estimates from one part of the data against another: under a right model they agree.
+
+    Returns:
+        What is compared -> (difference, its sd), each (d,) in z.
+    """
+    kinds = [_kind(o.channel.key) for o in study.slopes.cost.clips.observed]
+    alone = by_kind(finding.z, study.slopes, study.weight, kinds)
+    names = list(alone)
+    compared = {
+        f"{one} and {other} data": disagreement(alone[one], alone[other])
+        for i, one in enumerate(names)
+        for other in names[i + 1 :]
+    }
+    if with_halves and (parts := _halves(problem, finding)) is not None:
+        compared[HALVES] = parts
+    logs = _later_logs(problem.tiles)
+    if _both(logs):
+        earlier, later = (posterior(finding.z, study.found, study.weight * side) for side in (~logs, logs))
+        compared["the earlier and the later logs"] = disagreement(later, earlier)
+    return compared
+
+
+def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray] | None:
+    """What the second half of the logs wants more than the first, and the sd of that, each (d,).
+
+    Each half is searched by itself: where they differ much, the misfit of their compromise looks like
+    noise, and would hide that they do.
+    """
+    late = np.array([w.start + 0.5 * w.length > 0.5 * (w.trajectory.steps - 1) for w in problem.tiles])
+    if not _both(late):
+        return None
+    means, variances = [], []
+    for side in (late, ~late):
+        part = replace(problem, only=thinned(problem, np.flatnonzero(side)))
+        state = search.restart(part, finding.z)
+        for _ in range(REFITS):
+            state = search.advance(part, state)
+        found = study_of(part, state).posterior
+        means.append(state.z + found.step)
+        variances.append(np.diag(found.data_covariance))
+    return means[0] - means[1], np.sqrt(variances[0] + variances[1])
+
+
+def _both(side: BoolArray) -> bool:
+    """Enough clips on either side to compare them."""
+    return min(side.sum(), (~side).sum()) >= FEWEST_CLIPS
+
+
+def _later_logs(tiles: Sequence[Window]) -> BoolArray:
+    """Which clips are of the second half of the logs; none where there is one log."""
+    order = {source: i for i, source in enumerate(dict.fromkeys(w.trajectory.source for w in tiles))}
+    return np.array([2 * order[w.trajectory.source] >= len(order) > 1 for w in tiles])
+
+
+def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, FloatArray]:
+    """Where the estimate would move if unmeasured details of contact were others."""
+    system = problem.system
+    shifts = {}
+    for name, model in contact_variants(system.model).items():
+        engine = CpuEngine(model, system.edits, system.input_spec, problem.threads, system.senses)
+        cost = MatchingCost(system, problem.tiles, engine, problem.settings.cost, study.scale)
+        residuals = cost.residuals(finding.z[None])
+        both = study.slopes.completed & residuals.completed[0]
+        moved = information(replace(study.slopes, residual=residuals.flat[0], completed=both))
+        there = posterior(finding.z, moved, study.weight * both)
+        shifts[name] = there.step - study.posterior.step
+    return shifts
+
+
+def systematic(
+    found: Posterior,
+    disagreements: Mapping[str, tuple[FloatArray, FloatArray]],
+    shifts: Mapping[str, FloatArray],
+) -> FloatArray:
+    """Variance of z beyond what noise explains, shape (d,).
+
+    Where parts of the data disagree by more than chance, or details of contact that nobody measured move
+    the estimate, no part is known to be right: half the difference is added as a standard deviation, as
+    random-effects models do.
+    """
+    extra = np.zeros(len(found.step))
+    sd = np.sqrt(np.diag(found.covariance))
+    for difference, chance in (*disagreements.values(), *((shift, sd) for shift in shifts.values())):
+        beyond = np.maximum(difference**2 - (SURPRISE * chance) ** 2, 0.0)
+        extra = np.maximum(extra, 0.25 * beyond)
+    return extra
+
+
+def report_drift(space: ParameterSpace, disagreements: Mapping[str, tuple[FloatArray, FloatArray]]) -> None:
+    """Warn where the logs' first and second half want different parameters."""
+    if HALVES not in disagreements:
+        return
+    difference, sd = disagreements[HALVES]
+    for i in map(int, np.flatnonzero(np.abs(difference) > SURPRISE * sd)):
+        if share(space, i, difference[i]) >= NOTED:
+            logger.warning(
+                f"{space.names[i]} drifts within the logs: their second half wants "
+                f"{size(space, i, difference[i])} against the first ({abs(difference[i]) / sd[i]:.1f} sd): "
+                f"one constant value does not describe them"
+            )
+
+
+def _kind(key: str) -> str:
+    return key.rsplit(".", 1)[1].replace("_", " ")
