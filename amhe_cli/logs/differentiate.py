@@ -43,18 +43,29 @@ def _slope(
     size = np.minimum(2 * half + 1, stop - start)
     first = np.clip(np.arange(n) - half, start, stop - size)
     index = np.arange(n)
-    moments = np.zeros((n, 3, 3))
-    right = np.zeros((n, 3, width))
+    powers = np.zeros((5, n))  # sums over the window of 1, t, .., t^4
+    right = np.zeros((3, n, width))  # and of y, t y, t^2 y
     for k in range(2 * half + 1):
         j = np.minimum(first + k, n - 1)
-        inside = (k < size).astype(np.float64)
+        weight = (k < size).astype(np.float64)
         t = (times[j] - times) / (half * period)
-        powers = np.stack((np.ones(n), t, t * t), axis=1)
-        moments += inside[:, None, None] * powers[:, :, None] * powers[:, None, :]
-        right += inside[:, None, None] * powers[:, :, None] * change(index, j)[:, None, :]
-    enough = size >= 3
-    slopes[enough] = np.linalg.solve(moments[enough], right[enough])[:, 1] / (half * period)
+        y = change(index, j)
+        for power in range(5):
+            powers[power] += weight
+            if power < 3:
+                right[power] += weight[:, None] * y
+            weight = weight * t
+    slopes[size >= 3] = (_linear_term(powers, right) / (half * period))[size >= 3]
     return slopes
+
+
+def _linear_term(powers: FloatArray, right: FloatArray) -> FloatArray:
+    """The b of y = a + b t + c t^2 that solves the normal equations, by Cramer's rule; shape (n, width)."""
+    s0, s1, s2, s3, s4 = powers
+    cofactors = np.stack((s2 * s3 - s1 * s4, s0 * s4 - s2 * s2, s1 * s2 - s0 * s3))
+    determinant = s0 * (s2 * s4 - s3 * s3) - s1 * (s1 * s4 - s2 * s3) + s2 * (s1 * s3 - s2 * s2)
+    with np.errstate(invalid="ignore", divide="ignore"):  # windows of fewer than three samples
+        return np.einsum("in,inw->nw", cofactors, right) / determinant[:, None]
 
 
 def _segments(times: FloatArray, bridge: float) -> tuple[IntArray, IntArray]:

@@ -155,10 +155,10 @@ class McapFile:
     ) -> Iterator[Batch]:
         starts = np.array(places, dtype=np.int64)
         starts = starts[starts + _MESSAGE.itemsize <= buffer.size]
-        if not starts.size:
-            return
         rows = np.lib.stride_tricks.sliding_window_view(buffer, _MESSAGE.itemsize)[starts]
         heads = rows.view(_MESSAGE)[:, 0]
+        sound = heads["size"] >= _MESSAGE.itemsize - 9
+        starts, heads = starts[sound], heads[sound]
         self._count(heads["log_ns"])
         for number in np.unique(heads["channel"]).tolist():
             mine = np.flatnonzero(heads["channel"] == number)
@@ -176,6 +176,8 @@ class McapFile:
                 )
 
     def _count(self, log_ns: NDArray[np.uint64]) -> None:
+        if not log_ns.size:
+            return
         self._read += log_ns.size
         first, last = int(log_ns.min()), int(log_ns.max())
         self._first_ns = first if self._first_ns is None else min(self._first_ns, first)

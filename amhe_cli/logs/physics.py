@@ -11,7 +11,6 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.decode import Samples
-from amhe_cli.logs.differentiate import derivative
 from amhe_cli.logs.raw import messages
 
 #: A quaternion whose norm is off by more than this is not a rotation but damage or no data.
@@ -20,6 +19,8 @@ _NORM = 0.05
 _ABSURD = 1e9
 #: A velocity that is off by less [m/s] may be noise.
 _TWIST_ERROR = 0.05
+#: Half of the time [s] over which positions are compared with a velocity.
+_TWIST_SPAN = 0.01
 #: Larger values [rad, rad/s] look like degrees.
 _LARGEST = {"position": 50.0, "angular_velocity": 100.0}
 
@@ -58,24 +59,28 @@ def _check_rotation(values: dict[str, FloatArray], signal: Signal, warn: Callabl
             block[lost] = np.nan
 
 
-def twist_looks_global(
-    times: FloatArray, values: Mapping[str, FloatArray], turned: FloatArray, bridge: float
-) -> bool:
+def twist_looks_global(times: FloatArray, values: Mapping[str, FloatArray], turned: FloatArray) -> bool:
     """Whether an odometry's velocity fits its positions only if it is *not* turned out of the child frame.
 
     Args:
         times: Stamps [s], shape (m,).
         values: Its position and linear_velocity as logged, shape (m, 3).
         turned: The velocity turned into the world as ROS defines it, shape (m, 3).
-        bridge: Longest silence [s] that is no gap.
     """
     known = np.isfinite(values["position"]).all(axis=1) & np.isfinite(turned).all(axis=1)
-    moved = derivative(times[known], values["position"][known], bridge)
-    as_ros_says = np.nanmedian(np.linalg.norm(moved - turned[known], axis=1)) if known.sum() > 2 else 0.0
-    if not as_ros_says > _TWIST_ERROR:
+    times, position, turned = times[known], values["position"][known], turned[known]
+    if times.size < 10:
         return False
-    as_logged = np.nanmedian(np.linalg.norm(moved - values["linear_velocity"][known], axis=1))
-    return bool(as_logged < 0.3 * as_ros_says)
+    half = int(np.ceil(_TWIST_SPAN / np.median(np.diff(times))))
+    early, middle, late = (slice(i, times.size - 2 * half + i) for i in (0, half, 2 * half))
+    moved = (position[late] - position[early]) / (times[late] - times[early])[:, None]
+    as_ros_says = _median_length(moved - turned[middle])
+    as_logged = _median_length(moved - values["linear_velocity"][known][middle])
+    return as_ros_says > _TWIST_ERROR and as_logged < 0.3 * as_ros_says
+
+
+def _median_length(vectors: FloatArray) -> float:
+    return float(np.median(np.linalg.norm(vectors, axis=1))) if vectors.size else 0.0
 
 
 def _lost(quaternions: FloatArray) -> BoolArray:

@@ -18,6 +18,9 @@ from amhe_cli.logs.message_types import TYPES
 from amhe_cli.logs.raw import Batch, Channel, messages, readable
 from amhe_cli.logs.split import Group, Splitter
 
+#: Messages that it takes to judge a topic's clock by.
+_ENOUGH = 10
+
 
 @dataclass(frozen=True, slots=True)
 class TopicSurvey:
@@ -195,7 +198,7 @@ def _topic(
         times = timeline(samples)
         clock = times.clock
         notes += times.notes
-        if clock == "header":
+        if clock == "header" and count >= _ENOUGH:
             lags[channel.topic] = times.lag
         if times.kept.size > 1:
             steps = np.diff(times.stamps_ns) / 1e9

@@ -206,7 +206,7 @@ def _values(
         values = known[quantity]
         if quantity == "linear_velocity" and track.twist_in_child:
             values = rotations.rotate(known["orientation"], values)
-            if twist_looks_global(times, known, values, bridge):
+            if twist_looks_global(times, known, values):
                 logger.warning(
                     "%s: topic %r: its twist fits its positions better as a velocity in the world frame, but "
                     "ROS defines it in the child frame, and so it was read",
