@@ -195,10 +195,12 @@ def _topic(
     if scan.splitter and scan.splitter.damaged:
         notes.append(f"{messages(scan.splitter.damaged)} damaged ({scan.splitter.reason})")
     if count:
-        times = timeline(samples)
-        clock = times.clock
+        # The frames of a TFMessage topic have clocks of their own, which only reading one frame can judge.
+        mixed = bool(info and info.elements and not info.names)
+        times = timeline(samples, "log" if mixed else "auto")
+        clock = "header" if mixed and samples.header_ns.all() else times.clock
         notes += times.notes
-        if clock == "header" and count >= _ENOUGH:
+        if times.clock == "header" and count >= _ENOUGH:
             lags[channel.topic] = times.lag
         if times.kept.size > 1:
             steps = np.diff(times.stamps_ns) / 1e9
@@ -216,7 +218,7 @@ def _topic(
         gap_at=gap_at,
         first_ns={clock: int(s[0]) for clock, s in stamps.items() if s.size},
         last_ns={clock: int(s[-1]) for clock, s in stamps.items() if s.size},
-        header=_header(samples),
+        header="good" if clock == "header" else _header(samples),
         clock=clock,
         quantities=tuple(info.fields) if info else (),
         entries=tuple(scan.entries),

@@ -379,6 +379,8 @@ def test_a_real_bag() -> None:
     counts = {topic.name: topic.count for topic in found.topics}
     assert found.format == "ROS 1 bag" and not found.problems
     assert (counts["/joint_states"], counts["/tf"], counts["/netft_data"]) == (663, 1858, 803)
+    frames = next(topic for topic in found.topics if topic.name == "/tf")
+    assert frames.clock == "header" and not frames.notes
     box = "/vicon/MetalSquare/MetalSquare"
     trajectory = read_trajectory(
         path,
