@@ -189,14 +189,14 @@ def _topic(
 ) -> TopicSurvey:
     count = samples.log_ns.size
     info = TYPES.get(channel.type)
+    # The frames of a TFMessage topic have clocks of their own, which only reading one frame can judge.
+    mixed = bool(info and info.elements and not info.names)
     rate = gap = gap_at = 0.0
     clock: Clock = "log"
     notes: list[str] = []
     if scan.splitter and scan.splitter.damaged:
         notes.append(f"{messages(scan.splitter.damaged)} damaged ({scan.splitter.reason})")
     if count:
-        # The frames of a TFMessage topic have clocks of their own, which only reading one frame can judge.
-        mixed = bool(info and info.elements and not info.names)
         times = timeline(samples, "log" if mixed else "auto")
         clock = "header" if mixed and samples.header_ns.all() else times.clock
         notes += times.notes
@@ -218,7 +218,7 @@ def _topic(
         gap_at=gap_at,
         first_ns={clock: int(s[0]) for clock, s in stamps.items() if s.size},
         last_ns={clock: int(s[-1]) for clock, s in stamps.items() if s.size},
-        header="good" if clock == "header" else _header(samples),
+        header="good" if mixed and clock == "header" else _header(samples),
         clock=clock,
         quantities=tuple(info.fields) if info else (),
         entries=tuple(scan.entries),
