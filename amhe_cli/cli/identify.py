@@ -42,6 +42,7 @@ from amhe_cli.cli.session import Session
 @click.option(
     "--checkpoint",
     type=click.Path(dir_okay=False, path_type=Path),
+    callback=options.in_existing_folder,
     metavar="FILE",
     help="Save the search here as it goes; resume from it, to the bit, if it exists.",
 )

@@ -72,8 +72,8 @@ def _failed(session: Session, error: Exception) -> int:
         return (
             USAGE if isinstance(error, ConfigError) else UNREADABLE if isinstance(error, LogError) else FAILED
         )
-    if isinstance(error, OSError) and error.filename is not None:
-        session.say("error", f"{error.filename}: {error.strerror}")
+    if isinstance(error, OSError):
+        session.say("error", f"{error.filename}: {error.strerror}" if error.filename else str(error))
         return FAILED
     import traceback
 

@@ -59,6 +59,13 @@ def _pairs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -
     return pairs
 
 
+def in_existing_folder(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """A file that will be written: better refused now than after the first minutes of work."""
+    if value is not None and not value.absolute().parent.is_dir():
+        raise click.BadParameter(f"there is no folder '{value.parent}'", ctx, param)
+    return value
+
+
 def _cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

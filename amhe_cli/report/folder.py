@@ -22,14 +22,17 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
         force: Write into a folder that is not empty; what else is in it stays.
 
     Raises:
-        ConfigError: `out` holds something and `force` is not given, or it is a file.
+        ConfigError: `out` holds something and `force` is not given, it is a file, or cannot be written.
     """
     if out is None:
-        return _fresh(Path("amhe-out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}")
+        out = _fresh(Path("amhe-out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}")
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; -o needs a folder")
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or pass --force to write into it")
+    ancestor = next(path for path in (out, *out.absolute().parents) if path.exists())
+    if not os.access(ancestor, os.W_OK):
+        raise ConfigError(f"{out}: cannot be written; choose another folder with -o")
     return out
 
 

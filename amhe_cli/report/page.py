@@ -46,6 +46,7 @@ def identification_page(
         result=result,
         record=record,
         origin=origin,
+        sharp=words.known_together(result),
         headline=words.headline(result),
         statements=words.statements(result),
         verdicts=VERDICTS,

@@ -39,7 +39,7 @@ def print_identification(
     for parameter in result.parameters:
         if parameter.verdict != "identified" and parameter.reasons:
             console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
-    for c in sorted(result.combinations, key=lambda c: c.sd)[: words.MAX_COMBINATIONS]:
+    for c in words.known_together(result)[: words.MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}", soft_wrap=True)
     console.print(f"held-out: {held_out_line(result.held_out)}")
     if truth:

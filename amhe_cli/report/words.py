@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from amhe_cli.estimation.result import VERDICTS, HeldOut, Identification, ParameterResult
+from amhe_cli.estimation.result import VERDICTS, Combination, HeldOut, Identification, ParameterResult
 from amhe_cli.report import numbers
 
 #: Residuals this many times the declared noise are worth a word.
@@ -95,8 +95,19 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
             yield Statement(tone, f"{_and(names)}: {VERDICTS[verdict]}.")
 
 
+def known_together(result: Identification) -> list[Combination]:
+    """Combinations that are known better than any of their parts, best first."""
+    relative = {p.name: p.sd / abs(p.estimate) for p in result.parameters if p.estimate}
+
+    def parts(combination: Combination) -> Iterator[float]:
+        for factor in combination.text.split(" * "):
+            yield relative.get(factor.partition("^")[0], math.inf)
+
+    return sorted((c for c in result.combinations if c.sd < min(parts(c))), key=lambda c: c.sd)
+
+
 def _combinations(result: Identification) -> Iterator[Statement]:
-    best = sorted(result.combinations, key=lambda c: c.sd)[:MAX_COMBINATIONS]
+    best = known_together(result)[:MAX_COMBINATIONS]
     if best:
         known = ", ".join(f"{c.text} to {numbers.percent(c.sd)}" for c in best)
         yield Statement("good", f"Known together, better than apart: {known}.")

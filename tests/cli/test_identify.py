@@ -122,6 +122,7 @@ def test_a_folder_that_holds_something_is_refused_before_any_work(pendulum_log: 
         (["--from", "-1"], 2, "from"),
         (["--threads", "0"], 2, "threads"),
         (["--max-time", "0"], 2, "max-time"),
+        (["--checkpoint", "nowhere/search.npz"], 2, "no folder 'nowhere'"),
     ],
 )
 def test_a_mistake_in_an_option_is_one_line(pendulum_log: Path, capsys, arguments, code, said) -> None:
@@ -135,6 +136,35 @@ def test_a_mistake_in_an_option_is_one_line(pendulum_log: Path, capsys, argument
 def test_a_log_cannot_validate_itself(pendulum_log: Path, capsys) -> None:
     assert run(["identify", str(pendulum_log), "--held-out", str(pendulum_log)]) == 2
     assert "both fitted and held out" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_any_work(pendulum_log: Path, capsys) -> None:
+    assert run(["identify", str(pendulum_log), "-o", "/proc/out"]) in (1, 2)  # root may write anywhere
+    assert "/proc" in capsys.readouterr().err
+
+
+def test_the_environment_is_a_source_of_settings(pendulum_log: Path, monkeypatch, capsys) -> None:
+    monkeypatch.setenv("AMHE_CLIPS__CUONT", "4")
+    assert run(["identify", str(pendulum_log)]) == 2
+    assert "did you mean 'count'" in capsys.readouterr().err
+
+
+def test_max_time_and_checkpoint(pendulum_log: Path, capsys) -> None:
+    arguments = [
+        "identify",
+        str(pendulum_log),
+        "--checkpoint",
+        "search",
+        "--max-time",
+        "1e-3",
+        "--json",
+        *QUICK,
+    ]
+    assert run([*arguments, "--strict", "-o", "first"]) == 3
+    record = json.loads(capsys.readouterr().out)
+    assert any("--max-time" in warning for warning in record["warnings"])
+    assert not record["interrupted"]
+    assert run([*arguments[:-2], "-o", "second"]) == 0
 
 
 def test_garbage_is_unreadable(capsys) -> None:

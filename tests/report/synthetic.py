@@ -103,7 +103,10 @@ def identification(**changes: object) -> Identification:
             CORRELATIONS * np.outer(SD, SD),
         ),
         "correlations": CORRELATIONS,
-        "combinations": (Combination("damping * friction_loss^0.07", 0.012, 0.97),),
+        "combinations": (
+            Combination("damping * friction_loss^0.07", 0.012, 0.97),
+            Combination("damping^-0.07 * friction_loss", 0.42, 0.58),
+        ),
         "held_out": HeldOut(6, 1.08, 14.2, float("nan"), float("nan"), float("nan"), float("nan")),
         "iterations": iterations,
         "rollouts": 9216,

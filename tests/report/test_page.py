@@ -144,6 +144,12 @@ def test_words_warn_when_validation_does_not_improve() -> None:
     assert "the mean position error from 42 mm to 9 mm" in good
 
 
+def test_only_what_is_known_better_than_its_parts_is_called_known() -> None:
+    text = said(identification())
+    assert "damping * friction_loss^0.07 to 1.2 %" in text
+    assert "damping^-0.07" not in text
+
+
 def test_words_name_every_verdict_that_is_not_identified() -> None:
     text = said(identification())
     assert "friction_loss: the log says something" in text
