@@ -37,7 +37,7 @@ docs: .venv/.installed-dev
 	$(BIN)/python docs/make_cli_docs.py
 
 bench: .venv/.installed-bench
-	@for table in benchmarks/bench_*.py; do echo "== $$table"; $(BIN)/python $$table || exit 1; done
+	@for table in $(filter-out benchmarks/common.py,$(wildcard benchmarks/*.py)); do echo "== $$table"; $(BIN)/python $$table || exit 1; done
 
 clean:
 	rm -rf .venv amhe-out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
