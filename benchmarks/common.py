@@ -25,6 +25,7 @@ import amhe_cli
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.logs import differentiate
 from amhe_cli.system.system import Channel, System
 
 PROJECT = Path(__file__).resolve().parent.parent
@@ -70,10 +71,12 @@ def simulated(
     steps = len(qpos) - 1
     rows = np.arange(0, steps + 1, every)
     truth = {"qpos": qpos, "qvel": qvel}
-    series = {
-        channel.key: _measured(channel, truth[channel.source], rows, rng, noisy_start)
-        for channel in system.channels
-    }
+    series: dict[str, Series] = {}
+    for channel in system.channels:
+        if channel.source == "qvel" and channel.noise is None:
+            series[channel.key] = _derived(channel, series, rows * model.opt.timestep)
+        else:
+            series[channel.key] = _measured(channel, truth[channel.source], rows, rng, noisy_start)
     for source in system.inputs:
         names = tuple(f"u{c}" for c in source.columns)
         on = np.ones(steps + 1, dtype=bool)
@@ -114,7 +117,23 @@ def _measured(
         error = rng.normal(0.0, noise, exact.shape)
         error[0] *= noisy_start
         samples = exact + error
-    instants = np.arange(len(truth))
+    return _between(samples, rows, len(truth), channel, derived=False)
+
+
+def _derived(channel: Channel, series: dict[str, Series], stamps: FloatArray) -> Series:
+    """A velocity that no topic carries, differentiated as the log reader does."""
+    signal, quantity = channel.key.rsplit(".", 1)
+    turning = quantity == "angular_velocity"
+    below = series[f"{signal}.orientation" if turning else f"{signal}.position"]
+    rows = np.flatnonzero(below.sampled)
+    slope = differentiate.angular_velocity if turning else differentiate.derivative
+    samples = slope(stamps, below.values[rows], 10.0)
+    return _between(samples, rows, len(below.values), channel, derived=True)
+
+
+def _between(samples: FloatArray, rows: np.ndarray, count: int, channel: Channel, derived: bool) -> Series:
+    """Samples on some of `count` rows, interpolated between them."""
+    instants = np.arange(count)
     below = np.clip(np.searchsorted(rows, instants, side="right") - 1, 0, len(rows) - 2)
     share = (instants - rows[below]) / (rows[below + 1] - rows[below])
     if channel.kind == "rotation":
@@ -123,7 +142,7 @@ def _measured(
         values = samples[below] + share[:, None] * (samples[below + 1] - samples[below])
     valid = instants <= rows[-1]
     names = tuple(f"c{c}" for c in channel.columns)
-    return Series(values, valid, np.isin(instants, rows), names)
+    return Series(values, valid, np.isin(instants, rows), names, derived)
 
 
 def multisine(rng: np.random.Generator, size: float = 0.9) -> Command:
