@@ -12,9 +12,15 @@ from amhe_cli.core.trajectory import Series
 _PERIODS = 5.0
 
 
-def longest_bridge(times: FloatArray, max_gap: float) -> float:
-    """Longest silence [s] of a topic with these stamps (n,) [s] that is not a gap."""
-    return max(max_gap, _PERIODS * float(np.median(np.diff(times)))) if times.size > 1 else max_gap
+def longest_bridge(times: FloatArray, max_gap: float, hold: bool = False) -> float:
+    """Longest silence [s] of a topic with these stamps (n,) [s] that is not a gap.
+
+    Commands (`hold`) that are sent on change, and not streamed, stay in force until the next.
+    """
+    period = float(np.median(np.diff(times))) if times.size > 1 else np.inf
+    if hold and (times.size < 3 or period > max_gap):
+        return np.inf
+    return max(max_gap, _PERIODS * period) if times.size > 1 else max_gap
 
 
 def resample(

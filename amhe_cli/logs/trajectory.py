@@ -176,7 +176,7 @@ def _series(
 ) -> dict[str, Series]:
     signal = track.signal
     times = (track.times.stamps_ns - start_ns) / 1e9
-    bridge = longest_bridge(times, settings.max_gap)
+    bridge = longest_bridge(times, settings.max_gap, signal.is_input)
     series: dict[str, Series] = {}
     for quantity in signal.quantities:
         values, columns, derived = _values(path, track, quantity, times, bridge)

@@ -1,0 +1,35 @@
+"""How long a silence may be filled."""
+
+import numpy as np
+
+from amhe_cli.logs.resample import longest_bridge, resample
+
+
+def test_a_latched_command_stays_in_force():
+    grid = np.arange(0.0, 10.0, 0.1)
+    for times in ([0.0], [0.0, 0.3], [0.0, 2.0, 2.5, 6.0]):
+        stamps = np.array(times)
+        bridge = longest_bridge(stamps, 0.2, hold=True)
+        series = resample(stamps, stamps[:, None], ("u",), grid, bridge=bridge, hold=True)
+        assert series.valid.all()
+        assert series.values[-1, 0] == times[-1]
+
+
+def test_a_streamed_command_that_stops_is_a_gap():
+    stamps = np.concatenate((np.arange(0.0, 2.0, 0.02), np.arange(4.0, 6.0, 0.02)))
+    grid = np.arange(0.0, 6.0, 0.01)
+    series = resample(
+        stamps,
+        stamps[:, None],
+        ("u",),
+        grid,
+        bridge=longest_bridge(stamps, 0.2, hold=True),
+        hold=True,
+    )
+    assert not series.valid[(grid > 2.3) & (grid < 3.9)].any()
+    assert series.valid[(grid < 1.9) | (grid > 4.1)].all()
+
+
+def test_a_slow_state_is_given_five_of_its_periods():
+    assert longest_bridge(np.arange(0.0, 10.0, 0.5), 0.2) == 2.5
+    assert longest_bridge(np.arange(0.0, 10.0, 0.01), 0.2) == 0.2
