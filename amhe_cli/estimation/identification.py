@@ -76,7 +76,11 @@ def identify(
     watch = _Watch(on_iteration, options.max_time)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     finding = _search(problem, validation, options.method, watch, kept)
-    return conclude(problem, finding, validation, interrupted=watch.interrupted, hurried=watch.stopped)
+    try:
+        return conclude(problem, finding, validation, interrupted=watch.interrupted, hurried=watch.stopped)
+    except KeyboardInterrupt:
+        logger.warning("interrupted while the result was examined: its checks are not complete")
+        return conclude(problem, finding, validation, interrupted=True, hurried=True)
 
 
 def _pose(

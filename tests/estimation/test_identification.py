@@ -191,3 +191,16 @@ def test_a_command_delay_is_found(swing, tmp_path):
     result = identify(system, [moved], None, IdentifyOptions())
     assert found(result, "delay").estimate == pytest.approx(shift * log.dt, abs=0.0015)
     assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.02)
+
+
+def test_ctrl_c_while_concluding_still_gives_a_result(pendulum, swing, monkeypatch, caplog):
+    from amhe_cli.estimation import conclusion
+
+    def press(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(conclusion, "shifts_of", press)
+    result = identify(pendulum, [swing(3.0)], None, IdentifyOptions())
+    assert result.interrupted
+    assert "checks are not complete" in caplog.text
+    assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.05)
