@@ -1,0 +1,1 @@
+"""The Go1 that pushes: its models, legs and gait."""
