@@ -3,9 +3,9 @@
 Everything is a pure function of time, command and force, for any number of instants at once; phase comes from
 the clock, so that a late or skipped control cycle changes nothing.
 
-Joint targets lead the joints. A servo gives the torque kp (target - q) - kd dq, so joints that are to move at
-dq and hold a torque tau are commanded (tau + kd dq) / kp further than where they are; tau = -J^T f answers
-the forces f of the ground on the feet, weight and push. Open loop the robot then walks at the speed commanded;
+Joint targets lead the joints. A servo gives the torque kp (target - q) - kd dq, so joints that are to move
+at dq and hold a torque tau are commanded (tau + kd dq) / kp further than they are; tau = -J^T f answers the
+forces f of the ground on the feet, weight and push. Open loop the robot then walks at the speed commanded;
 without the weight's share it stands still, without the speed's it walks at half of it.
 """
 

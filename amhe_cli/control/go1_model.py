@@ -1,7 +1,7 @@
 """A Go1, a box and a floor: the planner's model and the plant, both of one robot file and one world file.
 
 `models/go1_push` holds `go1.xml` (the robot with all its collision shapes), `world.xml` (box, floor, light)
-and `scene.xml`, which includes both and adds the few contact pairs of the planner's and estimator's model. The
+and `scene.xml`, which includes both and adds the few contact pairs of planner's and estimator's model. The
 plant takes robot and world, and pairs *every* collision shape with floor and box. All contacts with floor and
 box are explicit pairs, so that each friction is one number; see docs/systems.md, "Traps".
 """
@@ -17,6 +17,7 @@ import numpy as np
 from amhe_cli.control.legs import HOME, HOME_HEIGHT, JOINTS, LEGS, LOWER, SERVOS, TORQUE_LIMIT, UPPER
 from amhe_cli.control.robot_file import Robot, read_robot
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.load import find_system
 from amhe_cli.system.model_file import compiled, read_spec
 
@@ -172,7 +173,9 @@ def _set_box(spec: mujoco.MjSpec, box: Box) -> None:
 def _add_robot(spec: mujoco.MjSpec, robot: Robot, self_collisions: bool) -> None:
     """Attach the robot, and give its trunk and joints our names."""
     root = spec.worldbody.add_frame().attach_body(robot.spec.body(robot.root), _PREFIX, "")
-    root.name = root.joints[0].name = "trunk"
+    own_name, root.name = root.name, "trunk"
+    root.joints[0].name = "trunk"
+    _rename_body(spec, own_name, "trunk")
     for name, own in zip(JOINTS, robot.joints, strict=True):
         spec.joint(_PREFIX + own).name = name
     for index, geom in enumerate(_robot_geoms(spec)):
@@ -180,6 +183,16 @@ def _add_robot(spec: mujoco.MjSpec, robot: Robot, self_collisions: bool) -> None
             geom.contype = 1
         if not geom.name:
             geom.name = f"{_PREFIX}{index}"
+
+
+def _rename_body(spec: mujoco.MjSpec, old: str, new: str) -> None:
+    """MuJoCo refers to bodies by name: what pointed to the old one points to the new one."""
+    for element, field in (
+        *((exclude, field) for exclude in spec.excludes for field in ("bodyname1", "bodyname2")),
+        *((looker, "targetbody") for looker in (*spec.cameras, *spec.lights)),
+    ):
+        if getattr(element, field) == old:
+            setattr(element, field, new)
 
 
 def _robot_geoms(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
@@ -213,6 +226,8 @@ def _set_servo(actuator: mujoco.MjsActuator, servo: Servo) -> None:
 def _add_pairs(spec: mujoco.MjSpec, box: Box) -> None:
     _add_pair(spec, FLOOR_PAIR, spec.geom("box"), "floor", box.floor_friction)
     touching = _robot_geoms(spec)
+    if not touching:
+        raise ConfigError("the robot's model has no geom that collides: contype and conaffinity are all 0")
     for geom in touching:
         _add_pair(spec, f"{geom.name}_floor", geom, "floor", FOOT_FRICTION)
     bumper = [geom for geom in spec.geoms if geom.name.startswith(f"{_PREFIX}bumper")]

@@ -7,6 +7,8 @@ Numbers: Unitree's go1_description, as in MuJoCo Menagerie's unitree_go1.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, sealed
@@ -23,6 +25,7 @@ SIDE = sealed([-1.0, 1.0, -1.0, 1.0])
 HIPS = sealed([[0.1881, -0.04675, 0], [0.1881, 0.04675, 0], [-0.1881, -0.04675, 0], [-0.1881, 0.04675, 0]])
 #: From the hip joint sideways to the leg's plane [m].
 HIP_OFFSET = 0.08
+_ASIDE = sealed(HIP_OFFSET * SIDE)
 #: Length of thigh, and of calf [m].
 LINK = 0.213
 FOOT_RADIUS = 0.023
@@ -51,12 +54,10 @@ def feet(joints: FloatArray) -> FloatArray:
     Returns:
         Centres of the feet in the trunk's frame [m], shape (..., 4, 3).
     """
-    hip, thigh, knee = _angles(joints)
-    down = -LINK * (np.cos(thigh) + np.cos(knee))
-    side = HIP_OFFSET * SIDE
-    c, s = np.cos(hip), np.sin(hip)
-    ahead = -LINK * (np.sin(thigh) + np.sin(knee))
-    return HIPS + np.stack((ahead, c * side - s * down, s * side + c * down), axis=-1)
+    at = _posture(joints)
+    return HIPS + np.stack(
+        (at.ahead, at.c * _ASIDE - at.s * at.down, at.s * _ASIDE + at.c * at.down), axis=-1
+    )
 
 
 def joint_angles(feet: FloatArray) -> FloatArray:
@@ -71,16 +72,14 @@ def joint_angles(feet: FloatArray) -> FloatArray:
         Angles [rad], shape (..., 12).
     """
     x, y, z = np.moveaxis(feet - HIPS, -1, 0)
-    side = HIP_OFFSET * SIDE
     down = -np.sqrt(np.maximum(y**2 + z**2 - HIP_OFFSET**2, 1e-6))
-    hip = np.arctan2(z, y) - np.arctan2(down, side)
+    hip = np.arctan2(z, y) - np.arctan2(down, _ASIDE)
     hip = np.mod(hip + np.pi, 2.0 * np.pi) - np.pi
     length = np.clip(np.hypot(x, down), _SHORTEST, _LONGEST)
     # Thigh and calf are equally long: the line from hip to foot halves the knee's angle.
     calf = -2.0 * np.arccos(length / (2.0 * LINK))
     thigh = np.arctan2(-x, -down) - 0.5 * calf
-    angles = np.stack((hip, thigh, calf), axis=-1)
-    return np.clip(angles.reshape(*angles.shape[:-2], 12), LOWER, UPPER)
+    return np.clip(_by_leg(hip, thigh, calf), LOWER, UPPER)
 
 
 def jacobian(joints: FloatArray) -> FloatArray:
@@ -92,23 +91,32 @@ def jacobian(joints: FloatArray) -> FloatArray:
     Returns:
         Matrices [m/rad], shape (..., 4, 3, 3): leg, direction, joint.
     """
-    hip, thigh, knee = _angles(joints)
-    c, s = np.cos(hip), np.sin(hip)
-    side = HIP_OFFSET * SIDE
-    down = -LINK * (np.cos(thigh) + np.cos(knee))
-    # What thigh and calf do to the leg's reach ahead and down, in the leg's plane.
-    thigh_ahead, calf_ahead = down, -LINK * np.cos(knee)
-    thigh_down, calf_down = LINK * (np.sin(thigh) + np.sin(knee)), LINK * np.sin(knee)
-    by_hip = np.stack((np.zeros_like(c), -s * side - c * down, c * side - s * down), axis=-1)
-    by_thigh = np.stack((thigh_ahead, -s * thigh_down, c * thigh_down), axis=-1)
-    by_calf = np.stack((calf_ahead, -s * calf_down, c * calf_down), axis=-1)
+    at = _posture(joints)
+    none = np.zeros_like(at.c)
+    by_hip = np.stack((none, -at.s * _ASIDE - at.c * at.down, at.c * _ASIDE - at.s * at.down), axis=-1)
+    by_thigh = np.stack((at.down, at.s * at.ahead, -at.c * at.ahead), axis=-1)
+    by_calf = np.stack((at.calf_down, at.s * at.calf_ahead, -at.c * at.calf_ahead), axis=-1)
     return np.stack((by_hip, by_thigh, by_calf), axis=-1)
 
 
 def joint_rates(joints: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Joint velocities [rad/s], shape (..., 12), that move the feet so [m/s], shape (..., 4, 3)."""
-    rates = np.linalg.solve(jacobian(joints), velocity[..., None])
-    return np.asarray(rates, dtype=np.float64).reshape(*rates.shape[:-3], 12)
+    """Joint velocities that move the feet as asked: J^-1 v, solved by hand: several times as fast as LAPACK.
+
+    Args:
+        joints: Angles [rad], knees bent, shape (..., 12).
+        velocity: Of the feet in the trunk's frame [m/s], shape (..., 4, 3).
+
+    Returns:
+        Rates [rad/s], shape (..., 12).
+    """
+    at = _posture(joints)
+    ahead, across, along = at.in_plane(velocity)
+    hip = -across / at.down
+    along = along - _ASIDE * hip
+    determinant = at.ahead * at.calf_down - at.down * at.calf_ahead
+    thigh = (-at.calf_ahead * ahead - at.calf_down * along) / determinant
+    calf = (at.ahead * ahead + at.down * along) / determinant
+    return _by_leg(hip, thigh, calf)
 
 
 def holding_torques(joints: FloatArray, ground_forces: FloatArray) -> FloatArray:
@@ -121,12 +129,45 @@ def holding_torques(joints: FloatArray, ground_forces: FloatArray) -> FloatArray
     Returns:
         Torques [N m], shape (..., 12).
     """
-    torques = -np.einsum("...lij,...li->...lj", jacobian(joints), ground_forces)
-    return torques.reshape(*torques.shape[:-2], 12)
+    at = _posture(joints)
+    ahead, across, along = at.in_plane(ground_forces)
+    return _by_leg(
+        at.down * across - _ASIDE * along,
+        at.ahead * along - at.down * ahead,
+        at.calf_ahead * along - at.calf_down * ahead,
+    )
 
 
-def _angles(joints: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Hip, thigh and thigh + calf angles, each (..., 4)."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Posture:
+    """Legs in their own planes, which the hips turn about x by an angle of cosine c, sine s; each (..., 4).
+
+    `ahead` and `down` lead from thigh joint to foot [m] (down is negative), `calf_...` from knee to foot.
+    """
+
+    c: FloatArray
+    s: FloatArray
+    ahead: FloatArray
+    down: FloatArray
+    calf_ahead: FloatArray
+    calf_down: FloatArray
+
+    def in_plane(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Components of vectors (..., 4, 3) ahead, across the leg's plane, and along it upwards."""
+        x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+        return x, self.c * y + self.s * z, self.c * z - self.s * y
+
+
+def _posture(joints: FloatArray) -> _Posture:
     q = np.asarray(joints, dtype=np.float64)
     q = q.reshape(*q.shape[:-1], 4, 3)
-    return q[..., 0], q[..., 1], q[..., 1] + q[..., 2]
+    hip, thigh, knee = q[..., 0], q[..., 1], q[..., 1] + q[..., 2]
+    calf_ahead, calf_down = -LINK * np.sin(knee), -LINK * np.cos(knee)
+    ahead, down = calf_ahead - LINK * np.sin(thigh), calf_down - LINK * np.cos(thigh)
+    return _Posture(np.cos(hip), np.sin(hip), ahead, down, calf_ahead, calf_down)
+
+
+def _by_leg(hip: FloatArray, thigh: FloatArray, calf: FloatArray) -> FloatArray:
+    """Numbers of hips, thighs and calves, each (..., 4), in the order of joints (..., 12)."""
+    stacked = np.stack((hip, thigh, calf), axis=-1)
+    return stacked.reshape(*stacked.shape[:-2], 12)

@@ -44,7 +44,7 @@ class Robot:
     """A robot as its file has it.
 
     Args:
-        spec: The file's spec, without actuators, sensors, equalities, tendons and keyframes.
+        spec: The file's spec, without actuators, sensors, contact pairs, equalities, tendons, keyframes.
         root: Name of the body that carries the four legs and moves freely.
         joints: Name of each of the twelve joints in the file, in our order.
     """
@@ -65,7 +65,7 @@ def read_robot(path: Path) -> Robot:
     spec = read_spec(path)
     joints = _joints(spec, path.name)
     root = _root(spec, joints, path.name)
-    for group in (spec.actuators, spec.sensors, spec.equalities, spec.tendons, spec.keys):
+    for group in (spec.actuators, spec.sensors, spec.pairs, spec.equalities, spec.tendons, spec.keys):
         for element in list(group):
             spec.delete(element)
     _check_geometry(compiled(spec.copy()), root, joints, path.name)

@@ -1,7 +1,7 @@
 """Standing on three legs while a front leg is free to push.
 
-The trunk first moves over the triangle of the other feet, then the leg is lifted: in the other order the robot
-falls towards it.
+The trunk first moves over the triangle of the other feet, then the leg is lifted: in the other order the
+robot falls towards it.
 """
 
 from __future__ import annotations

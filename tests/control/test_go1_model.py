@@ -182,6 +182,31 @@ def test_a_robot_in_degrees_without_a_free_joint(tmp_path: Path) -> None:
     np.testing.assert_allclose(other.actuator_ctrlrange, ours.actuator_ctrlrange)
 
 
+def test_a_robot_with_meshes_contact_pairs_and_tendons(tmp_path: Path) -> None:
+    """As published robots come: meshes beside the file, and elements that refer to what is left out."""
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]], dtype="<f4")
+    faces = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]
+    triangles = b"".join(bytes(12) + corners[list(face)].tobytes() + bytes(2) for face in faces)
+    (tmp_path / "assets").mkdir()
+    (tmp_path / "assets" / "hull.stl").write_bytes(bytes(80) + len(faces).to_bytes(4, "little") + triangles)
+    text = GO1.replace("<compiler", '<compiler meshdir="assets"', 1)
+    text = text.replace("<worldbody>", '<worldbody><geom name="floor" type="plane" size="1 1 1"/>', 1)
+    text = text.replace("<asset>", '<asset><mesh name="hull" file="hull.stl"/>')
+    text = text.replace(
+        '<site name="imu"/>', '<site name="imu"/><geom type="mesh" mesh="hull" class="collision"/>'
+    )
+    more = """<contact><pair geom1="FL_foot" geom2="floor"/><exclude body1="trunk" body2="FL_calf"/></contact>
+              <tendon><fixed name="knees"><joint joint="FL_calf_joint" coef="1"/></fixed></tendon>
+              <sensor><tendonpos tendon="knees"/></sensor>
+              <keyframe><key qpos="0 0 0.3 1 0 0 0  0 1 -2  0 1 -2  0 1 -2  0 1 -2"/></keyframe></mujoco>"""
+    (tmp_path / "robot.xml").write_text(text.replace("</mujoco>", more))
+    model = plant_model(robot=tmp_path / "robot.xml")
+    assert model.nmesh == 1
+    assert model.ntendon == model.nsensor == model.nkey == 0
+    names = [model.pair(i).name for i in range(model.npair)]
+    assert sum(name.endswith("FL_foot_floor") for name in names) == 1
+
+
 SECOND_KNEE = '<body><joint name="FL_knee" axis="0 1 0"/><geom size="0.1"/></body>'
 
 
@@ -196,6 +221,7 @@ SECOND_KNEE = '<body><joint name="FL_knee" axis="0 1 0"/><geom size="0.1"/></bod
         ('pos="0 0.08 0"', 'pos="0 0.14 0"', "'FL_thigh_joint' is 6 cm from where a Go1 has it"),
         ('"hinge" axis="0 1 0"', '"hinge" axis="0 -1 0"', r"'FR_thigh_joint' does not turn about \+y"),
         ('<freejoint name="trunk"/>', '<joint name="lift"/>', "'trunk' must move by one free joint"),
+        ('conaffinity="1"', 'conaffinity="0"', "no geom that collides"),
         ("<worldbody>", "<worldbdy>", r"MuJoCo cannot read 'robot\.xml'"),
         ('<site name="imu"/>', SECOND_KNEE, "joints .*FL_knee.* could both be FL_calf_joint"),
     ],
