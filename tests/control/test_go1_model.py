@@ -192,9 +192,11 @@ def test_a_robot_with_meshes_contact_pairs_and_tendons(tmp_path: Path) -> None:
     text = GO1.replace("<compiler", '<compiler meshdir="assets"', 1)
     text = text.replace("<worldbody>", '<worldbody><geom name="floor" type="plane" size="1 1 1"/>', 1)
     text = text.replace("<asset>", '<asset><mesh name="hull" file="hull.stl"/>')
-    text = text.replace(
-        '<site name="imu"/>', '<site name="imu"/><geom type="mesh" mesh="hull" class="collision"/>'
+    inside = (
+        '<geom type="mesh" mesh="hull" class="collision"/>'
+        '<camera name="side" mode="targetbody" target="trunk" pos="0 2 1"/>'
     )
+    text = text.replace('<site name="imu"/>', inside)
     more = """<contact><pair geom1="FL_foot" geom2="floor"/><exclude body1="trunk" body2="FL_calf"/></contact>
               <tendon><fixed name="knees"><joint joint="FL_calf_joint" coef="1"/></fixed></tendon>
               <sensor><tendonpos tendon="knees"/></sensor>
