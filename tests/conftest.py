@@ -44,3 +44,12 @@ def write_pendulum_log(path: Path, seconds: float, seed: int = 0, **metadata: st
 def pendulum_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Eight seconds of the pendulum; the log names its system."""
     return write_pendulum_log(tmp_path_factory.mktemp("logs") / "pendulum.mcap", 8.0, system="pendulum")
+
+
+@pytest.fixture(scope="session")
+def plant() -> mujoco.MjModel:
+    """The Go1's plant, its box out of the robot's way."""
+    from amhe_cli.go1.model import plant_model
+    from tests.playing import FAR
+
+    return plant_model(FAR)

@@ -1,1 +1,1 @@
-"""The Go1 that pushes: its models, legs and gait."""
+"""Floor 3: how a legged robot is moved."""

@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.control.balance import ground_forces
-from amhe_cli.control.legs import (
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.go1.legs import (
     FOOT_RADIUS,
     HIP_OFFSET,
     HIPS,
@@ -26,8 +28,6 @@ from amhe_cli.control.legs import (
     joint_angles,
     joint_rates,
 )
-from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.errors import ConfigError
 
 #: Height of the bumper's middle over the floor [m]: what is pushed, pushes back there.
 PUSH_HEIGHT = 0.22

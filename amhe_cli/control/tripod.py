@@ -13,9 +13,9 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.control.balance import ground_forces
 from amhe_cli.control.gait import Gait, Reference, neutral_feet, reference
-from amhe_cli.control.legs import LEGS
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.go1.legs import LEGS
 
 #: How far the trunk goes back, and away from the free leg [m].
 SHIFT_BACK, SHIFT_ASIDE = 0.05, 0.04

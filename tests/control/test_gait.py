@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.control import balance, legs
+from amhe_cli.control import balance
 from amhe_cli.control.gait import (
     Gait,
     command_jacobian,
@@ -18,10 +18,11 @@ from amhe_cli.control.gait import (
     standing,
     walk,
 )
-from amhe_cli.control.go1_model import Box, planner_model, plant_model
 from amhe_cli.control.tripod import Tripod, stand_on_three
 from amhe_cli.core.errors import ConfigError
-from tests.control.playing import FAR, play
+from amhe_cli.go1 import legs
+from amhe_cli.go1.model import Box, planner_model, plant_model
+from tests.playing import FAR, play
 
 GAIT = Gait()
 AHEAD = np.array([0.2, 0.0, 0.0])

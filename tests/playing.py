@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.control.gait import Gait, Reference, standing, walk
-from amhe_cli.control.go1_model import Box, home, layout
+from amhe_cli.go1.model import Box, home, layout
 
 #: A box out of the robot's way.
 FAR = Box(position=(5.0, 0.0))

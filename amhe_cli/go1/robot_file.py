@@ -10,8 +10,8 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from amhe_cli.control.legs import HIP_OFFSET, HIPS, HOME_LEG, JOINTS, LEGS, LINK, SIDE
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.go1.legs import HIP_OFFSET, HIPS, HOME_LEG, JOINTS, LEGS, LINK, SIDE
 from amhe_cli.system.model_file import compiled, read_spec
 
 #: Words for the four legs and for the three joints of a leg, lower case and without separators.

@@ -6,8 +6,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.control import legs
-from amhe_cli.control.go1_model import layout, planner_model
+from amhe_cli.go1 import legs
+from amhe_cli.go1.model import layout, planner_model
 
 
 @pytest.fixture

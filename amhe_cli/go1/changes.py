@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from amhe_cli.control.go1_model import FLOOR_PAIR
+from amhe_cli.go1.model import FLOOR_PAIR
 
 
 def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:

@@ -9,13 +9,13 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.control.changes import Change, set_box_mass, set_floor_friction
 from amhe_cli.control.gait import Gait, standing, walk
-from amhe_cli.control.go1_model import Box, Servo, home, layout, planner_model, plant_model
-from amhe_cli.control.legs import HOME, JOINTS, TORQUE_LIMIT
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.go1.changes import Change, set_box_mass, set_floor_friction
+from amhe_cli.go1.legs import HOME, JOINTS, TORQUE_LIMIT
+from amhe_cli.go1.model import Box, Servo, home, layout, planner_model, plant_model
 from amhe_cli.system.load import find_system
-from tests.control.playing import FAR, play
+from tests.playing import FAR, play
 
 GO1 = (find_system("go1_push") / "go1.xml").read_text()
 

@@ -14,10 +14,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from amhe_cli.control.legs import HOME, HOME_HEIGHT, JOINTS, LEGS, LOWER, SERVOS, TORQUE_LIMIT, UPPER
-from amhe_cli.control.robot_file import Robot, read_robot
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.go1.legs import HOME, HOME_HEIGHT, JOINTS, LEGS, LOWER, SERVOS, TORQUE_LIMIT, UPPER
+from amhe_cli.go1.robot_file import Robot, read_robot
 from amhe_cli.system.load import find_system
 from amhe_cli.system.model_file import compiled, read_spec
 
