@@ -19,10 +19,9 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from common import DATA, multisine, show, simulated
-
 import mujoco
 import numpy as np
+from common import DATA, multisine, show, simulated
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
@@ -77,7 +76,9 @@ def cube_toss() -> Case | None:
     if not paths:
         return None
     system = load_system(find_system("cube_toss"), CHEAP)
-    logs = [read_trajectory(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths]
+    logs = [
+        read_trajectory(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths
+    ]
     return Case(system, logs[:40], logs[40:])
 
 
@@ -118,7 +119,9 @@ def with_sysid(case: Case, whitened: bool, step: float | None) -> Path:
     )
     residual = sysid.build_residual_fn(
         models_sequences=[_sequences(sysid, case)],
-        build_model=lambda found, _spec: system.edits.apply(system.model, system.space.theta_of(found.as_vector())),
+        build_model=lambda found, _spec: system.edits.apply(
+            system.model, system.space.theta_of(found.as_vector())
+        ),
         modify_residual=_whitening(sysid, system) if whitened else None,
         n_threads=THREADS,
     )

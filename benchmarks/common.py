@@ -217,7 +217,9 @@ def fingerprint() -> str:
     """Of all code that a result depends on: a changed program starts its results anew."""
     digest = hashlib.sha1()
     folders = (Path(amhe_cli.__file__).parent, Path(__file__).parent)
-    for path in sorted(p for folder in folders for p in folder.rglob("*") if p.suffix in (".py", ".xml", ".yaml")):
+    for path in sorted(
+        p for folder in folders for p in folder.rglob("*") if p.suffix in (".py", ".xml", ".yaml")
+    ):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:8]
 
@@ -250,7 +252,9 @@ def made_with() -> str:
     )
 
 
-def paired(first: Callable[[], object], second: Callable[[], object], repetitions: int) -> tuple[float, float, float]:
+def paired(
+    first: Callable[[], object], second: Callable[[], object], repetitions: int
+) -> tuple[float, float, float]:
     """Median seconds of two calls timed in turns, and the median of their ratios second / first.
 
     A busy machine slows both alike: their ratio, taken pair by pair, survives it.
@@ -262,4 +266,8 @@ def paired(first: Callable[[], object], second: Callable[[], object], repetition
             began = time.perf_counter()
             call()
             row[i] = time.perf_counter() - began
-    return float(np.median(times[:, 0])), float(np.median(times[:, 1])), float(np.median(times[:, 1] / times[:, 0]))
+    return (
+        float(np.median(times[:, 0])),
+        float(np.median(times[:, 1])),
+        float(np.median(times[:, 1] / times[:, 0])),
+    )

@@ -13,6 +13,7 @@ import functools
 import logging
 from typing import Any
 
+import numpy as np
 from common import (
     SYSTEMS,
     drawn_from_prior,
@@ -22,8 +23,6 @@ from common import (
     simulated,
     stop_and_go,
 )
-
-import numpy as np
 
 from amhe_cli.core.trajectory import Trajectory
 from amhe_cli.estimation.identification import IdentifyOptions, identify
@@ -90,7 +89,9 @@ def rows(case: str, results: list[dict[str, Any]]) -> list[tuple[str, ...]]:
                 f"{share:.1%} +- {chance:.1%}",
                 f"{np.sqrt(np.median(t**2)) / 0.6745:.2f}",
                 f"{np.sqrt((t**2).mean()):.2f}",
-                f"{np.median(sd[:, i]) * p.prior_sd:.2%}" if p.log else f"{np.median(sd[:, i]) * p.prior_sd:.2g}",
+                f"{np.median(sd[:, i]) * p.prior_sd:.2%}"
+                if p.log
+                else f"{np.median(sd[:, i]) * p.prior_sd:.2g}",
                 "yes" if GOAL[0] <= share <= GOAL[1] else "NO",
             )
         )
@@ -107,7 +108,9 @@ def main() -> None:
     seeds = 10 if asked.quick else asked.seeds
     lines = []
     for case in asked.case:
-        results = over_seeds(f"coverage-{case}", functools.partial(trial, case), range(seeds), asked.processes)
+        results = over_seeds(
+            f"coverage-{case}", functools.partial(trial, case), range(seeds), asked.processes
+        )
         lines += rows(case, results)
     show(
         f"Coverage of 90 % intervals over {seeds} logs (goal {GOAL[0]:.0%} to {GOAL[1]:.0%})",

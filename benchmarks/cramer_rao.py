@@ -14,9 +14,8 @@ import functools
 import logging
 from typing import Any
 
-from common import multisine, over_seeds, show, simulated
-
 import numpy as np
+from common import multisine, over_seeds, show, simulated
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.cpu import CpuEngine

@@ -28,7 +28,9 @@ FRICTION_GOAL, ERROR_GOAL = (0.15, 0.23), 0.009
 def tosses(system: System) -> list[Trajectory]:
     """All logs, in order."""
     paths = sorted(FOLDER.glob("toss_*.mcap"))
-    return [read_trajectory(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths]
+    return [
+        read_trajectory(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths
+    ]
 
 
 def trial(seed: int) -> dict[str, Any]:
@@ -78,7 +80,9 @@ def main() -> None:
     if not FOLDER.is_dir():
         print("skipped: the cube tosses are not here")
         return
-    results = over_seeds("cube_tosses", functools.partial(trial), range(1 if asked.quick else asked.seeds), asked.processes)
+    results = over_seeds(
+        "cube_tosses", functools.partial(trial), range(1 if asked.quick else asked.seeds), asked.processes
+    )
     show(
         f"Cube tosses: {FITTED} fitted, {results[0]['clips']} held out "
         f"(goal: friction {FRICTION_GOAL[0]} to {FRICTION_GOAL[1]}, at most {1e3 * ERROR_GOAL:.0f} mm, mass 'prior')",

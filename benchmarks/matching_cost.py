@@ -11,16 +11,16 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable
 
-from common import multisine, paired, show, simulated
-
 import mujoco
 import mujoco.batch
 import numpy as np
+from common import multisine, paired, show, simulated
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import exp
 from amhe_cli.core.trajectory import Series, Trajectory
-from amhe_cli.engine.cpu import CpuEngine, _groups as length_groups
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.cpu import _groups as length_groups
 from amhe_cli.estimation.clips import ClipPool, whole
 from amhe_cli.matching import MatchingCost
 from amhe_cli.system.load import find_system, load_system
@@ -84,7 +84,9 @@ def bare(cost: MatchingCost, z: FloatArray, threads: int) -> Callable[[], None]:
     batch.set_const()
     qpos, qvel = np.tile(clips.qpos, (len(z), 1)), np.tile(clips.qvel, (len(z), 1))
     inputs = clips.inputs_under(system.edits.delays(theta))
-    groups = [(ids, steps, inputs[ids, :steps]) for ids, steps in length_groups(np.tile(clips.lengths, len(z)))]
+    groups = [
+        (ids, steps, inputs[ids, :steps]) for ids, steps in length_groups(np.tile(clips.lengths, len(z)))
+    ]
 
     def run() -> None:
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)
@@ -114,7 +116,9 @@ def main() -> None:
             cost, z = matching(system, logs, threads)
             steps = int(cost.clips.lengths.sum()) * len(z)
             alone, full, ratio = paired(
-                bare(cost, z, threads), lambda c=cost, v=z: c.costs(v), 5 if asked.quick else asked.repetitions
+                bare(cost, z, threads),
+                lambda c=cost, v=z: c.costs(v),
+                5 if asked.quick else asked.repetitions,
             )
             lines.append(
                 (

@@ -1,6 +1,6 @@
 """How long `amhe --help` takes against importing click alone, the least that any such command costs.
 
-    python benchmarks/startup.py [--repetitions 15] [--quick]
+python benchmarks/startup.py [--repetitions 15] [--quick]
 """
 
 from __future__ import annotations
