@@ -9,10 +9,10 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.errors import LogError
-from amhe_cli.core.statistics import white_noise_sd
-from amhe_cli.core.trajectory import Trajectory, Window
+from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import Rollouts
 from amhe_cli.engine.states import home
+from amhe_cli.first_errors import first_errors
 from amhe_cli.system.system import Channel, System
 
 
@@ -113,7 +113,7 @@ def prepare(system: System, windows: Sequence[Window], noise_scale: Mapping[str,
     compared = [c for c in system.channels if c.noise is not None and not _derived(c, windows)]
     observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0)) for c in compared)
     observed = tuple(o for o in observed if o.mask.any())
-    index, sd = _first_errors(system, windows)
+    index, sd = first_errors(system, windows[0].trajectory)
     model = system.model
     row = model.nq + model.nv + model.nsensordata + inputs.shape[2]
     return Clips(
@@ -205,58 +205,3 @@ def _observed(channel: Channel, windows: Sequence[Window], scale: float) -> Obse
         rows[i, : steps.size], mask[i, : steps.size] = steps, True
         measured[i, : steps.size] = window.trajectory[channel.key].values[window.start + 1 + steps]
     return Observed(channel, rows, measured, mask, scale * (channel.noise or 1.0))
-
-
-def _first_errors(system: System, windows: Sequence[Window]) -> tuple[IntArray, FloatArray]:
-    """Which tangent coordinates of the first state were measured, and with what noise sd."""
-    model = system.model
-    sd = np.zeros(2 * model.nv)
-    trajectory = windows[0].trajectory
-    for channel in system.channels:
-        if not channel.sets_state:
-            continue
-        dofs = _tangent(system, channel)
-        sd[dofs] = channel.noise or _guessed_noise(channel, system, trajectory)
-    index = np.flatnonzero(sd > 0.0)
-    return index, sd[index]
-
-
-def _tangent(system: System, channel: Channel) -> list[int]:
-    """Tangent coordinates (positions 0 .. nv, velocities nv .. 2 nv) that a state channel measures."""
-    model = system.model
-    if channel.source == "qvel":
-        return [model.nv + c for c in channel.columns]
-    dofs: list[int] = []
-    for joint in range(model.njnt):
-        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        end_q = int(model.jnt_qposadr[joint + 1]) if joint + 1 < model.njnt else model.nq
-        inside = [c - q for c in channel.columns if q <= c < end_q]
-        if channel.kind == "rotation" and inside:
-            first = v + min(inside)
-            dofs += [first, first + 1, first + 2]
-        else:
-            dofs += [v + i for i in inside]
-    return dofs
-
-
-def _guessed_noise(channel: Channel, system: System, trajectory: Trajectory) -> float:
-    """Noise of a state channel that declares none.
-
-    A velocity differentiated over five samples h apart has sd noise / (h sqrt(10)) where `noise` is that
-    of the position below it; anything else is judged by its own roughness.
-    """
-    series = trajectory[channel.key]
-    rows = np.flatnonzero(series.sampled & series.valid)
-    if channel.source == "qvel" and series.derived and rows.size > 1:
-        below = next((c for c in system.channels if c.key == _integral(channel.key)), None)
-        if below is not None:
-            noise = below.noise or _guessed_noise(below, system, trajectory)
-            spacing = float(np.median(np.diff(rows))) * trajectory.dt
-            return noise / (spacing * np.sqrt(10.0))
-    return white_noise_sd(series.values[rows])
-
-
-def _integral(key: str) -> str:
-    """Name of the series that a velocity series is the derivative of."""
-    signal, quantity = key.rsplit(".", 1)
-    return f"{signal}." + ("orientation" if quantity == "angular_velocity" else "position")

@@ -15,6 +15,7 @@ FLOORS = (
     "system",
     "engine",
     "go1",
+    "first_errors",
     "windows",
     "matching",
     "estimation",

@@ -51,7 +51,8 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray) -> Posterio
     """Combine the clips' information with the standard normal prior of z.
 
     The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip
-    as the independent unit), shrunk towards the latter where there are few clips.
+    as the independent unit), corrected for the d directions that the fit has flattened, and shrunk towards
+    the latter where there are few clips.
 
     Args:
         z: Where the information was taken, shape (d,).
@@ -65,7 +66,8 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray) -> Posterio
     score = found.score + np.einsum("cij,j->ci", found.matrix, step)
     count = int((weight > 0.0).sum())
     centred = score - (weight[:, None] * score).sum(axis=0) / max(weight.sum(), 1e-300)
-    scatter = np.einsum("c,ci,cj->ij", weight, centred, centred) * count / max(count - 1, 1)
+    leverage = count / max(count - min(z.size, count / 2.0), 1.0)
+    scatter = np.einsum("c,ci,cj->ij", weight, centred, centred) * leverage
     blended = (count * scatter + NOISE_WORTH * matrix) / (count + NOISE_WORTH)
     return Posterior(step, hessian, blended)
 
