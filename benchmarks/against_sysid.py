@@ -2,11 +2,12 @@
 
     python benchmarks/against_sysid.py [--case pendulum cube_toss] [--repetitions 5] [--quick]
 
-Both start at the prior mean, in the same coordinates z within the same bounds, on the same logs and threads, with
-models made by the same code. `mujoco.sysid` gets the logs cut into clips side by side, as amhe's own
-validation cuts them, and three variants: its defaults as its guide uses them; residuals in units of the
-sensors' noise; and those with a finite-difference step of 0.05 prior sd instead of 1.5e-8, which contact
-swallows. Every point that a search visits is judged afterwards, off the clock, on held-out clips.
+Both start at the prior mean, in the same coordinates z within the same bounds, on the same logs and
+threads, with models made by the same code. `mujoco.sysid` gets the logs cut into clips side by side, as
+amhe's own validation cuts them, and three variants: its defaults as its guide uses them; residuals in
+units of the sensors' noise; and those with a finite-difference step of 0.05 prior sd instead of 1.5e-8,
+which contact swallows. Every point that a search visits is judged afterwards, off the clock, on held-out
+clips.
 """
 
 from __future__ import annotations
@@ -302,7 +303,8 @@ def main() -> None:
             continue
         lines += compare(name, case, 1 if asked.quick else asked.repetitions)
     show(
-        f"Time to the held-out error that the better one reaches (goal {GOAL:g}x; cube_toss in mm, pendulum matching cost)",
+        f"Time to the held-out error that the better one reaches (goal {GOAL:g}x; "
+        "cube_toss in mm, pendulum matching cost)",
         ("search", "error before", "after", "whole search", "time to it", "amhe's", "ratio", "in goal"),
         lines,
     )

@@ -85,7 +85,8 @@ def main() -> None:
     )
     show(
         f"Cube tosses: {FITTED} fitted, {results[0]['clips']} held out "
-        f"(goal: friction {FRICTION_GOAL[0]} to {FRICTION_GOAL[1]}, at most {1e3 * ERROR_GOAL:.0f} mm, mass 'prior')",
+        f"(goal: friction {FRICTION_GOAL[0]} to {FRICTION_GOAL[1]}, "
+        f"at most {1e3 * ERROR_GOAL:.0f} mm, mass 'prior')",
         ("seed", "friction", "error before", "held-out error", "mass", "inertia scale", "took", "in goal"),
         map(row, results),
     )
