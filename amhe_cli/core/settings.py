@@ -8,7 +8,18 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+
+def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
+    if pair[0] > pair[1]:
+        raise ValueError(f"[{pair[0]:g}, {pair[1]:g}] is the wrong way round; write the lower number first")
+    return pair
+
+
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Share = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
+_Range = Annotated[tuple[_Positive, _Positive], AfterValidator(_ordered)]
 
 
 class _Group(BaseModel):
@@ -20,7 +31,7 @@ class LogSettings(_Group):
 
     stamp: Literal["auto", "header", "publish", "log"] = "auto"
     """Which clock to trust; auto takes header stamps where they are set and monotone."""
-    max_gap: Annotated[float, Field(gt=0)] = 0.2
+    max_gap: _Positive = 0.2
     """Longest silence [s] of a topic that is interpolated; a longer one is a gap, never bridged. A topic
     slower than this is allowed five of its own median periods."""
     align: bool = False
@@ -30,26 +41,26 @@ class LogSettings(_Group):
 class ClipSettings(_Group):
     """The stretches of log that are rolled out (the paper's clips, section III-B)."""
 
-    length: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = (0.3, 2.0)
+    length: _Range = (0.3, 2.0)
     """Clip lengths [s], drawn uniformly; capped by the log's own length."""
     count: Annotated[int, Field(ge=1)] = 24
     """Clips in one iteration, re-drawn for the next; fewer where they would cover the logs twice."""
-    held_out: Annotated[float, Field(ge=0, lt=1)] = 0.25
+    held_out: _Share = 0.25
     """Share of the logs' time kept for validation when no `--held-out` log is given."""
-    held_out_length: Annotated[float, Field(gt=0)] | None = None
+    held_out_length: _Positive | None = None
     """Length [s] of a validation clip; the mean of `length` where not given."""
     held_out_first_only: bool = False
     """Validate only on each held-out log's first clip instead of tiling it."""
-    still: Annotated[float, Field(ge=0)] = 3.0
+    still: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 3.0
     """A clip is motionless, and dropped, when its motion stays within this many noise sd."""
 
 
 class CostSettings(_Group):
     """The rollout-matching cost."""
 
-    huber: Annotated[float, Field(gt=0)] = 3.0
+    huber: _Positive = 3.0
     """Residuals beyond this many sd count linearly, not squared (pseudo-Huber)."""
-    trim: Annotated[float, Field(ge=0, lt=1)] = 0.1
+    trim: _Share = 0.1
     """Share of worst clips left out of the mean: chaotic contacts and impacts of unknown cause."""
 
 

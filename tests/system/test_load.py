@@ -173,3 +173,27 @@ def test_wrong_overrides_are_named_as_settings(written: Write) -> None:
     assert problems(folder, parameters={"p": {"nominl": 1.0}})[0].startswith(
         "setting parameters.p.nominl: no key 'nominl' (did you mean 'nominal'?)"
     )
+
+
+@pytest.mark.parametrize(
+    ("overrides", "said"),
+    [
+        ({"clips": {"length": [2, 0.3]}}, "length [2, 0.3] is the wrong way round; write the lower number"),
+        ({"clips": {"held_out": float("nan")}}, "setting clips.held_out: "),
+        ({"clips": {"still": float("inf")}}, "setting clips.still: "),
+        ({"clips": {"held_out_length": float("inf")}}, "setting clips.held_out_length: "),
+        ({"cost": {"huber": float("inf")}}, "setting cost.huber: "),
+        ({"logs": {"max_gap": -1.0}}, "setting logs.max_gap: "),
+    ],
+)
+def test_settings_that_make_no_sense_are_one_line(written: Write, overrides: dict, said: str) -> None:
+    folder = written("  p: {targets: [{body: box, set: mass}]}\n")
+    (line,) = problems(folder, **overrides)
+    assert said in line
+
+
+def test_a_wrong_pair_in_the_file_has_its_place(written: Write) -> None:
+    folder = written(
+        "  p: {targets: [{body: box, set: mass}]}\n", more="settings: {clips: {length: [2, 1]}}\n"
+    )
+    assert problems(folder)[0].startswith("2:20: length [2, 1] is the wrong way round")
