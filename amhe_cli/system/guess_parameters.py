@@ -8,6 +8,8 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from amhe_cli.system.driven import commanded
+from amhe_cli.system.guess_names import words
 from amhe_cli.system.guess_signals import Guess, free_bodies, joint_of
 from amhe_cli.system.targets import names_of
 
@@ -17,6 +19,12 @@ _OWN_PARAMETERS = 3
 _KNOWN, _UNKNOWN = (0.5, 10.0), (1.0, 100.0)
 #: More ends of chains than this are feet, not tools: their masses are known.
 _TOOLS = 2
+#: Prior sd (log scale) of a servo's gains that nobody has measured: a factor of 4.5 either way at one sd.
+_GUESSED_GAIN = 1.5
+#: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and no model says so.
+_DELAY, _DELAY_SD, _LONGEST_DELAY = 0.01, 0.01, 0.1
+#: Words in the name of a body that is carried, and the share of its link's mass that it must have.
+_CARRIED, _WORTHWHILE = {"payload", "load", "tool"}, 0.05
 _KINDS = (
     ("damping", "dof_damping", "viscous: torque per speed"),
     ("friction_loss", "dof_frictionloss", "dry: torque against any motion"),
@@ -32,17 +40,22 @@ def guess_parameters(
     Args:
         model: The model.
         signals: What the log has: only joints that it moves and measures get parameters.
-        guessed_gains: The actuators were added by us, so that their gain is unknown.
+        guessed_gains: The actuators were added by us, so that a servo's gains are unknown.
     """
     moved = [name for guess in signals for name in guess.entry.get("actuators", ())]
     measured = {name for guess in signals for name in guess.entry.get("joints", ())}
     joints = [j for j in dict.fromkeys(joint_of(model, name) for name in moved) if j and j in measured]
     joints = joints or sorted(measured)
-    gain = _gain(moved)
+    gains = [*_guessed_gains(model, moved)] if guessed_gains else []
     return (
-        [*_joint_parameters(model, joints), *_masses(model, joints, signals), *_frictions(model, signals)]
-        + (gain if guessed_gains else []),
-        [] if guessed_gains else gain,
+        [
+            *_joint_parameters(model, joints),
+            *_masses(model, joints, signals),
+            *_frictions(model, signals),
+            *gains,
+            *(_delay() if moved else ()),
+        ],
+        [] if gains else _gain(moved),
     )
 
 
@@ -69,7 +82,7 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
     measured = {guess.entry.get("body") for guess in signals}
     bodies = [body for body in free_bodies(model) if body in measured]
     links = {int(model.joint(joint).bodyid[0]) for joint in joints}
-    ends = sorted({_heaviest(model, link) for link in links if not _carries_links(model, link)})
+    ends = sorted({_carried(model, link) for link in links if not _carries_links(model, link)})
     if len(ends) <= _TOOLS:
         bodies += [model.body(row).name for row in ends]
     for body in dict.fromkeys(name for name in bodies if name):
@@ -80,11 +93,20 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
             yield Guess(f"{body}_mass", entry, f"of body {body}, inertia carried along{free}; from the model")
 
 
-def _heaviest(model: mujoco.MjModel, link: int) -> int:
-    """The heaviest of the bodies that are welded to a link, itself among them: often its payload."""
-    welded = np.flatnonzero(model.body_weldid == model.body_weldid[link])
-    named = [int(row) for row in welded if model.body(row).name]
-    return max(named or [link], key=lambda row: float(model.body_mass[row]))
+def _carried(model: mujoco.MjModel, link: int) -> int:
+    """What a link carries: the body welded to it that is called so, else the one at the far end, else itself.
+
+    Frames and other parts of next to no mass are left out.
+    """
+    parts = [int(row) for row in np.flatnonzero(model.body_weldid == model.body_weldid[link])]
+    floor = _WORTHWHILE * float(model.body_mass[parts].max())
+    parts = [row for row in parts if model.body(row).name and model.body_mass[row] > floor]
+    called = [row for row in parts if _CARRIED & set(words(model.body(row).name))]
+    leaves = [row for row in parts if row not in {int(model.body_parentid[other]) for other in parts}]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    away = np.linalg.norm(data.xipos - data.xpos[link], axis=1)
+    return max(called or leaves or [link], key=lambda row: away[row].item())
 
 
 def _carries_links(model: mujoco.MjModel, link: int) -> bool:
@@ -125,6 +147,39 @@ def _gain(actuators: Sequence[str]) -> list[Guess]:
     entry = _entry(1.0, False, targets, 0.2) | {"unit": "-"}
     why = "of all actuators; gain and masses together are only known up to a factor: fix one of them"
     return [Guess("gain_scale", entry, why)]
+
+
+def _guessed_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[Guess]:
+    """Stiffness and damping of each servo; a motor's gain is 1 and no guess."""
+    for name in actuators:
+        row = model.actuator(name).id
+        if commanded(model, row) == "effort":
+            continue
+        note = "a guess from the joint's inertia: put the drive's data sheet in its place"
+        gains = (
+            ("gain", float(model.actuator_gainprm[row, 0]), f"the servo's kp, {note}"),
+            (
+                "actuator_damping",
+                float(-model.actuator_biasprm[row, 2]),
+                f"the servo's kv, {note}; the log shows only the sum of it and the joint's damping",
+            ),
+        )
+        for kind, nominal, why in gains:
+            entry = _entry(nominal, True, [{"actuator": name, "set": kind}], _GUESSED_GAIN)
+            yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why)
+
+
+def _delay() -> Iterator[Guess]:
+    """The delay of all commands: left out, its lag is explained by dampings and gains that are wrong."""
+    entry = {
+        "nominal": _DELAY,
+        "bounds": [0.0, _LONGEST_DELAY],
+        "scale": "linear",
+        "prior_sd": _DELAY_SD,
+        "targets": [{"set": "command_delay"}],
+    }
+    why = "seconds by which every command acts later; a guess: real servos have 5 to 20 ms"
+    yield Guess("command_delay", entry, why)
 
 
 def _entry(

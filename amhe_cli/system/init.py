@@ -51,11 +51,12 @@ def init_system(
     model = compiled(spec)
     urdf = model_path.suffix.lower() == ".urdf"
     notes: list[str] = []
-    if urdf and not model.nactuator:
+    added = urdf and not model.nactuator
+    if added:
         notes += add_servos(spec, model, topics)
         model = compiled(spec)
     guesses = guess_signals(model, topics)
-    parameters, others = guess_parameters(model, guesses, guessed_gains=urdf and model.nactuator > 0)
+    parameters, others = guess_parameters(model, guesses, guessed_gains=added)
     _refuse_nothing(model, topics, guesses, parameters)
     notes += notes_on(model, topics, guesses)
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -37,9 +37,10 @@ def add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, topics: Sequence[Topi
             actuator.set_to_position(kp=float(f"{kp:.3g}"), kv=float(f"{kv:.3g}"))
         if joints:
             kind = "torque motors" if torque else "position servos of guessed gain"
-            notes.append(
-                f"{len(joints)} {kind} were added for {topic.name}: correct their gains in the model"
+            better = (
+                "correct their gains in the model" if torque else "put the data sheet's gains in their place"
             )
+            notes.append(f"{len(joints)} {kind} were added for {topic.name}: {better}")
             return notes
     return notes
 

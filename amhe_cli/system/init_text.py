@@ -52,7 +52,7 @@ def system_text(
 
 
 def _parameter(guess: Guess) -> Iterator[str]:
-    yield f"  {guess.name}:  # {guess.why}"
+    yield f"  {_flow(guess.name)}:  # {guess.why}"
     for key, value in guess.entry.items():
         if key != "targets":
             yield f"    {key}: {_flow(value)}"

@@ -83,6 +83,7 @@ def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) ->
         "trunk_mass",
         "crate_mass",
         "friction",
+        "command_delay",
     }
     edited = system.edits.apply(system.model, system.space.nominal * 1.5)
     damping = system.space.names.index("damping")
@@ -150,8 +151,48 @@ def test_a_urdf_gets_servos_for_its_commanded_joints(tmp_path: Path) -> None:
     assert any("position servos of guessed gain" in guess for guess in guesses)
     assert system.model.nactuator == 1
     assert system.model.actuator_gainprm[0, 0] > 1.0
-    assert "gain_scale" in system.space.names
+    gain = system.space.parameters[system.space.names.index("shoulder_joint_gain")]
+    assert gain.log and gain.prior_sd >= 1.0
+    assert gain.nominal == pytest.approx(system.model.actuator_gainprm[0, 0])
+    assert "shoulder_joint_kv" in system.space.names
+    assert "gain_scale" not in text
+    assert "data sheet" in text
     assert (tmp_path / "out" / "model.xml").is_file()
+
+
+def test_a_command_has_a_delay_and_a_log_without_commands_has_none(tmp_path: Path, walker_log: Path) -> None:
+    system, _, _ = made(tmp_path, walker(), [walker_log])
+    delay = system.space.parameters[system.space.names.index("command_delay")]
+    assert (delay.nominal, delay.lower, delay.upper, delay.log, delay.prior_sd) == (0.01, 0, 0.1, False, 0.01)
+    silent = tmp_path / "silent.mcap"
+    with LogWriter(silent, {}) as log:
+        for step in range(50):
+            log.joint_state("/joint_states", 10**18 + step * STEP_NS, ["FL_hip"], np.array([0.01 * step]))
+    init_system(tmp_path / "robot.xml", [silent], tmp_path / "second")
+    assert "command_delay" not in load_system(tmp_path / "second").space.names
+
+
+@pytest.mark.parametrize(
+    ("parts", "mass"),
+    [
+        ('<body name="gripper" pos="0 0 -1"><geom size="0.1" mass="0.5"/></body>', "gripper_mass"),
+        (
+            '<body name="flange" pos="0 0 -1"><geom size="0.1" mass="0.5"/></body>'
+            '<body name="payload_1" pos="0 0 -0.5"><geom size="0.1" mass="0.4"/></body>',
+            "payload_1_mass",
+        ),
+        ('<body name="camera" pos="0 0 -1"><geom size="0.1" mass="0.001"/></body>', "arm_mass"),
+    ],
+)
+def test_what_an_arm_carries_is_at_its_end_or_called_so(tmp_path: Path, parts: str, mass: str) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, {}) as log:
+        for step in range(50):
+            log.joint_state("/joint_states", 10**18 + step * STEP_NS, ["hip"], np.array([0.01 * step]))
+    model = f"""<mujoco><worldbody><body name="arm"><joint name="hip"/><geom size="0.1" mass="2"/>{parts}
+      </body></worldbody></mujoco>"""
+    system, _, _ = made(tmp_path, model, [path])
+    assert [name for name in system.space.names if name.endswith("_mass")] == [mass]
 
 
 def test_a_fixed_link_of_a_urdf_can_be_named(written: Callable[..., Path], tmp_path: Path) -> None:
@@ -222,7 +263,7 @@ def test_the_bundled_pendulum_is_found_again(system: str, log: str, tmp_path: Pa
         pytest.skip(f"{log} has not been made yet")
     init_system(root / "models" / system / "scene.xml", [root / log], tmp_path / "out")
     own, bundled = load_system(tmp_path / "out"), load_system(root / "models" / system)
-    assert set(own.space.names) == set(bundled.space.names)
+    assert set(own.space.names) == {*bundled.space.names, "command_delay"}
     assert [signal.topic for signal in own.signals] == [signal.topic for signal in bundled.signals]
 
 
