@@ -34,7 +34,11 @@ for _command in (init, inspect, identify):
 
 def main() -> None:
     """Entry point of the command `amhe`."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    # all is written and said: a signal during Python's own clearing up must not turn a success into a failure
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    sys.exit(code)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -172,3 +172,13 @@ def test_the_module_is_the_command_too(tmp_path: Path) -> None:
     )
     assert done.returncode == 0
     assert "identify" in done.stdout
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_after_the_end_changes_nothing(number: signal.Signals) -> None:
+    code = (
+        "import atexit, signal, sys; from amhe_cli.cli.main import main; sys.argv[1:] = ['--version'];"
+        f"atexit.register(signal.raise_signal, {int(number)}); main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
