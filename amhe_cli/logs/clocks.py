@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import logging
 from bisect import bisect_left
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, IntArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.logs.decode import Samples
 from amhe_cli.logs.raw import messages
 
 logger = logging.getLogger(__name__)
 
 Clock = Literal["header", "publish", "log"]
+#: A clock, or 'auto'; see `timeline`.
+Stamp = Literal["auto", "header", "publish", "log"]
 
 #: Header stamps this far [s] from where the recorder's clock puts them are wild, if they are few.
 _WILD_HEADER = 60.0
@@ -26,6 +28,13 @@ _WILD = 86400.0
 #: Clocks that differ by more [s] are worth a warning; offsets between topics above OFFSET are reported.
 _DISAGREE = 1.0
 OFFSET = 0.005
+#: A header clock that steps is judged by this many messages on either side, and by no fewer than
+_STEP_MESSAGES = 50
+_STEP_ENOUGH = 10
+#: It steps by at least so much [s], so many of the topic's periods, and so many sd of its jitter.
+_STEP_LEAST = 0.02
+_STEP_PERIODS = 3.0
+_STEP_JITTERS = 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +56,7 @@ class Timeline:
     notes: tuple[str, ...]
 
 
-def timeline(samples: Samples, forced: str = "auto") -> Timeline:
+def timeline(samples: Samples, forced: Stamp = "auto") -> Timeline:
     """Choose a clock for one topic and reduce its stamps to a strictly increasing sequence.
 
     Args:
@@ -55,7 +64,7 @@ def timeline(samples: Samples, forced: str = "auto") -> Timeline:
         forced: A clock, or 'auto': header if its stamps are set and run forward, else publish, else log.
     """
     notes: list[str] = []
-    order: tuple[Clock, ...] = ("header", "publish", "log") if forced == "auto" else (forced,)  # type: ignore
+    order: tuple[Clock, ...] = ("header", "publish", "log") if forced == "auto" else (forced,)
     if not samples.has_header and forced == "header":
         order = ("publish", "log")
         notes.append("it has no header stamps; publish stamps are used")
@@ -105,6 +114,50 @@ def _clean(clock: Clock, stamps: IntArray, samples: Samples) -> Timeline:
         notes.append(f"messages are dropped: {', '.join(what)}")
         kept, acts = kept[forward], acts[forward]
     return Timeline(clock, acts, kept, lag, tuple(notes))
+
+
+def header_steps(samples: Samples) -> list[tuple[float, float]]:
+    """When a topic's header clock was set: seconds after its first message, and by how much [s].
+
+    A step lasts, and is the header's: a message that was late, a recorder that stalled and a clock that
+    drifts or runs at another rate are none.
+
+    Args:
+        samples: The topic's samples, in the order they were logged.
+    """
+    present = np.flatnonzero(samples.header_ns != 0)
+    if not samples.has_header or present.size < 2 * _STEP_ENOUGH:
+        return []
+    # As float64 differences: a damaged stamp may be so far off that int64 would overflow.
+    header = samples.header_ns[present].astype(np.float64) / 1e9
+    log = (samples.log_ns[present] - samples.log_ns[present[0]]) / 1e9
+    lead = header - header[0] - log
+    period = float(np.median(np.diff(log)))
+    leaps = np.diff(lead)
+    # Where the recorder paused and the header went on as ever, it is the recorder that was late.
+    own = np.abs(np.diff(header) - period) > 0.5 * np.abs(leaps)
+    found: list[tuple[float, float]] = []
+    for i in np.flatnonzero((np.abs(leaps) > max(_STEP_LEAST, _STEP_PERIODS * period)) & own).tolist():
+        before, after = lead[max(i + 1 - _STEP_MESSAGES, 0) : i + 1], lead[i + 1 : i + 1 + _STEP_MESSAGES]
+        if min(before.size, after.size) < _STEP_ENOUGH:
+            continue
+        size = float(np.median(after) - np.median(before))
+        same = abs(size - leaps[i]) < 0.5 * abs(leaps[i])
+        if same and abs(size) > max(_STEP_LEAST, _STEP_JITTERS * max(_spread(before), _spread(after))):
+            found.append((float(log[i + 1]), size))
+    return found
+
+
+def _spread(values: FloatArray) -> float:
+    """Standard deviation, by the median distance: a few outliers do not count."""
+    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
+
+
+def step_words(steps: Sequence[tuple[float, float]]) -> str:
+    """The steps of one topic's header clock; says of several the largest."""
+    when, size = max(steps, key=lambda step: abs(step[1]))
+    more = f" (the largest of {len(steps)} jumps)" if len(steps) > 1 else ""
+    return f"its header clock jumps by {size:+.3f} s, {when:.2f} s after its first message{more}"
 
 
 def _wild(stamps: IntArray, reference: IntArray | None) -> BoolArray:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from amhe_cli.core.arrays import IntArray
-from amhe_cli.logs.clocks import Clock, offset_words, timeline
+from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_words, timeline
 from amhe_cli.logs.decode import Samples, nanoseconds, time_leaves
 from amhe_cli.logs.definitions import Definitions
 from amhe_cli.logs.folder import open_log
@@ -143,9 +143,14 @@ def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
             scans.setdefault(channel, _Scan())
         samples = {channel: scan.samples() for channel, scan in scans.items()}
         origin, duration = _span(samples)
+        steps = {channel: header_steps(found) for channel, found in samples.items()}
+        # As in reading: where one topic's header clock steps, only the recorder's is common to all.
+        stamp: Stamp = "log" if any(steps.values()) else "auto"
         lags: dict[str, float] = {}
         topics = [
-            _topic(channel, scans[channel], samples[channel], definitions, origin, lags)
+            _topic(
+                channel, scans[channel], samples[channel], definitions, origin, lags, stamp, steps[channel]
+            )
             for channel in sorted(scans, key=lambda channel: (channel.topic, channel.type))
         ]
     return Survey(
@@ -186,6 +191,8 @@ def _topic(
     definitions: Definitions,
     origin: int,
     lags: dict[str, float],
+    stamp: Stamp,
+    jumps: Sequence[tuple[float, float]],
 ) -> TopicSurvey:
     count = samples.log_ns.size
     info = TYPES.get(channel.type)
@@ -197,8 +204,9 @@ def _topic(
     if scan.splitter and scan.splitter.damaged:
         notes.append(f"{messages(scan.splitter.damaged)} damaged ({scan.splitter.reason})")
     if count:
-        times = timeline(samples, "log" if mixed else "auto")
-        clock = "header" if mixed and samples.header_ns.all() else times.clock
+        times = timeline(samples, "log" if mixed else stamp)
+        clock = "header" if mixed and stamp == "auto" and samples.header_ns.all() else times.clock
+        notes += [f"{step_words(jumps)}: the recorder's stamps are used for all topics"] if jumps else []
         notes += times.notes
         if times.clock == "header" and count >= _ENOUGH:
             lags[channel.topic] = times.lag

@@ -15,7 +15,15 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.core.trajectory import Series, Trajectory
-from amhe_cli.logs.clocks import Timeline, offset_words, offsets, timeline
+from amhe_cli.logs.clocks import (
+    Stamp,
+    Timeline,
+    header_steps,
+    offset_words,
+    offsets,
+    step_words,
+    timeline,
+)
 from amhe_cli.logs.collect import collect
 from amhe_cli.logs.decode import Samples, SignalDecoder
 from amhe_cli.logs.definitions import Definitions
@@ -86,8 +94,7 @@ def read_trajectory(
     with readable(path):
         log = open_log(path)
         decoders = collect(log, signals, Definitions(msg_path))
-        tracks = [_track(path, signal, decoders[signal.name], settings) for signal in signals]
-        tracks = _one_clock(path, tracks, settings)
+        tracks = _one_clock(path, _tracks(path, signals, decoders, settings), settings)
         grid, start_ns = _grid(path, tracks, dt, start, end)
         series: dict[str, Series] = {}
         for track in tracks:
@@ -95,17 +102,55 @@ def read_trajectory(
     return Trajectory(dt, series, str(path), start_ns, log.metadata)
 
 
-def _track(path: Path, signal: Signal, decoder: SignalDecoder, settings: LogSettings) -> _Track:
-    def warn(text: str) -> None:
-        logger.warning("%s: topic %r: %s", path, signal.topic, text)
+def _tracks(
+    path: Path, signals: Sequence[Signal], decoders: Mapping[str, SignalDecoder], settings: LogSettings
+) -> list[_Track]:
+    """Check the signals' samples and choose their stamps."""
+    samples = {}
+    for signal in signals:
+        warn = _Warner(path, signal.topic)
+        samples[signal.name] = checked(decoders[signal.name].samples(), signal, warn)
+    stamp = _trusted(path, signals, samples, settings.stamp)
+    return [_track(path, signal, decoders[signal.name], samples[signal.name], stamp) for signal in signals]
 
-    samples = checked(decoder.samples(), signal, warn)
-    times = timeline(samples, settings.stamp)
+
+def _trusted(path: Path, signals: Sequence[Signal], samples: Mapping[str, Samples], stamp: Stamp) -> Stamp:
+    """The clock to use: the recorder's for all topics if one's header clock was set while it ran.
+
+    The topics' headers have no common clock then, whichever side of the step is right.
+    """
+    if stamp not in ("auto", "header"):
+        return stamp
+    steps = {signal.topic: header_steps(samples[signal.name]) for signal in signals}
+    stepping = {topic: found for topic, found in steps.items() if found}
+    remedy = (
+        "the recorder's stamps are used for all topics"
+        if stamp == "auto"
+        else "data on its two sides do not belong together; use --set logs.stamp=log"
+    )
+    for topic, found in stepping.items():
+        _Warner(path, topic)(f"{step_words(found)}: {remedy}")
+    return "log" if stepping and stamp == "auto" else stamp
+
+
+@dataclass(frozen=True, slots=True)
+class _Warner:
+    """Says what is odd about one topic."""
+
+    path: Path
+    topic: str
+
+    def __call__(self, text: str) -> None:
+        logger.warning("%s: topic %r: %s", self.path, self.topic, text)
+
+
+def _track(path: Path, signal: Signal, decoder: SignalDecoder, samples: Samples, stamp: Stamp) -> _Track:
+    times = timeline(samples, stamp)
     for note in times.notes:
-        warn(note)
+        _Warner(path, signal.topic)(note)
     if times.kept.size == 0:
         raise LogError(f"{path}: topic {signal.topic!r}: no message has a usable {times.clock} stamp")
-    if not samples.has_header and settings.stamp == "auto":
+    if not samples.has_header and stamp == "auto":
         logger.info("%s: topic %r: no header, %s stamps are used", path, signal.topic, times.clock)
     return _Track(signal, times, samples.pick(times.kept), decoder.info.twist_in_child)
 

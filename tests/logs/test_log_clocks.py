@@ -118,7 +118,59 @@ def test_a_clock_that_is_set_back_falls_to_the_recorder(
     header = times(50) + times(50, T0 - 3 * S)
     trajectory = read(log_of(tmp_path / "a", header, times(100)))
     assert trajectory.steps == 100
-    assert "do not run forward" in warnings(caplog)
+    assert "its header clock jumps by -3.500 s" in warnings(caplog)
+
+
+def stepping_log(path: Path, steps: dict[int, int], n: int = 400) -> Path:
+    """/js, whose header clock is set by `steps` [ns] at these messages, and /cmd; position i at step i."""
+    messages = []
+    shift, rng = 0, np.random.default_rng(1)
+    for i, log in enumerate(times(n)):
+        shift += steps.get(i, 0)
+        late = log + int(rng.uniform(0, 4e6))
+        state = joint_state(ROS2, log + shift, ("a",), [float(i)])
+        messages.append(Message("/js", JS, late, state))
+        messages.append(Message("/cmd", JS, late, joint_state(ROS2, log, ("a",), [float(i)])))
+    return write_mcap(path, messages)
+
+
+@pytest.mark.parametrize("step", [50 * S, S // 2, 60_000_000, -60_000_000, -3 * S])
+def test_a_header_clock_that_steps_gives_way_to_the_recorders_for_all_topics(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, step: int
+) -> None:
+    path = stepping_log(tmp_path / "a", {200: step})
+    trajectory = read(path, JOINT, Signal("c", "/cmd", ("position",), is_input=True))
+    assert trajectory.steps >= 399
+    off = trajectory["j.position"].values - trajectory["c.position"].values
+    assert np.abs(off).max() < 1.5, "no command is moved against the states"
+    words = f"its header clock jumps by {step / S:+.3f} s, 2.00 s after its first message"
+    assert "'/js': " + words in warnings(caplog)
+    js, cmd = sorted(survey(path).topics, key=lambda topic: topic.name != "/js")
+    assert js.notes[0].startswith(words)
+    assert js.clock == cmd.clock == "log" and not cmd.notes
+    assert js.longest_gap < 0.02, "the gap on the stamps that are used"
+
+
+def test_several_steps_and_a_forced_header_clock(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    path = stepping_log(tmp_path / "a", {100: S // 2, 250: -S // 5})
+    trajectory = read(path, settings=LogSettings(stamp="header"))
+    assert trajectory.start_ns == T0
+    assert "jumps by +0.500 s, 1.00 s after its first message (the largest of 2 jumps)" in warnings(caplog)
+    assert "--set logs.stamp=log" in warnings(caplog)
+
+
+def test_late_messages_stalls_of_the_recorder_silences_and_drift_are_no_steps(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    header = times(600)
+    header[400:] = [t + 2 * S for t in header[400:]]  # silence
+    log = [t + (t - T0) // 1000 for t in header]  # 1000 ppm
+    log[100] += 300_000_000  # one message held up
+    log[200:260] = [max(t, log[260]) for t in log[200:260]]  # all at once after a stall
+    log[500:] = [t + S for t in log[500:]]  # the recorder's own clock is set
+    trajectory = read(log_of(tmp_path / "a", header, log))
+    assert trajectory.start_ns == T0
+    assert "jumps" not in warnings(caplog)
 
 
 def test_messages_written_out_of_order_are_sorted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
