@@ -216,14 +216,19 @@ def offsets(lags: Mapping[str, float]) -> dict[str, float]:
     return {topic: middle - lag for topic, lag in lags.items()}
 
 
+def offset_pairs(lags: Mapping[str, float]) -> list[tuple[str, str, float]]:
+    """Topics with neighbouring lags that differ: (stamped later, stamped earlier, by how much [s])."""
+    ordered = sorted(lags, key=lambda topic: lags[topic])
+    pairs = [(first, second, lags[second] - lags[first]) for first, second in pairwise(ordered)]
+    return [pair for pair in pairs if pair[2] > OFFSET]
+
+
 def offset_words(lags: Mapping[str, float]) -> list[str]:
     """The differences between the topics' clocks, with the sign in words."""
-    ordered = sorted(lags, key=lambda topic: lags[topic])
     return [
-        f"topic {early!r} is stamped {1e3 * (lags[late] - lags[early]):.0f} ms later than {late!r} "
+        f"topic {late!r} is stamped {1e3 * apart:.0f} ms later than {early!r} "
         "(judged by when the recorder got them)"
-        for early, late in pairwise(ordered)
-        if lags[late] - lags[early] > OFFSET
+        for late, early, apart in offset_pairs(lags)
     ]
 
 

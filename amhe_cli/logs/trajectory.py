@@ -19,6 +19,7 @@ from amhe_cli.logs.clocks import (
     Stamp,
     Timeline,
     header_steps,
+    offset_pairs,
     offset_words,
     offsets,
     step_words,
@@ -39,6 +40,8 @@ logger = logging.getLogger(__name__)
 _MOST_ROWS = 10_000_000
 #: Header-less topics are moved onto the others' header clock where that is off by more than this [s].
 _SAME_CLOCK = 1.0
+#: A smaller offset between two topics [s], or one of less than half a period, may be their transport's.
+_LATENCY = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +52,11 @@ class _Track:
     times: Timeline
     samples: Samples
     twist_in_child: bool
+
+    @property
+    def period(self) -> float:
+        """Median period [s]; 0 for a single sample."""
+        return float(np.median(np.diff(self.times.stamps_ns))) / 1e9 if self.times.stamps_ns.size > 1 else 0.0
 
     def moved(self, seconds: float) -> _Track:
         """The same, with stamps later by `seconds`."""
@@ -160,8 +168,7 @@ def _one_clock(path: Path, tracks: list[_Track], settings: LogSettings) -> list[
     lags = {t.signal.topic: t.times.lag for t in tracks if t.times.clock == "header"}
     shifts = offsets(lags) if settings.align else {}
     middle = float(np.median(list(lags.values()))) if lags else 0.0
-    for words in offset_words(lags):
-        logger.info("%s: %s%s", path, words, " (corrected)" if settings.align else "")
+    _tell_offsets(path, tracks, settings.align)
     moved = []
     for track in tracks:
         topic = track.signal.topic
@@ -174,6 +181,25 @@ def _one_clock(path: Path, tracks: list[_Track], settings: LogSettings) -> list[
             )  # fmt: skip
         moved.append(track.moved(shift))
     return moved
+
+
+def _tell_offsets(path: Path, tracks: Sequence[_Track], align: bool) -> None:
+    """Say how far the header clocks are apart; warn of what no transport explains, unless it is corrected.
+
+    An offset that the system states counts as corrected.
+    """
+    stamped = [track for track in tracks if track.times.clock == "header"]
+    lags = {t.signal.topic: t.times.lag - t.signal.offset for t in stamped}
+    periods = {t.signal.topic: t.period for t in stamped}
+    for (late, early, apart), words in zip(offset_pairs(lags), offset_words(lags), strict=True):
+        if align:
+            logger.info("%s: %s (corrected)", path, words)
+        elif apart > max(_LATENCY, 0.5 * min(periods[late], periods[early])):
+            logger.warning(
+                "%s: %s: if both were measured at once, correct it with --set logs.align=true", path, words
+            )
+        else:
+            logger.info("%s: %s", path, words)
 
 
 def _grid(

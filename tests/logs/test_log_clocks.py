@@ -200,11 +200,11 @@ def test_headerless_commands_join_the_header_clock_of_a_simulation(
     assert "onto the header clock" in warnings(caplog)
 
 
-def offset_log(path: Path) -> Path:
+def offset_log(path: Path, offset_ns: int = 12_000_000) -> Path:
     """/late is stamped 12 ms later than /early although both were logged at once."""
     messages = []
     for log in times(100):
-        for topic, shift in (("/early", 0), ("/late", 12_000_000)):
+        for topic, shift in (("/early", 0), ("/late", offset_ns)):
             header = log + shift
             value = (header - shift - T0) / S  # what happened at log time
             messages.append(Message(topic, JS, log, joint_state(ROS2, header, ("a",), [value])))
@@ -225,6 +225,20 @@ def test_clock_offsets_are_put_in_words_and_corrected_on_request(tmp_path: Path)
     np.testing.assert_allclose(gap[5:-5], 0.0, atol=1e-9)
     told = read(path, signals[0], Signal("l", "/late", ("position",), offset=-0.012))
     np.testing.assert_allclose((told["e.position"].values - told["l.position"].values)[5:-5], 0.0, atol=1e-9)
+
+
+def test_only_offsets_that_no_transport_explains_are_warned_of(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    early, late = Signal("e", "/early", ("position",)), Signal("l", "/late", ("position",))
+    large = offset_log(tmp_path / "a", 300_000_000)
+    read(offset_log(tmp_path / "b"), early, late)
+    read(large, early, late, settings=LogSettings(align=True))
+    read(large, early, Signal("l", "/late", ("position",), offset=-0.3))
+    assert not warnings(caplog)
+    read(large, early, late)
+    assert "topic '/late' is stamped 300 ms later than '/early'" in warnings(caplog)
+    assert "--set logs.align=true" in warnings(caplog)
 
 
 @given(st.lists(st.integers(-50, 50), min_size=1, max_size=40))
