@@ -35,7 +35,7 @@ from amhe_cli.cli.session import Session
 )
 @click.option(
     "--max-time",
-    type=click.FloatRange(min=0, min_open=True),
+    type=options.Number(min=0, min_open=True),
     metavar="S",
     help="Stop in time, with the best so far.",
 )

@@ -26,7 +26,20 @@ EXISTING = click.Path(exists=True, readable=False, path_type=Path)
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, readable=False, path_type=Path)
 EXISTING_FOLDER = click.Path(exists=True, file_okay=False, readable=False, path_type=Path)
 
-_SECONDS = click.FloatRange(min=0)
+
+class Number(click.FloatRange):
+    """A number; click would call it a float range."""
+
+    name = "number"
+
+
+class WholeNumber(click.IntRange):
+    """A whole number; click would call it an integer range."""
+
+    name = "whole number"
+
+
+_SECONDS = Number(min=0)
 
 
 class Command(click.Command):
@@ -136,10 +149,10 @@ tuning = _stack(
 )
 
 work = _stack(
-    click.option("--seed", type=click.IntRange(min=0), metavar="N", default=0, show_default=True),
+    click.option("--seed", type=WholeNumber(min=0), metavar="N", default=0, show_default=True),
     click.option(
         "--threads",
-        type=click.IntRange(min=1),
+        type=WholeNumber(min=1),
         metavar="N",
         default=_cores,
         show_default="all cores",

@@ -72,7 +72,7 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, war
         ConfigError: One line for each mistake, `file:line:column: what, what would be valid`.
     """
     folder = Path(folder)
-    file = YamlFile(folder / FILE_NAME, _placed(overrides or {}))
+    file = YamlFile(folder / FILE_NAME, _placed(overrides or {}), patient=True)
     _check_names(file, overrides or {})
     entry = validated(file)
     spec = None if entry is None else _spec(file, folder / entry.model, entry)
@@ -84,6 +84,7 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, war
     planned = plan(file, entry, spec, plain)
     keyframe = _keyframe(file, entry, plain)
     unknowns_of(file, entry, plain)
+    file.raise_problems()
     for name, parameter in entry.parameters.items():
         if not planned.has_commands() and any(target.set == "command_delay" for target in parameter.targets):
             file.problem(

@@ -101,6 +101,13 @@ class SystemEntry(_Entry):
     settings: Settings = Settings()
 
 
+class _Remaining(SystemEntry):
+    """What is left without the wrong entries: perhaps no parameters, perhaps no signals."""
+
+    parameters: dict[Name, ParameterEntry] = Field(default_factory=dict)
+    signals: dict[Name, SignalEntry] = Field(default_factory=dict)
+
+
 def validated(file: YamlFile) -> SystemEntry | None:
     """The file's content; every mistake is noted in `file`, and the entries that have one left out.
 
@@ -125,7 +132,7 @@ def validated(file: YamlFile) -> SystemEntry | None:
         elif place:
             remaining.pop(str(place[0]), None)
     try:
-        return SystemEntry.model_validate(remaining)
+        return _Remaining.model_validate(remaining)
     except ValidationError:
         return None
 
@@ -170,20 +177,53 @@ def _real(data: Any, place: Place) -> Iterator[str | int]:
     for index, part in enumerate(place):
         here = at_place(data, walked)
         last = index == len(place) - 1
-        known = (
-            part in here if isinstance(here, Mapping) else isinstance(here, list) and isinstance(part, int)
-        )
+        if isinstance(here, list):
+            known = isinstance(part, int) and part < len(here)
+        else:
+            known = isinstance(here, Mapping) and part in here
         if known or (last and isinstance(here, Mapping) and part != "[key]"):
             walked.append(part)
             yield part
 
 
+#: What would be valid, in place of pydantic's words for its types; `{}` is the limit.
+_VALID = {
+    "string_type": "a word",
+    "string_too_short": "a name",
+    "list_type": "a list",
+    "dict_type": "a mapping of names",
+    "model_type": "a mapping of keys to values",
+    "model_attributes_type": "a mapping of keys to values",
+    "tuple_type": "a list of two numbers",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+    "finite_number": "a finite number",
+    "int_from_float": "a whole number",
+    "greater_than": "a number above {}",
+    "greater_than_equal": "a number of at least {}",
+    "less_than": "a number below {}",
+    "too_short": "at least {} of them",
+    "too_long": "at most {} of them",
+}
+#: Keys whose shape is told best by an example.
+_EXAMPLES = {
+    "noise": "a mapping such as {position: 0.002}",
+    "fields": "a mapping such as {position: ['motor[0].q', 'motor[1].q']}",
+    "bounds": "[lower, upper]",
+    "length": "[shortest, longest]",
+}
+_LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length")
+_SHAPES = ("dict_type", "list_type", "tuple_type", "too_short", "too_long", "missing")
+
+
 def _in_words(mistakes: list[Any], place: Place, data: Any) -> str:
     """What is wrong, and what would be valid; a union of types has one mistake for each member."""
     kind, value = mistakes[0]["type"], at_place(data, place)
-    label = place[-1] if place else "this file"
+    label = _label(place)
     if kind == "extra_forbidden":
         return one_of("key", str(place[-1]), keys_at(SystemEntry, place[:-1]) or [])
+    if kind in _SHAPES and label in _EXAMPLES and value is not None:
+        return f"{label} is {value!r}; {_EXAMPLES[label]} would be valid"
     if kind == "missing":
         return f"{'.'.join(map(str, place[:-1])) or 'this file'} lacks the key {str(place[-1])!r}"
     if kind == "value_error":
@@ -192,5 +232,19 @@ def _in_words(mistakes: list[Any], place: Place, data: Any) -> str:
     if kind in ("float_type", "float_parsing", "int_type", "int_parsing"):
         quoted = " (without quotes)" if isinstance(value, str) else ""
         return f"{label} is {value!r}; a number{quoted} would be valid"
-    valid = " or ".join(dict.fromkeys(m["msg"].removeprefix("Input should be ") for m in mistakes))
-    return f"{label} is {value!r}; {valid} would be valid"
+    valid = " or ".join(dict.fromkeys(_valid(mistake) for mistake in mistakes))
+    return f"{label} is {'empty' if value in ([], {}, '') else repr(value)}; {valid} would be valid"
+
+
+def _label(place: Place) -> str:
+    """What people call the value at `place`: its key, with the index if it is in a list."""
+    if not place:
+        return "this file"
+    return str(place[-1]) if isinstance(place[-1], str) else f"{_label(place[:-1])}[{place[-1]}]"
+
+
+def _valid(mistake: Any) -> str:
+    limits = [value for key, value in mistake.get("ctx", {}).items() if key in _LIMITS]
+    if mistake["type"] not in _VALID:
+        return str(mistake["msg"]).removeprefix("Input should be ")
+    return _VALID[mistake["type"]].format(*(f"{limit:g}" for limit in limits))

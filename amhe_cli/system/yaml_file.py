@@ -60,16 +60,20 @@ class YamlFile:
     Args:
         path: The file.
         overrides: Values that replace or add to the file's own, as nested mappings.
+        patient: A key given twice is a problem like others, noted for `raise_problems`; the first of its
+            values is kept, so that all the rest can be looked through too.
 
     Raises:
         ConfigError: The file cannot be read, is no YAML, holds a key twice or is no mapping.
     """
 
-    def __init__(self, path: Path, overrides: Mapping[str, Any] | None = None) -> None:
+    def __init__(self, path: Path, overrides: Mapping[str, Any] | None = None, patient: bool = False) -> None:
         self.path = path
         self._overrides = overrides or {}
         self._problems: dict[str, tuple[int, int]] = {}
         self._node = self._composed()
+        if not patient:
+            self.raise_problems()
         self.own: dict[str, Any] = {} if self._node is None else self._constructed(self._node)
         if not isinstance(self.own, dict):
             raise ConfigError(f"{path}:1:1: this file must be a mapping of keys to values")
@@ -102,8 +106,7 @@ class YamlFile:
             where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
             raise ConfigError(f"{self.path}{where}: not valid YAML: {_said(error)}") from None
         if node is not None:
-            self._note_duplicates(node)
-            self.raise_problems()
+            self._drop_duplicates(node)
         return node
 
     def _constructed(self, node: yaml.Node) -> Any:
@@ -117,7 +120,7 @@ class YamlFile:
         finally:
             loader.dispose()
 
-    def _note_duplicates(self, root: yaml.Node) -> None:
+    def _drop_duplicates(self, root: yaml.Node) -> None:
         waiting, seen = [root], set()
         while waiting:
             node = waiting.pop()
@@ -129,14 +132,18 @@ class YamlFile:
             if not isinstance(node, yaml.MappingNode):
                 continue
             first: dict[str, int] = {}
+            kept = []
             for key, value in node.value:
                 mark, name = key.start_mark, str(key.value)
                 if name in first and name != "<<":
                     text = f"key {name!r} is here twice; its first value is in line {first[name]}"
                     place = (mark.line + 1, mark.column + 1)
                     self._problems[f"{self.path}:{place[0]}:{place[1]}: {text}"] = place
+                    continue
                 first.setdefault(name, mark.line + 1)
+                kept.append((key, value))
                 waiting.append(value)
+            node.value = kept
 
     def _mark(self, place: Place, at_key: bool) -> yaml.Mark:
         """Start of the deepest part of `place` that the file has."""

@@ -96,7 +96,7 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
 )
 def test_what_is_no_system_file_is_refused(text: str, line: str, tmp_path: Path) -> None:
     (tmp_path / "system.yaml").write_text(text)
-    assert problems(tmp_path)[0].startswith(line)
+    assert any(problem.startswith(line) for problem in problems(tmp_path))
 
 
 def test_a_missing_or_broken_model_is_a_mistake_of_the_model_key(written: Write) -> None:
@@ -197,3 +197,60 @@ def test_a_wrong_pair_in_the_file_has_its_place(written: Write) -> None:
         "  p: {targets: [{body: box, set: mass}]}\n", more="settings: {clips: {length: [2, 1]}}\n"
     )
     assert problems(folder)[0].startswith("2:20: length [2, 1] is the wrong way round")
+
+
+def test_a_key_given_twice_does_not_hide_other_mistakes(written: Write) -> None:
+    folder = written("  p:\n    nominal: 1\n    nominal: 2\n    targets: [{body: bix, set: mass}]\n")
+    first, second = problems(folder)
+    assert first.startswith("6:5: key 'nominal' is here twice; its first value is in line 5")
+    assert "no body 'bix'" in second
+
+
+def test_a_wrong_only_signal_does_not_hide_wrong_names(written: Write) -> None:
+    parameters = (
+        "  p: {targets: [{body: bix, set: mass}]}\n"
+        "  delay: {nominal: 0.01, bounds: [0, 0.1], targets: [{set: command_delay}]}\n"
+    )
+    first, second = problems(written(parameters, signals="signals: {hip: {topic: /j, joints: 3}}\n"))
+    assert "no body 'bix'" in first
+    assert second.endswith("joints is 3; a list or a mapping of names would be valid")
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ("clips: {length: 2}", "length is 2; [shortest, longest] would be valid"),
+        ("clips: {length: [2]}", "length is [2]; [shortest, longest] would be valid"),
+        ("clips: {length: [1, 2, 3]}", "length is [1, 2, 3]; [shortest, longest] would be valid"),
+        ("clips: {length: [-1, 2]}", "length[0] is -1; a number above 0 would be valid"),
+        ("clips: {count: 2.5}", "count is 2.5; a whole number would be valid"),
+        ("clips: {held_out: .nan}", "held_out is nan; a finite number would be valid"),
+        ("clips: {held_out: 1}", "held_out is 1; a number below 1 would be valid"),
+        ("logs: {align: maybe}", "align is 'maybe'; true or false would be valid"),
+        ("clips: 3", "clips is 3; a mapping of keys to values would be valid"),
+    ],
+)
+def test_what_would_be_valid_is_said_in_plain_words(written: Write, more: str, said: str) -> None:
+    folder = written("  p: {targets: [{body: box, set: mass}]}\n", more=f"settings: {{{more}}}\n")
+    assert problems(folder)[0].endswith(said)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "signals", "said"),
+    [
+        ("  {}\n", "signals: {}\n", "parameters is empty; at least 1 of them would be valid"),
+        ("  p: {targets: []}\n", "signals: {}\n", "targets is empty; at least 1 of them would be valid"),
+        (
+            "  p: {targets: [{body: box, set: mass}]}\n",
+            "signals: {hip: {topic: /j, joints: [hip], noise: 0.1}}\n",
+            "noise is 0.1; a mapping such as {position: 0.002} would be valid",
+        ),
+        (
+            "  p: {bounds: 3, targets: [{body: box, set: mass}]}\n",
+            "signals: {}\n",
+            "bounds is 3; [lower, upper] would be valid",
+        ),
+    ],
+)
+def test_empty_groups_and_wrong_shapes(written: Write, parameters: str, signals: str, said: str) -> None:
+    assert any(line.endswith(said) for line in problems(written(parameters, signals=signals)))
