@@ -42,6 +42,9 @@ _MOST_ROWS = 10_000_000
 _SAME_CLOCK = 1.0
 #: A smaller offset between two topics [s], or one of less than half a period, may be their transport's.
 _LATENCY = 0.02
+#: A signal that is missing for a larger share of the log is worth a warning, which names so many gaps.
+_LOSS = 0.05
+_GAPS_SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,7 +109,9 @@ def read_trajectory(
         grid, start_ns = _grid(path, tracks, dt, start, end)
         series: dict[str, Series] = {}
         for track in tracks:
-            series |= _series(path, track, grid, start_ns, settings)
+            found = _series(path, track, grid, start_ns, settings)
+            _tell_gaps(path, track.signal, found, dt)
+            series |= found
     return Trajectory(dt, series, str(path), start_ns, log.metadata)
 
 
@@ -262,6 +267,25 @@ def _series(
             derived=derived,
         )
     return series
+
+
+def _tell_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: float) -> None:
+    """Warn where a signal is missing for more than a small part of the log."""
+    missing = ~np.all([one.valid for one in series.values()], axis=0)
+    if missing.mean() <= _LOSS:
+        return
+    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    gaps = sorted(edges.reshape(-1, 2).tolist(), key=lambda gap: gap[0] - gap[1])
+    shown = [
+        f"from {dt * begin:.2f} to {dt * end:.2f} s ({dt * (end - begin):.2f} s)"
+        for begin, end in sorted(gaps[:_GAPS_SHOWN])
+    ]
+    rest = f" and in {len(gaps) - len(shown)} shorter gaps" if len(gaps) > len(shown) else ""
+    logger.warning(
+        "%s: topic %r: no data of signal %r %s%s, in all %s of %s s: clips across a gap are dropped",
+        path, signal.topic, signal.name, ", ".join(shown), rest,
+        f"{dt * missing.sum():.2f}", f"{dt * missing.size:.2f}",
+    )  # fmt: skip
 
 
 def _values(

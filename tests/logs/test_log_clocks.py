@@ -303,6 +303,17 @@ def test_gaps_are_not_bridged_and_commands_are_held() -> None:
     assert command.sampled.sum() == state.sampled.sum() == 20
 
 
+def test_the_time_that_gaps_cost_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    stamps = times(1000)
+    short = [t for i, t in enumerate(stamps) if not 400 < i < 440]
+    read(log_of(tmp_path / "a", short, short))
+    assert not warnings(caplog), "a small loss is none"
+    gappy = [t for i, t in enumerate(stamps) if not 400 < i < 700 and not 800 < i < 830]
+    read(log_of(tmp_path / "b", gappy, gappy))
+    assert "topic '/js': no data of signal 'j' from 4.01 to 7.00 s (2.99 s), from 8.01" in warnings(caplog)
+    assert "in all 3.28 of 10.00 s: clips across a gap are dropped" in warnings(caplog)
+
+
 def test_a_slow_topic_may_be_silent_for_five_periods(tmp_path: Path) -> None:
     stamps = [t for i, t in enumerate(times(20, period=0.1)) if i not in (5, 6, 7)]
     series = read(log_of(tmp_path / "a", stamps, stamps))["j.position"]
