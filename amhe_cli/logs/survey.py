@@ -14,7 +14,7 @@ from amhe_cli.logs.decode import Samples, nanoseconds, time_leaves
 from amhe_cli.logs.definitions import Definitions
 from amhe_cli.logs.folder import open_log
 from amhe_cli.logs.layout import Layout
-from amhe_cli.logs.message_types import TYPES
+from amhe_cli.logs.message_types import TYPES, TypeInfo
 from amhe_cli.logs.raw import Batch, Channel, messages, readable
 from amhe_cli.logs.split import Group, Splitter
 
@@ -36,7 +36,8 @@ class TopicSurvey:
         header: Its header stamps: 'none' (the type has no header), 'unset', 'partly set', 'not monotone' or
             'good'.
         clock: The clock that reading it would use: 'header', 'publish' or 'log'.
-        quantities: What signals can take from it without naming fields.
+        quantities: What signals can take from it without naming fields; an array that is empty in every
+            message counts as absent.
         entries: Names in it: joints, child frames; '[n]' for an array of n numbers.
         problem: Why it cannot be read, in words; None if it can.
         notes: What is odd about its stamps or messages, in words.
@@ -90,8 +91,10 @@ class _Scan:
     publish_ns: list[IntArray] = field(default_factory=list)
     header_ns: list[IntArray] = field(default_factory=list)
     entries: dict[str, None] = field(default_factory=dict)
+    carried: dict[str, None] = field(default_factory=dict)
     has_header: bool = False
     splitter: Splitter | None = None
+    info: TypeInfo | None = None
 
     def take(self, batch: Batch) -> None:
         header_ns = np.zeros(batch.starts.size, dtype=np.int64)
@@ -103,6 +106,7 @@ class _Scan:
 
     def _look(self, group: Group, header_ns: IntArray) -> None:
         self.entries |= dict.fromkeys(_entries(group.layout))
+        self.carried |= dict.fromkeys(_carried(group.layout, self.info))
         for path in ("header.stamp", "stamp", "transforms[0].header.stamp"):
             leaves = time_leaves(group.layout, path)
             if leaves:
@@ -137,7 +141,8 @@ def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
             channel = batch.channel
             if channel not in scans:
                 usable = definitions.problem(channel) is None
-                scans[channel] = _Scan(splitter=Splitter(channel, definitions) if usable else None)
+                splitter = Splitter(channel, definitions) if usable else None
+                scans[channel] = _Scan(splitter=splitter, info=TYPES.get(channel.type))
             scans[channel].take(batch)
         for channel in log.channels:
             scans.setdefault(channel, _Scan())
@@ -228,7 +233,7 @@ def _topic(
         last_ns={clock: int(s[-1]) for clock, s in stamps.items() if s.size},
         header="good" if mixed and clock == "header" else _header(samples),
         clock=clock,
-        quantities=tuple(info.fields) if info else (),
+        quantities=tuple(q for q in info.fields if q in scan.carried or not scan.carried) if info else (),
         entries=tuple(scan.entries),
         problem=definitions.problem(channel),
         notes=tuple(notes),
@@ -252,3 +257,16 @@ def _entries(layout: Layout) -> list[str]:
     data = layout.leaves.get("data")
     sizes = [f"[{data.count}]"] if data is not None and data.count is not None else []
     return [*names, *frames, *sizes]
+
+
+def _carried(layout: Layout, info: TypeInfo | None) -> list[str]:
+    """Quantities that this layout has numbers of: an effort that is not measured is left empty."""
+    if info is None:
+        return []
+    count = layout.counts.get(info.elements, 0) if info.elements else 1
+    prefixes = [f"{info.elements}[{i}]." if info.elements else "" for i in range(count)]
+    return [
+        quantity
+        for quantity, paths in info.fields.items()
+        if any(layout.columns(prefix + paths[0]) for prefix in prefixes)
+    ]
