@@ -23,6 +23,12 @@ NOISE = {
 }
 #: Types that carry a pose, the best first: an odometry has the twist too.
 _POSES = ("Odometry", "PoseWithCovarianceStamped", "PoseStamped", "TransformStamped", "Pose", "TFMessage")
+#: Packages whose types, where they are not built in, hold no state of joints.
+_STATELESS = {
+    *("std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "visualization_msgs", "diagnostic_msgs"),
+    *("rcl_interfaces", "rosgraph_msgs", "builtin_interfaces", "tf2_msgs", "trajectory_msgs", "action_msgs"),
+    *("stereo_msgs", "shape_msgs", "dynamic_reconfigure", "bond", "actionlib_msgs", "lifecycle_msgs"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +101,33 @@ def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[G
     return notes + [f"not used: {topic.name} ({topic.type})" for topic in topics if topic.name not in used]
 
 
+def foreign(topics: Sequence[Topic]) -> list[Topic]:
+    """Topics of a robot's own types, which may hold its state: not built in, and of no common package."""
+    own = [topic for topic in topics if not topic.quantities]
+    return [topic for topic in own if topic.type.split("/")[0] not in _STATELESS]
+
+
+def fields_example(model: mujoco.MjModel, topic: Topic) -> list[str]:
+    """Lines of a signal that takes joint positions from a foreign type, to be corrected by hand."""
+    joints = single_joints(model)
+    paths = {
+        key: [f'"motorState[{index}].{path}"' for index in range(len(joints))]
+        for key, path in (("position", "q"), ("velocity", "dq"))
+    }
+    return [
+        "states:",
+        f"  topic: {topic.name}",
+        f"  type: {topic.type}",
+        f"  joints: [{', '.join(joints)}]",
+        *(
+            f"  {'fields: {' if key == 'position' else '         '}{key}: [{', '.join(names)}]"
+            f"{',' if key == 'position' else '}'}"
+            for key, names in paths.items()
+        ),
+        "  noise: {position: 0.002, velocity: null}",
+    ]
+
+
 def single_joints(model: mujoco.MjModel) -> list[str]:
     """Names of hinge and slide joints."""
     single = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
@@ -131,7 +164,8 @@ def _joint_states(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Gu
         left = {name: aliases for name, aliases in left.items() if name not in names}
         entry = {"topic": best.name, "type": best.type, "joints": _plain_names(names)}
         why = f"{best.name} names {len(names)} of the model's {len(single_joints(model))} joints"
-        yield Guess("joints", entry, why, {key: NOISE[key] for key in ("position", "velocity")})
+        noise = {key: NOISE[key] if key in best.quantities else None for key in ("position", "velocity")}
+        yield Guess("joints", entry, why, noise)
 
 
 def _commands(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:

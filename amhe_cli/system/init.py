@@ -15,7 +15,16 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.logs import read_trajectory, survey
 from amhe_cli.system.guess_parameters import guess_parameters
-from amhe_cli.system.guess_signals import NOISE, Guess, Topic, guess_signals, notes_on, single_joints
+from amhe_cli.system.guess_signals import (
+    NOISE,
+    Guess,
+    Topic,
+    fields_example,
+    foreign,
+    guess_signals,
+    notes_on,
+    single_joints,
+)
 from amhe_cli.system.init_model import add_servos, copy_model
 from amhe_cli.system.init_text import system_text
 from amhe_cli.system.load import FILE_NAME, load_system
@@ -59,14 +68,15 @@ def init_system(
     parameters, others = guess_parameters(model, guesses, guessed_gains=added)
     _refuse_nothing(model, topics, guesses, parameters)
     notes += notes_on(model, topics, guesses)
+    skeletons = _skeletons(model, topics, guesses)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         folder = Path(scratch)
         name = copy_model(spec, model_path, folder, rewrite=urdf)
         head = (name, model_path.name, [str(log) for log in logs])
-        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, others, notes))
+        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, others, notes, skeletons))
         heard = _listen(folder, logs[0], guesses, topics, msg_path)
-        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, others, notes))
+        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, others, notes, skeletons))
         load_system(folder, warn=False)  # what is written is valid, or it is not written
         for file in sorted(path for path in folder.rglob("*") if path.is_file()):
             place = out / file.relative_to(folder)
@@ -96,12 +106,35 @@ def _refuse_nothing(
     measured = any("joints" in guess.entry or "body" in guess.entry for guess in guesses)
     if measured and parameters:
         return
+    own = foreign(topics)
+    if own and not measured and single_joints(model):
+        raise ConfigError(_needs_fields(model, own))
     entries = sorted({entry for topic in topics for entry in topic.entries})
     raise ConfigError(
         "nothing in the log is a part of this model: the model has the joints "
         f"{', '.join(single_joints(model)) or '(none)'}; the log names {', '.join(entries) or '(nothing)'}; "
         "rename the model's joints or bodies as the log does"
     )
+
+
+def _needs_fields(model: mujoco.MjModel, topics: Sequence[Topic]) -> str:
+    """What to do where only types that are not built in can hold the joints' positions."""
+    named = ", ".join(f"{topic.name} ({topic.type})" for topic in topics)
+    return "\n".join(
+        (
+            f"no topic gives joint positions; {named} needs fields: where the numbers are in its messages",
+            f"write a {FILE_NAME} by hand (docs/systems.md), with a signal such as this and the true paths:",
+            *(f"  {line}" for line in fields_example(model, topics[0])),
+        )
+    )
+
+
+def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess]) -> list[list[str]]:
+    """A signal to complete for each type that is not built in, where joints are still without a state."""
+    measured = {name for guess in guesses for name in guess.entry.get("joints", ())}
+    if measured.issuperset(single_joints(model)):
+        return []
+    return [fields_example(model, topic) for topic in foreign(topics)]
 
 
 def _listen(

@@ -10,6 +10,8 @@ import yaml
 
 from amhe_cli.system.guess_signals import Guess
 
+_SKELETON = "this type is not built in: correct the paths of its numbers to use it"
+
 
 def system_text(
     model: str,
@@ -19,6 +21,7 @@ def system_text(
     parameters: Sequence[Guess],
     others: Sequence[Guess],
     notes: Sequence[str],
+    skeletons: Sequence[Sequence[str]] = (),
 ) -> str:
     """Text of a `system.yaml`.
 
@@ -30,6 +33,7 @@ def system_text(
         parameters: Parameters, and
         others: more that are written as comments.
         notes: What a user should know of.
+        skeletons: Signals to complete by hand, as lines; written as comments.
     """
     names = ", ".join(Path(log).name for log in logs)
     lines = [
@@ -47,6 +51,7 @@ def system_text(
         "# noise: standard deviation of the measurement [SI]; null: it sets the state and is not compared.",
         "signals:",
         *(line for guess in guesses for line in _signal(guess)),
+        *(f"  # {line}" for skeleton in skeletons for line in (_SKELETON, *skeleton)),
     ]
     return "\n".join(lines) + "\n"
 

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
+import yaml
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.logs import LogWriter, read_trajectory
 from amhe_cli.system.guess_names import is_command, matched, names_the_same
+from amhe_cli.system.guess_signals import Topic, fields_example, foreign
 from amhe_cli.system.init import init_system
 from amhe_cli.system.load import bundled_root, load_system
+from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import System
 
 LEGS = [f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
@@ -277,6 +281,57 @@ def test_the_real_push_finds_its_block(tmp_path: Path) -> None:
     system, text, _ = made(tmp_path, model, [bag])
     assert system.signals[0].topic == "/vicon/MetalSquare/MetalSquare"
     assert "not used: /vicon/markers" in text
+
+
+def foreign_model() -> mujoco.MjModel:
+    body = "<body><joint name='a' axis='1 0 0'/><joint name='b' axis='0 1 0'/><geom size='1'/></body>"
+    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+
+
+LOW_STATE = Topic("/low_state", "unitree_legged_msgs/msg/LowState", 100.0, (), ())
+
+
+def test_an_example_of_fields_is_a_signal_of_a_system_file() -> None:
+    entry = yaml.safe_load("\n".join(fields_example(foreign_model(), LOW_STATE)))["states"]
+    assert SignalEntry.model_validate(entry).fields["position"] == ["motorState[0].q", "motorState[1].q"]
+
+
+def test_only_a_robots_own_types_may_hold_its_state() -> None:
+    others = [
+        Topic("/rosout", "rcl_interfaces/msg/Log", 1.0, (), ()),
+        Topic("/j", "a/msg/B", 1.0, (), ("x",)),
+    ]
+    assert foreign([LOW_STATE, *others]) == [LOW_STATE]
+
+
+def test_states_in_a_foreign_type_are_named_with_an_example(
+    tmp_path: Path, walker_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def topics(logs: object, msg_path: object) -> list[Topic]:
+        return [
+            Topic("/leg_cmd", "sensor_msgs/msg/JointState", 100.0, tuple(LEGS), ("position",)),
+            LOW_STATE,
+        ]
+
+    monkeypatch.setattr("amhe_cli.system.init._topics", topics)
+    (tmp_path / "robot.xml").write_text(walker())
+    said = r"no topic gives joint positions; /low_state \(unitree_legged_msgs/msg/LowState\) needs fields:"
+    with pytest.raises(ConfigError, match=said):
+        init_system(tmp_path / "robot.xml", [walker_log], tmp_path / "out")
+
+
+def test_where_some_joints_have_no_state_a_foreign_type_is_written_as_a_comment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, {}) as log:
+        for step in range(50):
+            log.joint_state("/joint_states", 10**18 + step * STEP_NS, ["FL_hip"], np.array([0.01 * step]))
+    seen = Topic("/joint_states", "sensor_msgs/msg/JointState", 100.0, ("FL_hip",), ("position",))
+    monkeypatch.setattr("amhe_cli.system.init._topics", lambda logs, msg_path: [seen, LOW_STATE])
+    system, text, _ = made(tmp_path, walker(), [path])
+    assert "  #   topic: /low_state" in text
+    assert {channel.key: channel.noise for channel in system.channels}["joints.velocity"] is None
 
 
 def test_names_are_matched_with_care() -> None:
