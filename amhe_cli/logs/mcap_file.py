@@ -1,7 +1,9 @@
 """MCAP containers, whole or damaged.
 
 Each chunk carries a checksum of its messages, which is always verified; a chunk that fails is left out
-and said so. A file that was written without checksums cannot tell a flipped bit in a payload.
+and said so. Only a chunk that the end of the file cuts off is used without: its whole records before the
+cut, as far as they agree with the chunk's header. A file that was written
+without checksums cannot tell a flipped bit in a payload.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from amhe_cli.logs.mcap_index import (
     span_ns,
     stream,
     unfolded,
+    unfolded_start,
 )
 from amhe_cli.logs.raw import Batch, Channel, DefinitionFormat, messages, normal_type
 
@@ -67,6 +70,8 @@ class McapFile:
                 yield from self._records(self._data, piece.start, piece.stop, topics)
             elif (data := self._unfold(piece)) is not None:
                 yield from self._records(data, 0, len(data), topics)
+        if found.cut is not None and (data := self._unfold_start(found.cut)):
+            yield from self._records(data, 0, len(data), topics)
         self._note_metadata(found)
         self._conclude(found)
 
@@ -124,6 +129,16 @@ class McapFile:
             )
             self.problems.append(f"a chunk at byte {chunk.start - 9}{when} is lost: {error}")
             return None
+
+    def _unfold_start(self, position: int) -> bytes | None:
+        """Whole records of a chunk that the end of the file cuts off, with a note; None if there are none."""
+        try:
+            data = unfolded_start(self._data, position)
+        except PARSE_ERRORS:
+            return None  # that the file is cut off is noted already
+        if data:
+            self.problems.append(f"the chunk at byte {position} is used up to the cut, without its checksum")
+        return data
 
     def _records(
         self, data: bytes | mmap, start: int, stop: int, topics: Collection[str] | None

@@ -19,11 +19,14 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Statistics
 
-from amhe_cli.logs.compression import LIMIT, decompress
+from amhe_cli.logs.compression import LIMIT, decompress, decompress_start
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")
+_LOG_NS = struct.Struct("<Q")
+#: Bytes of a message before its payload.
+_STAMPED = 22
 _FOOTER = struct.Struct("<QQI")
 #: What parsing a damaged record raises.
 PARSE_ERRORS = (ValueError, struct.error, EndOfFile)
@@ -51,6 +54,7 @@ class Contents:
         summarised: There is an intact summary.
         intact: No checksum over the whole data section denies it.
         problems: What is damaged, in words.
+        cut: Where the record begins at which the walk ended, if the file ends within it.
     """
 
     pieces: list[Piece] = field(default_factory=list)
@@ -62,6 +66,7 @@ class Contents:
     summarised: bool = False
     intact: bool = True
     problems: list[str] = field(default_factory=list)
+    cut: int | None = None
 
 
 def contents(data: mmap) -> Contents:
@@ -74,6 +79,7 @@ def contents(data: mmap) -> Contents:
     indexed = _summary(data, found)
     chunks: dict[int, Piece] = {}
     loose: list[Piece] = []
+    stop = len(MAGIC)
     try:
         for opcode, start, stop in _split(data, len(MAGIC), len(data)):
             if opcode == Opcode.CHUNK:
@@ -89,6 +95,7 @@ def contents(data: mmap) -> Contents:
                 break
     except PARSE_ERRORS as error:
         found.problems.append(f"the file is damaged or cut off: {error}")
+        found.cut = None if found.closed else stop
     for offset, stop in indexed.items():
         chunks.setdefault(offset, Piece(offset + 9, stop, True))
     if chunks and not found.whole:
@@ -105,9 +112,58 @@ def unfolded(data: mmap, chunk: Piece) -> bytes:
     Raises:
         ValueError: If the chunk is damaged, or larger than the limit.
     """
-    start, stop = chunk.start, chunk.stop
-    if stop > len(data):
+    if chunk.stop > len(data):
         raise ValueError("the file ends within it")
+    head = _head(data, chunk)
+    records = decompress(head.kind, data[head.at : head.stop], head.size)
+    if head.crc and zlib.crc32(records) != head.crc:
+        raise ValueError("its checksum is wrong")
+    return records
+
+
+def unfolded_start(data: mmap, position: int) -> bytes:
+    """Whole records of a chunk before the end of the file cuts it off.
+
+    Its checksum cannot be verified, so it takes a header that agrees with itself, and stamps that agree
+    with it; the first record that does not ends the recovery.
+
+    Raises:
+        ValueError: If there is no such chunk, or it is damaged.
+    """
+    opcode, length = RECORD.unpack_from(data, position)
+    if opcode != Opcode.CHUNK:
+        raise ValueError("it is no chunk")
+    chunk = Piece(position + 9, position + 9 + length, True)
+    head, span = _head(data, chunk), span_ns(data, chunk)
+    if span is None or head.stop != chunk.stop:
+        raise ValueError("its header is damaged")
+    # Where a machine lost power, its last pages may be there in length but not in content.
+    records = decompress_start(head.kind, data[head.at :].rstrip(b"\0"), head.size)
+    at = 0
+    while at + 9 <= len(records):
+        opcode, size = RECORD.unpack_from(records, at)
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE) or at + 9 + size > len(records):
+            break
+        if opcode == Opcode.MESSAGE and not (
+            size >= _STAMPED and span[0] <= _LOG_NS.unpack_from(records, at + 15)[0] <= span[1]
+        ):
+            break
+        at += 9 + size
+    return records[:at]
+
+
+class _Head(NamedTuple):
+    """What a chunk says of its records: compression, size once unfolded, checksum, begin and end."""
+
+    kind: str
+    size: int
+    crc: int
+    at: int
+    stop: int
+
+
+def _head(data: mmap, chunk: Piece) -> _Head:
+    start, stop = chunk.start, chunk.stop
     opcode, length = RECORD.unpack_from(data, start - 9)
     if opcode != Opcode.CHUNK or length != stop - start or length < _CHUNK.size + 12:
         raise ValueError("its header is damaged")
@@ -121,10 +177,7 @@ def unfolded(data: mmap, chunk: Piece) -> bytes:
     (packed,) = struct.unpack_from("<Q", data, at - 8)
     if at + packed > stop:
         raise ValueError("its header is damaged")
-    records = decompress(name, data[at : at + packed], size)
-    if crc and zlib.crc32(records) != crc:
-        raise ValueError("its checksum is wrong")
-    return records
+    return _Head(name, size, crc, at, at + packed)
 
 
 def span_ns(data: mmap, chunk: Piece) -> tuple[int, int] | None:
