@@ -7,7 +7,6 @@ of any parameter.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -40,9 +39,15 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """An ordered set of parameters; arrays of theta and z have shape (..., d)."""
+    """An ordered set of parameters; arrays of theta and z have shape (..., d).
+
+    Args:
+        parameters: In column order.
+        prior_correlation: Of z a priori, as rows; None: independent.
+    """
 
     parameters: tuple[Parameter, ...]
+    prior_correlation: tuple[tuple[float, ...], ...] | None = None
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -66,6 +71,16 @@ class ParameterSpace:
     def prior_sd(self) -> FloatArray:
         """Prior sd of phi, shape (d,)."""
         return sealed([p.prior_sd for p in self.parameters])
+
+    @cached_property
+    def prior_covariance(self) -> FloatArray:
+        """Of z, shape (d, d): ones on the diagonal."""
+        return np.eye(len(self)) if self.prior_correlation is None else sealed(self.prior_correlation)
+
+    @cached_property
+    def prior_precision(self) -> FloatArray:
+        """Inverse of `prior_covariance`: the prior's information on z, shape (d, d)."""
+        return sealed(np.linalg.inv(self.prior_covariance))
 
     @cached_property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
@@ -94,12 +109,18 @@ class ParameterSpace:
         return np.clip(z, *self.bounds)
 
     def with_prior(self, belief: Belief) -> ParameterSpace:
-        """The same parameters with a belief's estimate and marginal sd as their prior.
+        """The same parameters with a belief's estimate and covariance as their prior.
 
         Parameters that the belief does not know keep their own prior.
         """
         known = {name: i for i, name in enumerate(belief.names)}
         sd = np.sqrt(np.diag(belief.covariance))
+        shared = [(column, known[name]) for column, name in enumerate(self.names) if name in known]
+        correlation = np.eye(len(self))
+        for i, a in shared:
+            for j, b in shared:
+                if i != j and sd[a] * sd[b] > 0.0:
+                    correlation[i, j] = belief.covariance[a, b] / (sd[a] * sd[b])
         return ParameterSpace(
             tuple(
                 p
@@ -114,7 +135,8 @@ class ParameterSpace:
                     float(sd[known[p.name]]),
                 )
                 for p in self.parameters
-            )
+            ),
+            tuple(tuple(float(c) for c in row) for row in correlation),
         )
 
 
@@ -159,8 +181,3 @@ def belief_of(
         covariance=covariance * scale,
         provenance=provenance,
     )
-
-
-def pick(space: ParameterSpace, names: Sequence[str]) -> list[int]:
-    """Column of each name."""
-    return [space.names.index(name) for name in names]

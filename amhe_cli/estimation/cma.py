@@ -12,7 +12,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation import search
 from amhe_cli.estimation.problem import Problem
 from amhe_cli.estimation.result import Iteration
-from amhe_cli.matching import MatchingCost
+from amhe_cli.matching import MatchingCost, quadratic_prior
 
 #: What a `cmaes.CMA` remembers between generations besides its constants, and what a checkpoint keeps.
 MEMORY = ("_mean", "_C", "_sigma", "_p_sigma", "_pc", "_g", "_funhist_values")
@@ -28,9 +28,9 @@ class State:
         number: Iterations done, of all starts.
         generation: Iterations done of this start.
         memory: MEMORY of the current start's CMA; empty before its first generation.
-        best: Estimate of the finished starts so far, shape (d,).
-        best_value: Its value on the tiles.
-        z: Estimate of the current start, shape (d,).
+        best_value: Value of z on the tiles; inf while there is nothing better than the first start's mean.
+        z: Best of the finished starts and of what was known before them; the mean of the first start while
+            there is none. What is reported if the search is cut short here, shape (d,).
         scale: Channel -> residual sd over declared noise sd.
         record: One entry an iteration.
         done: Nothing is left to do.
@@ -41,7 +41,6 @@ class State:
     number: int
     generation: int
     memory: Mapping[str, FloatArray]
-    best: FloatArray
     best_value: float
     z: FloatArray
     scale: Mapping[str, float] = field(default_factory=dict)
@@ -52,10 +51,20 @@ class State:
 def start(problem: Problem, starts: int, after: search.State | None = None) -> State:
     """Before the first generation; `after` carries a failed linearised search's record over."""
     zero = np.zeros(len(problem.system.space))
-    state = State(0, starts, 0, 0, {}, zero, np.inf, zero)
+    state = State(0, starts, 0, 0, {}, np.inf, zero)
     if after is None:
         return state
-    return replace(state, number=after.number, record=after.record, scale=after.scale)
+    known = np.stack((after.z, zero))  # a rescue gives back nothing worse than what it was called for
+    values = _on_tiles(problem, known)
+    best = int(np.argmin(values))
+    return replace(
+        state,
+        number=after.number,
+        record=after.record,
+        scale=after.scale,
+        z=known[best],
+        best_value=float(values[best]),
+    )
 
 
 def total(problem: Problem, state: State) -> int:
@@ -81,11 +90,12 @@ def advance(problem: Problem, state: State) -> State:
     worth = problem.coverage(windows) * cost.clips.counts.sum()
     costs = cost.rescaled(residuals, [1.0] * len(cost.clips.observed))
     costs = np.where(residuals.completed.all(axis=1), costs, np.inf)
-    values = worth * costs + (asked**2).sum(axis=1)
+    prior = problem.system.space.prior_precision
+    values = worth * costs + quadratic_prior(asked, np.zeros_like(state.z), prior)
     finite = np.where(np.isfinite(values), values, 1e300)  # cmaes sorts, and wants numbers
     optimizer.tell([(z[free], value) for z, value in zip(asked[:-1], finite[:-1], strict=True)])
-    z = np.zeros_like(state.z)
-    z[free] = optimizer.mean
+    mean = asked[-1].copy()
+    mean[free] = optimizer.mean
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     best = int(np.argmin(values))
     entry = Iteration(
@@ -95,19 +105,19 @@ def advance(problem: Problem, state: State) -> State:
         sigma=float(optimizer._sigma * np.sqrt(np.diag(optimizer._C)).mean()),
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),
-        theta=tuple(float(t) for t in problem.system.space.theta_of(z)),
+        theta=tuple(float(t) for t in problem.system.space.theta_of(mean)),
     )
     moved = replace(
         state,
         number=state.number + 1,
         generation=state.generation + 1,
         memory={name: np.array(getattr(optimizer, name), dtype=float) for name in MEMORY},
-        z=z,
+        z=mean if np.isinf(state.best_value) else state.z,
         scale=_scale(cost, residuals.values, best, declared),
         record=(*state.record, entry),
     )
     over = moved.generation >= problem.settings.identify.cmaes_iterations or optimizer.should_stop()
-    return _finish_start(problem, moved) if over else moved
+    return _finish_start(problem, moved, mean) if over else moved
 
 
 def _restored(problem: Problem, state: State, rng: np.random.Generator) -> CMA:
@@ -140,18 +150,23 @@ def _scale(
     return scale
 
 
-def _finish_start(problem: Problem, state: State) -> State:
-    """Keep the better of this start's mean and the earlier starts', judged on the tiles."""
-    value = float(problem.cost(problem.tiles).costs(state.z[None])[0])
-    best, best_value = (state.z, value) if value < state.best_value else (state.best, state.best_value)
-    last = state.start + 1 >= state.starts
+def _on_tiles(problem: Problem, z: FloatArray) -> FloatArray:
+    """By what starts are compared: cost of candidates (p, d) on every tile, with the prior, shape (p,)."""
+    cost = problem.cost(problem.tiles)
+    prior = quadratic_prior(z, np.zeros(z.shape[1]), problem.system.space.prior_precision)
+    return cost.costs(z) + prior / cost.clips.counts.sum()
+
+
+def _finish_start(problem: Problem, state: State, mean: FloatArray) -> State:
+    """Keep the better of this start's mean and what was known before."""
+    value = float(_on_tiles(problem, mean[None])[0])
+    better = value < state.best_value
     return replace(
         state,
         start=state.start + 1,
         generation=0,
         memory={},
-        best=best,
-        best_value=best_value,
-        z=best if last else state.z,
-        done=last,
+        z=mean if better else state.z,
+        best_value=min(value, state.best_value),
+        done=state.start + 1 >= state.starts,
     )

@@ -9,13 +9,20 @@ from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.trajectory import Window
 from amhe_cli.estimation import cma
-from amhe_cli.estimation.contradictions import disagreements, report_drift, shifts_of, systematic
+from amhe_cli.estimation.contradictions import (
+    disagreements,
+    report_drift,
+    report_misfit,
+    report_unsettled,
+    shifts_of,
+    systematic,
+)
 from amhe_cli.estimation.fits import fits
 from amhe_cli.estimation.identifiability import Evidence, combinations, profiles, verdicts
 from amhe_cli.estimation.posterior import bootstrap_sd
 from amhe_cli.estimation.problem import Problem
 from amhe_cli.estimation.result import ClipCount, HeldOut, Identification
-from amhe_cli.estimation.study import Finding, step_ratio, study_of, thinned
+from amhe_cli.estimation.study import Finding, step_ratio, study_of
 from amhe_cli.matching import MatchingCost
 
 
@@ -62,22 +69,29 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     space, setting = problem.system.space, problem.settings.identify
     study = study_of(problem, finding)
     compared = disagreements(problem, finding, study, with_halves=not hurried)
+    report_misfit(study)
+    report_unsettled(space, finding, study)
     report_drift(space, compared)
     shifts = {} if hurried else shifts_of(problem, finding, study)
-    extra = np.diag(systematic(study.posterior, compared, shifts) * problem.active)
-    covariance = study.posterior.covariance + extra
-    some = thinned(problem, np.arange(len(problem.tiles)))
-    cost = MatchingCost(problem.system, some, problem.engine, problem.settings.cost)
+    ratio = step_ratio(problem, finding, study)
+    own = study.posterior.covariance
+    rough = np.diag(own) * (np.nan_to_num(np.maximum(1.0 / ratio, 1.0), nan=1.0) ** 2 - 1.0)
+    extra = systematic(study.posterior, compared, shifts) + rough
+    covariance = own + np.diag(extra * problem.active)
     points = 0 if hurried else setting.profile_points
     return Evidence(
         z=finding.z,
         covariance=covariance,
         active=problem.active,
-        step_ratio=step_ratio(problem, finding, study),
-        bootstrap=bootstrap_sd(finding.z, study.found, study.weight, setting.bootstrap, problem.rng(4)),
+        step_ratio=ratio,
+        bootstrap=bootstrap_sd(
+            finding.z, study.found, study.weight, space.prior_precision, setting.bootstrap, problem.rng(4)
+        ),
         disagreements=compared,
         shifts=shifts,
-        profiles=profiles(space, cost.costs, finding.z, np.sqrt(np.diag(covariance)), problem.active, points),
+        profiles=profiles(
+            space, study.cost_beside, finding.z, np.sqrt(np.diag(covariance)), problem.active, points
+        ),
         noise_scale=study.scale,
     )
 

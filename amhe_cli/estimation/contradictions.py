@@ -26,6 +26,8 @@ from amhe_cli.matching import MatchingCost
 
 logger = logging.getLogger(__name__)
 
+#: A next step of this many sd is a search cut short; residuals of this many noise sd are a wrong model.
+UNSETTLED, MISFIT = 2.0, 3.0
 HALVES = "the first and second half of the logs"
 #: Iterations that each half gets to find its own estimate, and the clips that it must have.
 REFITS, FEWEST_CLIPS = 3, 3
@@ -39,8 +41,9 @@ def disagreements(
     Returns:
         What is compared -> (difference, its sd), each (d,) in z.
     """
+    prior = problem.system.space.prior_precision
     kinds = [_kind(o.channel.key) for o in study.slopes.cost.clips.observed]
-    alone = by_kind(finding.z, study.slopes, study.weight, kinds)
+    alone = by_kind(finding.z, study.slopes, study.weight, prior, kinds)
     names = list(alone)
     compared = {
         f"{one} and {other} data": disagreement(alone[one], alone[other])
@@ -51,7 +54,9 @@ def disagreements(
         compared[HALVES] = parts
     logs = _later_logs(problem.tiles)
     if _both(logs):
-        earlier, later = (posterior(finding.z, study.found, study.weight * side) for side in (~logs, logs))
+        earlier, later = (
+            posterior(finding.z, study.found, study.weight * side, prior) for side in (~logs, logs)
+        )
         compared["the earlier and the later logs"] = disagreement(later, earlier)
     return compared
 
@@ -98,7 +103,7 @@ def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, Flo
         residuals = cost.residuals(finding.z[None])
         both = study.slopes.completed & residuals.completed[0]
         moved = information(replace(study.slopes, residual=residuals.flat[0], completed=both))
-        there = posterior(finding.z, moved, study.weight * both)
+        there = posterior(finding.z, moved, study.weight * both, system.space.prior_precision)
         shifts[name] = there.step - study.posterior.step
     return shifts
 
@@ -111,15 +116,36 @@ def systematic(
     """Variance of z beyond what noise explains, shape (d,).
 
     Where parts of the data disagree by more than chance, or details of contact that nobody measured move
-    the estimate, no part is known to be right: half the difference is added as a standard deviation, as
-    random-effects models do.
+    the estimate, no part is known to be right: half the largest difference is added as a standard deviation,
+    as random-effects models do. So is the step that an unfinished search has left to go.
     """
-    extra = np.zeros(len(found.step))
+    contradicted = np.zeros(len(found.step))
     sd = np.sqrt(np.diag(found.covariance))
     for difference, chance in (*disagreements.values(), *((shift, sd) for shift in shifts.values())):
         beyond = np.maximum(difference**2 - (SURPRISE * chance) ** 2, 0.0)
-        extra = np.maximum(extra, 0.25 * beyond)
-    return extra
+        contradicted = np.maximum(contradicted, 0.25 * beyond)
+    return contradicted + found.step**2
+
+
+def report_unsettled(space: ParameterSpace, finding: Finding, study: Study) -> None:
+    """Warn of a search that stopped on its way."""
+    left = np.abs(study.posterior.step) / study.posterior.sd
+    moving = isinstance(finding, search.State) and not finding.settled
+    if moving or left.max() > UNSETTLED:
+        logger.warning(
+            f"the search stopped before it settled ({space.names[int(left.argmax())]} was still moving): "
+            f"give it more with --set identify.iterations"
+        )
+
+
+def report_misfit(study: Study) -> None:
+    """Warn of channels that the model does not explain."""
+    for key, scale in study.scale.items():
+        if scale > MISFIT:
+            logger.warning(
+                f"the model misses {key} by {scale:.1f} times its declared noise: something is missing in it "
+                f"(a delay, a gain, play, a contact), or the noise is declared too small"
+            )
 
 
 def report_drift(space: ParameterSpace, disagreements: Mapping[str, tuple[FloatArray, FloatArray]]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +14,9 @@ from amhe_cli.estimation.result import Combination, ParameterResult
 
 #: Shrinkage below which the data say nothing, and from which they determine.
 NOTHING, DETERMINED = 0.3, 0.8
-#: Ratio of information at a doubled step that a linearisation may show.
+#: Residuals of this many times the declared noise make every number the model's.
+MISSED = 5.0
+#: Ratio of the sd to that at a doubled step that a linearisation may show.
 LINEAR = (0.7, 1.4)
 #: Disagreements beyond this many sd are no chance. They widen the sd; from NOTED, a share of the value,
 #: they are told, and from NOTABLE they make the number model-sensitive.
@@ -31,7 +33,7 @@ class Evidence:
         z: The estimate.
         covariance: Posterior covariance, shape (d, d).
         active: Parameters that the logs can feel.
-        step_ratio: sqrt of information at a doubled step over that at the step.
+        step_ratio: Posterior sd over that at a doubled step.
         bootstrap: Spread over resampled clips.
         disagreements: Name of a comparison -> (difference, its sd).
         shifts: Name of a change of the model -> what it would do to the estimate.
@@ -96,6 +98,9 @@ def _verdict(
 ) -> tuple[str, tuple[str, ...]]:
     if not evidence.active[i]:
         return "prior", ("no measurement in these logs depends on it: not identifiable, held at its prior",)
+    if shrinkage < NOTHING and abs(evidence.z[i]) > 1.0:
+        away = f"it is {abs(evidence.z[i]):.1f} prior sd from its prior although the logs hardly determine it"
+        return "model-sensitive", (away, *_bound(space, evidence, i))
     if shrinkage < NOTHING:
         return "prior", (
             "the logs hardly narrow it down: the value is your prior",
@@ -131,11 +136,18 @@ def _sensitivities(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[s
     """Reasons to distrust the number although the data narrow it down."""
     ratio = evidence.step_ratio[i]
     jagged = (
-        f"the response is jagged (its information changes {ratio:.2f}x when the step is doubled): the value "
+        f"the response is jagged (its sd changes {1.0 / ratio:.2f}x when the step is doubled): the value "
         f"hangs on details, such as contact, that the model gets wrong; the sd is rough"
     )
     rough = np.isfinite(ratio) and not LINEAR[0] <= ratio <= LINEAR[1]
-    return (*([jagged] if rough else []), *_contradictions(space, evidence, i, NOTABLE, np.inf))
+    worst = max(evidence.noise_scale, key=lambda key: evidence.noise_scale[key], default="")
+    missed = (
+        f"the model misses {worst} by {evidence.noise_scale[worst]:.0f} times its noise"
+        if worst and evidence.noise_scale[worst] > MISSED
+        else ""
+    )
+    found = ([missed] if missed else []) + ([jagged] if rough else [])
+    return (*found, *_contradictions(space, evidence, i, NOTABLE, np.inf))
 
 
 def _contradictions(
@@ -200,9 +212,18 @@ def _pair(space: ParameterSpace, phi: FloatArray, pair: tuple[int, int]) -> list
         powers = vector / vector[np.argmax(np.abs(vector))]
         prior = np.sqrt(((powers * space.prior_sd[list(pair)]) ** 2).sum())
         sd = float(np.sqrt(value) * np.linalg.norm(powers))
-        text = " * ".join(_power(space.names[i], p) for i, p in zip(pair, powers, strict=True))
+        text = _product([space.names[i] for i in pair], powers)
         result.append(Combination(text, sd, 1.0 - sd / float(prior)))
     return result
+
+
+def _product(names: Sequence[str], powers: FloatArray) -> str:
+    """'mass * friction^0.9', 'gain / mass'."""
+    factors = sorted(zip(map(float, powers), names, strict=True), reverse=True)
+    text = _power(factors[0][1], factors[0][0])
+    for power, name in factors[1:]:
+        text += f" {'*' if power > 0.0 else '/'} {_power(name, abs(power))}"
+    return text
 
 
 def _power(name: str, power: float) -> str:

@@ -148,7 +148,7 @@ def _search(
 ) -> Finding:
     """Run the method, and CMA-ES from several starts where the linearised one did not help."""
     if not problem.active.any():
-        return replace(search.start(problem), stage="done")  # nothing to look for
+        return replace(search.start(problem), stage="done", settled=True)  # nothing to look for
     saved = kept.load()
     if isinstance(saved, cma.State):
         return _run(cma.advance, cma.total, problem, saved, watch, kept)

@@ -24,6 +24,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber, pseudo_huber_weight
+from amhe_cli.estimation.shape import coordinates
 from amhe_cli.matching import MatchingCost, Residuals
 
 
@@ -35,8 +36,6 @@ class Linearisation:
         residual: Residuals at (z, first), shape (c, R).
         gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
         bend: Mean square of what is not linear in the samples, shape (c, R).
-        roughness: Even over odd response of the median clip: small where the model is smooth on the
-            scale of the samples, near one behind chaotic contact.
         first: First-state errors there, shape (c, nx).
         completed: Clips that could be linearised, shape (c,).
         rollouts, diverged: How many were run, and how many of them diverged.
@@ -46,7 +45,6 @@ class Linearisation:
     residual: FloatArray
     gain: FloatArray
     bend: FloatArray
-    roughness: float
     first: FloatArray
     completed: BoolArray
     rollouts: int
@@ -84,7 +82,7 @@ def linearise(
     cost: MatchingCost,
     z: FloatArray,
     first: FloatArray,
-    spread: FloatArray,
+    shape: FloatArray,
     samples: int,
     rng: np.random.Generator,
 ) -> Linearisation:
@@ -95,7 +93,7 @@ def linearise(
         z: Where, shape (d,).
         first: First-state errors there, in their sd, shape (c, nx); nx = 0 takes the recorded states as
             exact.
-        spread: Sampling sd of each z, shape (d,); 0 leaves a parameter alone.
+        shape: Samples are z + shape w with w of unit variance, shape (d, d).
         samples: Candidates wanted; raised to two for each unknown of the regression.
         rng: Draws the directions.
     """
@@ -103,19 +101,19 @@ def linearise(
     directions = orthogonal_directions(d + nx, max(d + nx, samples // 2), rng)
     half = len(directions)
     signs = np.concatenate((directions, -directions, np.zeros((1, d + nx))))
-    candidates = cost.system.space.clip(z + signs[:, :d] * spread)
+    candidates = cost.system.space.clip(z + signs[:, :d] @ shape.T)
     residuals = cost.residuals(candidates, first + signs[:, None, d:] if nx else None)
     # a bound may have cut a step short: what was really tried is (plus - minus) / 2
-    steps = np.concatenate((0.5 * (candidates[:half] - candidates[half:-1]), directions[:, d:]), axis=1)
+    steps = coordinates(shape, 0.5 * (candidates[:half] - candidates[half:-1]))
     odd, even, pairs = _parity(residuals, half)
-    gain = _regress(odd, pairs, steps)
+    gain = _regress(odd, pairs, np.concatenate((steps, directions[:, d:]), axis=1))
+    gain[:, :d] = np.einsum("wd,cwr->cdr", np.linalg.pinv(shape, rcond=1e-9), gain[:, :d])
     completed = residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half)
     return Linearisation(
         cost=cost,
         residual=residuals.flat[-1],
         gain=gain,
         bend=np.einsum("ch,hcr->cr", pairs, even**2) / np.maximum(pairs.sum(axis=1), 1.0)[:, None],
-        roughness=_roughness(odd, even, pairs),
         first=first,
         completed=completed,
         rollouts=residuals.completed.size,
@@ -151,24 +149,21 @@ def _regress(odd: FloatArray, pairs: FloatArray, steps: FloatArray) -> FloatArra
     return np.linalg.solve(normal, right)
 
 
-def _roughness(odd: FloatArray, even: FloatArray, pairs: FloatArray) -> float:
-    above = np.einsum("ch,hcr->c", pairs, even**2)
-    below = np.einsum("ch,hcr->c", pairs, odd**2)
-    return float(np.median(np.where(below > 0.0, above / np.where(below > 0.0, below, 1.0), 0.0)))
-
-
-def information(found: Linearisation, channels: Sequence[bool] | None = None) -> Information:
+def information(
+    found: Linearisation, channels: Sequence[bool] | None = None, *, straight: bool = False
+) -> Information:
     """Fit each clip's first state and leave its information on z.
 
     Args:
         found: The linearisation.
         channels: Which channels may speak; None: all.
+        straight: Take the samples' bend for nothing: what narrower samples would find.
     """
     cost, start = found.cost, found.residual
     nx = found.first.shape[1]
     gz, gx = found.gain[:, : found.gain.shape[1] - nx], found.gain[:, found.gain.shape[1] - nx :]
     heard = _expand(cost, channels or [True] * len(cost.clips.observed)) * found.completed[:, None]
-    heard = heard / (1.0 + found.bend)
+    heard = heard if straight else heard / (1.0 + found.bend)
     fitted, times = start, (1.0,) * len(cost.clips.observed)
     for _ in range(2):  # the weights need the fitted residuals, which need the weights
         weight = _weights(cost, fitted, times) * heard

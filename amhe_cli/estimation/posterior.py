@@ -23,17 +23,19 @@ class Posterior:
         step: One Gauss-Newton step away from where the information was taken, shape (d,).
         hessian: Information of data and prior, shape (d, d).
         scatter: Covariance of the data's score, shape (d, d).
+        prior: Information of the prior, shape (d, d).
     """
 
     step: FloatArray
     hessian: FloatArray
     scatter: FloatArray
+    prior: FloatArray
 
     @property
     def covariance(self) -> FloatArray:
-        """Posterior covariance of z: the sandwich H^-1 (B + I) H^-1, shape (d, d)."""
+        """Posterior covariance of z: the sandwich H^-1 (B + P) H^-1, shape (d, d)."""
         inverse = np.linalg.inv(self.hessian)
-        return inverse @ (self.scatter + np.eye(len(inverse))) @ inverse
+        return inverse @ (self.scatter + self.prior) @ inverse
 
     @property
     def sd(self) -> FloatArray:
@@ -47,8 +49,8 @@ class Posterior:
         return inverse @ self.scatter @ inverse
 
 
-def posterior(z: FloatArray, found: Information, weight: FloatArray) -> Posterior:
-    """Combine the clips' information with the standard normal prior of z.
+def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: FloatArray) -> Posterior:
+    """Combine the clips' information with the prior of z.
 
     The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip
     as the independent unit), corrected for the d directions that the fit has flattened, and shrunk towards
@@ -58,10 +60,11 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray) -> Posterio
         z: Where the information was taken, shape (d,).
         found: Information of c clips.
         weight: How often each clip counts, shape (c,); 0 leaves it out.
+        prior: The prior's information, shape (d, d).
     """
     matrix = np.einsum("c,cij->ij", weight, found.matrix)
-    hessian = matrix + np.eye(z.size)
-    gradient = np.einsum("c,ci->i", weight, found.score) + z
+    hessian = matrix + prior
+    gradient = np.einsum("c,ci->i", weight, found.score) + prior @ z
     step = -np.linalg.solve(hessian, gradient)
     score = found.score + np.einsum("cij,j->ci", found.matrix, step)
     count = int((weight > 0.0).sum())
@@ -69,19 +72,24 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray) -> Posterio
     leverage = count / max(count - min(z.size, count / 2.0), 1.0)
     scatter = np.einsum("c,ci,cj->ij", weight, centred, centred) * leverage
     blended = (count * scatter + NOISE_WORTH * matrix) / (count + NOISE_WORTH)
-    return Posterior(step, hessian, blended)
+    return Posterior(step, hessian, blended, prior)
 
 
 def bootstrap_sd(
-    z: FloatArray, found: Information, weight: FloatArray, resamples: int, rng: np.random.Generator
+    z: FloatArray,
+    found: Information,
+    weight: FloatArray,
+    prior: FloatArray,
+    resamples: int,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """Spread of the one-step estimate over resampled clips, sd of z, shape (d,); NaN without clips."""
     count = len(weight)
     if count < 2 or resamples < 2:
         return np.full(z.size, np.nan)
     draws = weight * rng.multinomial(count, np.full(count, 1.0 / count), size=resamples)  # (b, c)
-    hessian = np.einsum("bc,cij->bij", draws, found.matrix) + np.eye(z.size)
-    gradient = np.einsum("bc,ci->bi", draws, found.score) + z
+    hessian = np.einsum("bc,cij->bij", draws, found.matrix) + prior
+    gradient = np.einsum("bc,ci->bi", draws, found.score) + prior @ z
     return np.linalg.solve(hessian, gradient[..., None])[..., 0].std(axis=0, ddof=1)
 
 
@@ -92,7 +100,7 @@ def disagreement(one: Posterior, other: Posterior) -> tuple[FloatArray, FloatArr
 
 
 def by_kind(
-    z: FloatArray, slopes: Linearisation, weight: FloatArray, kinds: Sequence[str]
+    z: FloatArray, slopes: Linearisation, weight: FloatArray, prior: FloatArray, kinds: Sequence[str]
 ) -> dict[str, Posterior]:
     """Posterior from each kind of measurement alone.
 
@@ -100,6 +108,6 @@ def by_kind(
         kinds: Kind of each compared channel, such as 'position'.
     """
     return {
-        kind: posterior(z, information(slopes, [k == kind for k in kinds]), weight)
+        kind: posterior(z, information(slopes, [k == kind for k in kinds]), weight, prior)
         for kind in dict.fromkeys(kinds)
     }

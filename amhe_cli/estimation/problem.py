@@ -13,6 +13,7 @@ from amhe_cli.core.settings import Settings
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.estimation.clips import ClipPool
+from amhe_cli.estimation.shape import WIDEST
 from amhe_cli.matching import MatchingCost
 from amhe_cli.system.system import System
 
@@ -20,7 +21,7 @@ from amhe_cli.system.system import System
 OUT_OF_REACH = 1e-2
 #: Random clips drawn even from a log too short for them side by side.
 FEWEST = 8
-#: Even over odd response from which a model is rough on the scale of the samples.
+#: Even over odd response to small steps from which a model is rough.
 ROUGH = 0.02
 
 
@@ -95,13 +96,28 @@ class Problem:
         diverged = np.any(~residuals.completed, axis=1)[1:].reshape(2, d)  # then it was felt
         return (moved > OUT_OF_REACH).any(axis=0) | diverged.any(axis=0)
 
+    @cached_property
+    def rough(self) -> bool:
+        """Whether residuals jitter under steps of half a percent, as behind chaotic contact."""
+        d = len(self.system.space)
+        steps = np.diag(_steps(self, 0.005) * self.active)
+        candidates = self.system.space.clip(np.concatenate((np.zeros((1, d)), steps, -steps)))
+        residuals = self.cost(self.tiles[:: max(1, len(self.tiles) // 8)]).residuals(candidates)
+        centre, plus, minus = np.split(residuals.flat, [1, d + 1])
+        odd = ((plus - minus) ** 2).sum(axis=(0, 2))  # (c,)
+        even = ((plus + minus - 2.0 * centre) ** 2).sum(axis=(0, 2))
+        return bool(np.median(even) > ROUGH * np.median(odd))
 
-def spread_floor(problem: Problem, roughness: float) -> FloatArray:
+
+def spread_floor(problem: Problem) -> FloatArray:
     """Smallest sampling sd of z, shape (d,): a share of the parameter, or of a linear one's prior sd.
 
     On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
     ones they are exact, and large steps are not.
     """
-    share = 0.05 if roughness > ROUGH else 0.001
+    return np.minimum(_steps(problem, 0.05 if problem.rough else 1e-4), WIDEST)
+
+
+def _steps(problem: Problem, share: float) -> FloatArray:
     space = problem.system.space
     return np.where(space.log, share / space.prior_sd, share)

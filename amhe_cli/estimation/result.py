@@ -29,8 +29,8 @@ class ParameterResult:
         shrinkage: 1 - posterior sd / prior sd, on the parameter's own scale.
         verdict: A key of VERDICTS.
         reasons: Why the verdict is what it is, in words, most important first.
-        step_ratio: Information at a doubled step over information at the step; far from 1 the
-            linearisation, and so the sd, is not to be trusted (0.7-1.4 is fine); NaN: not computed.
+        step_ratio: Posterior sd over that at a doubled step; far from 1 the linearisation, and so the sd, is
+            not to be trusted (0.7-1.4 is fine); NaN: not computed.
         bootstrap_sd: Spread of the estimate over resampled clips; NaN: not computed.
         profile: Parameter values (K,) and held-in cost there (K,), the others held at the estimate.
     """

@@ -20,14 +20,17 @@ from amhe_cli.estimation.linearised import (
 )
 from amhe_cli.estimation.problem import Problem, spread_floor
 from amhe_cli.estimation.result import Iteration
-from amhe_cli.matching import MatchingCost
+from amhe_cli.estimation.shape import WIDEST, adapted, bounded, changed, coordinates, diagonal, sampling_sd
+from amhe_cli.matching import MatchingCost, quadratic_prior
 
 Stage = Literal["explore", "polish", "done"]
 
 #: Iterations on fixed tiles that end the linearised search.
 POLISH = 6
-#: A step below this share of the posterior sd has settled.
-SETTLED = 0.1
+#: A step shorter than this, in posterior sd, has settled.
+SETTLED = 0.3
+#: A step may leave the middle of the samples by this many of their sd.
+REACH = 3.0
 #: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
 LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
 
@@ -40,17 +43,19 @@ class State:
         stage: 'explore' re-draws random clips each iteration, 'polish' uses every tile.
         number: Iterations done.
         z: Estimate, shape (d,).
-        spread: Sampling sd, shape (d,).
+        shape: Of the sampling, shape (d, d).
         scale: Channel -> residual sd over declared noise sd.
         record: One entry an iteration.
+        settled: The last step was short, and the samples no wider than the posterior.
     """
 
     stage: Stage
     number: int
     z: FloatArray
-    spread: FloatArray
+    shape: FloatArray
     scale: Mapping[str, float] = field(default_factory=dict)
     record: tuple[Iteration, ...] = ()
+    settled: bool = False
 
     @property
     def done(self) -> bool:
@@ -60,8 +65,7 @@ class State:
 
 def start(problem: Problem) -> State:
     """The prior mean, and a spread of half the prior."""
-    d = len(problem.system.space)
-    return State("explore", 0, np.zeros(d), np.full(d, 0.5) * problem.active)
+    return State("explore", 0, np.zeros(len(problem.system.space)), diagonal(WIDEST, problem.active))
 
 
 def total(problem: Problem, state: State) -> int:
@@ -71,7 +75,7 @@ def total(problem: Problem, state: State) -> int:
 
 def restart(problem: Problem, z: FloatArray) -> State:
     """Polishing from z (d,), for a problem that is part of a solved one."""
-    return State("polish", 0, z, np.full(z.size, 0.25) * problem.active)
+    return State("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
 
 
 def advance(problem: Problem, state: State) -> State:
@@ -82,75 +86,83 @@ def advance(problem: Problem, state: State) -> State:
     windows = problem.pool.draw(rng, problem.clip_count) if exploring else problem.tiles
     cost = problem.cost(windows, state.scale)
     first = np.zeros((len(windows), cost.nx if setting.first_state else 0))
-    slopes = linearise(cost, state.z, first, state.spread, setting.samples, rng)
+    slopes = linearise(cost, state.z, first, state.shape, setting.samples, rng)
     found = information(slopes)
-    floor = spread_floor(problem, slopes.roughness)
-    taken = gauss_newton(problem, cost, state, found, windows, floor)
-    scale = noise_scale(cost, found, state.scale)
-    moved = np.abs(taken.z - state.z) / taken.sd
-    settled = bool((moved < SETTLED).all()) and taken.spread_settled
+    taken = gauss_newton(problem, cost, state, found, windows)
+    shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
     number = state.number + 1
+    settled = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
     return replace(
         state,
         stage=_next_stage(state, number, settled, setting.iterations),
         number=number,
         z=taken.z,
-        spread=taken.spread,
-        scale=scale,
+        settled=settled,
+        shape=shape,
+        scale=noise_scale(cost, found, state.scale),
         record=(*state.record, _entry(problem, state, taken, slopes)),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """A Gauss-Newton step that was tried and accepted."""
+    """A Gauss-Newton step that was tried and accepted.
+
+    Args:
+        z: Where it ended, shape (d,).
+        moved: Length of the step, in posterior sd.
+        far: The full step left the region that was sampled, and was shortened.
+        cost: In units of the declared noise.
+    """
 
     z: FloatArray
-    sd: FloatArray  # posterior sd of z
-    spread: FloatArray
-    spread_settled: bool
-    cost: float  # in units of the declared noise
+    moved: float
+    far: bool
+    cost: float
     rollouts: int
     diverged: int
 
 
 def gauss_newton(
-    problem: Problem,
-    cost: MatchingCost,
-    state: State,
-    found: Information,
-    windows: Sequence[Window],
-    floor: FloatArray,
+    problem: Problem, cost: MatchingCost, state: State, found: Information, windows: Sequence[Window]
 ) -> Step:
-    """Step towards the minimum of the linearised cost plus prior; the true cost decides how far.
-
-    Args:
-        floor: Smallest sampling sd worth having, shape (d,).
-    """
+    """Step towards the minimum of the linearised cost plus prior; the true cost decides how far."""
+    prior = problem.system.space.prior_precision
     weight = clip_weights(cost, found) * problem.coverage(windows)
-    hessian = np.einsum("c,cij->ij", weight, found.matrix) + np.eye(state.z.size)
-    gradient = np.einsum("c,ci->i", weight, found.score) + state.z
-    step = -np.linalg.solve(hessian, gradient)
-    sd = np.sqrt(np.diag(np.linalg.inv(hessian)))
-    reach = np.abs(step) / np.maximum(3.0 * state.spread, 1e-12) * problem.active
-    step = step * problem.active / max(1.0, reach.max())
-    tried = problem.system.space.clip(state.z + LINE[:, None] * step)
+    hessian = np.einsum("c,cij->ij", weight, found.matrix) + prior
+    gradient = np.einsum("c,ci->i", weight, found.score) + prior @ state.z
+    step = -np.linalg.solve(hessian, gradient) * problem.active
+    reach = np.abs(coordinates(state.shape, step[None])).max() / REACH
+    tried = problem.system.space.clip(state.z + LINE[:, None] * step / max(1.0, reach))
     first = found.first(tried - state.z)
     residuals = cost.residuals(tried, first if first.shape[2] else None)
-    values = objective(cost, residuals, first, found.times, weight) + (tried**2).sum(axis=1)
-    best = int(np.argmin(values))
-    wanted = 2.0 * state.spread if reach.max() > 1.0 else np.maximum(2.0 * sd, 0.6 * state.spread)
-    spread = np.clip(wanted, floor, np.maximum(0.5, floor)) * problem.active
+    values = objective(cost, residuals, first, found.times, weight)
+    best = int(np.argmin(values + quadratic_prior(tried, np.zeros_like(state.z), prior)))
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
+    moved = tried[best] - state.z
     return Step(
         z=tried[best],
-        sd=sd,
-        spread=spread,
-        spread_settled=bool((spread <= np.maximum(3.0 * sd, floor * 1.01)).all()),
+        moved=float(np.sqrt(moved @ hessian @ moved)),
+        far=bool(reach > 1.0),
         cost=float(cost.rescaled(residuals, declared)[best]),
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),
     )
+
+
+def _reshaped(
+    problem: Problem, state: State, taken: Step, straight: Information, windows: Sequence[Window]
+) -> FloatArray:
+    """Where to sample next: narrower, along the posterior; wider where the step wanted out.
+
+    The posterior is that of `straight` samples: wide ones bend, and would keep themselves wide.
+    """
+    floor = spread_floor(problem)
+    if taken.far:
+        return bounded(4.0 * state.shape @ state.shape.T, floor, problem.active)
+    known = np.einsum("cij->ij", straight.matrix) * problem.coverage(windows)
+    covariance = np.linalg.inv(known + problem.system.space.prior_precision)
+    return adapted(covariance, state.shape, floor, problem.active)
 
 
 def clip_weights(cost: MatchingCost, found: Information) -> FloatArray:
@@ -188,7 +200,7 @@ def _entry(problem: Problem, state: State, taken: Step, found: Linearisation) ->
         number=state.number + 1,
         method=f"linearised, {state.stage}",
         cost=taken.cost,
-        sigma=float(state.spread[problem.active].mean()) if problem.active.any() else 0.0,
+        sigma=float(sampling_sd(state.shape)[problem.active].mean()) if problem.active.any() else 0.0,
         rollouts=found.rollouts + taken.rollouts,
         diverged=found.diverged + taken.diverged,
         theta=tuple(float(t) for t in problem.system.space.theta_of(taken.z)),

@@ -10,12 +10,16 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.trajectory import Window
 from amhe_cli.estimation import cma, search
-from amhe_cli.estimation.linearised import Information, Linearisation, information, linearise
+from amhe_cli.estimation.linearised import Information, Linearisation, information, linearise, objective
 from amhe_cli.estimation.posterior import Posterior, posterior
-from amhe_cli.estimation.problem import ROUGH, Problem, spread_floor
+from amhe_cli.estimation.problem import Problem, spread_floor
+from amhe_cli.estimation.shape import bounded, changed, diagonal, sampling_sd
 
 #: What a search ends with.
 Finding = search.State | cma.State
+
+#: Linearisations until the shape of the samples is that of the posterior, and the sd of the first [prior sd].
+TURNS, SMALL = 4, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -26,40 +30,55 @@ class Study:
     found: Information
     weight: FloatArray
     posterior: Posterior
-    spread: FloatArray
+    shape: FloatArray
     scale: Mapping[str, float]
+    z: FloatArray
+
+    def cost_beside(self, z: FloatArray) -> FloatArray:
+        """Mean cost of candidates z (p, d) near the estimate, first states fitted along, shape (p,)."""
+        cost = self.slopes.cost
+        first = self.found.first(z - self.z)
+        residuals = cost.residuals(z, first if first.shape[2] else None)
+        counted = (self.weight > 0.0).astype(float)
+        total = objective(cost, residuals, first, (1.0,) * len(self.found.times), counted)
+        return total / max(float((counted * cost.clips.counts).sum()), 1.0)
 
 
 def study_of(problem: Problem, finding: Finding) -> Study:
-    """Linearise at the estimate: to learn the noise and how rough the cost is, then at a step that suits."""
+    """Linearise at the estimate, in the shape of the posterior, which the linearisation itself gives."""
+    prior = problem.system.space.prior_precision
     coverage = problem.coverage(problem.tiles)
-    spread = spread_floor(problem, np.inf) * problem.active
-    slopes = _linearised(problem, finding, finding.scale, spread, 0)
-    found = information(slopes)
-    if slopes.roughness <= ROUGH:
-        sd = posterior(finding.z, found, search.clip_weights(slopes.cost, found) * coverage).sd
-        spread = np.clip(2.0 * sd, spread_floor(problem, slopes.roughness), spread) * problem.active
-    scale = search.noise_scale(slopes.cost, found, finding.scale)
-    slopes = _linearised(problem, finding, scale, spread, 1)
-    found = information(slopes)
-    weight = search.clip_weights(slopes.cost, found) * coverage
-    return Study(slopes, found, weight, posterior(finding.z, found, weight), spread, scale)
+    floor = spread_floor(problem)
+    shape = finding.shape if isinstance(finding, search.State) else diagonal(SMALL, problem.active)
+    scale = finding.scale
+    for turn in range(TURNS):
+        slopes = _linearised(problem, finding, scale, shape, turn)
+        found = information(slopes)
+        weight = search.clip_weights(slopes.cost, found) * coverage
+        study = Study(
+            slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z
+        )
+        wanted = bounded(4.0 * study.posterior.covariance, floor, problem.active)
+        if turn > 0 and not changed(sampling_sd(shape), sampling_sd(wanted)):
+            break
+        shape, scale = wanted, search.noise_scale(slopes.cost, found, scale)
+    return study
 
 
 def step_ratio(problem: Problem, finding: Finding, study: Study) -> FloatArray:
-    """Sqrt of each parameter's information at a doubled step over that at the step, shape (d,)."""
-    doubled = information(_linearised(problem, finding, study.scale, 2.0 * study.spread, 2))
-    data = np.einsum("c,cii->i", study.weight, study.found.matrix)
-    return np.sqrt(np.einsum("c,cii->i", study.weight, doubled.matrix) / np.where(data > 0.0, data, np.nan))
+    """Posterior sd at the step over that at a doubled step, shape (d,): 1 where the model is linear."""
+    found = information(_linearised(problem, finding, study.scale, 2.0 * study.shape, TURNS))
+    doubled = posterior(finding.z, found, study.weight, problem.system.space.prior_precision)
+    return np.where(problem.active, study.posterior.sd / doubled.sd, np.nan)
 
 
 def _linearised(
-    problem: Problem, finding: Finding, scale: Mapping[str, float], spread: FloatArray, place: int
+    problem: Problem, finding: Finding, scale: Mapping[str, float], shape: FloatArray, place: int
 ) -> Linearisation:
     cost = problem.cost(problem.tiles, scale)
     first = np.zeros((len(problem.tiles), cost.nx if problem.settings.identify.first_state else 0))
     samples = problem.settings.identify.samples
-    return linearise(cost, finding.z, first, spread, samples, problem.rng(3, place))
+    return linearise(cost, finding.z, first, shape, samples, problem.rng(3, place))
 
 
 def thinned(problem: Problem, rows: IntArray) -> tuple[Window, ...]:

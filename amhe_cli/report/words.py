@@ -100,7 +100,7 @@ def known_together(result: Identification) -> list[Combination]:
     relative = {p.name: p.sd / abs(p.estimate) for p in result.parameters if p.estimate}
 
     def parts(combination: Combination) -> Iterator[float]:
-        for factor in combination.text.split(" * "):
+        for factor in combination.text.replace(" / ", " * ").split(" * "):
             yield relative.get(factor.partition("^")[0], math.inf)
 
     return sorted((c for c in result.combinations if c.sd < min(parts(c))), key=lambda c: c.sd)

@@ -1,5 +1,7 @@
 """SPI recovers the truth, says what it cannot know, and can be cut short and resumed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -204,3 +206,39 @@ def test_ctrl_c_while_concluding_still_gives_a_result(pendulum, swing, monkeypat
     assert result.interrupted
     assert "checks are not complete" in caplog.text
     assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.05)
+
+
+def test_a_model_that_does_not_explain_the_log_is_told(pendulum, swing, caplog):
+    """Commands that act 40 ms late, which the model does not know of: no number is called identified."""
+    log = swing(5.0)
+    command = log["command.position"]
+    late = Series(np.roll(command.values, -20, axis=0), command.valid, command.sampled, command.columns)
+    moved = Trajectory(log.dt, {**log.series, "command.position": late}, "late")
+    result = identify(pendulum, [moved], None, IdentifyOptions())
+    assert "the model misses joints.position by" in caplog.text
+    assert "identified" not in {p.verdict for p in result.parameters}
+
+
+def test_a_search_cut_short_says_so_and_widens(pendulum, swing, caplog):
+    short = replace(
+        pendulum,
+        settings=pendulum.settings.model_copy(
+            update={"identify": pendulum.settings.identify.model_copy(update={"iterations": 1})}
+        ),
+    )
+    result = identify(short, [swing(4.0)], None, IdentifyOptions())
+    assert "stopped before it settled" in caplog.text
+    for parameter, truth in zip(result.parameters, TRUTH, strict=True):
+        assert abs(parameter.estimate - truth) < 4.0 * parameter.sd
+
+
+def test_a_rescue_gives_back_nothing_worse(pendulum, swing):
+    """CMA-ES called after a finished search starts from what that found, and is cut short at once."""
+    from amhe_cli.estimation import cma, search
+    from amhe_cli.estimation.identification import _pose
+
+    problem, _ = _pose(pendulum, [swing(3.0)], None, IdentifyOptions())
+    z = pendulum.space.z_of(TRUTH)
+    after = replace(search.start(problem), z=z)
+    state = cma.advance(problem, cma.start(problem, 2, after))
+    np.testing.assert_array_equal(state.z, z)

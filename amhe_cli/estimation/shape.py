@@ -1,0 +1,60 @@
+"""The shape in which candidates are sampled: along the valleys of the posterior, not along the axes.
+
+A shape is a matrix S, (d, d); samples are z + S w with w of unit variance. Where parameters are known only
+together (mass and friction of a pushed box) their posterior is a thin ridge. Samples drawn along the axes
+leave it by hundreds of its widths, and the bend of the residuals there would count as information along it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+
+#: Widest sampling sd along any direction, in prior sd.
+WIDEST = 0.5
+
+
+def diagonal(sd: float, active: BoolArray) -> FloatArray:
+    """The same sd for every active parameter, shape (d, d)."""
+    return np.diag(np.where(active, sd, 0.0))
+
+
+def adapted(covariance: FloatArray, before: FloatArray, floor: FloatArray, active: BoolArray) -> FloatArray:
+    """Shape of two posterior sd, with a fading memory of the one before.
+
+    Args:
+        covariance: Posterior covariance of z, shape (d, d).
+        before: The shape before; its directions fade by 0.6 a time.
+        floor: Smallest sampling sd of each parameter, shape (d,).
+        active: Parameters that are sampled at all, shape (d,).
+    """
+    return bounded(4.0 * covariance + 0.36 * before @ before.T, floor, active)
+
+
+def bounded(covariance: FloatArray, floor: FloatArray, active: BoolArray) -> FloatArray:
+    """Shape of a sampling covariance, no direction thinner than the floor or wider than WIDEST."""
+    rows = np.flatnonzero(active)
+    scale = floor[rows]
+    block = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
+    values, vectors = np.linalg.eigh(block)
+    part = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1.0))  # floor: one, in units of itself
+    part = part * np.minimum(1.0, WIDEST / np.linalg.norm(part, axis=0))
+    shape = np.zeros_like(covariance)
+    shape[np.ix_(rows, rows)] = part
+    return shape
+
+
+def coordinates(shape: FloatArray, steps: FloatArray) -> FloatArray:
+    """The w of steps S w, shape (n, d); 0 along directions that are not sampled."""
+    return steps @ np.linalg.pinv(shape, rcond=1e-9).T
+
+
+def changed(before: FloatArray, after: FloatArray) -> bool:
+    """Whether any sampling sd (d,) has changed by more than a quarter."""
+    return bool((np.abs(after - before) > 0.25 * after).any())
+
+
+def sampling_sd(shape: FloatArray) -> FloatArray:
+    """Sampling sd of each parameter, shape (d,)."""
+    return np.sqrt((shape**2).sum(axis=1))
