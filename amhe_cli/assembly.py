@@ -116,9 +116,22 @@ def identify_problem(
             raise ConfigError(f"{path}: is both fitted and held out; validation needs a log of its own")
     loaded = open_system(system, source, assignments, config)
     prior = read_belief(belief, loaded) if belief else None
-    training = trajectories(loaded, source)
+    try:
+        training = trajectories(loaded, source)
+    except LogError as error:
+        if system or any(read_metadata(path).get("system") for path in source.paths):
+            raise
+        raise LogError(f"{error}. {_unnamed(source.paths)}") from None
     validation = trajectories(loaded, replace(source, paths=tuple(held_out), start=None, end=None))
     return IdentifyProblem(loaded, training, validation or None, prior, _truth(training))
+
+
+def _unnamed(logs: Sequence[Path]) -> str:
+    known = ", ".join(bundled_systems())
+    return (
+        f"{_listed(logs)} does not say which system it is about, and was taken for {DEFAULT_SYSTEM}: name one "
+        f"with --system NAME|DIR (bundled: {known}), or describe your own: amhe init MODEL.xml LOG -o my_system/"
+    )
 
 
 def _truth(logs: Sequence[Trajectory]) -> dict[str, float]:
@@ -152,13 +165,7 @@ def system_of(logs: Sequence[Path]) -> str:
         )
     if names:
         return names[0]
-    known = bundled_systems()
-    if DEFAULT_SYSTEM in known:
-        return DEFAULT_SYSTEM
-    raise ConfigError(
-        f"{_listed(logs)} does not say which system it is about; name one with --system NAME|DIR "
-        f"(bundled: {', '.join(known)}), or describe your own: amhe init MODEL.xml LOG -o my_system/"
-    )
+    return DEFAULT_SYSTEM
 
 
 def inspections(source: LogSource, system: str | None) -> list[Inspection]:
