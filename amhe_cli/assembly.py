@@ -129,8 +129,9 @@ def identify_problem(
 def _unnamed(logs: Sequence[Path]) -> str:
     known = ", ".join(bundled_systems())
     return (
-        f"{_listed(logs)} does not say which system it is about, and was taken for {DEFAULT_SYSTEM}: name one "
-        f"with --system NAME|DIR (bundled: {known}), or describe your own: amhe init MODEL.xml LOG -o my_system/"
+        f"{_listed(logs)} does not say which system it is about, and was taken for {DEFAULT_SYSTEM}: "
+        f"name one with --system NAME|DIR (bundled: {known}), or describe your own: "
+        f"amhe init MODEL.xml LOG -o my_system/"
     )
 
 

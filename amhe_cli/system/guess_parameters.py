@@ -19,6 +19,8 @@ _OWN_PARAMETERS = 3
 _KNOWN, _UNKNOWN = (0.5, 10.0), (1.0, 100.0)
 #: More ends of chains than this are feet, not tools: their masses are known.
 _TOOLS = 2
+#: Prior sd (log scale) of the gains that a model file gives its actuators.
+GAIN_SD = 0.1
 #: Prior sd (log scale) of a servo's gains that nobody has measured: a factor of 4.5 either way at one sd.
 _GUESSED_GAIN = 1.5
 #: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and no model says so.
@@ -32,10 +34,8 @@ _KINDS = (
 )
 
 
-def guess_parameters(
-    model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool
-) -> tuple[list[Guess], list[Guess]]:
-    """Parameters to start with, and others that a user may want in their place.
+def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool) -> list[Guess]:
+    """Parameters to start with.
 
     Args:
         model: The model.
@@ -47,16 +47,13 @@ def guess_parameters(
     joints = [j for j in dict.fromkeys(joint_of(model, name) for name in moved) if j and j in measured]
     joints = joints or sorted(measured)
     gains = [*_guessed_gains(model, moved)] if guessed_gains else []
-    return (
-        [
-            *_joint_parameters(model, joints),
-            *_masses(model, joints, signals),
-            *_frictions(model, signals),
-            *gains,
-            *(_delay() if moved else ()),
-        ],
-        [] if gains else _gain(moved),
-    )
+    return [
+        *_joint_parameters(model, joints),
+        *_masses(model, joints, signals),
+        *_frictions(model, signals),
+        *(gains or _gain(moved)),
+        *(_delay() if moved else ()),
+    ]
 
 
 def _joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[Guess]:
@@ -144,8 +141,11 @@ def _gain(actuators: Sequence[str]) -> list[Guess]:
     if not actuators:
         return []
     targets = [{"actuator": name, "set": "gain", "mode": "scale"} for name in actuators]
-    entry = _entry(1.0, False, targets, 0.2) | {"unit": "-"}
-    why = "of all actuators; gain and masses together are only known up to a factor: fix one of them"
+    entry = _entry(1.0, False, targets, GAIN_SD) | {"unit": "-"}
+    why = (
+        "of all actuators: the scale that every mass and torque is measured by, and known only as well as "
+        "its prior; delete it if the gains were measured"
+    )
     return [Guess("gain_scale", entry, why)]
 
 

@@ -65,7 +65,7 @@ def init_system(
         notes += add_servos(spec, model, topics)
         model = compiled(spec)
     guesses = guess_signals(model, topics)
-    parameters, others = guess_parameters(model, guesses, guessed_gains=added)
+    parameters = guess_parameters(model, guesses, guessed_gains=added)
     _refuse_nothing(model, topics, guesses, parameters)
     notes += notes_on(model, topics, guesses)
     skeletons = _skeletons(model, topics, guesses)
@@ -74,9 +74,9 @@ def init_system(
         folder = Path(scratch)
         name = copy_model(spec, model_path, folder, rewrite=urdf)
         head = (name, model_path.name, [str(log) for log in logs])
-        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, others, notes, skeletons))
+        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
         heard = _listen(folder, logs[0], guesses, topics, msg_path)
-        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, others, notes, skeletons))
+        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
         load_system(folder, warn=False)  # what is written is valid, or it is not written
         for file in sorted(path for path in folder.rglob("*") if path.is_file()):
             place = out / file.relative_to(folder)

@@ -19,7 +19,6 @@ def system_text(
     logs: Sequence[str],
     guesses: Sequence[Guess],
     parameters: Sequence[Guess],
-    others: Sequence[Guess],
     notes: Sequence[str],
     skeletons: Sequence[Sequence[str]] = (),
 ) -> str:
@@ -31,7 +30,6 @@ def system_text(
         logs: Logs that the guesses are from.
         guesses: Signals.
         parameters: Parameters, and
-        others: more that are written as comments.
         notes: What a user should know of.
         skeletons: Signals to complete by hand, as lines; written as comments.
     """
@@ -46,7 +44,6 @@ def system_text(
         "# standard deviation of log(value) with scale: log (0.5 is a factor of 1.65), else of the value.",
         "parameters:",
         *(line for guess in parameters for line in _parameter(guess)),
-        *(f"  # {line.removeprefix('  ')}" for guess in others for line in _parameter(guess)),
         "",
         "# noise: standard deviation of the measurement [SI]; null: it sets the state and is not compared.",
         "signals:",

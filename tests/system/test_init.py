@@ -87,6 +87,7 @@ def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) ->
         "trunk_mass",
         "crate_mass",
         "friction",
+        "gain_scale",
         "command_delay",
     }
     edited = system.edits.apply(system.model, system.space.nominal * 1.5)
@@ -108,9 +109,12 @@ def test_noise_is_heard_in_the_log(tmp_path: Path, walker_log: Path) -> None:
     assert noise["crate.linear_velocity"] is None  # a pose has none: differentiated, sets the state only
 
 
-def test_servo_gain_is_offered_and_not_taken(tmp_path: Path, walker_log: Path) -> None:
-    _, text, _ = made(tmp_path, walker(), [walker_log])
-    assert "  # gain_scale:" in text
+def test_servo_gain_is_known_only_so_well(tmp_path: Path, walker_log: Path) -> None:
+    """Masses and torques are measured by it: taken for exact, it would make them look exact."""
+    system, text, _ = made(tmp_path, walker(), [walker_log])
+    gain = system.space.parameters[system.space.names.index("gain_scale")]
+    assert gain.prior_sd == 0.1
+    assert "delete it if the gains were measured" in text
 
 
 def test_an_array_command_and_a_frame_of_tf(tmp_path: Path) -> None:
@@ -267,7 +271,7 @@ def test_the_bundled_pendulum_is_found_again(system: str, log: str, tmp_path: Pa
         pytest.skip(f"{log} has not been made yet")
     init_system(root / "models" / system / "scene.xml", [root / log], tmp_path / "out")
     own, bundled = load_system(tmp_path / "out"), load_system(root / "models" / system)
-    assert set(own.space.names) == {*bundled.space.names, "command_delay"}
+    assert set(own.space.names) == {*bundled.space.names, "gain_scale", "command_delay"}
     assert [signal.topic for signal in own.signals] == [signal.topic for signal in bundled.signals]
 
 
