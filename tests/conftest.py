@@ -1,5 +1,6 @@
 """What several rooms' tests share: a small log of a pendulum whose parameters are known."""
 
+import signal
 from pathlib import Path
 
 import mujoco
@@ -7,6 +8,10 @@ import numpy as np
 import pytest
 
 from amhe_cli.logs import LogWriter
+
+# A job in the background of a shell is started with SIGINT ignored, and hands that on to what it starts:
+# tests of Ctrl-C need the usual state.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 MODELS = Path(__file__).parents[1] / "models"
 
