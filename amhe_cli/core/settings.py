@@ -30,7 +30,8 @@ class LogSettings(_Group):
     """How topics become a trajectory."""
 
     stamp: Literal["auto", "header", "publish", "log"] = "auto"
-    """Which clock to trust; auto takes header stamps where they are set and monotone."""
+    """Which clock to trust; auto takes header stamps where they are set and monotone, and the recorder's for
+    all topics where one header clock steps against it."""
     max_gap: _Positive = 0.2
     """Longest silence [s] of a topic that is interpolated; a longer one is a gap, never bridged. A topic
     slower than this is allowed five of its own median periods."""
