@@ -160,7 +160,7 @@ def _reshaped(
     floor = spread_floor(problem)
     if taken.far:
         return bounded(4.0 * state.shape @ state.shape.T, floor, problem.active)
-    known = np.einsum("cij->ij", straight.matrix) * problem.coverage(windows)
+    known = straight.matrix.sum(axis=0) * problem.coverage(windows)
     covariance = np.linalg.inv(known + problem.system.space.prior_precision)
     return adapted(covariance, state.shape, floor, problem.active)
 
