@@ -52,10 +52,8 @@ def _tangent(system: System, channel: Channel) -> list[int]:
 def _error(channel: Channel, system: System, trajectory: Trajectory) -> float:
     """Error sd of a state channel: as declared, else judged by the series itself."""
     series = trajectory[channel.key]
-    if not (channel.source == "qvel" and series.derived):
-        return channel.noise or white_noise_sd(series.values[_rows(series)])
     below = next((c for c in system.channels if c.key == _integral(channel.key)), None)
-    if below is None:
+    if below is None or not (channel.source == "qvel" and series.derived):
         return channel.noise or white_noise_sd(series.values[_rows(series)])
     return max(channel.noise or 0.0, _slope_error(series, trajectory, below))
 

@@ -99,11 +99,6 @@ class ClipPool:
                     clips.append(clip)
         return clips
 
-    @property
-    def duration(self) -> float:
-        """Time in all stretches [s]."""
-        return sum((s.stop - s.start) * s.trajectory.dt for s in self.stretches)
-
     def _steps(self, seconds: float, stretch: Stretch) -> int:
         return min(max(1, round(seconds / stretch.trajectory.dt)), stretch.stop - stretch.start)
 

@@ -120,8 +120,7 @@ def systematic(
     as random-effects models do. So is the step that an unfinished search has left to go.
     """
     contradicted = np.zeros(len(found.step))
-    sd = np.sqrt(np.diag(found.covariance))
-    for difference, chance in (*disagreements.values(), *((shift, sd) for shift in shifts.values())):
+    for difference, chance in (*disagreements.values(), *((shift, found.sd) for shift in shifts.values())):
         beyond = np.maximum(difference**2 - (SURPRISE * chance) ** 2, 0.0)
         contradicted = np.maximum(contradicted, 0.25 * beyond)
     return contradicted + found.step**2

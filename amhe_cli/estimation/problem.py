@@ -59,14 +59,16 @@ class Problem:
         return np.random.default_rng([self.seed, *place])
 
     @cached_property
+    def _all_tiles(self) -> Sequence[Window]:
+        """Every usable tile; the pool counts what it drops, so it is asked once."""
+        low, high = self.settings.clips.length
+        return self.only or self.pool.tiles(0.5 * (low + high))
+
+    @cached_property
     def tiles(self) -> tuple[Window, ...]:
         """The fitted logs cut into clips, each instant used once; thinned evenly where there are many."""
-        if self.only:
-            return self.only
-        low, high = self.settings.clips.length
-        tiles = self.pool.tiles(0.5 * (low + high))
-        most = 4 * self.settings.clips.count
-        if len(tiles) > most:
+        tiles, most = self._all_tiles, 4 * self.settings.clips.count
+        if len(tiles) > most and not self.only:
             tiles = [tiles[i] for i in np.linspace(0, len(tiles) - 1, most).round().astype(int)]
         return tuple(tiles)
 
@@ -82,8 +84,7 @@ class Problem:
     @cached_property
     def moving_time(self) -> float:
         """Time of the fitted logs that clips can use [s]."""
-        low, high = self.settings.clips.length
-        return sum(w.duration for w in self.only or self.pool.tiles(0.5 * (low + high)))
+        return sum(w.duration for w in self._all_tiles)
 
     @cached_property
     def active(self) -> BoolArray:
