@@ -58,7 +58,7 @@ class Track:
         """Correct by a value (k,), measured now or a little while ago."""
         age = max(self.time - time, 0.0)
         with_value, with_rate = self.vv - age * self.vr, self.vr - age * self.rr
-        surprise = value - self.value + age * self.rate
+        surprise = value - (self.value if age == 0.0 else self.at(time))
         self._correct(surprise, with_value, with_rate, with_value - age * with_rate + sd**2)
 
     def see_rate(self, rate: FloatArray, sd: float) -> None:

@@ -93,10 +93,10 @@ class Gyro:
         steps = 0.5 * (rates[1:] + rates[:-1]) * (times[1:] - times[:-1])
         self._times = times[:, 0].tolist()
         self._angles = np.cumsum(np.vstack((np.zeros(3), steps)), axis=0)
-        self.last = rates[-1] if len(rates) else np.zeros(3)
+        self.until, self.last = (self._times[-1], rates[-1]) if len(rates) else (-np.inf, np.zeros(3))
 
     def turned(self, start: float, end: float) -> FloatArray:
-        """Rotation vector [rad] from one time [s] to another, shape (3,); zero before two samples."""
+        """Rotation vector [rad] from one time [s] to a later one, shape (3,); zero before two samples."""
         if len(self._times) < 2 or start >= end:
             return np.zeros(3)
         return self._angle(end) - self._angle(start)

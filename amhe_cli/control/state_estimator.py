@@ -22,6 +22,8 @@ from amhe_cli.go1.state import Body, Measurements, State
 
 #: Poses that come later than this are left out; joints are not extrapolated any further than that [s].
 _OLDEST, _HOLD = 0.1, 0.02
+#: What the trunk may turn unseen while the gyro is silent [rad/sqrt(s)]: a stride's rocking.
+_BLIND = 0.1
 #: Before the first correction, sd of velocities [m/s], of angular velocities and the gyro's offset [rad/s],
 #: and of the trunk's angular acceleration [rad/s^2].
 _FIRST_SPEED, _FIRST_TURN, _FIRST_OFFSET, _FIRST_SPIN_UP = 0.5, 0.5, 0.02, 5.0
@@ -158,8 +160,9 @@ class StateEstimator:
         gyro = Gyro(samples)
         events = (*seen, *feet(samples, turn.error.rate, turn.matrix()[2]))
         for event in sorted(events, key=lambda event: event.time):
+            turn.error.walk = noise.trunk_turn if event.time <= gyro.until + _HOLD else _BLIND
             place.advance(event.time)
-            turn.advance(event.time, gyro.turned(turn.time, event.time))
+            turn.advance(event.time, gyro.turned(turn.time, min(event.time, gyro.until + _HOLD)))
             if isinstance(event, Pose):
                 self._see_pose(self._trunk, event, gyro.last)
             else:
