@@ -20,8 +20,10 @@ FLOORS = (
     "matching",
     "estimation",
     "control",
+    "live",
     "report",
     "assembly",
+    "run_assembly",
     "cli",
 )
 

@@ -85,6 +85,39 @@ class IdentifySettings(_Group):
     """Points of each parameter's cost profile; 0 draws none."""
 
 
+class ControlSettings(_Group):
+    """MPOPI, the sampling-based MPC of `amhe run`. Each default was measured: docs/notes/control.md."""
+
+    period: _Positive = 0.02
+    """Control period [s]."""
+    substeps: Annotated[int, Field(ge=1)] = 2
+    """Steps of the planner's model in one period."""
+    horizon: Annotated[int, Field(ge=2)] = 16
+    """Steps H that a plan looks ahead."""
+    samples: Annotated[int, Field(ge=4)] = 10
+    """Rollouts N of one control cycle."""
+    knots: Annotated[int, Field(ge=2)] = 4
+    """Knots K of the cubic spline of joint targets over the horizon."""
+    loops: Annotated[int, Field(ge=1)] = 2
+    """Refinement loops L (the paper's L_MPOPI); they share the cycle's rollouts."""
+    refine: Literal["switch", "always", "never"] = "switch"
+    """When to refine: at switches of the gait's contacts (the paper, Algorithm 1), in every cycle, never."""
+    elites: _Share = 0.3
+    """Share of the samples that refine the distribution."""
+    learning_rate: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """How far one loop moves the variance."""
+    sigma_range: _Range = (0.25, 1.5)
+    """Bounds of the refined sigma, as multiples of its start."""
+    temperature: _Positive = 0.1
+    """Of MPPI's weights, in units of (median - least) cost: the same for cheap and dear situations."""
+    sigma_hip: _Positive = 0.02
+    """Noise of the hips' knots [rad]."""
+    sigma_thigh: _Positive = 0.04
+    """Noise of the thighs' knots [rad]."""
+    sigma_calf: _Positive = 0.04
+    """Noise of the calves' knots [rad]."""
+
+
 class Settings(_Group):
     """All settings."""
 
@@ -92,3 +125,4 @@ class Settings(_Group):
     clips: ClipSettings = ClipSettings()
     cost: CostSettings = CostSettings()
     identify: IdentifySettings = IdentifySettings()
+    control: ControlSettings = ControlSettings()

@@ -38,6 +38,12 @@ def trimmed_mean(values: FloatArray, trim: float) -> FloatArray:
     return values.mean(axis=-1)
 
 
+def log_rank_weights(count: int) -> FloatArray:
+    """Weights ln(count + 1/2) - ln(rank) of CMA-ES, best first, that sum to one, shape (count,)."""
+    weights = np.log(count + 0.5) - np.log(np.arange(1, count + 1))
+    return weights / weights.sum()
+
+
 def white_noise_sd(values: FloatArray) -> float:
     """Noise sd of a smooth signal sampled in rows (n, k), from its third differences.
 

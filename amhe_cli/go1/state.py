@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -99,3 +99,14 @@ def coordinates(at: Layout, state: State) -> tuple[FloatArray, FloatArray]:
 
 def _body(pose: FloatArray, twist: FloatArray) -> Body:
     return Body(np.array(pose[:3]), np.array(pose[3:]), np.array(twist[:3]), np.array(twist[3:]))
+
+
+def merged(parts: list[Measurements]) -> Measurements:
+    """Measurements one after the other as one."""
+    if len(parts) == 1:
+        return parts[0]
+    arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in _SAMPLED)
+    return Measurements(parts[-1].time, *arrays)
+
+
+_SAMPLED = tuple(field.name for field in fields(Measurements))[1:]

@@ -139,6 +139,10 @@ class ModelEdits:
         self._moments = tuple(dict.fromkeys(c.row for c in single))
         self._base = [(c, np.array(getattr(model, c.field)[c.index[1:]])) for c in self.cells]
 
+    def upon(self, model: mujoco.MjModel) -> ModelEdits:
+        """The same edits upon another model of the same layout: another box in the same scene."""
+        return ModelEdits(model, self.space, self._edits, self.delay_column)
+
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
         """Each parameter that sets plain numbers, with all of them."""
         reached: dict[int, tuple[Cells, ...]] = {}

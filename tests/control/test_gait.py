@@ -154,7 +154,7 @@ def test_in_place_and_standing_hold_their_place(plant: mujoco.MjModel) -> None:
         assert motion.tilt.max() < np.radians(3.0)
 
 
-@pytest.mark.parametrize("timestep", [0.004, 0.01, 0.02])
+@pytest.mark.parametrize("timestep", [0.004, 0.01])
 def test_the_planner_sees_the_same_walk(timestep: float) -> None:
     motion = play(planner_model(FAR, timestep=timestep), lambda t: walk(GAIT, t, AHEAD), 2.0)
     assert (motion.trunk[-1, 0] - motion.trunk[0, 0]) / 2.0 == pytest.approx(0.2, abs=0.04)

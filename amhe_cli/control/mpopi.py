@@ -1,0 +1,179 @@
+"""MPOPI: MPPI whose sampling distribution is refined as in CMA-ES (the paper's section III-C, Algorithm 1).
+
+A plan is a vector: K knots of a cubic spline for each of the joints, then a few channels that are held over
+the horizon. Its distribution is a diagonal Gaussian about a mean that moves with time. One step samples,
+rolls out, refines where asked, and moves the mean by MPPI's weights; what a rollout costs is the caller's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.control.splines import shift_matrix
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.settings import ControlSettings
+from amhe_cli.core.statistics import log_rank_weights
+
+JOINTS = 12
+#: A channel stays within this many of its start sigmas, whatever the samples like.
+_CHANNEL_RANGE = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scores:
+    """What rollouts cost.
+
+    Args:
+        cost: Shape (n,); infinite where a rollout diverged.
+        terms: The parts of it, each shape (n,).
+    """
+
+    cost: FloatArray
+    terms: Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """What one step of MPOPI did.
+
+    Args:
+        mean: The new mean, shape (d,).
+        rollouts, diverged: Counts over all loops.
+        effective_samples: 1 / sum of squared weights: 1 where one sample decides, n where none does.
+        best, average: Least cost, and mean of the finite ones, of the last loop.
+        terms: Parts of the least cost.
+    """
+
+    mean: FloatArray
+    rollouts: int
+    diverged: int
+    effective_samples: float
+    best: float
+    average: float
+    terms: dict[str, float]
+
+
+class Mpopi:
+    """The sampler; its state is the mean, the sigma and the best plan so far.
+
+    Args:
+        settings: Numbers of samples, loops and so on.
+        channel_sigma: Noise of the channels, shape (c,).
+        rng: The source of all samples.
+    """
+
+    def __init__(
+        self, settings: ControlSettings, channel_sigma: FloatArray, rng: np.random.Generator
+    ) -> None:
+        self._settings, self._rng = settings, rng
+        per_joint = np.tile([settings.sigma_hip, settings.sigma_thigh, settings.sigma_calf], 4)
+        self._start_sigma = np.concatenate((np.tile(per_joint, settings.knots), channel_sigma))
+        self._knot_numbers = settings.knots * JOINTS
+        self._shift = shift_matrix(settings.horizon, settings.knots, 1.0)
+        self.sigma = self._start_sigma.copy()
+        self.mean = np.zeros_like(self.sigma)
+        self._best: FloatArray | None = None
+
+    def split(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Knots (..., K, 12) and channels (..., c) of plans (..., d)."""
+        knots = x[..., : self._knot_numbers]
+        return knots.reshape(*x.shape[:-1], -1, JOINTS), x[..., self._knot_numbers :]
+
+    def step(self, evaluate: Callable[[FloatArray], Scores], refine: bool) -> Step:
+        """Move ahead by one period, sample, and update the mean.
+
+        Args:
+            evaluate: Scores of plans (n, d).
+            refine: Whether to spend the samples on several loops that adapt sigma.
+        """
+        self._move_ahead()
+        s = self._settings
+        loops = s.loops if refine else 1
+        rollouts = diverged = 0
+        for loop in range(loops):
+            x = self._candidates(max(4, s.samples // loops))
+            scores = evaluate(x)
+            rollouts += len(x)
+            diverged += int(np.isinf(scores.cost).sum())
+            if loop < loops - 1:
+                self._refine(x, scores.cost)
+        weights = mppi_weights(scores.cost, s.temperature)
+        if weights.any():
+            best = int(np.argmin(scores.cost))
+            self._best = x[best]
+            self.mean = self._limited(weights @ x)
+        finite = scores.cost[np.isfinite(scores.cost)]
+        best = int(np.argmin(scores.cost))
+        return Step(
+            mean=self.mean,
+            rollouts=rollouts,
+            diverged=diverged,
+            effective_samples=float(1.0 / (weights**2).sum()) if weights.any() else 0.0,
+            best=float(finite.min()) if finite.size else float("inf"),
+            average=float(finite.mean()) if finite.size else float("inf"),
+            terms={name: float(term[best]) for name, term in scores.terms.items()},
+        )
+
+    def _move_ahead(self) -> None:
+        self.mean = self._moved(self.mean)
+        if self._best is not None:
+            self._best = self._moved(self._best)
+
+    def _moved(self, x: FloatArray) -> FloatArray:
+        knots, channels = self.split(x)
+        return np.concatenate(((self._shift @ knots).ravel(), channels))
+
+    def _candidates(self, count: int) -> FloatArray:
+        """Plans (n, d): the mean itself, the previous best, the bare reference, noise about the mean.
+
+        Half of the noisy ones leave the joints alone: noise on twelve joints hides what a channel does.
+        """
+        noise = self._rng.standard_normal((count, self.sigma.size)) * self.sigma
+        noise[1::2, : self._knot_numbers] = 0.0
+        x = self.mean + noise
+        x[0] = self.mean
+        x[1] = self.mean if self._best is None else self._best
+        x[2] = 0.0
+        return self._limited(x)
+
+    def _limited(self, x: FloatArray) -> FloatArray:
+        limit = _CHANNEL_RANGE * self._start_sigma[self._knot_numbers :]
+        limited = np.array(x)
+        limited[..., self._knot_numbers :] = np.clip(x[..., self._knot_numbers :], -limit, limit)
+        return limited
+
+    def _refine(self, x: FloatArray, cost: FloatArray) -> None:
+        """Move mean and sigma towards the elites, by log-rank weights.
+
+        The variance is taken about the *old* mean (rank-mu update of CMA-ES): it does not collapse while
+        the mean still moves.
+        """
+        s = self._settings
+        order = np.argsort(cost)[: max(2, round(s.elites * len(x)))]
+        order = order[np.isfinite(cost[order])]
+        if order.size == 0:
+            return
+        weights = log_rank_weights(order.size)
+        variance = weights @ (x[order] - self.mean) ** 2
+        blended = (1.0 - s.learning_rate) * self.sigma**2 + s.learning_rate * variance
+        low, high = s.sigma_range
+        self.sigma = np.clip(np.sqrt(blended), low * self._start_sigma, high * self._start_sigma)
+        self.mean = self._limited(weights @ x[order])
+
+
+def mppi_weights(cost: FloatArray, temperature: float) -> FloatArray:
+    """Weights exp(-(cost - least) / (temperature (median - least))) that sum to one, shape (n,).
+
+    All zero where no cost is finite. The scale makes them indifferent to units and to a cost that all
+    samples share.
+    """
+    finite = np.isfinite(cost)
+    if not finite.any():
+        return np.zeros_like(cost)
+    excess = np.where(finite, cost - cost[finite].min(), np.inf)
+    scale = temperature * float(np.median(excess[finite])) + 1e-12
+    weights = np.exp(-excess / scale)
+    return weights / weights.sum()

@@ -1,0 +1,70 @@
+"""The path on which a box is to be pushed: a line or an arc, and where on it the box is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where points are with respect to a path; each shape (...).
+
+    Args:
+        progress: Along the path from its start [m]; beyond the ends too.
+        left: Distance from the path, positive to the left [m].
+        heading: Of the path there [rad].
+    """
+
+    progress: FloatArray
+    left: FloatArray
+    heading: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Path:
+    """A path of constant curvature.
+
+    Args:
+        start: First point [m].
+        heading: Direction at the start [rad].
+        length: [m].
+        curvature: 1 / radius, positive to the left [1/m]; 0 is a line.
+    """
+
+    start: tuple[float, float]
+    heading: float
+    length: float
+    curvature: float = 0.0
+
+    @property
+    def goal(self) -> FloatArray:
+        """Last point [m], shape (2,)."""
+        return self.points(np.array([self.length]))[0]
+
+    def points(self, progress: FloatArray) -> FloatArray:
+        """Points at distances from the start [m] (...), shape (..., 2)."""
+        turn = self.curvature * progress
+        # sin(x)/x and (1 - cos x)/x stay exact where the path is straight.
+        ahead = progress * np.sinc(turn / np.pi)
+        left = progress * np.sinc(0.5 * turn / np.pi) * np.sin(0.5 * turn)
+        c, s = np.cos(self.heading), np.sin(self.heading)
+        return np.stack((self.start[0] + c * ahead - s * left, self.start[1] + s * ahead + c * left), axis=-1)
+
+    def place(self, points: FloatArray) -> Place:
+        """Where points [m] (..., 2) are."""
+        dx, dy = points[..., 0] - self.start[0], points[..., 1] - self.start[1]
+        c, s = np.cos(self.heading), np.sin(self.heading)
+        ahead, left = c * dx + s * dy, c * dy - s * dx
+        if self.curvature == 0.0:
+            return Place(ahead, left, np.full_like(ahead, self.heading))
+        k = self.curvature
+        # Angle about the centre, cut where the path is not: opposite to its middle.
+        middle = 0.5 * k * self.length
+        angle = np.arctan2(k * ahead, 1.0 - k * left) - middle
+        turn = middle + np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
+        distance = np.hypot(ahead, left - 1.0 / k)
+        return Place(turn / k, np.sign(k) * (1.0 / abs(k) - distance), self.heading + turn)

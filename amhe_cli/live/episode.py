@@ -1,0 +1,104 @@
+"""The live loop: measure, estimate, plan, act; one `Cycle` after the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.control.behaviour import Behaviour
+from amhe_cli.control.controller import Controller, Plan
+from amhe_cli.control.state_estimator import StateEstimator
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.go1.state import Measurements, State
+from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.target import Target
+
+#: What is believed at a time [s]: parameters by name.
+BeliefSource = Callable[[float], dict[str, float]]
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cycle:
+    """All that happened in one control period.
+
+    Args:
+        measured: By the sensors, up to now.
+        estimate: State by the estimator.
+        played: Joint targets in force while it was planned, shape (12,).
+        plan: Made from it; takes effect one period later.
+        belief: Parameters that it was made with, by name.
+        truth: The true state now; None where nobody knows it.
+        parameters: The true parameters now, likewise.
+        plan_ms: Time that the cycle took to compute [ms].
+        misses: Periods without a new plan, so far.
+        over: The episode ends with this cycle.
+    """
+
+    measured: Measurements
+    estimate: State
+    played: FloatArray
+    plan: Plan
+    belief: dict[str, float]
+    truth: State | None
+    parameters: dict[str, float] | None
+    plan_ms: float
+    misses: int
+    over: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Episode:
+    """One run of a task on a target.
+
+    Args:
+        target: What is controlled.
+        behaviour: Of the task.
+        controller: That plans.
+        belief: What it believes.
+        judge: That says when it is over.
+        names: Of theta, in the order of the system.
+    """
+
+    target: Target
+    behaviour: Behaviour
+    controller: Controller
+    belief: BeliefSource
+    judge: Judge
+    names: tuple[str, ...]
+
+    def cycles(self) -> Iterator[Cycle]:
+        """Run to the end of the episode.
+
+        Raises:
+            SimulationError: The plant diverged.
+        """
+        estimator = StateEstimator()
+        plan: Plan | None = None
+        while True:
+            measured = self.target.exchange(plan)
+            begun = time.perf_counter()
+            estimate = estimator.update(measured, self.behaviour.standing(measured.robot_times))
+            played = self.target.in_force(estimate.time)
+            belief = self.belief(estimate.time)
+            plan = self.controller.plan(estimate, played, self._theta(belief), resistance(belief))
+            plan_ms = 1e3 * (time.perf_counter() - begun)
+            truth = self.target.truth
+            over = self.judge.watch(truth or estimate)
+            yield Cycle(
+                measured, estimate, played, plan, belief, truth, self.target.parameters,
+                plan_ms, self.target.misses, over,
+            )  # fmt: skip
+            if over:
+                return
+
+    def _theta(self, belief: dict[str, float]) -> FloatArray:
+        return np.array([belief[name] for name in self.names])
+
+
+def resistance(belief: dict[str, float]) -> float:
+    """Friction of the box on the floor, mu m g [N]."""
+    return belief["box_mass"] * belief["floor_friction"] * GRAVITY

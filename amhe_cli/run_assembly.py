@@ -1,0 +1,152 @@
+"""A task's name and options become an episode that is ready to run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.control.controller import Controller
+from amhe_cli.control.tasks import LONGEST, Task, find_task
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.go1.legs import HOME
+from amhe_cli.go1.model import SYSTEM, Box, home, layout, planner_model, plant_model
+from amhe_cli.go1.plant import Plant
+from amhe_cli.live.episode import BeliefSource, Episode
+from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.target import SimTarget
+from amhe_cli.report.belief_file import read_belief
+from amhe_cli.system import overrides
+from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
+
+MODES = ("true", "baseline", "stale")
+#: Start poses of robot and box differ by up to this, uniformly [m], [rad].
+_START_PLACE, _START_TURN = 0.03, float(np.deg2rad(3.0))
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the user asked `amhe run` for.
+
+    Args:
+        task: Name of the task.
+        mode: Whose belief: one of `MODES`.
+        belief: File of a belief that replaces the mode's fixed one.
+        seed: Of start poses, sensor noise and sampling.
+        threads: Of the rollouts; the outcome does not depend on it.
+        duration: The longest that it may take [s].
+        realtime: Keep pace with the wall clock.
+        plant: MJCF of another Go1.
+        assignments, config: Settings, as everywhere.
+    """
+
+    task: str
+    mode: str = "true"
+    belief: Path | None = None
+    seed: int = 0
+    threads: int = 1
+    duration: float = LONGEST
+    realtime: bool = False
+    plant: Path | None = None
+    assignments: Sequence[str] = ()
+    config: Path | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """An episode on a simulated target, and what it is about.
+
+    Args:
+        options: As given.
+        task: The task.
+        system: `go1_push` with the user's settings.
+        episode: Ready to run.
+        target: Of the episode.
+        plant: Behind the target; for pictures.
+        judge: Of the episode.
+        first_truth: The plant's parameters at the start, by name.
+        first_belief: What is believed at the start, by name.
+    """
+
+    options: RunOptions
+    task: Task
+    system: System
+    episode: Episode
+    target: SimTarget
+    plant: Plant
+    judge: Judge
+    first_truth: dict[str, float]
+    first_belief: dict[str, float]
+
+
+def open_run(options: RunOptions) -> Run:
+    """Set everything up.
+
+    Raises:
+        ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
+    """
+    task = find_task(options.task)
+    system = _system(options)
+    settings = system.settings.control
+    seeds = np.random.SeedSequence(options.seed).spawn(3)
+    start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
+    model = plant_model(_moved(task, start), robot=options.plant)
+    plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
+    target = SimTarget(plant, settings.period, HOME, options.realtime)
+    behaviour = task.behaviour()
+    planner = planner_model(task.box, timestep=settings.period / settings.substeps)
+    engine = CpuEngine(planner, system.edits.upon(planner), system.input_spec, options.threads, sensors=False)
+    controller = Controller(behaviour, engine, layout(planner), settings, samples)
+    judge = Judge(task, behaviour, settings.period, options.duration)
+    belief = _belief(options, task, system, plant)
+    episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
+    return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief(0.0))
+
+
+def _system(options: RunOptions) -> System:
+    settings = overrides.from_file(options.config) if options.config else {}
+    settings = overrides.merged(settings, overrides.from_environment(os.environ))
+    settings = overrides.merged(settings, overrides.parse_set(options.assignments))
+    return load_system(find_system(SYSTEM), settings, warn=False)
+
+
+def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> BeliefSource:
+    if options.mode not in MODES:
+        raise ConfigError(one_of("mode", options.mode, MODES))
+    if options.mode == "true":
+        if options.belief is not None:
+            raise ConfigError("--mode true believes the plant's own parameters; leave out --belief")
+        return lambda _: plant.parameters
+    fixed = {name: float(value) for name, value in zip(system.space.names, system.space.nominal, strict=True)}
+    if options.belief is not None:
+        read = read_belief(options.belief, system)
+        fixed |= dict(zip(read.names, map(float, read.estimate), strict=True))
+    elif options.mode == "stale":
+        if task.stale is None:
+            raise ConfigError(
+                f"task {task.name} has no stale belief; give one with --belief, or use --mode baseline"
+            )
+        fixed |= asdict(task.stale)
+    else:
+        fixed |= asdict(task.baseline)
+    return lambda _: fixed
+
+
+def _moved(task: Task, rng: np.random.Generator) -> Box:
+    x, y = np.array(task.box.position) + rng.uniform(-_START_PLACE, _START_PLACE, 2)
+    yaw = task.box.yaw + rng.uniform(-_START_TURN, _START_TURN)
+    return replace(task.box, position=(float(x), float(y)), yaw=float(yaw))
+
+
+def _start(qpos: FloatArray, trunk: slice, rng: np.random.Generator) -> FloatArray:
+    pose = qpos[trunk]
+    pose[:2] += rng.uniform(-_START_PLACE, _START_PLACE, 2)
+    pose[3:] = multiply(exp(np.array([0.0, 0.0, rng.uniform(-_START_TURN, _START_TURN)])), pose[3:])
+    return qpos
