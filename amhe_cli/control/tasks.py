@@ -116,7 +116,7 @@ TASKS = {
         ),
         Task(
             "hw1", "a load put into the basket", Box(mass=3.0, floor_friction=0.4), Path(_AHEAD, 0.0, 2.4),
-            12.0, (Change(mass=4.0, beyond_x=1.8),),
+            12.0, (Change(mass=4.0, beyond_x=1.8),), baseline=Believed(3.0, 0.4),
         ),
         Task(
             "hw2", "from concrete to turf", Box(mass=4.0, floor_friction=0.4), Path(_AHEAD, 0.0, 2.4), 12.0,
