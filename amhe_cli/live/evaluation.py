@@ -78,7 +78,7 @@ class Judge:
         self._charge(state)
         self._judge_speed(state, float(place.progress))
         self.fell = has_fallen(state)
-        self.arrived = self._has_arrived(state.time)
+        self.arrived = not self.fell and self._has_arrived(state.time)
         return self.fell or self.arrived or state.time >= self._longest - 1e-9
 
     def measures(self) -> Measures:
