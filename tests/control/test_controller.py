@@ -1,0 +1,176 @@
+"""One control cycle with rollouts that are made up: what is asked of the engine, and when it is refined."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from amhe_cli.control.behaviour import Behaviour
+from amhe_cli.control.controller import Controller, Plan
+from amhe_cli.control.objective import Reference
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.settings import ControlSettings
+from amhe_cli.engine.rollout import Rollouts
+from amhe_cli.go1.legs import HOME, LOWER, UPPER
+from amhe_cli.go1.model import home, layout, planner_model
+from amhe_cli.go1.state import Body, State, state_of
+
+MODEL = planner_model()
+AT = layout(MODEL)
+#: Six rollouts; refined in two loops they are eight, since a loop has four at least.
+SETTINGS = ControlSettings(samples=6, loops=2, horizon=5, knots=2, substeps=3, period=0.02)
+STATE = state_of(AT, 1.0, home(MODEL), np.zeros(MODEL.nv))
+THETA = np.array([3.0, 1.0, 0.4])
+
+
+class Asked(NamedTuple):
+    theta: FloatArray
+    qpos: FloatArray
+    inputs: FloatArray
+    lengths: IntArray
+
+
+@dataclass
+class Gliding:
+    """An engine in which the trunk glides a centimetre a step, and what starts beyond `wall` diverges."""
+
+    wall: float = np.inf
+    asked: list[Asked] = field(default_factory=list)
+
+    def rollout(
+        self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
+    ) -> Rollouts:
+        self.asked.append(Asked(theta.copy(), np.array(qpos), inputs.copy(), lengths))
+        count, steps = inputs.shape[:2]
+        out = np.tile(qpos, (count, steps, 1))
+        out[..., AT.trunk.start] += 0.01 * np.arange(1, steps + 1)
+        return Rollouts(out, np.tile(qvel, (count, steps, 1)), None, np.full(count, qpos[0] < self.wall))
+
+
+@dataclass
+class Still:
+    """A move: stand as at home; cost by the first channel alone, least at 0.5."""
+
+    reference: Reference
+    command: FloatArray
+    commands: FloatArray | None = None
+    times: FloatArray | None = None
+
+    def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
+        self.commands = commands
+        return np.tile(HOME, (len(commands), times.size, 1)) + commands[:, None, 1:2]
+
+    def terms(self, times: FloatArray, trunk: Body, box: Body, joints: FloatArray) -> dict[str, FloatArray]:
+        assert self.commands is not None
+        self.times = times
+        off = (self.commands[:, 0] - 0.5) ** 2
+        return {"off": np.tile(off[:, None], times.size)}
+
+
+class Standing:
+    """A behaviour whose feet switch where it is told so."""
+
+    channel_sigma = np.array([0.1, 0.01])
+    knot_weight = 0.0
+
+    def __init__(self, switch: float = np.inf, side: float = 0.0) -> None:
+        self.switch, self.side = switch, side
+        self.started: list[tuple[State, float]] = []
+        self.made: list[Still] = []
+
+    def switches(self, start: float, end: float) -> bool:
+        return start < self.switch <= end
+
+    def standing(self, times: FloatArray) -> BoolArray:
+        return np.ones((*times.shape, 4), dtype=bool)
+
+    def move(self, state: State, resistance: float) -> Still:
+        self.started.append((state, resistance))
+        reference = Reference(state.time, 0.0, np.zeros(2), 0.0, 0.0, 0.0)
+        self.made.append(Still(reference, np.array([0.3, self.side])))
+        return self.made[-1]
+
+    def running_cost(self, state: State) -> dict[str, float]:
+        raise AssertionError("the planner has no business with it")
+
+
+def controller(behaviour: Behaviour, engine: Gliding, **changes: object) -> Controller:
+    settings = SETTINGS.model_copy(update=changes)
+    return Controller(behaviour, engine, AT, settings, np.random.default_rng(0))
+
+
+def planned(by: Controller) -> Plan:
+    return by.plan(STATE, HOME + 0.1, THETA, 12.5)
+
+
+def test_it_plans_from_where_the_targets_in_force_will_have_led() -> None:
+    behaviour, engine = Standing(), Gliding()
+    plan = planned(controller(behaviour, engine, refine="never"))
+    ahead, planning = engine.asked
+    assert ahead.inputs.shape == (1, 3, 12)
+    np.testing.assert_array_equal(ahead.inputs[..., AT.servos], np.tile(HOME + 0.1, (1, 3, 1)))
+    (start, resistance), x = behaviour.started[0], STATE.trunk.position[0]
+    assert (start.time, resistance) == (pytest.approx(1.02), 12.5)
+    assert start.trunk.position[0] == pytest.approx(x + 0.03)
+    assert planning.qpos[AT.trunk.start] == pytest.approx(x + 0.03)
+    assert plan.start == pytest.approx(1.02)
+    assert plan.targets.shape == (5, 12)
+
+
+def test_rollouts_hold_each_target_for_a_period_under_the_belief() -> None:
+    behaviour, engine = Standing(side=0.02), Gliding()
+    planned(controller(behaviour, engine, refine="never"))
+    asked = engine.asked[1]
+    np.testing.assert_array_equal(asked.theta, np.tile(THETA, (6, 1)))
+    np.testing.assert_array_equal(asked.lengths, np.full(6, 15))
+    periods = asked.inputs.reshape(6, 5, 3, 12)
+    np.testing.assert_array_equal(periods, periods[:, :, :1].repeat(3, axis=2))
+    bare = asked.inputs[2][:, AT.servos]  # the plan without noise and channels
+    np.testing.assert_allclose(bare, np.tile(HOME + 0.02, (15, 1)))
+    assert behaviour.made[0].times is not None
+    np.testing.assert_allclose(behaviour.made[0].times, 1.02 + 0.02 * np.arange(1, 6))
+
+
+def test_targets_stay_within_the_joints_limits() -> None:
+    for side in (-9.0, 9.0):
+        engine = Gliding()
+        plan = planned(controller(Standing(side=side), engine, refine="never"))
+        inputs = engine.asked[1].inputs[..., AT.servos]
+        np.testing.assert_array_equal(inputs, np.broadcast_to(LOWER if side < 0 else UPPER, inputs.shape))
+        np.testing.assert_array_equal(plan.targets, np.tile(LOWER if side < 0 else UPPER, (5, 1)))
+
+
+@pytest.mark.parametrize(
+    ("refine", "switch", "loops"),
+    [
+        ("always", np.inf, 2),
+        ("never", 1.01, 1),
+        ("switch", 1.01, 2),
+        ("switch", 0.99, 1),
+        ("switch", 1.03, 1),
+    ],
+)
+def test_it_refines_always_never_or_where_a_foot_switches(refine: str, switch: float, loops: int) -> None:
+    """Within the period before the plan's start at 1.02 s."""
+    engine = Gliding()
+    plan = planned(controller(Standing(switch), engine, refine=refine))
+    assert [len(asked.inputs) for asked in engine.asked[1:]] == ([4, 4] if loops == 2 else [6])
+    assert plan.step is not None and plan.step.rollouts == (8 if loops == 2 else 6)
+
+
+def test_channels_move_the_command_to_where_it_costs_least() -> None:
+    by = controller(Standing(), Gliding(), refine="never")
+    for _ in range(60):
+        plan = planned(by)
+    assert plan.command is not None and plan.command[0] == pytest.approx(0.5, abs=0.05)
+
+
+def test_where_the_prediction_diverges_it_plans_from_now() -> None:
+    behaviour = Standing()
+    plan = planned(controller(behaviour, Gliding(wall=-1.0), refine="never"))
+    np.testing.assert_array_equal(behaviour.started[0][0].trunk.position, STATE.trunk.position)
+    assert plan.step is not None and plan.step.diverged == 6
+    np.testing.assert_allclose(plan.targets, np.tile(HOME, (5, 1)), err_msg="the bare reference")

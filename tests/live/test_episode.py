@@ -1,0 +1,184 @@
+"""A task run for a second: reproducible, blind to the truth, and of the right belief."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from amhe_cli.control import tasks
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.go1.changes import Change
+from amhe_cli.go1.legs import HOME
+from amhe_cli.go1.plant import Plant
+from amhe_cli.go1.state import State
+from amhe_cli.live.episode import Cycle, resistance
+from amhe_cli.run_assembly import Run, RunOptions, open_run
+
+PERIOD = 0.02
+
+
+def opened(task: str = "t1", duration: float = 0.2, **options: object) -> Run:
+    return open_run(RunOptions(task, duration=duration, **options))  # type: ignore[arg-type]
+
+
+def cycles_of(task: str = "t1", duration: float = 0.2, **options: object) -> list[Cycle]:
+    return list(opened(task, duration, **options).episode.cycles())
+
+
+def targets(cycles: list[Cycle]) -> np.ndarray:
+    return np.array([cycle.plan.targets for cycle in cycles])
+
+
+@pytest.fixture(scope="module")
+def second() -> list[Cycle]:
+    """The first second of T1."""
+    return cycles_of(duration=1.0, seed=3)
+
+
+def test_it_ends_in_time_and_has_not_fallen(second: list[Cycle]) -> None:
+    assert len(second) == 50
+    assert [cycle.over for cycle in second] == [False] * 49 + [True]
+    np.testing.assert_allclose([cycle.measured.time for cycle in second], PERIOD * np.arange(1, 51))
+    truth = second[-1].truth
+    assert truth is not None and truth.time == pytest.approx(1.0)
+    assert truth.trunk.position[2] > 0.2
+    assert truth.trunk.position[0] > second[0].truth.trunk.position[0] + 0.03, "it walks"
+    assert all(cycle.misses == 0 and cycle.plan_ms > 0.0 for cycle in second)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(threads: int, second: list[Cycle]) -> None:
+    again = cycles_of(duration=0.5, seed=3, threads=threads)
+    np.testing.assert_array_equal(targets(again), targets(second)[:25])
+    for a, b in zip(again, second, strict=False):
+        np.testing.assert_array_equal(a.measured.joints, b.measured.joints)
+        np.testing.assert_array_equal(a.truth.box.position, b.truth.box.position)
+
+
+def test_another_seed_starts_elsewhere_and_measures_and_samples_otherwise() -> None:
+    first, other = opened(seed=3), opened(seed=4)
+    for body in ("trunk", "box"):
+        a, b = getattr(first.plant.state, body), getattr(other.plant.state, body)
+        assert (a.position[:2] != b.position[:2]).all() and (a.orientation != b.orientation).any()
+    a, b = (next(run.episode.cycles()) for run in (first, other))
+    assert (a.measured.joints != b.measured.joints).all()
+    assert (a.plan.targets != b.plan.targets).any()
+
+
+def test_starts_differ_by_three_centimetres_and_three_degrees_at_most_and_nearly_so() -> None:
+    shifts, turns = [], []
+    for seed in range(12):
+        state = opened(seed=seed).plant.state
+        for body, place in ((state.trunk, [0.0, 0.0]), (state.box, [0.6, 0.0])):
+            shifts.append(body.position[:2] - place)
+            turns.append(2.0 * np.arctan2(body.orientation[3], body.orientation[0]))
+            np.testing.assert_allclose(body.orientation[1:3], 0.0, atol=1e-12)
+    limits = {"m": 0.03, "rad": np.radians(3.0)}
+    for values, limit in ((np.array(shifts), limits["m"]), (np.array(turns), limits["rad"])):
+        assert 0.8 * limit < np.abs(values).max() <= limit
+        assert values.std() == pytest.approx(limit / np.sqrt(3.0), rel=0.3)
+
+
+def test_modes_are_paired_by_the_seed() -> None:
+    """Another belief: the same start, the same noise; other plans."""
+    true, baseline = (cycles_of(seed=5, mode=mode) for mode in ("true", "baseline"))
+    np.testing.assert_array_equal(true[0].measured.joints, baseline[0].measured.joints)
+    np.testing.assert_array_equal(true[0].measured.box_position, baseline[0].measured.box_position)
+    assert (targets(true) != targets(baseline)).any()
+
+
+def test_plans_take_effect_one_period_after_what_they_were_made_from(second: list[Cycle]) -> None:
+    np.testing.assert_array_equal(second[0].played, HOME)
+    for before, cycle in pairwise(second):
+        assert cycle.plan.start == pytest.approx(cycle.measured.time + PERIOD)
+        np.testing.assert_array_equal(cycle.played, before.plan.targets[0])
+
+
+def test_the_controller_does_not_see_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Told a false truth, it plans the same: only the judge listens."""
+    honest = cycles_of(seed=1, mode="baseline")
+    true_state = Plant.state.fget
+
+    def false(plant: Plant) -> State:
+        state = true_state(plant)
+        turn = multiply(exp(np.array([0.0, 0.0, 0.4])), state.trunk.orientation)
+        trunk = replace(state.trunk, position=state.trunk.position + 0.2, orientation=turn)
+        box = replace(state.box, position=state.box.position - 0.3, velocity=state.box.velocity + 1.0)
+        return replace(state, trunk=trunk, box=box, joints=state.joints + 0.3)
+
+    monkeypatch.setattr(Plant, "state", property(false))
+    monkeypatch.setattr(Plant, "parameters", property(lambda plant: {"box_mass": 99.0}))
+    lied_to = cycles_of(seed=1, mode="baseline")
+    assert (honest[0].truth.trunk.position != lied_to[0].truth.trunk.position).all()
+    np.testing.assert_array_equal(targets(honest), targets(lied_to))
+
+
+def test_the_estimate_is_near_the_truth_but_not_the_truth(second: list[Cycle]) -> None:
+    errors = np.array(
+        [
+            np.concatenate(
+                (
+                    cycle.estimate.trunk.position - cycle.truth.trunk.position,
+                    cycle.estimate.box.position - cycle.truth.box.position,
+                )
+            )
+            for cycle in second[10:]
+        ]
+    )
+    assert (errors != 0.0).all()
+    assert 1e-4 < errors.std() < 5e-3
+
+
+def test_the_true_belief_switches_with_the_plant(monkeypatch: pytest.MonkeyPatch) -> None:
+    early = replace(tasks.TASKS["t3"], changes=(Change(mass=6.0, at_time=0.1),))
+    monkeypatch.setitem(tasks.TASKS, "t3", early)
+    run = opened("t3", seed=2)
+    cycles = list(run.episode.cycles())
+    assert [cycle.belief["box_mass"] for cycle in cycles] == pytest.approx([4.0] * 4 + [6.0] * 6)
+    assert all(cycle.belief == cycle.parameters for cycle in cycles)
+    assert run.first_truth == run.first_belief
+    assert run.first_truth["box_mass"] == pytest.approx(4.0)
+
+    fixed = cycles_of("t3", seed=2, mode="baseline")
+    assert {cycle.belief["box_mass"] for cycle in fixed} == {4.0}
+    assert fixed[-1].parameters["box_mass"] == pytest.approx(6.0)
+
+
+@pytest.mark.parametrize(
+    ("task", "mode", "mass", "friction"),
+    [
+        ("t1", "true", 4.0, 0.6), ("t1", "baseline", 2.0, 0.3), ("t3", "baseline", 4.0, 0.4),
+        ("t4", "stale", 2.0, 0.2), ("t5", "true", 3.0, 0.4), ("hw1", "baseline", 3.0, 0.4),
+        ("hw2", "baseline", 4.0, 0.6),
+    ],
+)  # fmt: skip
+def test_a_mode_s_belief(task: str, mode: str, mass: float, friction: float) -> None:
+    belief = {"box_mass": mass, "box_inertia_scale": 1.0, "floor_friction": friction}
+    run = opened(task, mode=mode)
+    assert run.first_belief == pytest.approx(belief)
+    assert tuple(run.first_belief) == run.episode.names == run.system.space.names
+    assert resistance(run.first_belief) == pytest.approx(mass * friction * 9.81)
+
+
+def test_what_cannot_be_run_is_refused() -> None:
+    with pytest.raises(ConfigError, match="task t1 has no stale belief"):
+        opened("t1", mode="stale")
+    with pytest.raises(ConfigError, match=r"no mode 'tru' \(did you mean 'true'\?\)"):
+        opened("t1", mode="tru")
+
+
+@pytest.mark.parametrize("task", ["t2", "t5"])
+def test_the_measures_are_of_the_true_states(task: str) -> None:
+    """J by hand from the recorded truth; the judge's own behaviour must not be disturbed by planning."""
+    run = opened(task, seed=1)
+    cycles = list(run.episode.cycles())
+    fresh = run.task.behaviour()
+    by_hand = sum(sum(fresh.running_cost(cycle.truth).values()) for cycle in cycles)
+    found = run.judge.measures()
+    assert found.cost == pytest.approx(by_hand)
+    box = cycles[-1].truth.box.position[:2]
+    assert found.goal_error_m == pytest.approx(float(np.hypot(*(box - run.task.path.goal))))
