@@ -17,7 +17,7 @@ This page is written by `make docs` from the commands' own help; a test holds th
 | exit code | meaning |
 |---|---|
 | 0 | done |
-| 1 | failed: the data were read, but the run came to no result |
+| 1 | failed: the data were read, but the run came to no result (of `run`: a fall, a task not done) |
 | 2 | usage or configuration; a path that does not exist |
 | 3 | with `--strict`: done, with a warning |
 | 4 | an input exists but cannot be read |

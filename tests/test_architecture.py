@@ -24,6 +24,7 @@ FLOORS = (
     "report",
     "assembly",
     "run_assembly",
+    "run_files",
     "cli",
 )
 

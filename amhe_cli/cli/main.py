@@ -19,6 +19,7 @@ from amhe_cli.cli import options
 from amhe_cli.cli.identify import identify
 from amhe_cli.cli.init import init
 from amhe_cli.cli.inspect import inspect
+from amhe_cli.cli.run import run as run_task
 from amhe_cli.cli.session import FAILED, INTERRUPTED, TERMINATED, UNREADABLE, USAGE, Session, Terminated
 
 
@@ -28,7 +29,7 @@ def amhe() -> None:
     """Physical parameters of robots and what they push, from their logs, with honest uncertainty."""
 
 
-for _command in (init, inspect, identify):
+for _command in (init, inspect, identify, run_task):
     amhe.add_command(_command)
 
 
@@ -69,7 +70,8 @@ def _failed(session: Session, error: Exception) -> int:
         return USAGE
     if isinstance(error, click.UsageError):
         session.command = error.ctx.command_path if error.ctx else session.command
-        session.say("error", f"{error.format_message().rstrip('.')} (see '{session.command} --help')")
+        text = " ".join(error.format_message().split())  # click lists choices over many lines
+        session.say("error", f"{text.rstrip('.')} (see '{session.command} --help')")
         return USAGE
     if isinstance(error, AmheError):
         session.say("error", str(error))

@@ -3,7 +3,8 @@
 common: --strict --json -q -v --no-color --version, on every command and before it
 where:  --system --topic --msg-path --from --to
 tuning: --set --config
-work:   --seed --threads --engine
+sampling: --seed --threads
+work:   those and --engine
 out:    -o --force
 """
 
@@ -148,7 +149,7 @@ tuning = _stack(
     click.option("--config", type=EXISTING_FILE, metavar="FILE", help="YAML file of settings; --set wins."),
 )
 
-work = _stack(
+sampling = _stack(
     click.option("--seed", type=WholeNumber(min=0), metavar="N", default=0, show_default=True),
     click.option(
         "--threads",
@@ -158,6 +159,10 @@ work = _stack(
         show_default="all cores",
         help="Results depend on the seed, never on this.",
     ),
+)
+
+work = _stack(
+    sampling,
     click.option(
         "--engine",
         type=click.Choice(["cpu", "gpu", "auto"]),

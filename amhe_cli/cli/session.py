@@ -33,6 +33,7 @@ class Session:
         warnings: What the library warned of, once each; the content of result.json's `warnings`.
         interrupted: The command was stopped before it was through, and kept what it had.
         terminated: By SIGTERM, not by Ctrl-C.
+        failed: The command did its work, and its outcome is a failure.
     """
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:
@@ -42,6 +43,7 @@ class Session:
         self.warnings: list[str] = []
         self.interrupted = False
         self.terminated = False
+        self.failed = False
         self.strict = False
         self.json = False
         self.quiet = False
@@ -58,6 +60,8 @@ class Session:
         """Of a command that came to its end without an error."""
         if self.interrupted:
             return TERMINATED if self.terminated else INTERRUPTED
+        if self.failed:
+            return FAILED
         return LOSSY if self.strict and self.warnings else DONE
 
     def say(self, kind: str, text: str) -> None:

@@ -37,6 +37,12 @@ def provenance(
     }
 
 
+def run_provenance(command_line: str, seed: int, folder: Path, inputs: Sequence[Path]) -> dict[str, object]:
+    """The same of a run: its inputs are files such as a belief or another plant."""
+    origin = provenance(command_line, seed, "mpopi", folder, inputs, ())
+    return origin | {"inputs": origin.pop("logs")}
+
+
 def versions() -> dict[str, str]:
     """Versions of what the numbers depend on."""
     return {

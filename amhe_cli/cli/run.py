@@ -1,0 +1,123 @@
+"""`amhe run`: a simulated Go1 pushes a box through a task."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import click
+
+from amhe_cli.cli import options
+from amhe_cli.cli.session import Session
+
+#: Those of control/tasks.py and run_assembly.py, which --help need not load.
+TASKS = ("t1", "t2", "t3", "t4", "t5", "hw1", "hw2")
+MODES = ("true", "baseline", "stale")
+
+
+@click.command(cls=options.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
+@click.option("--task", type=click.Choice(TASKS), required=True, help="What is pushed where; docs/tasks.md.")
+@click.option(
+    "--target", type=click.Choice(["sim"]), default="sim", show_default=True, help="What is controlled."
+)
+@click.option(
+    "--mode",
+    type=click.Choice(MODES),
+    default="true",
+    show_default=True,
+    help="Whose parameters the controller plans with: the plant's own, or the task's fixed wrong ones.",
+)
+@click.option(
+    "--belief",
+    type=options.EXISTING_FILE,
+    metavar="FILE",
+    help="A belief.yaml in place of the fixed parameters of modes baseline and stale.",
+)
+@options.sampling
+@click.option(
+    "--duration",
+    type=options.Number(min=0, min_open=True, max=600),
+    metavar="S",
+    help="Stop after S seconds of the run.  [default: 40, the tasks' own limit]",
+)
+@click.option("--realtime", is_flag=True, help="Keep pace with the wall clock; late plans cost periods.")
+@click.option(
+    "--plant",
+    type=options.EXISTING_FILE,
+    metavar="XML",
+    help="MJCF of another Go1 to simulate; the planner keeps its own.",
+)
+@options.tuning
+@options.out
+@options.common
+@click.pass_obj
+def run(
+    session: Session,
+    task: str,
+    target: str,
+    mode: str,
+    belief: Path | None,
+    seed: int,
+    threads: int,
+    duration: float | None,
+    realtime: bool,
+    plant: Path | None,
+    assignments: tuple[str, ...],
+    config: Path | None,
+    out: Path | None,
+    force: bool,
+) -> None:
+    """Run a task to its end and say how well it went.
+
+    Writes log.mcap and result.json. Exit code 1 where the robot falls, the simulation
+    diverges, or the task is not done within its own time; a run that --duration cut short is no failure.
+    """
+    from amhe_cli.cli.run_progress import run_progress
+    from amhe_cli.cli.stopping import stopping
+    from amhe_cli.control.tasks import LONGEST
+    from amhe_cli.live.drive import drive
+    from amhe_cli.live.history import History
+    from amhe_cli.report import run_words
+    from amhe_cli.report.folder import filling, reserve
+    from amhe_cli.report.provenance import run_provenance
+    from amhe_cli.report.run import write_run
+    from amhe_cli.report.run_record import run_record
+    from amhe_cli.report.run_table import print_run
+    from amhe_cli.run_assembly import RunOptions, open_run
+    from amhe_cli.run_files import recorder_of
+
+    session.hush_mujoco()
+    longest = LONGEST if duration is None else duration
+    opened = open_run(
+        RunOptions(task, mode, belief, seed, threads, longest, realtime, plant, assignments, config)
+    )
+    folder = reserve(out, "run", force)
+    history = History(opened.task)
+    with stopping(session) as stopped, filling(folder) as scratch:
+        with ExitStack() as stack:
+            recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap"))
+            show = stack.enter_context(run_progress(session, f"{task} {mode}"))
+
+            def on_cycle(cycle: object, row: dict[str, float]) -> None:
+                show(row)
+
+            ending = drive(opened.episode, recorder, history, stopped, on_cycle)
+        session.interrupted = ending.interrupted
+        record = session.record(
+            task=task, mode=mode, target=target, seed=seed,
+            **run_record(opened.judge.measures(), history, ending),
+            duration=longest, cut_short=longest < LONGEST, out=str(folder),
+        )  # fmt: skip
+        origin = run_provenance(
+            session.command_line, seed, opened.system.folder, [p for p in (belief, plant) if p]
+        )
+        write_run(scratch, opened.task, history, record, origin)
+    if session.json:
+        session.print_json(record)
+    else:
+        print_run(record, opened.task.title, folder, session.console())
+    if ending.error:
+        raise ending.error
+    session.failed = run_words.is_failure(record)
+    if session.failed:
+        session.say("error", f"{run_words.verdict(record)[1]}; the log is kept in {folder}")

@@ -1,0 +1,34 @@
+"""Ctrl-C and SIGTERM as a question that a loop asks, where an exception would come at the wrong moment."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from amhe_cli.cli.session import Session, Terminated
+
+
+@contextmanager
+def stopping(session: Session) -> Iterator[Callable[[], bool]]:
+    """Give a function that says whether to stop; a second signal ends the command at once.
+
+    What is being written stays whole: nothing is torn apart in the middle of a message.
+    """
+    asked = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal asked
+        session.terminated |= number == signal.SIGTERM
+        if asked:
+            raise Terminated if session.terminated else KeyboardInterrupt
+        asked = True
+
+    numbers = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, note) for number in numbers}
+    try:
+        yield lambda: asked
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

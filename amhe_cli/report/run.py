@@ -1,0 +1,27 @@
+"""The files of `amhe run` that are made when it is over."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from amhe_cli.control.tasks import Task
+from amhe_cli.live.history import History
+
+
+def write_run(
+    folder: Path, task: Task, history: History, record: Mapping[str, Any], origin: Mapping[str, object]
+) -> None:
+    """Write result.json and report.html.
+
+    Args:
+        folder: That holds the log already.
+        task: That was done.
+        history: Of the run.
+        record: Content of result.json.
+        origin: Provenance.
+    """
+    text = json.dumps(record, indent=2, allow_nan=False) + "\n"
+    (folder / "result.json").write_text(text, encoding="utf-8")

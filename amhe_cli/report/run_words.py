@@ -1,0 +1,64 @@
+"""What the numbers of a run mean, in words: for the terminal and the page alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from amhe_cli.report import numbers
+
+#: Terms of the running cost, as a reader knows them.
+TERMS = {
+    "box_speed": "speed of the box",
+    "robot_speed": "speed of the robot",
+    "box_left": "box beside its path",
+    "robot_left": "robot beside the box",
+    "yaw": "heading of the robot",
+    "box_yaw": "heading of the box",
+    "height": "height of the trunk",
+    "tilt": "tilt of the trunk",
+    "box_tilt": "tilt of the box",
+    "joints": "joints off the gait",
+    "knots": "plan off the reference",
+}
+
+
+def verdict(record: Mapping[str, Any]) -> tuple[str, str]:
+    """How the run ended: good, mixed or bad, and in words."""
+    if record["error"]:
+        return "bad", f"stopped: {record['error']}"
+    if record["fell"]:
+        return "bad", "the robot fell"
+    if record["interrupted"]:
+        return "mixed", "interrupted: these are the numbers up to there"
+    if record["success"]:
+        return "good", "success, on time" if record["on_time"] else "success, but late"
+    if record["cut_short"]:
+        return "mixed", f"not done in the {record['duration']:g} s that it was given"
+    return "bad", "not done: the box is not at its goal, or strayed from its path"
+
+
+def is_failure(record: Mapping[str, Any]) -> bool:
+    """Whether the run failed: a fall, an error, or the task not done though it had all its time."""
+    return verdict(record)[0] == "bad"
+
+
+def measures(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """Name, value and unit of what matters."""
+    ms = record["cycle_ms"]
+    return [
+        ("time", number(record["time_s"], "{:.2f}"), "s"),
+        ("box from the goal", number(record["goal_error_m"], "{:.3f}"), "m"),
+        ("speed error, rms", number(record["speed_rmse"], "{:.3f}"), "m/s"),
+        ("path error, rms", number(record["path_rmse_m"], "{:.3f}"), "m"),
+        ("cost J", number(record["cost"], "{:,.0f}"), ""),
+        ("time of a cycle, median", number(ms["p50"], "{:.1f}"), "ms"),
+        ("time of a cycle, 99 %", number(ms["p99"], "{:.1f}"), "ms"),
+        ("deadlines missed", str(record["deadline_misses"]), ""),
+        ("rollouts diverged", f"{record['diverged']:,} of {record['rollouts']:,}", ""),
+    ]
+
+
+def number(value: float | None, form: str) -> str:
+    """A number, or a dash where there is none."""
+    return numbers.MISSING if value is None else form.format(value)

@@ -1,0 +1,31 @@
+"""What a run writes while it goes on: the log, and the film."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from amhe_cli import __version__
+from amhe_cli.live.recorder import Recorder
+from amhe_cli.run_assembly import Run
+
+
+def recorder_of(run: Run, path: Path) -> Recorder:
+    """The recorder of a run's log, with all that tells what the log is of."""
+    options = run.options
+    metadata = {
+        "system": run.system.name,
+        "seed": str(options.seed),
+        "task": options.task,
+        "mode": options.mode,
+        "target": "sim",
+        "version": __version__,
+    }
+    if not run.task.changes:  # what changes on the way has no one true value; /amhe/truth tells it
+        metadata["truth"] = json.dumps(run.first_truth)
+    settings = run.system.settings
+    attachments = {
+        "settings.yaml": settings.model_dump_json(indent=2) + "\n",  # JSON is YAML too
+        "system.yaml": (run.system.folder / "system.yaml").read_text(encoding="utf-8"),
+    }
+    return Recorder(path, run.task, metadata, attachments, settings.control.period)
