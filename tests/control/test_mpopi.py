@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.control.mpopi import JOINTS, Mpopi, Scores, Step, mppi_weights
@@ -14,6 +14,8 @@ from amhe_cli.control.splines import shift_matrix
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import ControlSettings
 from amhe_cli.core.statistics import log_rank_weights
+
+FEW = settings(max_examples=40, deadline=None)
 
 CHANNEL_SIGMA = np.array([0.1, 2.0])
 SETTINGS = ControlSettings(
@@ -198,6 +200,7 @@ def test_the_same_source_of_randomness_gives_the_same_plans() -> None:
     assert np.abs(run(1).mean - run(2).mean).max() > 1e-4
 
 
+@FEW
 @given(samples=st.integers(4, 50), loops=st.integers(1, 6), refine=st.booleans())
 def test_the_budget_of_rollouts_is_kept(samples: int, loops: int, refine: bool) -> None:
     evaluate = Recorder(bowl(np.zeros(38)))
@@ -216,6 +219,7 @@ def test_the_budget_of_rollouts_is_kept(samples: int, loops: int, refine: bool) 
 COSTS = st.lists(st.floats(0.0, 100.0), min_size=2, max_size=30)
 
 
+@FEW
 @given(cost=COSTS, scale=st.floats(0.01, 100.0), shift=st.floats(-100.0, 100.0))
 def test_weights_do_not_depend_on_units_or_on_what_all_share(
     cost: list[float], scale: float, shift: float
@@ -228,6 +232,7 @@ def test_weights_do_not_depend_on_units_or_on_what_all_share(
     np.testing.assert_allclose(mppi_weights(scale * costs + shift, 0.3), weights, atol=1e-6)
 
 
+@FEW
 @given(cost=COSTS, temperature=st.floats(0.01, 10.0))
 def test_cheaper_plans_weigh_more_and_failed_ones_nothing(cost: list[float], temperature: float) -> None:
     costs = np.array([*cost, np.inf])

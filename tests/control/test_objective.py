@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.control.objective import (
@@ -26,6 +26,8 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Body
+
+FEW = settings(max_examples=40, deadline=None)
 
 PUSH, SWEEP = PushWeights(), SweepWeights()
 SPEED, HEIGHT, HALF = 0.2, 0.28, 0.15
@@ -121,6 +123,7 @@ WRONG: dict[str, Callable[[Body, Body, float], Scene]] = {
 }
 
 
+@FEW
 @given(yaw=ANGLE, x=st.floats(-3.0, 3.0))
 def test_as_it_should_be_costs_nothing(yaw: float, x: float) -> None:
     shift = np.array([x, -x, 0.0])
@@ -132,6 +135,7 @@ def test_as_it_should_be_costs_nothing(yaw: float, x: float) -> None:
 
 
 @pytest.mark.parametrize("name", WRONG)
+@FEW
 @given(error=st.floats(-0.3, 0.3), yaw=ANGLE)
 def test_each_term_is_for_its_own_error(name: str, error: float, yaw: float) -> None:
     shift = np.array([0.4, -1.3, 0.0])
@@ -142,6 +146,7 @@ def test_each_term_is_for_its_own_error(name: str, error: float, yaw: float) -> 
         assert float(value) == pytest.approx(expected[term], rel=1e-6, abs=1e-12), term
 
 
+@FEW
 @given(error=st.floats(-1.0, 1.0))
 def test_joints_are_compared_with_the_gait_s(error: float) -> None:
     joints = HOME + error * np.eye(12)[[3, 7]].sum(axis=0)
@@ -151,6 +156,7 @@ def test_joints_are_compared_with_the_gait_s(error: float) -> None:
 
 
 @pytest.mark.parametrize("name", ["box_speed", "box_left", "box_yaw", "height", "tilt", "box_tilt"])
+@FEW
 @given(error=st.floats(-0.3, 0.3))
 def test_with_one_leg_likewise(name: str, error: float) -> None:
     trunk, box = WRONG[name](*scene(), error)
@@ -170,6 +176,7 @@ def test_until_the_box_is_touched_its_speed_does_not_count() -> None:
     assert float(sweep_terms(SWEEP, trunk, box, HEIGHT, waiting)["box_speed"]) == 0.0
 
 
+@FEW
 @given(elapsed=st.floats(0.0, 1.0), turn=st.floats(-1.0, 1.0))
 def test_a_turning_reference_is_followed_by_who_turns_with_it(elapsed: float, turn: float) -> None:
     trunk, box = scene()
@@ -180,6 +187,7 @@ def test_a_turning_reference_is_followed_by_who_turns_with_it(elapsed: float, tu
         assert float(term) == pytest.approx(0.0, abs=1e-16), name
 
 
+@FEW
 @given(seed=st.integers(0, 999), yaw=ANGLE)
 def test_a_turned_and_shifted_world_costs_the_same(seed: int, yaw: float) -> None:
     rng = np.random.default_rng(seed)
@@ -219,6 +227,7 @@ def test_motions_of_many_rollouts_at_once() -> None:
     np.testing.assert_allclose(terms["box_speed"], PUSH.box_speed * (speeds[..., 0] - SPEED) ** 2)
 
 
+@FEW
 @given(yaw=ANGLE, lean=st.floats(0.0, 1.5), way=ANGLE)
 def test_heading_and_lean_of_a_quaternion(yaw: float, lean: float, way: float) -> None:
     assert float(yaw_of(turned(yaw))) == pytest.approx(yaw)
@@ -229,6 +238,7 @@ def test_heading_and_lean_of_a_quaternion(yaw: float, lean: float, way: float) -
         assert float(wrapped(yaw_of(sign * q) - yaw_of(q))) == pytest.approx(0.0)
 
 
+@FEW
 @given(angle=st.floats(-20.0, 20.0))
 def test_a_wrapped_angle_is_the_same_angle(angle: float) -> None:
     found = float(wrapped(angle))

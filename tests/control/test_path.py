@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.control.objective import wrapped
 from amhe_cli.control.path import Path
 from amhe_cli.control.tasks import find_task
 from amhe_cli.core.arrays import FloatArray
+
+FEW = settings(max_examples=40, deadline=None)
 
 ANGLE = st.floats(-7.0, 7.0)
 START = st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))
@@ -39,6 +41,7 @@ def length_of(curvature: float, share: float) -> float:
     return 0.1 + share * (9.9 if curvature == 0.0 else 0.95 * 2.0 * np.pi / abs(curvature) - 0.1)
 
 
+@FEW
 @given(start=START, heading=ANGLE, curvature=CURVATURE, share=SHARE, along=SHARE, aside=st.floats(-0.9, 0.9))
 def test_points_are_found_again(
     start: tuple[float, float], heading: float, curvature: float, share: float, along: float, aside: float
@@ -54,6 +57,7 @@ def test_points_are_found_again(
     np.testing.assert_allclose(path.points(np.array(progress)), on, atol=1e-9)
 
 
+@FEW
 @given(
     start=START, heading=ANGLE, curvature=CURVATURE, share=SHARE,
     beyond=st.floats(0.0, 0.45), after=st.booleans(),
@@ -79,6 +83,7 @@ def test_the_half_circle_of_the_second_task_ends_opposite_to_its_start() -> None
     np.testing.assert_allclose(radii, 1.5)
 
 
+@FEW
 @given(heading=ANGLE, curvature=CURVATURE)
 def test_points_move_along_the_heading_by_what_is_gone(heading: float, curvature: float) -> None:
     path = Path((0.3, -0.2), heading, length_of(curvature, 0.7), curvature)
@@ -92,6 +97,7 @@ def test_points_move_along_the_heading_by_what_is_gone(heading: float, curvature
     assert float(wrapped(headings[0] - heading)) == pytest.approx(0.0, abs=1e-9)
 
 
+@FEW
 @given(
     heading=ANGLE, tiny=st.floats(1e-7, 1e-4), sign=st.sampled_from([-1.0, 1.0]), left=st.floats(-1.0, 1.0)
 )

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.control.splines import shift_matrix, spline_basis
 from amhe_cli.core.arrays import FloatArray
+
+FEW = settings(max_examples=40, deadline=None)
 
 KNOTS = st.integers(2, 9)
 ANYWHERE = st.lists(st.floats(-0.5, 1.5), min_size=1, max_size=20)
@@ -43,6 +45,7 @@ def natural_spline(values: FloatArray, at: FloatArray) -> FloatArray:
     return (coefficients[piece] * local[:, None] ** np.arange(4)).sum(axis=1)
 
 
+@FEW
 @given(at=ANYWHERE, knots=KNOTS)
 def test_rows_sum_to_one(at: list[float], knots: int) -> None:
     basis = spline_basis(np.array(at), knots)
@@ -55,12 +58,14 @@ def test_the_spline_goes_through_its_knots(knots: int) -> None:
     np.testing.assert_allclose(spline_basis(np.linspace(0.0, 1.0, knots), knots), np.eye(knots), atol=1e-12)
 
 
+@FEW
 @given(seed=st.integers(0, 999), knots=KNOTS)
 def test_it_is_the_natural_cubic_spline(seed: int, knots: int) -> None:
     values, at = np.random.default_rng(seed).normal(size=knots), np.linspace(0.0, 1.0, 41)
     np.testing.assert_allclose(spline_basis(at, knots) @ values, natural_spline(values, at), atol=1e-10)
 
 
+@FEW
 @given(knots=KNOTS, level=st.floats(-5.0, 5.0), slope=st.floats(-5.0, 5.0))
 def test_lines_are_reproduced_and_held_outside(knots: int, level: float, slope: float) -> None:
     at = np.linspace(-0.3, 1.3, 33)
@@ -80,11 +85,13 @@ def test_the_error_falls_with_the_fourth_power_of_the_gap() -> None:
     assert errors[0] / errors[1] == pytest.approx(16.0, rel=0.1)
 
 
+@FEW
 @given(horizon=st.integers(2, 40), knots=KNOTS)
 def test_a_shift_by_nothing_changes_nothing(horizon: int, knots: int) -> None:
     np.testing.assert_allclose(shift_matrix(horizon, knots, 0.0), np.eye(knots), atol=1e-12)
 
 
+@FEW
 @given(seed=st.integers(0, 999), horizon=st.integers(5, 40), knots=KNOTS, steps=st.floats(0.0, 50.0))
 def test_shifted_knots_are_the_spline_later(seed: int, horizon: int, knots: int, steps: float) -> None:
     """The spline's values so many steps later, and past its end the last one."""
@@ -95,6 +102,7 @@ def test_shifted_knots_are_the_spline_later(seed: int, horizon: int, knots: int,
     )
 
 
+@FEW
 @given(knots=st.integers(3, 9), steps=st.integers(0, 8), slope=st.floats(-5.0, 5.0))
 def test_a_shifted_line_is_the_line_later(knots: int, steps: int, slope: float) -> None:
     """Exactly at the knots; the held end bends what lies between them, by less than the shift."""

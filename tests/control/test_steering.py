@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.control.objective import BUMPER, Reference, wrapped, yaw_of
@@ -17,6 +17,8 @@ from amhe_cli.core import rotations
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.model import Box, home, layout, plant_model
 from amhe_cli.go1.state import Body, State
+
+FEW = settings(max_examples=40, deadline=None)
 
 SPEED, TAPER, HALF_LENGTH, HALF_WIDTH = 0.2, 0.2, 0.15, 0.25
 LINE = Path((0.6, 0.0), 0.0, 3.0)
@@ -67,6 +69,7 @@ def test_what_the_task_asks_for_is_the_path_and_its_speed() -> None:
     np.testing.assert_allclose(bent.origin, ARC.points(np.array(2.0)), atol=1e-12)
 
 
+@FEW
 @given(turn=st.floats(0.02, 0.5), sign=st.sampled_from([-1.0, 1.0]))
 def test_a_box_turned_left_is_pushed_left_of_its_middle(turn: float, sign: float) -> None:
     """That turns it right, back to the line."""
@@ -105,6 +108,7 @@ def test_a_push_there_turns_a_box_in_the_simulation_back(sign: float) -> None:
     assert sign * yaw_after(-offset) > 0.3 + 0.03
 
 
+@FEW
 @given(left=st.floats(0.01, 0.5), sign=st.sampled_from([-1.0, 1.0]), progress=st.floats(0.5, 2.5))
 def test_beside_the_path_it_heads_back(left: float, sign: float, progress: float) -> None:
     """Left of it the heading turns right, and the box is pushed left of its middle to turn right."""
@@ -188,6 +192,7 @@ def test_a_bumper_within_the_face_does_not_retreat() -> None:
     assert pilot.reference(along(LINE, 1.0, lead=0.9 * Retreat().lost_turn)).speed > 0.0
 
 
+@FEW
 @given(progress=st.floats(-0.5, 3.5))
 def test_the_speed_asked_for_tapers_to_nothing(progress: float) -> None:
     expected = SPEED * min(1.0, max(0.0, (3.0 - progress) / 0.2))
@@ -204,6 +209,7 @@ def test_the_planner_s_aim_creeps_to_the_goal_and_ends_there() -> None:
         assert helm().reference(along(LINE, 3.0 - left)).speed == 0.0
 
 
+@FEW
 @given(
     yaw=st.floats(-3.0, 3.0), x=st.floats(-4.0, 4.0), astray=st.floats(-0.3, 0.3), turn=st.floats(-0.5, 0.5),
     progress=st.sampled_from([0.0, 0.7, 1.9, 2.95, 3.9]), beside=st.floats(-0.2, 0.2),
