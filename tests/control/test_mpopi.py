@@ -15,7 +15,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import ControlSettings
 from amhe_cli.core.statistics import log_rank_weights
 
-FEW = settings(max_examples=40, deadline=None)
+FEW = settings(max_examples=25, deadline=None)
 
 CHANNEL_SIGMA = np.array([0.1, 2.0])
 SETTINGS = ControlSettings(

@@ -27,7 +27,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Body
 
-FEW = settings(max_examples=40, deadline=None)
+FEW = settings(max_examples=25, deadline=None)
 
 PUSH, SWEEP = PushWeights(), SweepWeights()
 SPEED, HEIGHT, HALF = 0.2, 0.28, 0.15

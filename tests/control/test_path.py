@@ -12,7 +12,7 @@ from amhe_cli.control.path import Path
 from amhe_cli.control.tasks import find_task
 from amhe_cli.core.arrays import FloatArray
 
-FEW = settings(max_examples=40, deadline=None)
+FEW = settings(max_examples=25, deadline=None)
 
 ANGLE = st.floats(-7.0, 7.0)
 START = st.tuples(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0))

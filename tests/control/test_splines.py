@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from amhe_cli.control.splines import shift_matrix, spline_basis
 from amhe_cli.core.arrays import FloatArray
 
-FEW = settings(max_examples=40, deadline=None)
+FEW = settings(max_examples=25, deadline=None)
 
 KNOTS = st.integers(2, 9)
 ANYWHERE = st.lists(st.floats(-0.5, 1.5), min_size=1, max_size=20)

@@ -18,7 +18,7 @@ from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.model import Box, home, layout, plant_model
 from amhe_cli.go1.state import Body, State
 
-FEW = settings(max_examples=40, deadline=None)
+FEW = settings(max_examples=25, deadline=None)
 
 SPEED, TAPER, HALF_LENGTH, HALF_WIDTH = 0.2, 0.2, 0.15, 0.25
 LINE = Path((0.6, 0.0), 0.0, 3.0)

@@ -52,8 +52,8 @@ def test_it_ends_in_time_and_has_not_fallen(second: list[Cycle]) -> None:
 
 @pytest.mark.parametrize("threads", [1, 2])
 def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(threads: int, second: list[Cycle]) -> None:
-    again = cycles_of(duration=0.5, seed=3, threads=threads)
-    np.testing.assert_array_equal(targets(again), targets(second)[:25])
+    again = cycles_of(duration=0.3, seed=3, threads=threads)
+    np.testing.assert_array_equal(targets(again), targets(second)[:15])
     for a, b in zip(again, second, strict=False):
         np.testing.assert_array_equal(a.measured.joints, b.measured.joints)
         np.testing.assert_array_equal(a.truth.box.position, b.truth.box.position)
@@ -71,7 +71,7 @@ def test_another_seed_starts_elsewhere_and_measures_and_samples_otherwise() -> N
 
 def test_starts_differ_by_three_centimetres_and_three_degrees_at_most_and_nearly_so() -> None:
     shifts, turns = [], []
-    for seed in range(12):
+    for seed in range(10):
         state = opened(seed=seed).plant.state
         for body, place in ((state.trunk, [0.0, 0.0]), (state.box, [0.6, 0.0])):
             shifts.append(body.position[:2] - place)
