@@ -1,4 +1,4 @@
-"""What a run writes while it goes on: the log, and the film."""
+"""What a run writes while it goes on: the log and the film."""
 
 from __future__ import annotations
 
@@ -6,7 +6,9 @@ import json
 from pathlib import Path
 
 from amhe_cli import __version__
+from amhe_cli.go1.video import Film, check_encoder
 from amhe_cli.live.recorder import Recorder
+from amhe_cli.live.scenery import scenery_of
 from amhe_cli.run_assembly import Run
 
 
@@ -29,3 +31,13 @@ def recorder_of(run: Run, path: Path) -> Recorder:
         "system.yaml": (run.system.folder / "system.yaml").read_text(encoding="utf-8"),
     }
     return Recorder(path, run.task, metadata, attachments, settings.control.period)
+
+
+def film_of(run: Run) -> Film:
+    """The camera of a run's film.
+
+    Raises:
+        ConfigError: A film cannot be drawn, or not be encoded.
+    """
+    check_encoder()
+    return Film(run.plant.model, scenery_of(run.task))

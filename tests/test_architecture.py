@@ -36,6 +36,7 @@ EXCEPTIONS = {("system/init.py", "logs"), ("system/guess_signals.py", "logs")}
 WALLS = {
     "click": ("cli",),
     "cmaes": ("estimation",),
+    "imageio_ffmpeg": ("go1/video.py",),
     "jinja2": ("report",),
     "matplotlib": ("report",),
     "mcap": ("logs",),

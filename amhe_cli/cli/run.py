@@ -41,6 +41,7 @@ MODES = ("true", "baseline", "stale")
     help="Stop after S seconds of the run.  [default: 40, the tasks' own limit]",
 )
 @click.option("--realtime", is_flag=True, help="Keep pace with the wall clock; late plans cost periods.")
+@click.option("--video", is_flag=True, help="Write video.mp4 too; needs the extra [video] and EGL or OSMesa.")
 @click.option(
     "--plant",
     type=options.EXISTING_FILE,
@@ -61,6 +62,7 @@ def run(
     threads: int,
     duration: float | None,
     realtime: bool,
+    video: bool,
     plant: Path | None,
     assignments: tuple[str, ...],
     config: Path | None,
@@ -69,7 +71,7 @@ def run(
 ) -> None:
     """Run a task to its end and say how well it went.
 
-    Writes log.mcap and result.json. Exit code 1 where the robot falls, the simulation
+    Writes log.mcap, result.json and report.html. Exit code 1 where the robot falls, the simulation
     diverges, or the task is not done within its own time; a run that --duration cut short is no failure.
     """
     from amhe_cli.cli.run_progress import run_progress
@@ -84,22 +86,28 @@ def run(
     from amhe_cli.report.run_record import run_record
     from amhe_cli.report.run_table import print_run
     from amhe_cli.run_assembly import RunOptions, open_run
-    from amhe_cli.run_files import recorder_of
+    from amhe_cli.run_files import film_of, recorder_of
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration
     opened = open_run(
         RunOptions(task, mode, belief, seed, threads, longest, realtime, plant, assignments, config)
     )
+    film = film_of(opened) if video else None
     folder = reserve(out, "run", force)
     history = History(opened.task)
     with stopping(session) as stopped, filling(folder) as scratch:
         with ExitStack() as stack:
             recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap"))
             show = stack.enter_context(run_progress(session, f"{task} {mode}"))
+            shoot = (
+                stack.enter_context(film.shooting(scratch / "video.mp4", later=realtime)) if film else None
+            )
 
             def on_cycle(cycle: object, row: dict[str, float]) -> None:
                 show(row)
+                if shoot:
+                    shoot(row["time"], opened.target.qpos)
 
             ending = drive(opened.episode, recorder, history, stopped, on_cycle)
         session.interrupted = ending.interrupted
