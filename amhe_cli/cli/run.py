@@ -119,13 +119,17 @@ def run(
         origin = run_provenance(
             session.command_line, seed, opened.system.folder, [p for p in (belief, plant) if p]
         )
-        write_run(scratch, opened.task, history, record, origin)
+        error = ending.error
+        try:
+            write_run(scratch, opened.task, opened.system, history, record, origin)
+        except Exception as fault:  # a fault of the page must not cost the log
+            error = error or fault
     if session.json:
         session.print_json(record)
     else:
         print_run(record, opened.task.title, folder, session.console())
-    if ending.error:
-        raise ending.error
+    if error:
+        raise error
     session.failed = run_words.is_failure(record)
     if session.failed:
         session.say("error", f"{run_words.verdict(record)[1]}; the log is kept in {folder}")

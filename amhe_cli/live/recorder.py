@@ -117,7 +117,8 @@ class Recorder:
                 self._log.odometry(
                     topic, stamp, place, turn, _single(velocity), _single(rate), child_frame=body
                 )
-            self._log.transform("/tf", stamp, poses)
+            if i == len(measured.pose_times) - 1:  # viewers need no more of them
+                self._log.transform("/tf", stamp, poses)
 
     # -- what was done, believed and wanted -----------------------------------------------------------
 

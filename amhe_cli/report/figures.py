@@ -66,7 +66,7 @@ _STYLE = {
 
 
 @dataclass(frozen=True, slots=True)
-class _Grid:
+class Grid:
     """Cells of equal size over the width of the page; twice as fast as a layout engine."""
 
     count: int
@@ -74,6 +74,7 @@ class _Grid:
     height: float  # of a cell [inch]
 
     def figure(self) -> Figure:
+        """An empty one that holds the cells."""
         return Figure(figsize=(WIDTH, self.height * -(-self.count // self.across)))
 
     def axes(self, figure: Figure, index: int, bottom: float = 0.42, top: float = 0.26) -> Axes:
@@ -86,7 +87,7 @@ class _Grid:
         return figure.add_axes((box[0] / WIDTH, box[1] / total, box[2] / WIDTH, box[3] / total))
 
 
-def _style(salt: str, **more: Any) -> AbstractContextManager[None]:
+def styled(salt: str, **more: Any) -> AbstractContextManager[None]:
     """The look of a figure; `salt` keeps the ids of several figures on one page apart."""
     style: Any = {**_STYLE, "svg.hashsalt": salt, **more}
     return matplotlib.rc_context(style)
@@ -96,8 +97,8 @@ def fit_figure(fits: Sequence[Fit]) -> str:
     """Measured against predicted, with residuals below, for the channels of one clip."""
     share = max(1, MAX_PANELS // len(fits))
     cells = [(fit, column) for fit in fits for column in _liveliest(fit, share)][:MAX_PANELS]
-    grid = _Grid(len(cells), 4 if len(cells) in (4, 7, 8) else min(3, len(cells)), height=2.7)
-    with _style(fits[0].clip):
+    grid = Grid(len(cells), 4 if len(cells) in (4, 7, 8) else min(3, len(cells)), height=2.7)
+    with styled(fits[0].clip):
         figure = grid.figure()
         for index, (fit, column) in enumerate(cells):
             above = grid.axes(figure, index, bottom=1.1)
@@ -106,7 +107,7 @@ def fit_figure(fits: Sequence[Fit]) -> str:
             above.sharex(below)
             _draw_fit(above, below, fit, column)
             below.set_xlabel("time [s]")
-        return _svg(figure)
+        return svg(figure)
 
 
 def _draw_fit(above: Axes, below: Axes, fit: Fit, column: int) -> None:
@@ -114,8 +115,8 @@ def _draw_fit(above: Axes, below: Axes, fit: Fit, column: int) -> None:
     shown = shown[:: max(1, shown.size // MAX_POINTS)]
     measured = fit.measured[:, column]
     _dots(above, fit.time[shown], measured[shown], MEASURED)
-    above.plot(*_thinned(fit.time, fit.initial[:, column]), "--", color=INITIAL, linewidth=1.2)
-    above.plot(*_thinned(fit.time, fit.identified[:, column]), color=IDENTIFIED, linewidth=1.2)
+    above.plot(*thinned(fit.time, fit.initial[:, column]), "--", color=INITIAL, linewidth=1.2)
+    above.plot(*thinned(fit.time, fit.identified[:, column]), color=IDENTIFIED, linewidth=1.2)
     _frame(above, measured[fit.valid], fit.identified[:, column])
     name = fit.channel if len(fit.columns) == 1 else f"{fit.channel} {fit.columns[column]}"
     above.set_title(f"{name} [{fit.unit}]")
@@ -154,7 +155,7 @@ def _liveliest(fit: Fit, count: int) -> list[int]:
     return sorted(np.argsort(-spread, kind="stable")[:count].tolist())
 
 
-def _thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """At most MAX_POINTS points that keep every peak: the extremes of each of many short stretches."""
     values = np.where(np.isfinite(values), values, np.nan)
     if values.size <= MAX_POINTS:
@@ -173,8 +174,8 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
     number = np.arange(1, len(iterations) + 1)
     theta = np.array([i.theta for i in iterations])
     final = np.where(belief.estimate == 0.0, 1.0, belief.estimate)
-    grid = _Grid(3, 3, height=2.6)
-    with _style("convergence"):
+    grid = Grid(3, 3, height=2.6)
+    with styled("convergence"):
         figure = grid.figure()
         cost, sigma, values = (grid.axes(figure, index) for index in range(3))
         cost.semilogy(number, [i.cost for i in iterations], "o-", color=IDENTIFIED, markersize=3)
@@ -192,7 +193,7 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
             axes.set_xlabel("iteration")
             axes.minorticks_off()
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        return _svg(figure)
+        return svg(figure)
 
 
 def correlation_figure(names: Sequence[str], correlations: FloatArray) -> str:
@@ -200,7 +201,7 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> str:
     size = len(names)
     label = 0.2 + 0.075 * max(len(name) for name in names)  # [inch]
     wide, high = label + 0.62 * size + 0.1, 0.6 * label + 0.5 * size + 0.1
-    with _style("correlation", **{"axes.grid": False}):
+    with styled("correlation", **{"axes.grid": False}):
         figure = Figure(figsize=(wide, high))
         axes = figure.add_axes((label / wide, 0.6 * label / high, 0.62 * size / wide, 0.5 * size / high))
         colors = LinearSegmentedColormap.from_list(
@@ -220,7 +221,7 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> str:
         axes.set_yticks(centres, list(names)[::-1])
         for spine in axes.spines.values():
             spine.set_visible(False)
-        return _svg(figure)
+        return svg(figure)
 
 
 def profile_figure(parameters: Sequence[ParameterResult]) -> str | None:
@@ -228,13 +229,13 @@ def profile_figure(parameters: Sequence[ParameterResult]) -> str | None:
     drawn = [(p, *p.profile) for p in parameters if p.profile is not None]
     if not drawn:
         return None
-    grid = _Grid(len(drawn), min(4, max(3, len(drawn))), height=2.3)
-    with _style("profile"):
+    grid = Grid(len(drawn), min(4, max(3, len(drawn))), height=2.3)
+    with styled("profile"):
         figure = grid.figure()
         for index, (parameter, values, costs) in enumerate(drawn):
             axes = grid.axes(figure, index)
             _draw_profile(axes, parameter, values, np.where(np.isfinite(costs), costs, np.nan))
-        return _svg(figure)
+        return svg(figure)
 
 
 def _draw_profile(axes: Axes, parameter: ParameterResult, values: FloatArray, costs: FloatArray) -> None:
@@ -251,10 +252,10 @@ def _draw_profile(axes: Axes, parameter: ParameterResult, values: FloatArray, co
     axes.locator_params(nbins=5)
 
 
-def _svg(figure: Figure) -> str:
+def svg(figure: Figure) -> str:
     """The SVG element alone, sized by the page."""
     text = io.StringIO()
     figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    svg = text.getvalue()
-    svg = svg[svg.index("<svg") :].replace("'DejaVu Sans'", FONTS)
-    return _PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), svg)
+    whole = text.getvalue()
+    whole = whole[whole.index("<svg") :].replace("'DejaVu Sans'", FONTS)
+    return _PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), whole)

@@ -42,7 +42,7 @@ def identification_page(
         record: Content of result.json: seconds, warnings, version.
         origin: Provenance: versions, hashes, seed, command.
     """
-    return _template("identification.html.j2").render(
+    return template("identification.html.j2").render(
         result=result,
         record=record,
         origin=origin,
@@ -60,7 +60,8 @@ def identification_page(
 
 
 @cache
-def _template(name: str):
+def template(name: str):
+    """A template of this room; in it `n` is how numbers are written."""
     environment = Environment(
         loader=PackageLoader("amhe_cli.report"),
         autoescape=True,

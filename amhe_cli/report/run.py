@@ -9,19 +9,30 @@ from typing import Any
 
 from amhe_cli.control.tasks import Task
 from amhe_cli.live.history import History
+from amhe_cli.report.run_page import run_page
+from amhe_cli.system.system import System
 
 
 def write_run(
-    folder: Path, task: Task, history: History, record: Mapping[str, Any], origin: Mapping[str, object]
+    folder: Path,
+    task: Task,
+    system: System,
+    history: History,
+    record: Mapping[str, Any],
+    origin: Mapping[str, object],
 ) -> None:
     """Write result.json and report.html.
 
     Args:
         folder: That holds the log already.
         task: That was done.
+        system: That was simulated.
         history: Of the run.
         record: Content of result.json.
         origin: Provenance.
     """
+    units = {p.name: p.unit for p in system.space.parameters}
+    page = run_page(task, history, record, origin, units, system.settings.control.period)
+    (folder / "report.html").write_text(page, encoding="utf-8")
     text = json.dumps(record, indent=2, allow_nan=False) + "\n"
     (folder / "result.json").write_text(text, encoding="utf-8")

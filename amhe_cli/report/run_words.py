@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from amhe_cli.control.tasks import Task
+from amhe_cli.live.evaluation import CLOSE_ENOUGH, ON_TIME
 from amhe_cli.report import numbers
 
 #: Terms of the running cost, as a reader knows them.
@@ -36,6 +38,60 @@ def verdict(record: Mapping[str, Any]) -> tuple[str, str]:
     if record["cut_short"]:
         return "mixed", f"not done in the {record['duration']:g} s that it was given"
     return "bad", "not done: the box is not at its goal, or strayed from its path"
+
+
+def headline(record: Mapping[str, Any]) -> str:
+    """The outcome in one line."""
+    text = verdict(record)[1]
+    return f"{text[0].upper()}{text[1:]}."
+
+
+def statements(record: Mapping[str, Any], task: Task, period: float) -> list[tuple[str, str]]:
+    """What a reader should know first: tone and sentence."""
+    said = []
+    if record["goal_error_m"] is not None:
+        near = record["goal_error_m"] <= CLOSE_ENOUGH
+        text = f"The box is {number(record['goal_error_m'], '{:.3f}')} m from its goal"
+        said.append(("good" if near else "mixed", f"{text}; within {CLOSE_ENOUGH:g} m is close enough."))
+    if record["success"]:
+        late = ON_TIME * task.nominal_time
+        said.append(
+            ("good" if record["on_time"] else "mixed",
+             f"It took {record['time_s']:.1f} s; on time is up to {late:.1f} s."),
+        )  # fmt: skip
+    said += _belief(record)
+    slow = record["cycle_ms"]["p99"]
+    if slow is not None and slow > 1e3 * period:
+        said.append(
+            ("mixed",
+             f"One cycle in a hundred took longer than {slow:.0f} ms, and the control period is "
+             f"{1e3 * period:g} ms: in lock-step the simulation waits, a robot would not."),
+        )  # fmt: skip
+    return said
+
+
+def _belief(record: Mapping[str, Any]) -> list[tuple[str, str]]:
+    truth = record["truth"]
+    wrong = [
+        f"{name} {value:.3g} for {truth[name]:.3g}"
+        for name, value in record["belief"].items()
+        if name in truth and abs(value - truth[name]) > 0.02 * abs(truth[name])
+    ]
+    return [("mixed", f"At the end the controller believed {' and '.join(wrong)}.")] if wrong else []
+
+
+def changes(task: Task) -> list[str]:
+    """What changes on the way, in words."""
+    told = []
+    for change in task.changes:
+        where = (
+            f"at {change.at_time:g} s" if change.at_time is not None else f"from x = {change.beyond_x:g} m"
+        )
+        if change.mass is not None:
+            told.append(f"{where}: box of {change.mass:g} kg")
+        if change.floor_friction is not None:
+            told.append(f"{where}: floor friction {change.floor_friction:g}")
+    return told
 
 
 def is_failure(record: Mapping[str, Any]) -> bool:
