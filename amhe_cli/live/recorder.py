@@ -33,7 +33,9 @@ class Recorder:
     """Writes one cycle after the other; use it as a context manager.
 
     The robot's own samples are thinned: 500 Hz of twelve joints are most of a log, and little of what an
-    identification learns from it. Numbers are kept in single precision, as a Go1 sends them.
+    identification learns from it. Numbers are kept in single precision, as a Go1 sends them. The log begins
+    with the first cycle's command: then the clock of our reader, which starts at the first sample, meets
+    every command on a step of its own.
 
     Args:
         path: The .mcap file; whole and readable however the block ends.
@@ -93,6 +95,8 @@ class Recorder:
     def _sensors(self, measured: Measurements) -> None:
         times = measured.robot_times
         for i in _thinned(times, self._sample_period):
+            if self._too_early(float(times[i]), measured):
+                continue
             stamp = stamp_ns(float(times[i]))
             joints, rates = _single(measured.joints[i]), _single(measured.joint_rates[i])
             self._log.joint_state("/joint_states", stamp, JOINTS, joints, rates)
@@ -108,6 +112,8 @@ class Recorder:
         )
         before = self._last.estimate if self._last else estimate
         for i, time in enumerate(measured.pose_times):
+            if self._too_early(float(time), measured):
+                continue
             stamp = stamp_ns(float(time))
             share = _share(time, before.time, estimate.time)
             poses = {}
@@ -119,6 +125,10 @@ class Recorder:
                 )
             if i == len(measured.pose_times) - 1:  # viewers need no more of them
                 self._log.transform("/tf", stamp, poses)
+
+    def _too_early(self, time: float, measured: Measurements) -> bool:
+        """Whether a sample is older than the first command."""
+        return self._last is None and time < measured.time - 1e-6
 
     # -- what was done, believed and wanted -----------------------------------------------------------
 

@@ -31,8 +31,8 @@ def write_run(
         record: Content of result.json.
         origin: Provenance.
     """
+    text = json.dumps(record, indent=2, allow_nan=False) + "\n"
+    (folder / "result.json").write_text(text, encoding="utf-8")
     units = {p.name: p.unit for p in system.space.parameters}
     page = run_page(task, history, record, origin, units, system.settings.control.period)
     (folder / "report.html").write_text(page, encoding="utf-8")
-    text = json.dumps(record, indent=2, allow_nan=False) + "\n"
-    (folder / "result.json").write_text(text, encoding="utf-8")

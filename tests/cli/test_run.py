@@ -13,10 +13,23 @@ import pytest
 from amhe_cli.cli import run as command
 from amhe_cli.cli.main import run
 from amhe_cli.control.tasks import TASKS
-from amhe_cli.logs import read_metadata
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.go1 import video
+from amhe_cli.go1.plant import Plant
+from amhe_cli.logs import read_metadata, survey
 from amhe_cli.run_assembly import MODES
 
 ROOT = Path(__file__).parents[2]
+
+BELIEF = """\
+schema_version: 1
+system: {system}
+parameters:
+- {{name: box_mass, unit: kg, scale: log, estimate: {mass}}}
+- {{name: box_inertia_scale, unit: '-', scale: log, estimate: 1.0}}
+- {{name: floor_friction, unit: '-', scale: log, estimate: 0.5}}
+covariance: [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
+"""
 
 #: Little work: the plans need not be good.
 QUICK = ["--duration", "0.6", "-q", "--set", "control.samples=4", "--set", "control.horizon=8"]
@@ -62,6 +75,101 @@ def test_the_log_says_what_it_is_of(done: Path) -> None:
     said = read_metadata(done / "log.mcap")
     assert (said["system"], said["task"], said["mode"], said["seed"]) == ("go1_push", "t1", "true", "3")
     assert json.loads(said["truth"])["floor_friction"] == pytest.approx(0.6)
+
+
+def test_the_report_is_one_page_that_needs_no_network(done: Path) -> None:
+    page = (done / "report.html").read_text()
+    assert "T1: single-goal push" in page
+    assert page.count("<svg") == 5
+    for loading in ("<script", "<link", "src=", "url(http", "@import"):
+        assert loading not in page
+
+
+def test_a_seed_gives_the_same_result_whatever_the_threads(done: Path) -> None:
+    assert run(["run", "--task", "t1", "--seed", "3", "-o", "again", "--threads", "2", *QUICK]) == 0
+    first, again = (json.loads((out / "result.json").read_text()) for out in (done, Path("again")))
+    for own in ("seconds", "cycle_ms", "out"):
+        del first[own], again[own]
+    assert first == again
+
+
+def test_a_belief_of_a_file_is_believed(tmp_path: Path) -> None:
+    Path("belief.yaml").write_text(BELIEF.format(system="go1_push", mass=5.5))
+    arguments = ["run", "--task", "t1", "--mode", "baseline", "--belief", "belief.yaml", "-o", "out", *QUICK]
+    assert run(arguments) == 0
+    assert json.loads(Path("out/result.json").read_text())["belief"]["box_mass"] == 5.5
+
+
+@pytest.mark.parametrize(
+    ("system", "mass", "said"), [("pendulum", 5.5, "pendulum"), ("go1_push", 50.0, "50")]
+)
+def test_a_belief_that_does_not_suit_is_refused(capsys, system: str, mass: float, said: str) -> None:
+    Path("belief.yaml").write_text(BELIEF.format(system=system, mass=mass))
+    assert run(["run", "--task", "t1", "--mode", "baseline", "--belief", "belief.yaml"]) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert names(".") == ["belief.yaml"]
+
+
+def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
+    monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+    assert run(["run", "--task", "t1", "-o", "out", *QUICK]) == 1
+    out, err = capsys.readouterr()
+    assert "the robot fell" in out
+    assert err.splitlines() == ["amhe run: error: the robot fell; the log is kept in out"]
+    record = json.loads(Path("out/result.json").read_text())
+    assert record["fell"] is True
+    assert record["cycles"] == 1
+    assert not survey(Path("out/log.mcap")).problems
+
+
+@pytest.mark.parametrize("cycles", [0, 5])
+def test_a_plant_that_diverges_is_a_failure_that_keeps_its_log(monkeypatch, capsys, cycles: int) -> None:
+    advance = Plant.advance
+
+    def diverging(plant: Plant, *arguments):
+        if plant.time >= 0.02 * cycles - 1e-6:
+            plant._data.qvel[:] = 1e12
+        return advance(plant, *arguments)
+
+    monkeypatch.setattr(Plant, "advance", diverging)
+    assert run(["run", "--task", "t1", "-o", "out", *QUICK]) == 1
+    err = capsys.readouterr().err
+    assert len(err.splitlines()) == 1
+    assert "the plant diverged" in err
+    assert names("out") == ["log.mcap", "report.html", "result.json"]
+    record = json.loads(Path("out/result.json").read_text())
+    assert "the plant diverged" in record["error"]
+    assert record["cycles"] == cycles
+    assert not survey(Path("out/log.mcap")).problems
+
+
+def test_a_fault_of_the_page_costs_no_log(monkeypatch) -> None:
+    def broken(*arguments: object) -> str:
+        raise RuntimeError("no page")
+
+    monkeypatch.setattr("amhe_cli.report.run.run_page", broken)
+    assert run(["run", "--task", "t1", "-o", "out", *QUICK]) == 1
+    assert names("out") == ["log.mcap", "result.json"]
+
+
+def test_without_an_encoder_a_film_is_refused_before_the_run(monkeypatch, capsys) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    assert run(["run", "--task", "t1", "--video"]) == 2
+    assert "amhe[video]" in capsys.readouterr().err
+    assert names(".") == []
+
+
+def test_a_film_lies_beside_the_log() -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    try:
+        video._gl_context(8, 8).free()
+    except ConfigError as error:
+        pytest.skip(str(error))
+    assert run(["run", "--task", "t1", "--video", "-o", "out", *QUICK, "--duration", "0.1"]) == 0
+    assert names("out") == ["log.mcap", "report.html", "result.json", "video.mp4"]
+    assert Path("out/video.mp4").stat().st_size > 1000
 
 
 def test_json_on_stdout_is_result_json(capsys) -> None:
