@@ -12,11 +12,15 @@ from amhe_cli.cli.session import Session
 
 #: Those of control/tasks.py and run_assembly.py, which --help need not load.
 TASKS = ("t1", "t2", "t3", "t4", "t5", "hw1", "hw2")
+_TASKS = (
+    "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
+    "t5: with one front leg; hw1, hw2: load and turf, as on hardware."
+)
 MODES = ("true", "baseline", "stale")
 
 
 @click.command(cls=options.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
-@click.option("--task", type=click.Choice(TASKS), required=True, help="What is pushed where; docs/tasks.md.")
+@click.option("--task", type=click.Choice(TASKS), required=True, help=_TASKS)
 @click.option(
     "--target", type=click.Choice(["sim"]), default="sim", show_default=True, help="What is controlled."
 )

@@ -33,6 +33,8 @@ _PATH_COLOR, _GOAL_COLOR, _FLOOR_COLOR = (
     (0.08, 0.55, 0.25, 1.0),
     (0.2, 0.3, 0.22, 0.4),
 )
+#: Angle of view [degrees]: as of a lens from some way off.
+_VIEW = 30.0
 _LINE = 0.012  # half the width of lines on the floor [m]
 
 
@@ -53,9 +55,9 @@ class Scenery:
     goal_yaw: float
     footprint: tuple[float, float]
     other_floor: float | None = None
-    distance: float = 2.1
-    azimuth: float = 125.0
-    elevation: float = -22.0
+    distance: float = 3.0
+    azimuth: float = 108.0
+    elevation: float = -20.0
 
 
 class Film:
@@ -175,7 +177,8 @@ def _simplify(model: mujoco.MjModel) -> None:
     """Half of the time of a frame where no GPU draws it; reflections are a second picture."""
     model.vis.quality.shadowsize, model.vis.quality.offsamples = 4096, 4
     model.mat_reflectance[:] = 0.0
-    model.vis.map.shadowclip = 9.0  # the floor is speckled where the edge of the light's view meets it
+    model.vis.global_.fovy = _VIEW
+    model.vis.map.shadowclip = 12.0  # the floor is speckled where the edge of the light's view meets it
 
 
 class Shots:

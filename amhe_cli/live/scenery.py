@@ -19,7 +19,7 @@ def scenery_of(task: Task) -> Scenery:
         goal_yaw=yaw,
         footprint=task.box.size[:2],
         other_floor=min(floors, default=None),
-        distance=1.45 if task.one_leg else 2.1,
-        azimuth=188.0 if task.one_leg else 125.0,
-        elevation=-28.0 if task.one_leg else -22.0,
+        distance=2.2 if task.one_leg else 3.0,
+        azimuth=188.0 if task.one_leg else 108.0,
+        elevation=-24.0 if task.one_leg else -20.0,
     )
