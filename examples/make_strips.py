@@ -20,7 +20,7 @@ SIZE, WIDTH = (640, 320), 400
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description="Picture strips of tasks.")
     parser.add_argument("tasks", nargs="+", help="t1 ... t5, hw1, hw2")
     parser.add_argument("--mode", default="true")
     parser.add_argument("--seed", type=int, default=0)
