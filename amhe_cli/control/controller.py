@@ -88,7 +88,8 @@ class Controller:
             terms = move.terms(times + period, trunk, box, rollouts.qpos[..., self._at.joints])
             return self._scores(x, terms, rollouts.completed)
 
-        step = self._sampler.step(evaluate, self._refines(start.time))
+        switched = self._behaviour.switches(start.time - period, start.time)
+        step = self._sampler.step(evaluate, switched)
         targets = self._targets(move, times, step.mean[None])[0]
         command = move.command + self._sampler.split(step.mean)[1]
         return Plan(start.time, period, targets, move.reference, command, step)
@@ -96,14 +97,10 @@ class Controller:
     def _predicted(self, state: State, in_force: FloatArray, theta: FloatArray) -> State:
         qpos, qvel = coordinates(self._at, state)
         one = self._roll_out(theta, qpos, qvel, in_force[None, None])
+        time = state.time + self._settings.period
         if not one.completed[0]:
-            return state
-        return state_of(self._at, state.time + self._settings.period, one.qpos[0, 0], one.qvel[0, 0])
-
-    def _refines(self, time: float) -> bool:
-        if self._settings.refine == "switch":
-            return self._behaviour.switches(time - self._settings.period, time)
-        return self._settings.refine == "always"
+            return replace(state, time=time)
+        return state_of(self._at, time, one.qpos[0, 0], one.qvel[0, 0])
 
     def _targets(self, move: Move, times: FloatArray, x: FloatArray) -> FloatArray:
         """Joint targets of plans (n, d), within the joints' limits, shape (n, H, 12)."""

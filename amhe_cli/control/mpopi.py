@@ -2,7 +2,8 @@
 
 A plan is a vector: K knots of a cubic spline for each of the joints, then a few channels that are held over
 the horizon. Its distribution is a diagonal Gaussian about a mean that moves with time. One step samples,
-rolls out, refines where asked, and moves the mean by MPPI's weights; what a rollout costs is the caller's.
+rolls out, and moves the mean by MPPI's weights; after a switch of the gait's contacts it also refines the
+Gaussian, one loop a step. What a rollout costs is the caller's.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.control.splines import shift_matrix
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.settings import ControlSettings
 from amhe_cli.core.statistics import log_rank_weights
 
@@ -41,9 +42,9 @@ class Step:
 
     Args:
         mean: The new mean, shape (d,).
-        rollouts, diverged: Counts over all loops.
+        rollouts, diverged: Counts.
         effective_samples: 1 / sum of squared weights: 1 where one sample decides, n where none does.
-        best, average: Least cost, and mean of the finite ones, of the last loop.
+        best, average: Least cost, and mean of the finite ones.
         terms: Parts of the least cost.
     """
 
@@ -76,46 +77,49 @@ class Mpopi:
         self.sigma = self._start_sigma.copy()
         self.mean = np.zeros_like(self.sigma)
         self._best: FloatArray | None = None
+        self._loops_left = 0
 
     def split(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Knots (..., K, 12) and channels (..., c) of plans (..., d)."""
         knots = x[..., : self._knot_numbers]
         return knots.reshape(*x.shape[:-1], -1, JOINTS), x[..., self._knot_numbers :]
 
-    def step(self, evaluate: Callable[[FloatArray], Scores], refine: bool) -> Step:
+    def step(self, evaluate: Callable[[FloatArray], Scores], switched: bool) -> Step:
         """Move ahead by one period, sample, and update the mean.
 
         Args:
             evaluate: Scores of plans (n, d).
-            refine: Whether to spend the samples on several loops that adapt sigma.
+            switched: A contact has just switched. The L loops of the refinement that begins then are those of
+                this and the following steps: so each has all of the samples, and no step takes longer.
         """
         self._move_ahead()
-        s = self._settings
-        loops = s.loops if refine else 1
-        rollouts = diverged = 0
-        for loop in range(loops):
-            x = self._candidates(max(4, s.samples // loops))
-            scores = evaluate(x)
-            rollouts += len(x)
-            diverged += int(np.isinf(scores.cost).sum())
-            if loop < loops - 1:
-                self._refine(x, scores.cost)
-        weights = mppi_weights(scores.cost, s.temperature)
-        if weights.any():
-            best = int(np.argmin(scores.cost))
-            self._best = x[best]
-            self.mean = self._limited(weights @ x)
-        finite = scores.cost[np.isfinite(scores.cost)]
+        self._begin_loops(switched)
+        x, noisy = self._candidates()
+        scores = evaluate(x)
+        if self._loops_left > 0:
+            self._loops_left -= 1
+            self._refine(x, noisy, scores.cost)
+        weights = mppi_weights(scores.cost, self._settings.temperature)
         best = int(np.argmin(scores.cost))
+        if weights.any():
+            self._best = x[best]
+            self.mean = weights @ x
+        finite = scores.cost[np.isfinite(scores.cost)]
         return Step(
             mean=self.mean,
-            rollouts=rollouts,
-            diverged=diverged,
+            rollouts=len(x),
+            diverged=len(x) - finite.size,
             effective_samples=float(1.0 / (weights**2).sum()) if weights.any() else 0.0,
             best=float(finite.min()) if finite.size else float("inf"),
             average=float(finite.mean()) if finite.size else float("inf"),
             terms={name: float(term[best]) for name, term in scores.terms.items()},
         )
+
+    def _begin_loops(self, switched: bool) -> None:
+        if self._settings.refine == "always":
+            self._loops_left = 1
+        elif self._settings.refine == "switch" and switched:
+            self.sigma, self._loops_left = self._start_sigma.copy(), self._settings.loops
 
     def _move_ahead(self) -> None:
         self.mean = self._moved(self.mean)
@@ -126,18 +130,20 @@ class Mpopi:
         knots, channels = self.split(x)
         return np.concatenate(((self._shift @ knots).ravel(), channels))
 
-    def _candidates(self, count: int) -> FloatArray:
-        """Plans (n, d): the mean itself, the previous best, the bare reference, noise about the mean.
+    def _candidates(self) -> tuple[FloatArray, BoolArray]:
+        """Plans (n, d), and which of their numbers carry noise.
 
-        Half of the noisy ones leave the joints alone: noise on twelve joints hides what a channel does.
+        The mean itself, the previous best, the bare reference, then noise about the mean; half of that leaves
+        the joints alone: noise on twelve joints hides what a channel does.
         """
-        noise = self._rng.standard_normal((count, self.sigma.size)) * self.sigma
-        noise[1::2, : self._knot_numbers] = 0.0
-        x = self.mean + noise
-        x[0] = self.mean
+        count = self._settings.samples
+        noisy = np.ones((count, self.sigma.size), dtype=np.bool_)
+        noisy[:3] = False
+        noisy[3::2, : self._knot_numbers] = False
+        x = self.mean + self.sigma * noisy * self._rng.standard_normal(noisy.shape)
         x[1] = self.mean if self._best is None else self._best
         x[2] = 0.0
-        return self._limited(x)
+        return self._limited(x), noisy
 
     def _limited(self, x: FloatArray) -> FloatArray:
         limit = _CHANNEL_RANGE * self._start_sigma[self._knot_numbers :]
@@ -145,23 +151,23 @@ class Mpopi:
         limited[..., self._knot_numbers :] = np.clip(x[..., self._knot_numbers :], -limit, limit)
         return limited
 
-    def _refine(self, x: FloatArray, cost: FloatArray) -> None:
-        """Move mean and sigma towards the elites, by log-rank weights.
+    def _refine(self, x: FloatArray, noisy: BoolArray, cost: FloatArray) -> None:
+        """Move sigma towards the elites' spread, by log-rank weights.
 
         The variance is taken about the *old* mean (rank-mu update of CMA-ES): it does not collapse while
-        the mean still moves.
+        the mean still moves. Numbers without noise say nothing of their spread.
         """
         s = self._settings
-        order = np.argsort(cost)[: max(2, round(s.elites * len(x)))]
-        order = order[np.isfinite(cost[order])]
-        if order.size == 0:
-            return
-        weights = log_rank_weights(order.size)
-        variance = weights @ (x[order] - self.mean) ** 2
+        order = np.argsort(cost)
+        order = order[np.isfinite(cost[order]) & noisy[order].any(axis=1)]
+        order = order[: max(2, round(s.elites * len(x)))]
+        weights = noisy[order] * log_rank_weights(order.size)[:, None]
+        total = weights.sum(axis=0)
+        spread = (weights * (x[order] - self.mean) ** 2).sum(axis=0)
+        variance = np.where(total > 0.0, spread / np.maximum(total, 1e-12), self.sigma**2)
         blended = (1.0 - s.learning_rate) * self.sigma**2 + s.learning_rate * variance
         low, high = s.sigma_range
         self.sigma = np.clip(np.sqrt(blended), low * self._start_sigma, high * self._start_sigma)
-        self.mean = self._limited(weights @ x[order])
 
 
 def mppi_weights(cost: FloatArray, temperature: float) -> FloatArray:

@@ -78,7 +78,7 @@ class SweepWeights:
 
     box_speed: float = 300.0
     """(Box's speed along its path - reference) [m/s]."""
-    robot_speed: float = 100.0
+    robot_speed: float = 20.0
     """Trunk's speed, which is to be none [m/s]."""
     box_left: float = 100.0
     """Box's distance from the line [m]."""
@@ -90,8 +90,21 @@ class SweepWeights:
     """Sine of the trunk's roll and pitch."""
     box_tilt: float = 300.0
     """The same of the box."""
+    trunk_place: float = 1500.0
+    """Trunk from where it should lean to [m]; in plans only."""
+    trunk_turn: float = 40.0
+    """The same of its yaw [rad]."""
     knots: float = 0.5
     """Knots: how far the joint targets leave the reference's [rad]."""
+
+
+def lean_terms(weights: SweepWeights, trunk: Body, lean: FloatArray) -> dict[str, FloatArray]:
+    """Terms of a trunk that should be at a place and heading `lean` (3,) in the world, each (..., H)."""
+    off = ((trunk.position[..., :2] - lean[:2]) ** 2).sum(axis=-1)
+    return {
+        "trunk_place": weights.trunk_place * off,
+        "trunk_turn": weights.trunk_turn * wrapped(yaw_of(trunk.orientation) - lean[2]) ** 2,
+    }
 
 
 def sweep_terms(

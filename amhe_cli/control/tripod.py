@@ -57,6 +57,7 @@ def stand_on_three(
     foot: ArrayLike,
     trunk: ArrayLike = (0.0, 0.0, 0.0),
     push: ArrayLike = (0.0, 0.0),
+    trunk_now: ArrayLike | None = None,
 ) -> Reference:
     """Shift, lift, and from then on the free foot where it is told to be.
 
@@ -70,6 +71,9 @@ def stand_on_three(
         foot: Place of the free foot [m], shape (..., 3).
         trunk: Further movement of the trunk: ahead, left [m], turn [rad], shape (..., 3).
         push: Force of the free foot on what it touches, ahead and left [N], shape (..., 2).
+        trunk_now: Where the trunk really is: ahead, left [m], turn [rad], shape (3,). The free foot is
+            placed, and the weight spread, as seen from there: a trunk that lags its target by a tenth of a
+            radian would put the foot 3 cm astray. None: where it should be.
     """
     time, foot, trunk, push = (np.asarray(x, dtype=np.float64) for x in (time, foot, trunk, push))
     batch = np.broadcast_shapes(time.shape, foot.shape[:-1], trunk.shape[:-1], push.shape[:-1])
@@ -80,14 +84,34 @@ def stand_on_three(
     places[..., leg, :] += lifted * (foot - places[..., leg, :])
     moved = shifted[..., None] * tripod.shift + trunk[..., :2]
     feet = _from_trunk(places, np.broadcast_to(moved, (*batch, 2)), np.broadcast_to(trunk[..., 2], batch))
+    seen = feet
+    if trunk_now is not None:
+        now = np.asarray(trunk_now, dtype=np.float64)
+        seen = _from_trunk(places, now[:2], now[2])
+        feet[..., leg, :] = seen[..., leg, :]
 
     load = np.ones((*batch, 4))
     load[..., leg] = 1.0 - shifted
     height = gait.height + places[..., leg, 2]
-    forces = _forces(feet, load, np.broadcast_to(push, (*batch, 2)), leg, height)
+    forces = _forces(seen, load, np.broadcast_to(push, (*batch, 2)), leg, height)
     contact = np.ones((*batch, 4), dtype=np.bool_)
     contact[..., leg] = np.broadcast_to(time < tripod.shift_time, batch)
     return reference(gait, feet, np.zeros_like(feet), forces, contact)
+
+
+def support_margin(gait: Gait, tripod: Tripod, trunk: FloatArray) -> float:
+    """How far the trunk is inside the triangle of the other feet, from the side of the free leg [m].
+
+    Args:
+        gait: Height, for the feet's places.
+        tripod: Which leg is free.
+        trunk: Place ahead and left of neutral [m], shape (2,) or more.
+    """
+    side = 1.0 if tripod.leg == "FR" else -1.0  # the triangle's long side runs from the other front foot
+    front, rear = neutral_feet(gait)[[1, 2] if tripod.leg == "FR" else [0, 3], :2]
+    along = (front - rear) / np.linalg.norm(front - rear)
+    place = np.asarray(trunk)[:2] - rear
+    return side * float(along[0] * place[1] - along[1] * place[0])
 
 
 def _forces(feet: FloatArray, load: FloatArray, push: FloatArray, leg: int, height: FloatArray) -> FloatArray:

@@ -94,14 +94,16 @@ class ControlSettings(_Group):
     """Steps of the planner's model in one period."""
     horizon: Annotated[int, Field(ge=2)] = 16
     """Steps H that a plan looks ahead."""
-    samples: Annotated[int, Field(ge=4)] = 10
-    """Rollouts N of one control cycle."""
+    samples: Annotated[int, Field(ge=5)] = 8
+    """Rollouts N of one control cycle; three of them carry no noise, and from the fourth on every other one
+    leaves the joints alone."""
     knots: Annotated[int, Field(ge=2)] = 4
     """Knots K of the cubic spline of joint targets over the horizon."""
-    loops: Annotated[int, Field(ge=1)] = 2
-    """Refinement loops L (the paper's L_MPOPI); they share the cycle's rollouts."""
+    loops: Annotated[int, Field(ge=1)] = 3
+    """Refinement loops L (the paper's L_MPOPI), one in each cycle from the switch on."""
     refine: Literal["switch", "always", "never"] = "switch"
-    """When to refine: at switches of the gait's contacts (the paper, Algorithm 1), in every cycle, never."""
+    """When to refine: L loops from each switch of the gait's contacts on (the paper, Algorithm 1), in every
+    cycle, never."""
     elites: _Share = 0.3
     """Share of the samples that refine the distribution."""
     learning_rate: Annotated[float, Field(gt=0, le=1)] = 0.5
@@ -110,11 +112,11 @@ class ControlSettings(_Group):
     """Bounds of the refined sigma, as multiples of its start."""
     temperature: _Positive = 0.1
     """Of MPPI's weights, in units of (median - least) cost: the same for cheap and dear situations."""
-    sigma_hip: _Positive = 0.02
+    sigma_hip: _Positive = 0.006
     """Noise of the hips' knots [rad]."""
-    sigma_thigh: _Positive = 0.04
+    sigma_thigh: _Positive = 0.012
     """Noise of the thighs' knots [rad]."""
-    sigma_calf: _Positive = 0.04
+    sigma_calf: _Positive = 0.012
     """Noise of the calves' knots [rad]."""
 
 

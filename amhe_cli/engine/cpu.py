@@ -36,6 +36,7 @@ class CpuEngine:
         self._threads, self._sensors = threads, sensors
         self._batch: mujoco.batch.Batch | None = None
         self._fields: dict[str, np.ndarray] = {}
+        self._written = np.empty((0, len(edits.space)))
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
@@ -63,13 +64,18 @@ class CpuEngine:
         if self._batch is None or self._batch.nsim < count:
             batch = self._batch = mujoco.batch.Batch(self._model, count, self._threads)
             self._fields = {name: batch.expand(name) for name in self._edits.fields}
+            self._written = np.full((count, len(self._edits.space)), np.nan)
         return self._batch
 
     def _write(self, batch: mujoco.batch.Batch, theta: FloatArray) -> None:
+        """Write candidates into their simulations; a planner's are the same cycle after cycle."""
         count = len(theta)
+        if np.array_equal(theta, self._written[:count]):
+            return
         self._edits.write({name: field[:count] for name, field in self._fields.items()}, theta)
         if self._edits.needs_set_const:
             batch.set_const()  # mass and its like have derived constants, stale until now
+        self._written[:count] = theta
 
     def _run(
         self, batch: mujoco.batch.Batch, ids: IntArray, steps: int, inputs: FloatArray, into: Rollouts

@@ -20,9 +20,10 @@ from amhe_cli.go1.state import Body, State, state_of
 
 MODEL = planner_model()
 AT = layout(MODEL)
-#: Six rollouts; refined in two loops they are eight, since a loop has four at least.
+#: Six rollouts in each cycle, refined or not.
 SETTINGS = ControlSettings(samples=6, loops=2, horizon=5, knots=2, substeps=3, period=0.02)
 STATE = state_of(AT, 1.0, home(MODEL), np.zeros(MODEL.nv))
+LATER = state_of(AT, 1.02, home(MODEL), np.zeros(MODEL.nv))
 THETA = np.array([3.0, 1.0, 0.4])
 
 
@@ -143,22 +144,33 @@ def test_targets_stay_within_the_joints_limits() -> None:
         np.testing.assert_array_equal(plan.targets, np.tile(LOWER if side < 0 else UPPER, (5, 1)))
 
 
+def cycles(refine: str, switch: float) -> list[FloatArray]:
+    """Joint targets that are rolled out in plans that start at 1.02 s and 1.04 s; not the predictions."""
+    engine = Gliding()
+    by = controller(Standing(switch), engine, refine=refine)
+    for state in (STATE, LATER):
+        plan = by.plan(state, HOME + 0.1, THETA, 12.5)
+        assert plan.step is not None and plan.step.rollouts == 6
+    assert [len(asked.inputs) for asked in engine.asked] == [1, 6, 1, 6]
+    return [asked.inputs for asked in engine.asked[1::2]]
+
+
 @pytest.mark.parametrize(
-    ("refine", "switch", "loops"),
+    ("refine", "switch", "refined"),
     [
-        ("always", np.inf, 2),
-        ("never", 1.01, 1),
-        ("switch", 1.01, 2),
-        ("switch", 0.99, 1),
-        ("switch", 1.03, 1),
+        ("always", np.inf, True),
+        ("never", 1.01, False),
+        ("switch", 1.01, True),
+        ("switch", 1.02, True),
+        ("switch", 0.99, False),
+        ("switch", 1.03, False),
     ],
 )
-def test_it_refines_always_never_or_where_a_foot_switches(refine: str, switch: float, loops: int) -> None:
-    """Within the period before the plan's start at 1.02 s."""
-    engine = Gliding()
-    plan = planned(controller(Standing(switch), engine, refine=refine))
-    assert [len(asked.inputs) for asked in engine.asked[1:]] == ([4, 4] if loops == 2 else [6])
-    assert plan.step is not None and plan.step.rollouts == (8 if loops == 2 else 6)
+def test_it_refines_always_never_or_where_a_foot_switches(refine: str, switch: float, refined: bool) -> None:
+    """Within the period before the plan's start at 1.02 s; seen by what the next plan samples."""
+    (first, second), (plain_first, plain_second) = cycles(refine, switch), cycles("never", np.inf)
+    np.testing.assert_array_equal(first, plain_first)
+    assert np.array_equal(second, plain_second) is not refined
 
 
 def test_channels_move_the_command_to_where_it_costs_least() -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -48,6 +49,11 @@ def bowl(target: FloatArray) -> Cost:
     return lambda x: (((x - target) / START_SIGMA) ** 2).sum(axis=1)
 
 
+def downhill(x: FloatArray) -> FloatArray:
+    """Noise on any number may pay: all of them are refined."""
+    return -(x / START_SIGMA).sum(axis=1)
+
+
 def steady(joints: FloatArray, channels: FloatArray) -> FloatArray:
     """A plan that does not change when time goes on: the same at all knots."""
     return np.concatenate((np.tile(joints, 3), channels))
@@ -62,13 +68,22 @@ def failed(x: FloatArray) -> FloatArray:
     return np.full(len(x), np.inf)
 
 
+def sigmas(mpopi: Mpopi, cost: Cost, switches: Iterable[bool]) -> list[FloatArray]:
+    """Sigma after each step, one for each of the flags."""
+    after = list[FloatArray]()
+    for switched in switches:
+        mpopi.step(Recorder(cost), switched)
+        after.append(mpopi.sigma.copy())
+    return after
+
+
 def test_refined_sampling_finds_all_numbers_of_a_plan() -> None:
     rng = np.random.default_rng(3)
     target = steady(rng.uniform(-2.0, 2.0, 12) * START_SIGMA[:12], np.array([0.15, -3.0]))
-    mpopi, cost = sampler(samples=64), bowl(target)
+    mpopi, cost = sampler(samples=64, refine="always"), bowl(target)
     first = cost(mpopi.mean[None])[0]
     for _ in range(150):
-        step = mpopi.step(Recorder(cost), refine=True)
+        step = mpopi.step(Recorder(cost), switched=False)
     assert cost(step.mean[None])[0] < 0.05 * first
     assert (np.abs(step.mean - target) < 0.6 * START_SIGMA).all()
     np.testing.assert_array_equal(step.mean, mpopi.mean)
@@ -83,62 +98,154 @@ def test_without_refinement_the_mean_goes_to_where_the_cost_is_least() -> None:
     def cost(x: FloatArray) -> FloatArray:
         return (((x[:, matters] - target) / START_SIGMA[matters]) ** 2).sum(axis=1)
 
-    means = [mpopi.step(Recorder(cost), refine=False).mean for _ in range(60)]
+    means = [mpopi.step(Recorder(cost), switched=False).mean for _ in range(60)]
     found = np.mean(means[20:], axis=0)[matters]
     np.testing.assert_allclose(found / START_SIGMA[matters], target / START_SIGMA[matters], atol=0.25)
 
 
+@pytest.mark.parametrize("switched", [False, True])
+@pytest.mark.parametrize("refine", ["switch", "always", "never"])
+def test_the_mean_moves_by_the_weights_of_all_candidates_refined_or_not(refine: str, switched: bool) -> None:
+    target = steady(3.0 * START_SIGMA[:12], np.array([0.2, 4.0]))
+    mpopi, evaluate = sampler(refine=refine), Recorder(bowl(target))
+    for _ in range(4):
+        step = mpopi.step(evaluate, switched)
+        x = evaluate.seen[-1]
+        np.testing.assert_allclose(step.mean, mppi_weights(evaluate.cost(x), 0.1) @ x)
+
+
+def test_a_loop_of_refinement_changes_what_is_sampled_next_not_now() -> None:
+    never, once = Recorder(downhill), Recorder(downhill)
+    plain, other = sampler(), sampler()
+    for step in range(2):
+        plain.step(never, switched=False)
+        other.step(once, switched=step == 0)
+    np.testing.assert_array_equal(never.seen[0], once.seen[0])
+    np.testing.assert_array_equal(never.seen[1][:3], once.seen[1][:3])
+    assert (np.abs(never.seen[1] - once.seen[1])[3:].max(axis=0) > 1e-3 * START_SIGMA).all()
+
+
+@pytest.mark.parametrize("loops", [1, 2, 4])
+def test_a_switch_begins_as_many_loops_as_are_set_one_in_each_step(loops: int) -> None:
+    """Before the switch and after the loops, sigma is retained."""
+    flags = [False, False, True, *[False] * 6]
+    after = [START_SIGMA, *sigmas(sampler(loops=loops), downhill, flags)]
+    changed = [not np.array_equal(a, b) for a, b in pairwise(after)]
+    assert changed == [2 <= step < 2 + loops for step in range(len(flags))]
+
+
+def test_at_a_switch_sigma_restarts_and_the_loops_begin_anew() -> None:
+    """The cost of the step of the switch is infinite everywhere: nothing is learnt, the restart is bare."""
+    mpopi = sampler(loops=3)
+    refined = sigmas(mpopi, downhill, [True, False])[-1]
+    assert (np.abs(refined / START_SIGMA - 1.0) > 1e-3).all()
+    np.testing.assert_allclose(sigmas(mpopi, failed, [True])[-1], START_SIGMA)
+    after = sigmas(mpopi, downhill, [False] * 4)
+    changed = [not np.allclose(a, b, rtol=1e-9, atol=0.0) for a, b in pairwise([START_SIGMA, *after])]
+    assert changed == [True, True, False, False]
+
+
+def test_what_is_sampled_at_a_switch_has_the_spread_of_the_start() -> None:
+    mpopi = sampler(samples=400, loops=30)
+    wide, narrow, restarted = Recorder(failed), Recorder(failed), Recorder(failed)
+    mpopi.step(wide, switched=False)
+    sigmas(mpopi, bowl(np.zeros(38)), [True, *[False] * 29])
+    mpopi.step(narrow, switched=False)
+    mpopi.step(restarted, switched=True)
+
+    def spread(of: Recorder) -> FloatArray:
+        return of.seen[0][4::2].std(axis=0) / START_SIGMA
+
+    assert (spread(narrow)[36:] < 0.4).all()
+    np.testing.assert_allclose(spread(wide), 1.0, atol=0.2)
+    np.testing.assert_allclose(spread(restarted), 1.0, atol=0.2)
+
+
+def test_refinement_in_every_step_does_not_restart_at_a_switch() -> None:
+    mpopi = sampler(refine="always")
+    after = [START_SIGMA, *sigmas(mpopi, downhill, [False] * 5)]
+    assert all(not np.array_equal(a, b) for a, b in pairwise(after))
+    np.testing.assert_allclose(sigmas(mpopi, failed, [True])[-1], after[-1])
+
+
+def test_without_refinement_sigma_stays_whatever_switches() -> None:
+    for sigma in sigmas(sampler(refine="never"), bowl(np.zeros(38)), [True, False, True, True, False]):
+        np.testing.assert_array_equal(sigma, START_SIGMA)
+
+
 def test_refinement_narrows_sigma_down_to_its_bound_and_no_further() -> None:
-    mpopi = sampler()
-    for _ in range(60):
-        mpopi.step(Recorder(bowl(np.zeros(38))), refine=True)
-        assert (mpopi.sigma >= 0.2 * START_SIGMA * (1.0 - 1e-12)).all()
-        assert (mpopi.sigma <= 1.5 * START_SIGMA * (1.0 + 1e-12)).all()
-    assert (mpopi.sigma < 0.8 * START_SIGMA).all()
-    assert np.isclose(mpopi.sigma, 0.2 * START_SIGMA).any()
+    after = np.array(sigmas(sampler(refine="always"), bowl(np.zeros(38)), [False] * 60))
+    assert (after >= 0.2 * START_SIGMA * (1.0 - 1e-12)).all()
+    assert (after <= 1.5 * START_SIGMA * (1.0 + 1e-12)).all()
+    np.testing.assert_allclose(after[-1][36:], 0.2 * CHANNEL_SIGMA, err_msg="the channels", rtol=0.5)
+    assert np.isclose(after[-1][36:], 0.2 * CHANNEL_SIGMA).any()
 
 
 def test_sigma_widens_towards_what_is_far_off_but_not_beyond_its_bound() -> None:
-    mpopi = sampler(learning_rate=1.0, samples=200)
-    for _ in range(3):
-        mpopi.step(Recorder(lambda x: -x[:, 0]), refine=True)
-    assert mpopi.sigma[0] == pytest.approx(1.5 * START_SIGMA[0])
-    assert (mpopi.sigma <= 1.5 * START_SIGMA * (1.0 + 1e-12)).all()
+    after = sigmas(sampler(learning_rate=1.0, samples=200, loops=3), lambda x: -x[:, 0], [True, False, False])
+    assert after[-1][0] == pytest.approx(1.5 * START_SIGMA[0])
+    assert (np.array(after) <= 1.5 * START_SIGMA * (1.0 + 1e-12)).all()
 
 
-def test_without_refinement_sigma_stays() -> None:
-    mpopi = sampler()
-    for _ in range(5):
-        mpopi.step(Recorder(bowl(np.zeros(38))), refine=False)
-    np.testing.assert_array_equal(mpopi.sigma, START_SIGMA)
+def after_a_loop(
+    sigma: FloatArray, x: FloatArray, cost: FloatArray, old: FloatArray, about: FloatArray
+) -> FloatArray:
+    """Sigma at learning rate 0.7; each number by those of the elites in which it carries noise."""
+    elites = x[3:][np.argsort(cost[3:])[: round(0.3 * len(x))]]  # without mean, previous best and reference
+    ranks = log_rank_weights(len(elites))
+    variance = sigma**2
+    for number in range(sigma.size):
+        noisy = np.abs(elites[:, number] - old[number]) > 1e-9
+        if noisy.any():
+            deviation = elites[noisy, number] - about[number]
+            variance[number] = np.average(deviation**2, weights=ranks[noisy])
+    return np.clip(np.sqrt(0.3 * sigma**2 + 0.7 * variance), 0.2 * START_SIGMA, 1.5 * START_SIGMA)
 
 
-def test_the_variance_is_that_of_the_elites_about_the_old_mean() -> None:
+def test_the_variance_is_that_of_the_noisy_elites_about_the_old_mean() -> None:
     target = steady(3.0 * START_SIGMA[:12], np.array([0.2, 4.0]))
-    mpopi, evaluate = sampler(learning_rate=0.7), Recorder(bowl(target))
-    mpopi.step(evaluate, refine=False)
-    old = moved_ahead(mpopi.mean)
-    mpopi.step(evaluate, refine=True)
-    x = evaluate.seen[1]
-    elites = x[np.argsort(evaluate.cost(x))[: round(0.3 * len(x))]]
-    weights = log_rank_weights(len(elites))
+    mpopi, evaluate = sampler(learning_rate=0.7, loops=2), Recorder(bowl(target))
+    mpopi.step(evaluate, switched=False)
+    sigma = START_SIGMA
+    for switched in (True, False):
+        old = moved_ahead(mpopi.mean)
+        mpopi.step(evaluate, switched)
+        x = evaluate.seen[-1]
+        cost = evaluate.cost(x)
+        np.testing.assert_allclose(mpopi.sigma, after_a_loop(sigma, x, cost, old, about=old))
+        assert np.abs(mpopi.sigma / after_a_loop(sigma, x, cost, old, about=mpopi.mean) - 1.0).max() > 0.05
+        sigma = mpopi.sigma
 
-    def expected(centre: FloatArray) -> FloatArray:
-        variance = 0.3 * START_SIGMA**2 + 0.7 * (weights @ (elites - centre) ** 2)
-        return np.clip(np.sqrt(variance), 0.2 * START_SIGMA, 1.5 * START_SIGMA)
 
-    np.testing.assert_allclose(mpopi.sigma, expected(old))
-    assert np.abs(mpopi.sigma / expected(weights @ elites) - 1.0).max() > 0.05
-    np.testing.assert_allclose(evaluate.seen[2][0], weights @ elites, err_msg="mean of the second loop")
+@pytest.mark.parametrize("samples", [10, 32])
+def test_a_cost_that_is_mere_chance_does_not_narrow_sigma(samples: int) -> None:
+    """Its square stays as it is, on average over many switches; candidates without noise would halve it."""
+    chance = np.random.default_rng(4).random
+    squares = list[FloatArray]()
+    for seed in range(60):
+        mpopi = sampler(seed, samples=samples, loops=3, sigma_range=(0.01, 100.0))
+        after = sigmas(mpopi, lambda x: chance(len(x)), [True, False, False])
+        squares.append((after[-1] / START_SIGMA) ** 2)
+    assert np.mean(squares, axis=0)[:36].mean() == pytest.approx(1.0, abs=0.15)
+    assert np.mean(squares, axis=0)[36:].mean() == pytest.approx(1.0, abs=0.25)
+
+
+@pytest.mark.parametrize("samples", [10, 32])
+def test_after_the_loops_of_a_switch_mere_chance_leaves_sigma_well_above_its_floor(samples: int) -> None:
+    chance = np.random.default_rng(5).random
+    flags = [step % 10 == 0 for step in range(200)]
+    after = np.array(sigmas(sampler(samples=samples, loops=3), lambda x: chance(len(x)), flags)) / START_SIGMA
+    assert np.median(after) > 0.7
+    assert (after > 0.3).mean() > 0.99
 
 
 def test_plans_without_noise_are_among_the_candidates() -> None:
     mpopi, evaluate = sampler(), Recorder(lambda x: -x[:, 0])
-    mpopi.step(evaluate, refine=False)
+    mpopi.step(evaluate, switched=False)
     x = evaluate.seen[0]
     best, mean = x[np.argmin(evaluate.cost(x))], mpopi.mean
     assert not np.allclose(best, mean) and not np.allclose(best, moved_ahead(best))
-    mpopi.step(evaluate, refine=False)
+    mpopi.step(evaluate, switched=False)
     for name, plan in (("mean", moved_ahead(mean)), ("best", moved_ahead(best)), ("zero", np.zeros(38))):
         assert np.isclose(evaluate.seen[1], plan, rtol=0.0, atol=1e-12).all(axis=1).any(), name
 
@@ -148,7 +255,7 @@ def test_the_previous_best_is_not_lost() -> None:
     mpopi, evaluate = sampler(seed=5), Recorder(lambda x: -x[:, 36])
     best = np.inf
     for _ in range(8):
-        found = mpopi.step(evaluate, refine=False).best
+        found = mpopi.step(evaluate, switched=False).best
         assert found <= best
         best = found
 
@@ -156,7 +263,7 @@ def test_the_previous_best_is_not_lost() -> None:
 def test_a_channel_does_not_run_away_however_cheap_that_is() -> None:
     mpopi, evaluate = sampler(), Recorder(lambda x: -x[:, 36] - x[:, 0])
     for _ in range(100):
-        mpopi.step(evaluate, refine=False)
+        mpopi.step(evaluate, switched=False)
     tried = np.abs(np.concatenate(evaluate.seen)[:, 36])
     assert tried.max() == pytest.approx(tried[-32:].max())
     assert tried.max() < 5.0 * CHANNEL_SIGMA[0]
@@ -166,25 +273,37 @@ def test_diverged_rollouts_never_win_and_are_counted() -> None:
     """What goes to the left diverges; what goes to the right costs more the further it goes."""
     mpopi = sampler()
     evaluate = Recorder(lambda x: np.where(x[:, 0] < -1e-9, np.inf, x[:, 0] + 1.0))
-    step = mpopi.step(evaluate, refine=True)
-    lost = sum(int((x[:, 0] < -1e-9).sum()) for x in evaluate.seen)
-    assert step.diverged == lost > 0
+    step = mpopi.step(evaluate, switched=True)
+    x = evaluate.seen[0]
+    cost = evaluate.cost(x)
+    assert step.diverged == (x[:, 0] < -1e-9).sum() > 0
+    assert step.rollouts == 32
     assert step.mean[0] >= 0.0
-    last = evaluate.cost(evaluate.seen[-1])
-    assert step.best == last.min() and step.terms["whole"] == step.best
-    assert step.average == pytest.approx(last[np.isfinite(last)].mean())
+    assert step.best == cost.min() and step.terms["whole"] == step.best
+    assert step.average == pytest.approx(cost[np.isfinite(cost)].mean())
     assert np.isfinite(step.mean).all() and np.isfinite(mpopi.sigma).all()
 
 
-@pytest.mark.parametrize("refine", [False, True])
-def test_where_all_diverge_the_mean_only_moves_on(refine: bool) -> None:
+def test_diverged_rollouts_do_not_refine() -> None:
+    """What leaves the middle diverges: the elites are those that remain, and sigma follows them only."""
+    mpopi = sampler(samples=200, learning_rate=1.0, loops=1)
+    limit = 0.5 * START_SIGMA[36]
+    mpopi.step(
+        Recorder(lambda x: np.where(np.abs(x[:, 36]) > limit, np.inf, -np.abs(x[:, 36]))), switched=True
+    )
+    assert mpopi.sigma[36] <= limit * (1.0 + 1e-12)
+    assert mpopi.sigma[36] > 0.8 * limit
+
+
+@pytest.mark.parametrize("switched", [False, True])
+def test_where_all_diverge_the_mean_only_moves_on(switched: bool) -> None:
     mpopi = sampler()
-    mpopi.step(Recorder(bowl(steady(np.full(12, 0.05), np.array([0.1, 1.0])))), refine=False)
+    mpopi.step(Recorder(bowl(steady(np.full(12, 0.05), np.array([0.1, 1.0])))), switched=False)
     mean, sigma = mpopi.mean, mpopi.sigma
-    step = mpopi.step(Recorder(failed), refine)
+    step = mpopi.step(Recorder(failed), switched)
     np.testing.assert_allclose(step.mean, moved_ahead(mean))
-    np.testing.assert_array_equal(mpopi.sigma, sigma)
-    assert step.diverged == step.rollouts > 0
+    np.testing.assert_allclose(mpopi.sigma, sigma)
+    assert step.diverged == step.rollouts == 32
     assert step.effective_samples == 0.0
     assert step.best == step.average == np.inf
 
@@ -193,7 +312,7 @@ def test_the_same_source_of_randomness_gives_the_same_plans() -> None:
     def run(seed: int) -> Step:
         mpopi = sampler(seed)
         for index in range(6):
-            step = mpopi.step(Recorder(bowl(np.full(38, 0.03))), refine=index % 2 == 0)
+            step = mpopi.step(Recorder(bowl(np.full(38, 0.03))), switched=index % 3 == 0)
         return step
 
     np.testing.assert_array_equal(run(1).mean, run(1).mean)
@@ -201,19 +320,22 @@ def test_the_same_source_of_randomness_gives_the_same_plans() -> None:
 
 
 @FEW
-@given(samples=st.integers(4, 50), loops=st.integers(1, 6), refine=st.booleans())
-def test_the_budget_of_rollouts_is_kept(samples: int, loops: int, refine: bool) -> None:
+@given(
+    samples=st.integers(5, 50),
+    loops=st.integers(1, 6),
+    refine=st.sampled_from(["switch", "always", "never"]),
+    switches=st.lists(st.booleans(), min_size=1, max_size=8),
+)
+def test_every_step_takes_exactly_the_budget_of_rollouts_at_once(
+    samples: int, loops: int, refine: str, switches: list[bool]
+) -> None:
     evaluate = Recorder(bowl(np.zeros(38)))
-    step = sampler(samples=samples, loops=loops).step(evaluate, refine)
-    assert step.rollouts == sum(map(len, evaluate.seen))
-    assert len(evaluate.seen) == (loops if refine else 1)
-    assert min(map(len, evaluate.seen)) >= 4
-    if not refine:
-        assert step.rollouts == samples
-    elif samples >= 4 * loops:
-        assert samples - loops < step.rollouts <= samples
-    else:
-        assert step.rollouts == 4 * loops
+    mpopi = sampler(samples=samples, loops=loops, refine=refine)
+    steps = [mpopi.step(evaluate, switched) for switched in switches]
+    assert [step.rollouts for step in steps] == [samples] * len(switches)
+    assert [len(x) for x in evaluate.seen] == [samples] * len(switches)
+    assert (mpopi.sigma >= 0.2 * START_SIGMA * (1.0 - 1e-12)).all()
+    assert (mpopi.sigma <= 1.5 * START_SIGMA * (1.0 + 1e-12)).all()
 
 
 COSTS = st.lists(st.floats(0.0, 100.0), min_size=2, max_size=30)
