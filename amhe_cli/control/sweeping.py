@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from amhe_cli.control.gait import Gait, standing
-from amhe_cli.control.objective import Reference, SweepWeights, lean_terms, sweep_terms, wrapped, yaw_of
+from amhe_cli.control.objective import Reference, SweepWeights, lean_terms, sweep_terms
 from amhe_cli.control.path import Path
+from amhe_cli.control.plane import Plane
 from amhe_cli.control.tripod import Tripod, stand_on_three, support_margin
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
@@ -137,7 +138,7 @@ class Sweeping:
     shape: SweepShape = field(default_factory=SweepShape)
     weights: SweepWeights = field(default_factory=SweepWeights)
     trunk_height: float = 0.27
-    _stance: tuple[FloatArray, float] | None = None
+    _stance: Plane | None = None
     _start: float = 0.0
     _over: bool = False
     _y: float = 0.0
@@ -166,37 +167,52 @@ class Sweeping:
 
     def move(self, state: State, resistance: float) -> SweepMove:
         """See `behaviour.Behaviour`."""
-        _, yaw = self._frame(state)
-        box, box_yaw = self._from_stance(state.box.position), yaw_of(state.box.orientation) - yaw
-        s = self.shape
-        turn = np.clip(s.yaw_gain * wrapped(box_yaw), -s.yaw_limit, s.yaw_limit)
-        line = box[0] + float(turn)
-        face = box[1] + self.half_width + FOOT_RADIUS
-        ready = np.array([line, face + s.clearance, s.height - self.gait.height])
-        begun = state.time - (self.tripod.shift_time + self.tripod.lift_time)
+        if self._stance is None:
+            self._stance = Plane.under(state.trunk)
+        line, face = self._contact(self._stance, state.box)
         at = self._reference(state)
+        begun = state.time - self._begin
         if begun < 0.0:
-            self._start, self._y, self._time = ready[1], ready[1], state.time
-            return SweepMove(self, ready, None, self._lean_in_world(state.time, ready[1]), at, np.zeros(6))
-        foot = self._foot(state)
-        foot[2] = ready[2]
-        foot[0] = line
-        trunk = self._from_stance(state.trunk.position)
-        trunk[2] = wrapped(yaw_of(state.trunk.orientation) - yaw)
-        self._over |= foot[1] < -s.reach or at.speed == 0.0 or begun > s.longest
-        speed, push = at.speed, 0.0
-        if self._over:
-            speed = -float(np.clip(self._start - foot[1], 0.0, s.return_speed))
-        elif support_margin(self.gait, self.tripod, trunk) < s.margin:
-            speed = 0.0
-        elif foot[1] - face < s.touching:
-            push = resistance
-            if foot[1] < s.kick_length - s.reach:
-                speed = s.kick
-        at = replace(at, speed=max(speed, 0.0))
+            return self._prepare(self._stance, state, line, face, at)
+        foot = np.array([line, self._foot(self._stance, state)[1], self.shape.height - self.gait.height])
+        speed, push = self._pace(self._stance.pose(state.trunk), foot[1], face, begun, at.speed, resistance)
         foot[1] = self._y = self._aim(state.time, foot[1], speed)
-        lean = self._lean_in_world(state.time, foot[1])
-        return SweepMove(self, foot, trunk, lean, at, np.array([0.0, -speed, 0.0, 0.0, 0.0, -push]))
+        lean = self._lean_in_world(self._stance, state.time, foot[1])
+        command = np.array([0.0, -speed, 0.0, 0.0, 0.0, -push])
+        at = replace(at, speed=max(speed, 0.0))
+        return SweepMove(self, foot, self._stance.pose(state.trunk), lean, at, command)
+
+    @property
+    def _begin(self) -> float:
+        """Of the sweep [s]."""
+        return self.tripod.shift_time + self.tripod.lift_time
+
+    def _contact(self, stance: Plane, box: Body) -> tuple[float, float]:
+        """Where to push: the push's line, and where the middle of a foot is that touches the face [m]."""
+        s, place = self.shape, stance.place(box.position)
+        aside = float(np.clip(s.yaw_gain * stance.turn(box), -s.yaw_limit, s.yaw_limit))
+        return float(place[0]) + aside, float(place[1]) + self.half_width + FOOT_RADIUS
+
+    def _prepare(self, stance: Plane, state: State, line: float, face: float, at: Reference) -> SweepMove:
+        """Shift the trunk, lift the leg, and put the foot beside the box."""
+        ready = np.array([line, face + self.shape.clearance, self.shape.height - self.gait.height])
+        self._start, self._y, self._time = ready[1], ready[1], state.time
+        lean = self._lean_in_world(stance, state.time, ready[1])
+        return SweepMove(self, ready, None, lean, at, np.zeros(6))
+
+    def _pace(
+        self, trunk: FloatArray, y: float, face: float, begun: float, commanded: float, resistance: float
+    ) -> tuple[float, float]:
+        """Speed of the foot to the right [m/s], negative on its way back, and force on the box [N]."""
+        s = self.shape
+        self._over |= y < -s.reach or commanded == 0.0 or begun > s.longest
+        if self._over:
+            return -float(np.clip(self._start - y, 0.0, s.return_speed)), 0.0
+        if support_margin(self.gait, self.tripod, trunk) < s.margin:
+            return 0.0, 0.0
+        if y - face >= s.touching:
+            return commanded, 0.0
+        return s.kick if y < s.kick_length - s.reach else commanded, resistance
 
     def running_cost(self, state: State) -> dict[str, float]:
         """See `behaviour.Behaviour`."""
@@ -207,18 +223,16 @@ class Sweeping:
     def lean(self, times: FloatArray, y: FloatArray) -> FloatArray:
         """How the trunk has leant and turned when the free foot is at y [m] (...), shape (..., 3)."""
         s = self.shape
-        begun = np.clip((times - self.tripod.shift_time - self.tripod.lift_time) / s.lean_time, 0.0, 1.0)
+        since = times - self.tripod.shift_time - self.tripod.lift_time
+        begun = np.clip(since / s.lean_time, 0.0, 1.0)
         gone = begun * (self._start + s.lean_ahead - y) / max(self._start + s.reach, 0.05)
         back, rest = np.clip(s.back_first * gone, 0.0, 1.0), np.clip(gone, 0.0, 1.0)
         return np.stack((s.lean[0] * back, s.lean[1] * rest, s.lean[2] * rest), axis=-1)
 
-    def _lean_in_world(self, time: float, y: float) -> FloatArray:
-        shifted = min(1.0, time / self.tripod.shift_time)
-        ahead, left, turn = self.lean(np.array(time), np.array(y))
-        ahead, left = np.array([ahead, left]) + shifted * self.tripod.shift
-        origin, yaw = self._stance if self._stance is not None else (np.zeros(2), 0.0)
-        c, s = np.cos(yaw), np.sin(yaw)
-        return np.array([origin[0] + c * ahead - s * left, origin[1] + s * ahead + c * left, yaw + turn])
+    def _lean_in_world(self, stance: Plane, time: float, y: float) -> FloatArray:
+        lean = self.lean(np.array(time), np.array(y))
+        lean[:2] += min(1.0, time / self.tripod.shift_time) * self.tripod.shift
+        return stance.in_world(lean)
 
     def _aim(self, time: float, y: float, speed: float) -> float:
         """Where the foot's target is [m]: it goes at the speed, but not far from the foot itself."""
@@ -229,7 +243,7 @@ class Sweeping:
     def _reference(self, state: State) -> Reference:
         place = self.path.place(state.box.position[:2])
         share = np.clip((self.path.length - place.progress) / self.taper, 0.0, 1.0)
-        started = state.time >= self.tripod.shift_time + self.tripod.lift_time
+        started = state.time >= self._begin
         left = place.left * np.array([-np.sin(place.heading), np.cos(place.heading)])
         return Reference(
             time=state.time,
@@ -240,17 +254,7 @@ class Sweeping:
             box_yaw=self.path.heading + 0.5 * np.pi,
         )
 
-    def _foot(self, state: State) -> FloatArray:
+    def _foot(self, stance: Plane, state: State) -> FloatArray:
         """The free foot in the frame of the standing feet [m], shape (3,)."""
         own = feet(state.joints)[self.tripod.index]
-        return self._from_stance(state.trunk.position + rotations.rotate(state.trunk.orientation, own))
-
-    def _frame(self, state: State) -> tuple[FloatArray, float]:
-        if self._stance is None:
-            self._stance = np.array(state.trunk.position[:2]), float(yaw_of(state.trunk.orientation))
-        return self._stance
-
-    def _from_stance(self, point: FloatArray) -> FloatArray:
-        origin, yaw = self._stance if self._stance is not None else (np.zeros(2), 0.0)
-        d, c, s = point[:2] - origin, np.cos(yaw), np.sin(yaw)
-        return np.array([c * d[0] + s * d[1], c * d[1] - s * d[0], point[2]])
+        return stance.place(state.trunk.position + rotations.rotate(state.trunk.orientation, own))
