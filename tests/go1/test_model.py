@@ -31,6 +31,37 @@ def test_planner_and_plant_are_the_same_robot_and_box() -> None:
     assert planner.npair < 20 < plant.npair
 
 
+def test_what_pushes_in_the_plant_pushes_in_the_scene() -> None:
+    """A shape of the trunk that stands before both bars of the bumper takes part of the push."""
+    scene, plant = mujoco.MjModel.from_xml_path(str(find_system("go1_push") / "scene.xml")), plant_model()
+    data = mujoco.MjData(plant)
+    data.qpos[:] = home(plant)
+    mujoco.mj_forward(plant, data)
+
+    def front(name: str) -> float:
+        geom, wall = plant.geom(name).id, plant.geom("box").id
+        return -float(mujoco.mj_geomDistance(plant, data, geom, wall, 1.0, np.zeros(6)))
+
+    bar = min(front("robot/bumper_high"), front("robot/bumper_low"))
+    before = {name for name in _touching_box(plant) if front(f"robot/{name}") >= bar - 1e-6}
+    assert "head_5" in before
+    assert before <= _touching_box(scene)
+
+
+def _touching_box(model: mujoco.MjModel) -> set[str]:
+    """Shapes of the trunk that are paired with the box; MuJoCo orders a pair as it likes."""
+    pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+    geoms = {geom for pair in pairs if model.geom("box").id in pair for geom in pair}
+    trunk = model.body("trunk").id
+    return {model.geom(g).name.removeprefix("robot/") for g in geoms if model.geom_bodyid[g] == trunk}
+
+
+def test_the_planner_leaves_out_what_only_an_estimate_needs() -> None:
+    planner = planner_model()
+    assert (planner.opt.impratio, planner.opt.iterations) == (1.0, 10)
+    assert planner.npair == 15
+
+
 def test_planner_and_plant_fly_alike() -> None:
     """Legs thrown about in the air, where no contact is: the same motion but for the integrator."""
     ends = []
