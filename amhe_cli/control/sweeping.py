@@ -63,8 +63,8 @@ class SweepShape:
     yaw_gain: float = 0.3
     yaw_limit: float = 0.05
     leash: float = 0.004
-    kick_leash: float = 0.04
-    kick: float = 0.3
+    kick_leash: float = 0.02
+    kick: float = 0.15
     kick_length: float = 0.08
     margin: float = 0.03
     longest: float = 12.0
@@ -235,10 +235,15 @@ class Sweeping:
         return stance.in_world(lean)
 
     def _aim(self, time: float, y: float, speed: float) -> float:
-        """Where the foot's target is [m]: it goes at the speed, but not far from the foot itself."""
-        gone, self._time = speed * (time - self._time), time
+        """Where the foot's target is [m]: it goes at the speed, but not far ahead of the foot itself.
+
+        It gives way to a foot that is held up, or thrown back, no faster than the foot comes back: the trunk
+        leans by it, and would unwind with a foot that has slipped.
+        """
+        passed, self._time = time - self._time, time
         leash = self.shape.kick_leash if speed == self.shape.kick or self._over else self.shape.leash
-        return float(np.clip(self._y - gone, y - leash, y + leash))
+        wanted = self._y - speed * passed
+        return float(max(wanted, min(y - leash, self._y + self.shape.return_speed * passed)))
 
     def _reference(self, state: State) -> Reference:
         place = self.path.place(state.box.position[:2])
