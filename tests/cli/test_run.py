@@ -32,7 +32,7 @@ covariance: [[0.01, 0, 0], [0, 0.01, 0], [0, 0, 0.01]]
 """
 
 #: Little work: the plans need not be good.
-QUICK = ["--duration", "0.6", "-q", "--set", "control.samples=4", "--set", "control.horizon=8"]
+QUICK = ["--duration", "0.6", "-q", "--set", "control.samples=5", "--set", "control.horizon=8"]
 
 
 def names(folder: str | Path) -> list[str]:

@@ -15,7 +15,7 @@ from amhe_cli.logs import read_metadata, survey
 from amhe_cli.run_assembly import RunOptions, open_run
 from amhe_cli.run_files import recorder_of
 
-QUICK = ("control.samples=4", "control.horizon=8")
+QUICK = ("control.samples=5", "control.horizon=8")
 
 
 def messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
@@ -90,7 +90,7 @@ def test_the_log_says_what_it_is_of_and_carries_its_settings(log) -> None:
 
     with log[0].open("rb") as file:
         attached = {one.name: one.data.decode() for one in make_reader(file).iter_attachments()}
-    assert '"samples": 4' in attached["settings.yaml"]
+    assert '"samples": 5' in attached["settings.yaml"]
     assert "box_mass" in attached["system.yaml"]
 
 
