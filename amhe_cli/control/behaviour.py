@@ -26,7 +26,7 @@ class Move(Protocol):
         """Joint targets [rad], shape (n, H, 12), at times [s] (H,) under commands (n, c)."""
         ...
 
-    def terms(self, times: FloatArray, trunk: Body, box: Body, joints: FloatArray) -> dict[str, FloatArray]:
+    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
         """Weighted terms of the running cost, each shape (..., H), of motions with axes (..., H)."""
         ...
 

@@ -82,15 +82,21 @@ class Controller:
         times = start.time + period * np.arange(self._settings.horizon, dtype=np.float64)
         qpos, qvel = coordinates(self._at, start)
 
+        sampled: list[FloatArray] = []
+
         def evaluate(x: FloatArray) -> Scores:
-            rollouts = self._roll_out(theta, qpos, qvel, self._targets(move, times, x))
+            sampled.append(self._targets(move, times, x))
+            rollouts = self._roll_out(theta, qpos, qvel, sampled[-1])
             trunk, box = _bodies(self._at, rollouts.qpos, rollouts.qvel)
-            terms = move.terms(times + period, trunk, box, rollouts.qpos[..., self._at.joints])
+            terms = move.terms(times + period, trunk, box)
             return self._scores(x, terms, rollouts.completed)
 
         switched = self._behaviour.switches(start.time - period, start.time)
         step = self._sampler.step(evaluate, switched)
-        targets = self._targets(move, times, step.mean[None])[0]
+        if step.weights.any():
+            targets = np.tensordot(step.weights, sampled[-1], axes=1)
+        else:
+            targets = self._targets(move, times, step.mean[None])[0]
         command = move.command + self._sampler.split(step.mean)[1]
         return Plan(start.time, period, targets, move.reference, command, step)
 

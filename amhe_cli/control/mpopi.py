@@ -42,6 +42,7 @@ class Step:
 
     Args:
         mean: The new mean, shape (d,).
+        weights: With which it is the mean of the samples, shape (n,); all zero where all of them diverged.
         rollouts, diverged: Counts.
         effective_samples: 1 / sum of squared weights: 1 where one sample decides, n where none does.
         best, average: Least cost, and mean of the finite ones.
@@ -49,6 +50,7 @@ class Step:
     """
 
     mean: FloatArray
+    weights: FloatArray
     rollouts: int
     diverged: int
     effective_samples: float
@@ -107,6 +109,7 @@ class Mpopi:
         finite = scores.cost[np.isfinite(scores.cost)]
         return Step(
             mean=self.mean,
+            weights=weights,
             rollouts=len(x),
             diverged=len(x) - finite.size,
             effective_samples=float(1.0 / (weights**2).sum()) if weights.any() else 0.0,
@@ -155,13 +158,16 @@ class Mpopi:
         """Move sigma towards the elites' spread, by log-rank weights.
 
         The variance is taken about the *old* mean (rank-mu update of CMA-ES): it does not collapse while
-        the mean still moves. Numbers without noise say nothing of their spread.
+        the mean still moves. Each number has its own elites, of the plans that carry noise in it: the others
+        say nothing of its spread.
         """
         s = self._settings
-        order = np.argsort(cost)
-        order = order[np.isfinite(cost[order]) & noisy[order].any(axis=1)]
-        order = order[: max(2, round(s.elites * len(x)))]
-        weights = noisy[order] * log_rank_weights(order.size)[:, None]
+        order = np.argsort(cost)[: np.count_nonzero(np.isfinite(cost))]
+        if order.size == 0:
+            return
+        rank = np.cumsum(noisy[order], axis=0)
+        elites = np.clip(np.round(s.elites * rank[-1]), np.minimum(2, rank[-1]), None)
+        weights = noisy[order] * log_rank_weights(rank, elites)
         total = weights.sum(axis=0)
         spread = (weights * (x[order] - self.mean) ** 2).sum(axis=0)
         variance = np.where(total > 0.0, spread / np.maximum(total, 1e-12), self.sigma**2)

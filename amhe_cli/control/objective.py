@@ -66,8 +66,6 @@ class PushWeights:
     """Sine of the trunk's roll and pitch."""
     box_tilt: float = 300.0
     """The same of the box."""
-    joints: float = 1.0
-    """Joints from those of the gait [rad]."""
     knots: float = 0.5
     """Knots: how far the joint targets leave the gait's [rad]."""
 
@@ -128,8 +126,6 @@ def push_terms(
     weights: PushWeights,
     trunk: Body,
     box: Body,
-    joints: FloatArray,
-    gait_joints: FloatArray,
     height: float,
     at: Reference,
     elapsed: FloatArray,
@@ -139,8 +135,6 @@ def push_terms(
     Args:
         weights: Of the terms.
         trunk, box: Motions, leading axes (..., H).
-        joints: [rad], shape (..., H, 12).
-        gait_joints: What the gait would have, shape (H, 12).
         height: Of the trunk that is wanted [m].
         at: The reference.
         elapsed: Time since it was made [s], shape (H,).
@@ -161,7 +155,6 @@ def push_terms(
         "height": w.height * (trunk.position[..., 2] - height) ** 2,
         "tilt": w.tilt * tilt_squared(trunk.orientation),
         "box_tilt": w.box_tilt * tilt_squared(box.orientation),
-        "joints": w.joints * ((joints - gait_joints) ** 2).sum(axis=-1),
     }
 
 

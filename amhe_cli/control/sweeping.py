@@ -109,7 +109,7 @@ class SweepMove:
             owner.gait, owner.tripod, times[None], foot, trunk, push, self.trunk_now
         ).targets
 
-    def terms(self, times: FloatArray, trunk: Body, box: Body, joints: FloatArray) -> dict[str, FloatArray]:
+    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
         """See `behaviour.Move`."""
         owner = self.owner
         terms = sweep_terms(owner.weights, trunk, box, owner.trunk_height, self.reference)

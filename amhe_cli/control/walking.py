@@ -66,11 +66,10 @@ class WalkMove:
         push[:, 0, 0] = np.maximum(commands[:, 3], 0.0)
         return walk(self.gait, times[None], commands[:, None, :3], push).targets
 
-    def terms(self, times: FloatArray, trunk: Body, box: Body, joints: FloatArray) -> dict[str, FloatArray]:
+    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
         """See `behaviour.Move`."""
-        gait_joints = walk(self.gait, times, self.command[:3]).joints
         elapsed = times - self.reference.time
-        return push_terms(self.weights, trunk, box, joints, gait_joints, self.height, self.reference, elapsed)
+        return push_terms(self.weights, trunk, box, self.height, self.reference, elapsed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,7 +118,7 @@ class Walking:
         """See `behaviour.Behaviour`."""
         at = self.helm.on_path(state)
         move = WalkMove(self.gait, self.weights, self.height, at, np.array([at.speed, 0.0, 0.0, 0.0]))
-        terms = move.terms(np.array([state.time]), state.trunk, state.box, state.joints[None])
+        terms = move.terms(np.array([state.time]), state.trunk, state.box)
         return {name: float(np.ravel(term)[0]) for name, term in terms.items()}
 
     def _command(self, state: State, at: Reference, resistance: float) -> FloatArray:

@@ -38,10 +38,14 @@ def trimmed_mean(values: FloatArray, trim: float) -> FloatArray:
     return values.mean(axis=-1)
 
 
-def log_rank_weights(count: int) -> FloatArray:
-    """Weights ln(count + 1/2) - ln(rank) of CMA-ES, best first, that sum to one, shape (count,)."""
-    weights = np.log(count + 0.5) - np.log(np.arange(1, count + 1))
-    return weights / weights.sum()
+def log_rank_weights(rank: FloatArray, count: FloatArray) -> FloatArray:
+    """Weights ln(count + 1/2) - ln(rank) of CMA-ES, not yet normalised; none beyond the count.
+
+    Args:
+        rank: From 1, the best, on; shape (...).
+        count: How many share the weight, shape (...).
+    """
+    return np.where(rank <= count, np.log(count + 0.5) - np.log(np.maximum(rank, 1.0)), 0.0)
 
 
 def white_noise_sd(values: FloatArray) -> float:

@@ -64,7 +64,7 @@ class Still:
         self.commands = commands
         return np.tile(HOME, (len(commands), times.size, 1)) + commands[:, None, 1:2]
 
-    def terms(self, times: FloatArray, trunk: Body, box: Body, joints: FloatArray) -> dict[str, FloatArray]:
+    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
         assert self.commands is not None
         self.times = times
         off = (self.commands[:, 0] - 0.5) ** 2

@@ -14,7 +14,6 @@ from amhe_cli.control.mpopi import JOINTS, Mpopi, Scores, Step, mppi_weights
 from amhe_cli.control.splines import shift_matrix
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import ControlSettings
-from amhe_cli.core.statistics import log_rank_weights
 
 FEW = settings(max_examples=25, deadline=None)
 
@@ -181,6 +180,11 @@ def test_refinement_narrows_sigma_down_to_its_bound_and_no_further() -> None:
     assert np.isclose(after[-1][36:], 0.2 * CHANNEL_SIGMA).any()
 
 
+def test_refinement_narrows_the_knots_sigma_too_where_their_noise_costs() -> None:
+    after = sigmas(sampler(refine="always"), bowl(np.zeros(38)), [False] * 60)
+    assert (after[-1] < 0.8 * START_SIGMA).all()
+
+
 def test_sigma_widens_towards_what_is_far_off_but_not_beyond_its_bound() -> None:
     after = sigmas(sampler(learning_rate=1.0, samples=200, loops=3), lambda x: -x[:, 0], [True, False, False])
     assert after[-1][0] == pytest.approx(1.5 * START_SIGMA[0])
@@ -191,14 +195,14 @@ def after_a_loop(
     sigma: FloatArray, x: FloatArray, cost: FloatArray, old: FloatArray, about: FloatArray
 ) -> FloatArray:
     """Sigma at learning rate 0.7; each number by those of the elites in which it carries noise."""
-    elites = x[3:][np.argsort(cost[3:])[: round(0.3 * len(x))]]  # without mean, previous best and reference
-    ranks = log_rank_weights(len(elites))
+    x, cost = x[3:], cost[3:]  # without mean, previous best and reference
     variance = sigma**2
     for number in range(sigma.size):
-        noisy = np.abs(elites[:, number] - old[number]) > 1e-9
-        if noisy.any():
-            deviation = elites[noisy, number] - about[number]
-            variance[number] = np.average(deviation**2, weights=ranks[noisy])
+        noisy = np.flatnonzero(np.abs(x[:, number] - old[number]) > 1e-9)
+        count = max(2, round(0.3 * noisy.size))
+        elites = noisy[np.argsort(cost[noisy])[:count]]
+        weights = np.log(count + 0.5) - np.log(np.arange(1, count + 1))
+        variance[number] = np.average((x[elites, number] - about[number]) ** 2, weights=weights)
     return np.clip(np.sqrt(0.3 * sigma**2 + 0.7 * variance), 0.2 * START_SIGMA, 1.5 * START_SIGMA)
 
 

@@ -68,8 +68,8 @@ def reference_in_world(at: Reference, yaw: float, shift: FloatArray) -> Referenc
     )
 
 
-def pushing(trunk: Body, box: Body, at: Reference, joints: FloatArray = HOME, elapsed: float = 0.0) -> dict:
-    return push_terms(PUSH, trunk, box, joints, HOME, HEIGHT, at, np.array(elapsed))
+def pushing(trunk: Body, box: Body, at: Reference, elapsed: float = 0.0) -> dict:
+    return push_terms(PUSH, trunk, box, HEIGHT, at, np.array(elapsed))
 
 
 def about(body: Body, point: FloatArray, angle: float) -> Body:
@@ -144,15 +144,6 @@ def test_each_term_is_for_its_own_error(name: str, error: float, yaw: float) -> 
     expected = dict.fromkeys(terms, 0.0) | {name: getattr(PUSH, name) * error**2}
     for term, value in terms.items():
         assert float(value) == pytest.approx(expected[term], rel=1e-6, abs=1e-12), term
-
-
-@FEW
-@given(error=st.floats(-1.0, 1.0))
-def test_joints_are_compared_with_the_gait_s(error: float) -> None:
-    joints = HOME + error * np.eye(12)[[3, 7]].sum(axis=0)
-    terms = pushing(*scene(), reference(), joints)
-    assert float(terms.pop("joints")) == pytest.approx(2.0 * PUSH.joints * error**2)
-    assert all(abs(float(value)) < 1e-20 for value in terms.values())
 
 
 @pytest.mark.parametrize("name", ["box_speed", "box_left", "box_yaw", "height", "tilt", "box_tilt"])
