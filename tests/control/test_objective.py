@@ -24,7 +24,6 @@ from amhe_cli.control.objective import (
 )
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Body
 
 FEW = settings(max_examples=25, deadline=None)
@@ -211,9 +210,8 @@ def test_motions_of_many_rollouts_at_once() -> None:
     ]
     speeds = many[1].velocity + rng.normal(size=(*shape, 3)) * X
     terms = push_terms(
-        PUSH, many[0], replace(many[1], velocity=speeds), np.tile(HOME, (*shape, 1)), np.tile(HOME, (7, 1)),
-        HEIGHT, reference(), 0.02 * np.arange(7.0),
-    )  # fmt: skip
+        PUSH, many[0], replace(many[1], velocity=speeds), HEIGHT, reference(), 0.02 * np.arange(7.0)
+    )
     assert {term.shape for term in terms.values()} == {shape}
     np.testing.assert_allclose(terms["box_speed"], PUSH.box_speed * (speeds[..., 0] - SPEED) ** 2)
 
