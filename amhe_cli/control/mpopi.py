@@ -165,7 +165,7 @@ class Mpopi:
         order = np.argsort(cost)[: np.count_nonzero(np.isfinite(cost))]
         if order.size == 0:
             return
-        rank = np.cumsum(noisy[order], axis=0)
+        rank = np.cumsum(noisy[order], axis=0, dtype=np.float64)
         elites = np.clip(np.round(s.elites * rank[-1]), np.minimum(2, rank[-1]), None)
         weights = noisy[order] * log_rank_weights(rank, elites)
         total = weights.sum(axis=0)
