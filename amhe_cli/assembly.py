@@ -150,9 +150,7 @@ def open_system(
 ) -> System:
     """Load the system that the user named, or else the one that the logs name, with its topics remapped."""
     folder = find_system(name or system_of(source.paths))
-    settings = overrides.from_file(config) if config else {}
-    settings = overrides.merged(settings, overrides.from_environment(os.environ))
-    settings = overrides.merged(settings, overrides.parse_set(assignments))
+    settings = overrides.gathered(config, os.environ, assignments)
     return _remapped(load_system(folder, settings), source.topics)
 
 

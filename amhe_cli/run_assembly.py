@@ -111,9 +111,7 @@ def open_run(options: RunOptions) -> Run:
 
 
 def _system(options: RunOptions) -> System:
-    settings = overrides.from_file(options.config) if options.config else {}
-    settings = overrides.merged(settings, overrides.from_environment(os.environ))
-    settings = overrides.merged(settings, overrides.parse_set(options.assignments))
+    settings = overrides.gathered(options.config, os.environ, options.assignments)
     return load_system(find_system(SYSTEM), settings, warn=False)
 
 

@@ -45,6 +45,14 @@ class Path:
         """Last point [m], shape (2,)."""
         return self.points(np.array([self.length]))[0]
 
+    def tapered(self, progress: FloatArray | float, taper: float) -> float:
+        """Share of the speed that is left along the path: 1, going to 0 over the last `taper` [m]."""
+        return float(np.clip((self.length - progress) / taper, 0.0, 1.0))
+
+    def nearest(self, point: FloatArray, place: Place) -> FloatArray:
+        """The point of the path beside a point [m] (2,) whose place is known, shape (2,)."""
+        return point - place.left * np.array([-np.sin(place.heading), np.cos(place.heading)])
+
     def points(self, progress: FloatArray) -> FloatArray:
         """Points at distances from the start [m] (...), shape (..., 2)."""
         turn = self.curvature * progress

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.control.objective import Reference, bumper_from_box, wrapped, yaw_of
-from amhe_cli.control.path import Path
+from amhe_cli.control.path import Path, Place
 from amhe_cli.go1.state import State
 
 
@@ -94,14 +94,14 @@ class Helm:
 
     def on_path(self, state: State) -> Reference:
         """The fixed path reference: what the task asks for, whatever can be done about it."""
-        place = self._path.place(state.box.position[:2])
-        left = place.left * np.array([-np.sin(place.heading), np.cos(place.heading)])
-        share = np.clip((self._path.length - place.progress) / self._taper, 0.0, 1.0)
+        return self._on_path(state, self._path.place(state.box.position[:2]))
+
+    def _on_path(self, state: State, place: Place) -> Reference:
         heading = float(place.heading)
         return Reference(
             time=state.time,
-            speed=float(self._speed * share),
-            origin=state.box.position[:2] - left,
+            speed=self._speed * self._path.tapered(place.progress, self._taper),
+            origin=self._path.nearest(state.box.position[:2], place),
             heading=heading,
             yaw=heading,
             box_yaw=heading,
@@ -109,7 +109,8 @@ class Helm:
 
     def reference(self, state: State) -> Reference:
         """What the controller is to do now."""
-        path, s = self.on_path(state), self._steering
+        place, s = self._path.place(state.box.position[:2]), self._steering
+        path = self._on_path(state, place)
         normal = np.array([-np.sin(path.heading), np.cos(path.heading)])
         astray = float(normal @ (state.box.position[:2] - path.origin))
         back = float(np.clip(s.path_gain * astray, -s.path_limit, s.path_limit))
@@ -118,7 +119,7 @@ class Helm:
         missing = float(wrapped(heading - box_yaw))
         offset = -float(np.clip(s.offset_gain * missing, -s.offset_limit, s.offset_limit))
         yaw = box_yaw + float(np.clip(missing, -s.yaw_limit, s.yaw_limit))
-        speed = self._aim(path.speed, state)
+        speed = self._aim(path.speed, float(place.progress))
         wanted = replace(
             path,
             speed=speed,
@@ -134,10 +135,9 @@ class Helm:
             return replace(wanted, speed=self._retreat_speed(gap), turn=0.0, yaw=box_yaw, pushing=0.0)
         return replace(wanted, pushing=float(gap < s.touching))
 
-    def _aim(self, commanded: float, state: State) -> float:
+    def _aim(self, commanded: float, progress: float) -> float:
         s = self._steering
-        left = self._path.length - float(self._path.place(state.box.position[:2]).progress)
-        return max(s.lead * commanded, s.creep) if left > s.enough else 0.0
+        return max(s.lead * commanded, s.creep) if self._path.length - progress > s.enough else 0.0
 
     def gap(self, state: State) -> tuple[float, float]:
         """Distance from bumper to the box's face, and the bumper's middle left of the box's [m]."""

@@ -247,13 +247,11 @@ class Sweeping:
 
     def _reference(self, state: State) -> Reference:
         place = self.path.place(state.box.position[:2])
-        share = np.clip((self.path.length - place.progress) / self.taper, 0.0, 1.0)
         started = state.time >= self._begin
-        left = place.left * np.array([-np.sin(place.heading), np.cos(place.heading)])
         return Reference(
             time=state.time,
-            speed=float(self.shape.speed * share) * started,
-            origin=state.box.position[:2] - left,
+            speed=self.shape.speed * self.path.tapered(place.progress, self.taper) * started,
+            origin=self.path.nearest(state.box.position[:2], place),
             heading=float(place.heading),
             yaw=0.0,
             box_yaw=self.path.heading + 0.5 * np.pi,

@@ -76,7 +76,7 @@ class Task:
         """Of the robot, when the box is so far along its path [m]: [m/s]."""
         if self.one_leg:
             return 0.0
-        return SPEED * float(np.clip((self.path.length - progress) / TAPER, 0.0, 1.0))
+        return SPEED * self.path.tapered(progress, TAPER)
 
     @property
     def judged_from(self) -> float:

@@ -116,10 +116,9 @@ class Walking:
 
     def running_cost(self, state: State) -> dict[str, float]:
         """See `behaviour.Behaviour`."""
-        at = self.helm.on_path(state)
-        move = WalkMove(self.gait, self.weights, self.height, at, np.array([at.speed, 0.0, 0.0, 0.0]))
-        terms = move.terms(np.array([state.time]), state.trunk, state.box)
-        return {name: float(np.ravel(term)[0]) for name, term in terms.items()}
+        at, now = self.helm.on_path(state), np.array(0.0)
+        terms = push_terms(self.weights, state.trunk, state.box, self.height, at, now)
+        return {name: float(term) for name, term in terms.items()}
 
     def _command(self, state: State, at: Reference, resistance: float) -> FloatArray:
         g = self.gains

@@ -1,8 +1,6 @@
 """Settings from outside a system folder: `--set`, `AMHE_*` variables, `--config` files.
 
-All of them become one nested mapping for `load.load_system`, the strongest merged last:
-
-    overrides = merged(merged(from_file(path), from_environment(os.environ)), parse_set(options))
+All of them become one nested mapping for `load.load_system`, by `gathered`.
 
 Keys are those of `core.settings.Settings` (`clips.length`), and `parameters.NAME....` and
 `signals.NAME....` as in `system.yaml`. `load_system` refuses unknown ones, listing what exists.
@@ -17,10 +15,17 @@ from typing import Any
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.yaml_file import YamlFile, merged, scalar
 
-__all__ = ["from_environment", "from_file", "merged", "parse_set"]
+__all__ = ["from_environment", "from_file", "gathered", "merged", "parse_set"]
 
 #: Start of an environment variable that is a setting, and what stands in it for the dot of `--set`.
 PREFIX, SEPARATOR = "AMHE_", "__"
+
+
+def gathered(config: Path | None, environment: Mapping[str, str], options: Iterable[str]) -> dict[str, Any]:
+    """All overrides as one nested mapping, the strongest last: file, environment, `--set`."""
+    settings = from_file(config) if config else {}
+    settings = merged(settings, from_environment(environment))
+    return merged(settings, parse_set(options))
 
 
 def parse_set(options: Iterable[str]) -> dict[str, Any]:
