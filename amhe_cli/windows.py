@@ -110,7 +110,7 @@ def prepare(system: System, windows: Sequence[Window], noise_scale: Mapping[str,
     qpos, qvel = _first_states(system, windows, home_qpos)
     history = _history(system)
     inputs = _inputs(system, windows, home_input, history, int(lengths.max()))
-    compared = [c for c in system.channels if c.noise is not None and not _derived(c, windows)]
+    compared = [c for c in system.channels if c.compared and not _derived(c, windows)]
     observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0)) for c in compared)
     observed = tuple(o for o in observed if o.mask.any())
     index, sd = first_errors(system, windows[0].trajectory)

@@ -73,12 +73,18 @@ class IdentifySettings(_Group):
     more."""
     iterations: Annotated[int, Field(ge=1)] = 16
     """Iterations of the linearised method."""
+    polish: Annotated[int, Field(ge=1)] = 6
+    """Of these, at most so many on fixed clips at the end; those before draw random clips."""
     cmaes_iterations: Annotated[int, Field(ge=1)] = 40
     """Iterations of one CMA-ES start."""
     cmaes_starts: Annotated[int, Field(ge=1)] = 3
     """Starts of CMA-ES when it is the fallback."""
-    first_state: bool = True
-    """Treat each clip's first-state errors as nuisances with the sensors' noise as prior."""
+    first_state: Literal["always", "polish", "never"] = "always"
+    """When to treat each clip's first-state errors as nuisances with the sensors' noise as prior;
+    polish: only in the last iterations and for the uncertainty, where they are many and clips are dear."""
+    step: Annotated[float, Field(gt=0, le=1)] = 0.05
+    """Least sampling sd where residuals jitter, as behind chaotic contact, as a share of the parameter:
+    smaller steps measure the jitter."""
     bootstrap: Annotated[int, Field(ge=0)] = 200
     """Resamples of the clip bootstrap."""
     profile_points: Annotated[int, Field(ge=0)] = 11

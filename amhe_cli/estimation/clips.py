@@ -121,10 +121,10 @@ class ClipPool:
     def _is_still(self, clip: Window) -> bool:
         """No compared position moves by more than a few noise sd."""
         for channel in self.system.channels:
-            if channel.noise is None or channel.source == "qvel":
+            if not channel.compared or channel.source == "qvel":
                 continue
             values = clip.trajectory[channel.key].values[clip.start : clip.stop + 1]
-            noise = max(channel.noise, self._noise_of(channel.key, clip.trajectory))
+            noise = max(channel.noise or 0.0, self._noise_of(channel.key, clip.trajectory))
             # the range of n noise samples alone is some 4 to 6 sd
             if np.ptp(values, axis=0).max() > (self.settings.still + 6.0) * noise:
                 return False

@@ -23,6 +23,7 @@ from amhe_cli.estimation.posterior import Posterior, by_kind, disagreement, post
 from amhe_cli.estimation.problem import Problem
 from amhe_cli.estimation.study import Finding, Study, study_of, thinned
 from amhe_cli.matching import MatchingCost
+from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
@@ -71,8 +72,9 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
     if not _both(late):
         return None
     means, variances = [], []
+    system = _quick(problem.system)
     for side in (late, ~late):
-        part = replace(problem, only=thinned(problem, np.flatnonzero(side)))
+        part = replace(problem, system=system, only=thinned(problem, np.flatnonzero(side)))
         state = search.restart(part, finding.z)
         for _ in range(REFITS):
             state = search.advance(part, state)
@@ -80,6 +82,15 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
         means.append(state.z + found.step)
         variances.append(np.diag(found.data_covariance))
     return means[0] - means[1], np.sqrt(variances[0] + variances[1])
+
+
+def _quick(system: System) -> System:
+    """Where fitting first states is dear, halves are compared without: their errors are alike in both."""
+    settings = system.settings
+    if settings.identify.first_state == "always":
+        return system
+    quick = settings.identify.model_copy(update={"first_state": "never"})
+    return replace(system, settings=settings.model_copy(update={"identify": quick}))
 
 
 def _both(side: BoolArray) -> bool:

@@ -116,7 +116,7 @@ def spread_floor(problem: Problem) -> FloatArray:
     On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
     ones they are exact, and large steps are not.
     """
-    return np.minimum(_steps(problem, 0.05 if problem.rough else 1e-4), WIDEST)
+    return np.minimum(_steps(problem, problem.settings.identify.step if problem.rough else 1e-4), WIDEST)
 
 
 def _steps(problem: Problem, share: float) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.settings import IdentifySettings
 from amhe_cli.core.trajectory import Window
 from amhe_cli.estimation.linearised import (
     Information,
@@ -25,8 +26,6 @@ from amhe_cli.matching import MatchingCost, quadratic_prior
 
 Stage = Literal["explore", "polish", "done"]
 
-#: Iterations on fixed tiles that end the linearised search.
-POLISH = 6
 #: A step shorter than this, in posterior sd, has settled.
 SETTLED = 0.3
 #: A step may leave the middle of the samples by this many of their sd.
@@ -85,7 +84,7 @@ def advance(problem: Problem, state: State) -> State:
     rng = problem.rng(0, state.number)
     windows = problem.pool.draw(rng, problem.clip_count) if exploring else problem.tiles
     cost = problem.cost(windows, state.scale)
-    first = np.zeros((len(windows), cost.nx if setting.first_state else 0))
+    first = np.zeros((len(windows), cost.nx if _fits_first_states(setting.first_state, exploring) else 0))
     slopes = linearise(cost, state.z, first, state.shape, setting.samples, rng)
     found = information(slopes)
     taken = gauss_newton(problem, cost, state, found, windows)
@@ -94,7 +93,7 @@ def advance(problem: Problem, state: State) -> State:
     settled = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
     return replace(
         state,
-        stage=_next_stage(state, number, settled, setting.iterations),
+        stage=_next_stage(state, number, settled, setting),
         number=number,
         z=taken.z,
         settled=settled,
@@ -189,10 +188,15 @@ def noise_scale(cost: MatchingCost, found: Information, before: Mapping[str, flo
     return scale
 
 
-def _next_stage(state: State, number: int, settled: bool, budget: int) -> Stage:
+def _fits_first_states(when: str, exploring: bool) -> bool:
+    return when == "always" or (when == "polish" and not exploring)
+
+
+def _next_stage(state: State, number: int, settled: bool, setting: IdentifySettings) -> Stage:
     if state.stage == "explore":
-        return "polish" if (settled and number >= 3) or number >= budget - POLISH else "explore"
-    return "done" if settled or number >= budget else "polish"
+        late = number >= setting.iterations - setting.polish
+        return "polish" if (settled and number >= 3) or late else "explore"
+    return "done" if settled or number >= setting.iterations else "polish"
 
 
 def _entry(problem: Problem, state: State, taken: Step, found: Linearisation) -> Iteration:

@@ -76,7 +76,7 @@ def _linearised(
     problem: Problem, finding: Finding, scale: Mapping[str, float], shape: FloatArray, place: int
 ) -> Linearisation:
     cost = problem.cost(problem.tiles, scale)
-    first = np.zeros((len(problem.tiles), cost.nx if problem.settings.identify.first_state else 0))
+    first = np.zeros((len(problem.tiles), cost.nx if problem.settings.identify.first_state != "never" else 0))
     samples = problem.settings.identify.samples
     return linearise(cost, finding.z, first, shape, samples, problem.rng(3, place))
 

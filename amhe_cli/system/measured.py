@@ -9,12 +9,12 @@ from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.targets import id_of
 from amhe_cli.system.wiring import (
     Plan,
-    channel_of,
     check_noise,
     names_of_log,
     one_quantity,
     signal_of,
     single_joints,
+    state_channel,
     unit_of,
 )
 
@@ -58,9 +58,7 @@ def body(made: Plan, name: str, entry: SignalEntry) -> None:
     ):
         columns = range(first, first + width)
         made.state.append(
-            channel_of(
-                signal.key(quantity), quantity, source, columns, entry.noise.get(quantity), unit_of(quantity)
-            )
+            state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity))
         )
     made.joints_set.add(joint)
     made.signals.append(signal)
@@ -75,7 +73,7 @@ def site(made: Plan, name: str, entry: SignalEntry) -> None:
 def _at_site(made: Plan, name: str, entry: SignalEntry, site: str, known: tuple[str, ...]) -> None:
     """Compare quantities at a site with sensors that are added there."""
     check_noise(entry, known)
-    compared = {quantity: sd for quantity, sd in entry.noise.items() if sd is not None}
+    compared = {quantity: sd for quantity, sd in entry.noise.items() if sd and entry.compares(quantity)}
     if not compared:
         raise ConfigError(f"give noise for what is to be compared: {', '.join(known)}")
     signal = signal_of(name, entry, tuple(compared))
@@ -102,14 +100,7 @@ def joints(made: Plan, name: str, entry: SignalEntry) -> None:
     ):
         columns = [int(addresses[row]) for row in rows]
         made.state.append(
-            channel_of(
-                signal.key(quantity),
-                quantity,
-                source,
-                columns,
-                entry.noise.get(quantity),
-                unit_of(quantity, kinds),
-            )
+            state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity, kinds))
         )
     if effort:
         sensors = [f"amhe/{name}/effort/{joint}" for joint in own]

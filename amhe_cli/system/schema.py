@@ -67,6 +67,7 @@ class SignalEntry(_Entry):
     sensor: Name | Annotated[list[Name], Field(min_length=1)] | None = None
     quantity: Name | Annotated[list[Name], Field(min_length=1)] | None = None
     noise: dict[str, Positive | None] = Field(default_factory=dict)
+    compare: list[Name] | None = None
     fields: dict[str, Name | list[Name]] = Field(default_factory=dict)
     child_frame: Name | None = None
     offset: Number = 0.0
@@ -88,7 +89,14 @@ class SignalEntry(_Entry):
         for name in (*self.noise, *self.fields, *quantities):
             if name not in QUANTITIES:
                 raise ValueError(one_of("quantity", name, QUANTITIES))
+        for name in self.compare or ():
+            if self.noise.get(name) is None:
+                raise ValueError(f"{name} cannot be compared without its noise; add it to noise: {{...}}")
         return self
+
+    def compares(self, quantity: str) -> bool:
+        """Whether rollouts are held against this quantity; noise alone bounds a first state's error too."""
+        return self.noise.get(quantity) is not None and (self.compare is None or quantity in self.compare)
 
 
 class SystemEntry(_Entry):

@@ -23,8 +23,9 @@ class Channel:
         kind: 'linear' residuals are differences, 'rotation' residuals the rotation logarithm.
         source: Array of the rollout that predicts it.
         columns: Columns of that array, in the order of the series' columns (4 for a quaternion).
-        noise: Measurement noise sd [SI] of one column; None: not compared.
+        noise: Measurement noise sd [SI] of one column; None: unknown.
         unit: Unit of the residual.
+        compared: Rollouts are held against it; else it only sets the state that they start from.
     """
 
     key: str
@@ -33,6 +34,7 @@ class Channel:
     columns: tuple[int, ...]
     noise: float | None
     unit: str
+    compared: bool = True
 
     @property
     def sets_state(self) -> bool:

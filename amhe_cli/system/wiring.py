@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Literal
 
 import mujoco
 
@@ -49,7 +50,7 @@ class Plan:
         for key, quantity, noise, unit, sensors in self.sensed:
             rows = [id_of(model, "sensor", name) for name in sensors]
             columns = [int(model.sensor_adr[r]) + i for r in rows for i in range(int(model.sensor_dim[r]))]
-            channels.append(channel_of(key, quantity, "sensordata", columns, noise, unit))
+            channels.append(Channel(key, _kind(quantity), "sensordata", tuple(columns), noise, unit))
         spec = 0
         for _, bit, _, _ in self.driven:
             spec |= int(bit)
@@ -118,12 +119,22 @@ def unit_of(quantity: str, joints: Collection[int] = ()) -> str:
     return turned[0] if turned and kinds == {int(mujoco.mjtJoint.mjJNT_HINGE)} else straight
 
 
-def channel_of(
-    key: str, quantity: str, source: str, columns: Iterable[int], noise: float | None, unit: str
+def state_channel(
+    key: str,
+    quantity: str,
+    source: Literal["qpos", "qvel"],
+    columns: Iterable[int],
+    entry: SignalEntry,
+    unit: str,
 ) -> Channel:
-    """Channel of one quantity; orientations are compared as rotations."""
-    kind = "rotation" if quantity == "orientation" else "linear"
-    return Channel(key, kind, source, tuple(columns), noise, unit)  # pyright: ignore[reportArgumentType]
+    """Channel of a quantity that sets the state of a rollout, and is compared if the entry says so."""
+    noise, compared = entry.noise.get(quantity), entry.compares(quantity)
+    return Channel(key, _kind(quantity), source, tuple(columns), noise, unit, compared)
+
+
+def _kind(quantity: str) -> Literal["linear", "rotation"]:
+    """Orientations are compared as rotations."""
+    return "rotation" if quantity == "orientation" else "linear"
 
 
 def names_of_log(names: list[str] | Mapping[str, str] | None) -> tuple[list[str], list[str]]:

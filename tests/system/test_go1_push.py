@@ -140,3 +140,11 @@ def test_step_cost() -> None:
             mujoco.mj_step(model, data, 100)
             best = min(best, perf_counter() - start)
         print(f"{name}: {best * 1e4:.0f} us a step")
+
+
+def test_poses_are_compared_and_twists_bound_the_first_state_only(go1: System) -> None:
+    compared = {c.key for c in go1.channels if c.compared}
+    assert compared == {
+        "joints.position", "trunk.position", "trunk.orientation", "box.position", "box.orientation",
+    }  # fmt: skip
+    assert all(c.noise for c in go1.channels if c.sets_state)

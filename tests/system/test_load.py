@@ -246,6 +246,11 @@ def test_what_would_be_valid_is_said_in_plain_words(written: Write, more: str, s
             "noise is 0.1; a mapping such as {position: 0.002} would be valid",
         ),
         (
+            "  p: {targets: [{body: box, set: mass}]}\n",
+            "signals: {hip: {topic: /j, joints: [hip], noise: {position: 0.1}, compare: [velocity]}}\n",
+            "velocity cannot be compared without its noise; add it to noise: {...}",
+        ),
+        (
             "  p: {bounds: 3, targets: [{body: box, set: mass}]}\n",
             "signals: {}\n",
             "bounds is 3; [lower, upper] would be valid",
