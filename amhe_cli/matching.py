@@ -69,7 +69,7 @@ class MatchingCost:
         noise_scale: Mapping[str, float] | None = None,
     ) -> None:
         self.system, self.engine, self.settings = system, engine, settings
-        self.clips: Clips = prepare(system, windows, noise_scale or {})
+        self.clips: Clips = prepare(system, windows, noise_scale or {}, settings.smoothing)
 
     @property
     def nx(self) -> int:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
-from amhe_cli.core.errors import LogError
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import Rollouts
 from amhe_cli.engine.states import home
 from amhe_cli.first_errors import first_errors
+from amhe_cli.first_states import first_states
 from amhe_cli.system.system import Channel, System
 
 
@@ -96,18 +96,21 @@ class Clips:
         return np.concatenate(taken)
 
 
-def prepare(system: System, windows: Sequence[Window], noise_scale: Mapping[str, float]) -> Clips:
+def prepare(
+    system: System, windows: Sequence[Window], noise_scale: Mapping[str, float], smoothing: float = 0.0
+) -> Clips:
     """Lay out windows of `system`'s logs.
 
     Args:
         noise_scale: Channel -> factor on its declared noise sd.
+        smoothing: See `first_states`.
 
     Raises:
         LogError: A window starts where the state was not measured.
     """
     lengths = np.array([w.length for w in windows])
     home_qpos, home_input = home(system.model, system.keyframe, system.input_spec)
-    qpos, qvel = _first_states(system, windows, home_qpos)
+    qpos, qvel = first_states(system, windows, home_qpos, smoothing)
     history = _history(system)
     inputs = _inputs(system, windows, home_input, history, int(lengths.max()))
     compared = [c for c in system.channels if c.compared and not _derived(c, windows)]
@@ -135,27 +138,6 @@ def prepare(system: System, windows: Sequence[Window], noise_scale: Mapping[str,
 
 def _derived(channel: Channel, windows: Sequence[Window]) -> bool:
     return all(w.trajectory[channel.key].derived for w in windows)
-
-
-def _first_states(
-    system: System, windows: Sequence[Window], home_qpos: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Recorded state at each window's first instant; what no signal measures rests at home."""
-    qpos = np.tile(home_qpos, (len(windows), 1))
-    qvel = np.zeros((len(windows), system.model.nv))
-    for channel in system.channels:
-        if not channel.sets_state:
-            continue
-        target = qpos if channel.source == "qpos" else qvel
-        for i, window in enumerate(windows):
-            series = window.trajectory[channel.key]
-            if not series.valid[window.start]:
-                raise LogError(
-                    f"{window.trajectory.source}: {channel.key} was not measured at "
-                    f"{window.start * window.trajectory.dt:.3f} s, where a window starts"
-                )
-            target[i, list(channel.columns)] = series.values[window.start]
-    return qpos, qvel
 
 
 def _history(system: System) -> int:

@@ -7,7 +7,7 @@ of any parameter.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,6 +26,8 @@ class Parameter:
         lower, upper: Hard bounds.
         log: Searched on the logarithmic scale.
         prior_sd: Prior standard deviation of log(theta) if `log`, else of theta.
+        drift: How much it may change while the system works, per square root of a second: a share of its
+            value if `log`, else of its prior sd. Only the online estimator allows for it.
     """
 
     name: str
@@ -35,6 +37,7 @@ class Parameter:
     upper: float
     log: bool
     prior_sd: float
+    drift: float = 0.05
 
 
 @dataclass(frozen=True)
@@ -71,6 +74,11 @@ class ParameterSpace:
     def prior_sd(self) -> FloatArray:
         """Prior sd of phi, shape (d,)."""
         return sealed([p.prior_sd for p in self.parameters])
+
+    @cached_property
+    def drift(self) -> FloatArray:
+        """Sd of z that drift brings in a second, shape (d,)."""
+        return sealed([p.drift / p.prior_sd if p.log else p.drift for p in self.parameters])
 
     @cached_property
     def prior_covariance(self) -> FloatArray:
@@ -125,14 +133,8 @@ class ParameterSpace:
             tuple(
                 p
                 if p.name not in known
-                else Parameter(
-                    p.name,
-                    p.unit,
-                    float(belief.estimate[known[p.name]]),
-                    p.lower,
-                    p.upper,
-                    p.log,
-                    float(sd[known[p.name]]),
+                else replace(
+                    p, nominal=float(belief.estimate[known[p.name]]), prior_sd=float(sd[known[p.name]])
                 )
                 for p in self.parameters
             ),

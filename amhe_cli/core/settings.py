@@ -6,6 +6,7 @@ the default here.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -63,6 +64,9 @@ class CostSettings(_Group):
     """Residuals beyond this many sd count linearly, not squared (pseudo-Huber)."""
     trim: _Share = 0.1
     """Share of worst clips left out of the mean: chaotic contacts and impacts of unknown cause."""
+    smoothing: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
+    """Start rollouts from positions smoothed over this time [s] before and after, not as recorded: for motion
+    without impacts there, or where the mean over many windows counts."""
 
 
 class IdentifySettings(_Group):
@@ -89,6 +93,64 @@ class IdentifySettings(_Group):
     """Resamples of the clip bootstrap."""
     profile_points: Annotated[int, Field(ge=0)] = 11
     """Points of each parameter's cost profile; 0 draws none."""
+
+
+class MheSettings(_Group):
+    """The sampling MHE of `amhe mhe-replay` and `amhe run --mode adaptive`.
+
+    The paper's seven hyper-parameters, and ours. Each default was measured: docs/notes/estimation.md.
+    """
+
+    method: Literal["linearised", "logrank"] = "linearised"
+    """The update: ours, or the paper's (Algorithm 1, MHE-Estimate)."""
+    window: _Positive = 0.5
+    """Window H [s]."""
+    update_period: _Positive = 0.2
+    """Between two updates, the paper's dt_update [s]."""
+    samples: Annotated[int, Field(ge=4)] | None = None
+    """Rollouts B of one iteration; None: 8 for linearised (which adds one at the mean), 32 for logrank."""
+    iterations: Annotated[int, Field(ge=1)] | None = None
+    """Iterations L_MHE of one update; None: 1 for linearised, 4 for logrank."""
+    learning_rate: Annotated[float, Field(gt=0, le=1)] = 0.5
+    """alpha of logrank: how far an iteration moves the mean and the variance of the samples."""
+    prior_weight: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
+    """Weight w_NAME of a parameter's squared distance from the last estimate, in prior sd, against the
+    window's mean squared residual (logrank); linearised adds it to the precision it carries. Default 0."""
+    elites: Annotated[float, Field(gt=0, le=1)] = 0.3
+    """Share of the samples that logrank learns from."""
+    sigma: _Positive = 0.2
+    """Start sd of logrank's samples, as a share of the parameter."""
+    sigma_floor: _Positive = 0.02
+    """logrank stops once every sd is below this share of its parameter (the paper's sigma_floor)."""
+    step: Annotated[float, Field(gt=0, le=1)] = 0.15
+    """Least sampling sd of linearised, as a share of the parameter: smaller steps measure the jitter of
+    contacts."""
+    start_sd: _Positive = 0.2
+    """Floor under the sd of a belief that is loaded for live use, as a share of each value."""
+    excitation: Annotated[float, Field(ge=0)] = 0.1
+    """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing."""
+    jump: Annotated[float, Field(gt=1)] = 1.8
+    """A window that the belief misses by this many times its usual residual tells of a jump."""
+    jump_sd: _Positive = 0.15
+    """What a jump adds to each sd, as a share of the parameter."""
+    budget: _Positive | None = None
+    """Most time that one live update may take [s]; None: the update period."""
+    latency: Annotated[float, Field(ge=0)] = 0.1
+    """Simulation in lock-step: time from a window's end until its belief is in force [s]."""
+
+    @property
+    def sample_count(self) -> int:
+        """B."""
+        return self.samples or {"linearised": 8, "logrank": 32}[self.method]
+
+    @property
+    def iteration_count(self) -> int:
+        """L_MHE."""
+        return self.iterations or {"linearised": 1, "logrank": 4}[self.method]
+
+    def weights(self, names: Sequence[str]) -> list[float]:
+        """Weight of each of these parameters."""
+        return [self.prior_weight.get(name, 0.0) for name in names]
 
 
 class ControlSettings(_Group):
@@ -133,4 +195,5 @@ class Settings(_Group):
     clips: ClipSettings = ClipSettings()
     cost: CostSettings = CostSettings()
     identify: IdentifySettings = IdentifySettings()
+    mhe: MheSettings = MheSettings()
     control: ControlSettings = ControlSettings()

@@ -173,7 +173,7 @@ def information(
         gradient = np.einsum("cir,cr->ci", wx, start) + found.first
         solved = np.linalg.solve(xx, np.concatenate((gradient[..., None], xz), axis=2))
         fitted = start - np.einsum("ci,cir->cr", solved[..., 0], gx)
-        times = _times(cost, fitted, found.completed)
+        times = channel_times(cost, fitted, found.completed)
     return Information(
         matrix=wz @ gz.transpose(0, 2, 1) - xz.transpose(0, 2, 1) @ solved[..., 1:],
         score=np.einsum("cir,cr->ci", wz, start) - np.einsum("cij,ci->cj", xz, solved[..., 0]),
@@ -204,8 +204,8 @@ def _weights(cost: MatchingCost, flat: FloatArray, times: tuple[float, ...]) -> 
     return np.concatenate(weights, axis=1)
 
 
-def _times(cost: MatchingCost, flat: FloatArray, completed: BoolArray) -> tuple[float, ...]:
-    """Autocorrelation time of each channel's residuals."""
+def channel_times(cost: MatchingCost, flat: FloatArray, completed: BoolArray) -> tuple[float, ...]:
+    """Autocorrelation time of each channel's residuals (c, R), in samples."""
     times = []
     for observed, values in zip(cost.clips.observed, split(cost, flat), strict=True):
         rows = np.moveaxis(values[completed], 2, 1)  # (c, k, s)

@@ -50,6 +50,7 @@ class ParameterEntry(_Entry):
     bounds: tuple[Number, Number] | None = None
     scale: Literal["log", "linear"] | None = None
     prior_sd: Positive | None = None
+    drift: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] | None = None
 
 
 class SignalEntry(_Entry):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 
 import mujoco
@@ -163,7 +163,8 @@ def _parameter(
         raise ConfigError(f"bounds [{lower:g}, {upper:g}]: scale: log needs a lower bound above 0")
     sd = entry.prior_sd or (LOG_PRIOR_SD if log else (upper - lower) / 4.0)
     unit = entry.unit or _unit(target, cells, model)
-    return Parameter(name, unit, nominal, lower, upper, log, sd)
+    made = Parameter(name, unit, nominal, lower, upper, log, sd)
+    return made if entry.drift is None else replace(made, drift=entry.drift)
 
 
 def _own_value(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> float:

@@ -1,0 +1,167 @@
+"""Moving-horizon estimation: a belief that is brought up to date by one window after the other."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.parameters import Belief, belief_of
+from amhe_cli.core.statistics import Z90
+from amhe_cli.core.trajectory import Window
+from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.matching import MatchingCost
+from amhe_cli.online.arrival import arrival_of, in_z
+from amhe_cli.online.linearised import linearised_update
+from amhe_cli.online.logrank import logrank_update
+from amhe_cli.online.update import Noise, Outcome, Task, Update
+from amhe_cli.system.system import System
+
+#: What became of a window. 'gap': a signal was silent in it; 'still': it says nothing; 'diverged': no sample
+#: could be rolled out.
+Mark = Literal["updated", "jump", "still", "gap", "diverged"]
+
+UPDATES: Mapping[str, Update] = {"linearised": linearised_update, "logrank": logrank_update}
+
+#: Share of the newest window in the usual misfit that a jump is told by, and windows until it is known.
+_SHARE, _WARM = 0.1, 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Estimate:
+    """What is believed after one window.
+
+    Args:
+        time: Of the window's last instant [s], on the trajectory's clock.
+        theta: Parameters, shape (d,).
+        sd: Their standard deviations in the same units, shape (d,).
+        lower, upper: Central 90 % intervals, shape (d,).
+        belief: The same with its covariance.
+        mark: What became of the window.
+        misfit: Rms residual before the update, in noise sd; NaN where nothing was rolled out.
+        excitation: Rms move of the predictions under the samples, in noise sd; NaN likewise.
+        rollouts, diverged: How many were run, and how many of them diverged.
+        update_ms: Time that the update took [ms].
+    """
+
+    time: float
+    theta: FloatArray
+    sd: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    belief: Belief
+    mark: Mark
+    misfit: float
+    excitation: float
+    rollouts: int
+    diverged: int
+    update_ms: float
+
+    @property
+    def updated(self) -> bool:
+        """The window moved the belief."""
+        return self.mark in ("updated", "jump")
+
+
+class MovingHorizon:
+    """The estimator: windows in, estimates out; Algorithm 1's lines 6 to 9 as seen from the buffer.
+
+    Args:
+        system: Model, parameters, signals, settings.
+        engine: Rollout engine.
+        rng: For samples.
+        belief: To start from; None: the system's prior.
+    """
+
+    def __init__(
+        self, system: System, engine: RolloutEngine, rng: np.random.Generator, belief: Belief | None = None
+    ) -> None:
+        self._system, self._engine, self._rng = system, engine, rng
+        self._settings = system.settings.mhe
+        self._update = UPDATES[self._settings.method]
+        self._arrival = arrival_of(system.space, belief, self._settings.start_sd)
+        self._noise = Noise()
+        self._usual, self._seen = np.nan, 0
+        self._last: float | None = None
+
+    def update(self, window: Window, at: float, budget: float | None = None) -> Estimate:
+        """Learn from the newest window.
+
+        A window that says nothing leaves the belief where it is, and less sure. One that the belief misses by
+        far more than usual tells of a jump: the belief is widened, so that the next windows can move it.
+
+        Args:
+            window: Its signals must be valid at its start; gaps inside are allowed for by their masks.
+            at: Time of its last instant [s].
+            budget: Most time that it may take [s]; the best so far after that.
+        """
+        begun = time.perf_counter()
+        setting, space = self._settings, self._system.space
+        elapsed = setting.update_period if self._last is None else at - self._last
+        self._last = at
+        self._arrival = self._arrival.widened(space.drift**2 * elapsed)
+        if not usable(self._system, window):
+            return self._estimate(at, "gap", None, begun)
+        cost = MatchingCost(self._system, [window], self._engine, self._system.settings.cost)
+        share = min(1.0, elapsed / window.duration)
+        late = _never if budget is None else (lambda: time.perf_counter() - begun > budget)
+        outcome = self._update(Task(cost, self._arrival, self._noise, share, setting, self._rng, late))
+        return self._estimate(at, self._judge(outcome), outcome, begun)
+
+    def _judge(self, outcome: Outcome) -> Mark:
+        """Take the outcome in, or leave it."""
+        if not np.isfinite(outcome.before + outcome.after):
+            return "diverged"
+        if outcome.excitation < self._settings.excitation:
+            return "still"
+        usual, self._seen = self._usual, self._seen + 1
+        capped = min(outcome.before, self._settings.jump * usual) if self._seen > 1 else outcome.before
+        self._usual = capped if self._seen == 1 else (1.0 - _SHARE) * usual + _SHARE * capped
+        self._arrival, self._noise = outcome.arrival, outcome.noise
+        if self._seen > _WARM and outcome.before > self._settings.jump * usual:
+            self._arrival = self._arrival.widened(in_z(self._system.space, self._settings.jump_sd) ** 2)
+            return "jump"
+        return "updated"
+
+    def _estimate(self, at: float, mark: Mark, outcome: Outcome | None, begun: float) -> Estimate:
+        space, arrival = self._system.space, self._arrival
+        theta = space.theta_of(arrival.z)
+        phi_sd = arrival.sd * space.prior_sd
+        lower, upper = (
+            space.theta_of(space.clip(arrival.z + side * Z90 * arrival.sd)) for side in (-1.0, 1.0)
+        )
+        return Estimate(
+            time=at,
+            theta=theta,
+            sd=np.where(space.log, theta * phi_sd, phi_sd),
+            lower=lower,
+            upper=upper,
+            belief=belief_of(self._system.name, space, arrival.z, arrival.covariance, {}),
+            mark=mark,
+            misfit=outcome.before if outcome else np.nan,
+            excitation=outcome.excitation if outcome else np.nan,
+            rollouts=outcome.rollouts if outcome else 0,
+            diverged=outcome.diverged if outcome else 0,
+            update_ms=1e3 * (time.perf_counter() - begun),
+        )
+
+
+def usable(system: System, window: Window) -> bool:
+    """Whether every signal is known at the window's start, and the inputs all through it."""
+    log = window.trajectory
+    if window.start < 0 or window.stop >= log.steps:
+        return False
+    starts = all(log[c.key].valid[window.start] for c in system.channels if c.sets_state)
+    driven = all(log[i.key].valid[window.start : window.stop].all() for i in system.inputs)
+    seen = any(
+        log[c.key].valid[window.start + 1 : window.stop + 1].any() for c in system.channels if c.compared
+    )
+    return starts and driven and seen
+
+
+def _never() -> bool:
+    return False
