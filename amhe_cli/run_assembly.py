@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,22 +14,30 @@ from amhe_cli.control.controller import Controller
 from amhe_cli.control.tasks import LONGEST, Task, find_task
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.parameters import Belief, belief_of, completed
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.model import SYSTEM, Box, home, layout, planner_model, plant_model
 from amhe_cli.go1.plant import Plant
+from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
+from amhe_cli.live.buffer import Buffer
 from amhe_cli.live.episode import BeliefSource, Episode
 from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.samples import Sampler
 from amhe_cli.live.target import SimTarget
+from amhe_cli.live.workers import InProcess, InStep
+from amhe_cli.online.horizon import MovingHorizon
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
-MODES = ("true", "baseline", "stale")
+MODES = ("true", "baseline", "stale", "adaptive")
 #: Start poses of robot and box differ by up to this, uniformly [m], [rad].
 _START_PLACE, _START_TURN = 0.03, float(np.deg2rad(3.0))
+#: Variance of z of numbers that a task takes for granted: none, but a covariance must be regular.
+_CERTAIN = 1e-8
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +104,7 @@ def open_run(options: RunOptions) -> Run:
     task = find_task(options.task)
     system = _system(options)
     settings = system.settings.control
-    seeds = np.random.SeedSequence(options.seed).spawn(3)
+    seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
     model = plant_model(_moved(task, start), robot=options.plant)
     plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
@@ -107,7 +116,7 @@ def open_run(options: RunOptions) -> Run:
     judge = Judge(task, behaviour, settings.period, options.duration)
     belief = _belief(options, task, system, plant)
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
-    return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief(0.0))
+    return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief.at(0.0))
 
 
 def _system(options: RunOptions) -> System:
@@ -121,20 +130,40 @@ def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> Be
     if options.mode == "true":
         if options.belief is not None:
             raise ConfigError("--mode true believes the plant's own parameters; leave out --belief")
-        return lambda _: plant.parameters
-    fixed = {name: float(value) for name, value in zip(system.space.names, system.space.nominal, strict=True)}
+        return FixedBelief(lambda: plant.parameters)
+    start = _start_belief(options, task, system)
+    fixed = dict(zip(start.names, map(float, start.estimate), strict=True))
+    if options.mode != "adaptive":
+        return FixedBelief(lambda: fixed)
+    settings, mhe = system.settings, system.settings.mhe
+    buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
+    factory = partial(estimator_of, options)
+    budget = mhe.budget or mhe.update_period
+    worker = InProcess(factory, budget) if options.realtime else InStep(factory, mhe.latency)
+    return AdaptiveBelief(fixed, buffer, Sampler(settings.control.period), worker, mhe.update_period)
+
+
+def estimator_of(options: RunOptions) -> MovingHorizon:
+    """The estimator of an adaptive run; also in another process, which has nothing but the options."""
+    task, system = find_task(options.task), _system(options)
+    threads = 1 if options.realtime else options.threads
+    engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
+    rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])
+    return MovingHorizon(system, engine, rng, _start_belief(options, task, system))
+
+
+def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:
+    """The belief file's, or else the task's fixed one; adaptive runs start from the baseline's."""
     if options.belief is not None:
-        read = read_belief(options.belief, system)
-        fixed |= dict(zip(read.names, map(float, read.estimate), strict=True))
-    elif options.mode == "stale":
-        if task.stale is None:
-            raise ConfigError(
-                f"task {task.name} has no stale belief; give one with --belief, or use --mode baseline"
-            )
-        fixed |= asdict(task.stale)
-    else:
-        fixed |= asdict(task.baseline)
-    return lambda _: fixed
+        return completed(read_belief(options.belief, system), system.space, system.name)
+    if options.mode == "stale" and task.stale is None:
+        raise ConfigError(
+            f"task {task.name} has no stale belief; give one with --belief, or use --mode baseline"
+        )
+    believed = asdict(task.stale if options.mode == "stale" and task.stale else task.baseline)
+    space = system.space
+    theta = np.array([believed.get(p.name, p.nominal) for p in space.parameters])
+    return belief_of(system.name, space, space.z_of(theta), _CERTAIN * np.eye(len(space)), {})
 
 
 def _moved(task: Task, rng: np.random.Generator) -> Box:

@@ -16,7 +16,7 @@ _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
     "t5: with one front leg; hw1, hw2: load and turf, as on hardware."
 )
-MODES = ("true", "baseline", "stale")
+MODES = ("true", "baseline", "stale", "adaptive")
 
 
 @click.command(cls=options.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
@@ -27,15 +27,16 @@ MODES = ("true", "baseline", "stale")
 @click.option(
     "--mode",
     type=click.Choice(MODES),
-    default="true",
+    default="adaptive",
     show_default=True,
-    help="Whose parameters the controller plans with: the plant's own, or the task's fixed wrong ones.",
+    help="What the controller plans with: the plant's own parameters, the task's fixed wrong ones, or the "
+    "newest estimate, starting from the baseline's.",
 )
 @click.option(
     "--belief",
     type=options.EXISTING_FILE,
     metavar="FILE",
-    help="A belief.yaml in place of the fixed parameters of modes baseline and stale.",
+    help="A belief.yaml in place of the task's own for modes baseline, stale and adaptive.",
 )
 @options.sampling
 @click.option(

@@ -183,3 +183,11 @@ def belief_of(
         covariance=covariance * scale,
         provenance=provenance,
     )
+
+
+def completed(belief: Belief, space: ParameterSpace, system: str) -> Belief:
+    """A belief over all parameters of a space: what it does not know has its prior."""
+    known = space.with_prior(belief)
+    scale = known.prior_sd / space.prior_sd
+    covariance = known.prior_covariance * np.outer(scale, scale)
+    return belief_of(system, space, space.z_of(known.nominal), covariance, dict(belief.provenance))

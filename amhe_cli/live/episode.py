@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -15,10 +16,24 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.go1.state import Measurements, State
 from amhe_cli.live.evaluation import Judge
 from amhe_cli.live.target import Target
+from amhe_cli.online.horizon import Estimate
 
-#: What is believed at a time [s]: parameters by name.
-BeliefSource = Callable[[float], dict[str, float]]
 GRAVITY = 9.81
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class News:
+    """Something that came from the estimator.
+
+    Args:
+        time: When it was known [s].
+        estimate: In force from now on; None: there is only something to tell.
+        text: What went wrong.
+    """
+
+    time: float
+    estimate: Estimate | None
+    text: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +51,7 @@ class Cycle:
         plan_ms: Time that the cycle took to compute [ms].
         misses: Periods without a new plan, so far.
         over: The episode ends with this cycle.
+        news: Of the estimator, since the cycle before.
     """
 
     measured: Measurements
@@ -48,6 +64,19 @@ class Cycle:
     plan_ms: float
     misses: int
     over: bool
+    news: tuple[News, ...] = ()
+
+
+class BeliefSource(Protocol):
+    """What the controller plans with."""
+
+    def at(self, time: float) -> dict[str, float]:
+        """Parameters by name, at a time [s]."""
+        ...
+
+    def saw(self, cycle: Cycle) -> tuple[News, ...]:
+        """Learn from a cycle; what is new for the next."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,20 +107,23 @@ class Episode:
         """
         estimator = StateEstimator()
         plan: Plan | None = None
+        news: tuple[News, ...] = ()
         while True:
             measured = self.target.exchange(plan)
             begun = time.perf_counter()
             estimate = estimator.update(measured, self.behaviour.standing(measured.robot_times))
             played = self.target.in_force(estimate.time)
-            belief = self.belief(estimate.time)
+            belief = self.belief.at(estimate.time)
             plan = self.controller.plan(estimate, played, self._theta(belief), resistance(belief))
             plan_ms = 1e3 * (time.perf_counter() - begun)
             truth = self.target.truth
             over = self.judge.watch(truth or estimate)
-            yield Cycle(
+            cycle = Cycle(
                 measured, estimate, played, plan, belief, truth, self.target.parameters,
-                plan_ms, self.target.misses, over,
+                plan_ms, self.target.misses, over, news,
             )  # fmt: skip
+            news = self.belief.saw(cycle)
+            yield cycle
             if over:
                 return
 

@@ -11,15 +11,12 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from amhe_cli.control.controller import Plan
 from amhe_cli.control.tasks import Task
-from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.go1.legs import JOINTS
-from amhe_cli.go1.state import Body, Measurements, State
 from amhe_cli.live import messages
 from amhe_cli.live.episode import Cycle
+from amhe_cli.live.samples import Sampler, Samples
 from amhe_cli.logs import LogWriter
 
 #: Topics whose content is not a matter of the seed alone.
@@ -32,18 +29,12 @@ _PATH_POINTS = 49
 class Recorder:
     """Writes one cycle after the other; use it as a context manager.
 
-    The robot's own samples are thinned: 500 Hz of twelve joints are most of a log, and little of what an
-    identification learns from it. Numbers are kept in single precision, as a Go1 sends them. The log begins
-    with the first cycle's command: then the clock of our reader, which starts at the first sample, meets
-    every command on a step of its own.
-
     Args:
         path: The .mcap file; whole and readable however the block ends.
         task: That is done.
         metadata: What the log says of itself.
         attachments: Texts by file name.
         period: Of control [s].
-        sample_period: The least between two samples of joints and IMU [s].
     """
 
     def __init__(
@@ -53,13 +44,10 @@ class Recorder:
         metadata: Mapping[str, str],
         attachments: Mapping[str, str],
         period: float,
-        sample_period: float = 0.01,
     ) -> None:
         self._log = LogWriter(path, metadata)
         self._task, self._attachments = task, dict(attachments)
-        self._period, self._sample_period = period, sample_period
-        self._last: Cycle | None = None
-        self._in_force: Plan | None = None
+        self._sampler = Sampler(period)
         self._told: dict[str, tuple[float, object]] = {}
 
     def __enter__(self) -> Recorder:
@@ -76,15 +64,16 @@ class Recorder:
 
     def write(self, cycle: Cycle) -> None:
         """Append all that a cycle brought."""
-        self._sensors(cycle.measured)
-        self._poses(cycle.measured, cycle.estimate)
-        self._commands(cycle)
+        samples = self._sampler.take(cycle)
+        self._sensors(samples)
+        self._poses(samples)
+        for time, targets in zip(samples.command_times, samples.commands, strict=True):
+            self._log.joint_state("/joint_commands", stamp_ns(float(time)), JOINTS, targets)
         self._belief(cycle)
         self._intention(cycle)
         stamp = stamp_ns(cycle.estimate.time)
         messages.write_plan(self._log, "/amhe/plan", stamp, cycle.plan)
         messages.write_timing(self._log, "/amhe/timing", stamp, cycle.plan_ms, cycle.misses)
-        self._last = cycle
 
     def say(self, time: float, level: int, text: str) -> None:
         """Put a word about the run itself into the diagnostics, after all that was told of that time."""
@@ -92,59 +81,28 @@ class Recorder:
 
     # -- what was measured ----------------------------------------------------------------------------
 
-    def _sensors(self, measured: Measurements) -> None:
-        times = measured.robot_times
-        for i in _thinned(times, self._sample_period):
-            if self._too_early(float(times[i]), measured):
-                continue
-            stamp = stamp_ns(float(times[i]))
-            joints, rates = _single(measured.joints[i]), _single(measured.joint_rates[i])
-            self._log.joint_state("/joint_states", stamp, JOINTS, joints, rates)
-            # no sensor of its own tells the orientation: it is in /odom
-            gyro, force = _single(measured.gyro[i]), _single(measured.accelerometer[i])
-            self._log.imu("/imu", stamp, None, gyro, force, frame="trunk")
-
-    def _poses(self, measured: Measurements, estimate: State) -> None:
-        """Measured poses, with the estimator's twists between the last cycle and this one."""
-        seen = (
-            ("/odom", "trunk", measured.trunk_position, measured.trunk_orientation),
-            ("/box/odom", "box", measured.box_position, measured.box_orientation),
-        )
-        before = self._last.estimate if self._last else estimate
-        for i, time in enumerate(measured.pose_times):
-            if self._too_early(float(time), measured):
-                continue
+    def _sensors(self, samples: Samples) -> None:
+        for i, time in enumerate(samples.sensor_times):
             stamp = stamp_ns(float(time))
-            share = _share(time, before.time, estimate.time)
-            poses = {}
-            for topic, body, position, orientation in seen:
-                place, turn = poses[body] = (_single(position[i]), _single(orientation[i]))
-                velocity, rate = _twist(getattr(before, body), getattr(estimate, body), share)
+            self._log.joint_state("/joint_states", stamp, JOINTS, samples.joints[i], samples.joint_rates[i])
+            # no sensor of its own tells the orientation: it is in /odom
+            self._log.imu("/imu", stamp, None, samples.gyro[i], samples.accelerometer[i], frame="trunk")
+
+    def _poses(self, samples: Samples) -> None:
+        last = len(samples.pose_times) - 1
+        for i, time in enumerate(samples.pose_times):
+            stamp = stamp_ns(float(time))
+            for topic, name in (("/odom", "trunk"), ("/box/odom", "box")):
+                body = samples.bodies[name]
                 self._log.odometry(
-                    topic, stamp, place, turn, _single(velocity), _single(rate), child_frame=body
-                )
-            if i == len(measured.pose_times) - 1:  # viewers need no more of them
+                    topic, stamp, body.position[i], body.orientation[i], body.velocity[i], body.rate[i],
+                    child_frame=name,
+                )  # fmt: skip
+            if i == last:  # viewers need no more of them
+                poses = {name: (b.position[i], b.orientation[i]) for name, b in samples.bodies.items()}
                 self._log.transform("/tf", stamp, poses)
 
-    def _too_early(self, time: float, measured: Measurements) -> bool:
-        """Whether a sample is older than the first command."""
-        return self._last is None and time < measured.time - 1e-6
-
-    # -- what was done, believed and wanted -----------------------------------------------------------
-
-    def _commands(self, cycle: Cycle) -> None:
-        """Joint targets, stamped when they took effect; also those of periods that had no new plan."""
-        now, last = cycle.estimate.time, self._last
-        if last is not None:
-            for time in np.arange(last.estimate.time + self._period, now - 1e-6, self._period):
-                played = last.played if self._in_force is None else self._in_force.at(float(time))
-                self._command(float(time), played)
-        self._command(now, cycle.played)
-        # the plan of the last cycle is in force from now on
-        self._in_force = last.plan if last is not None else None
-
-    def _command(self, time: float, targets: FloatArray) -> None:
-        self._log.joint_state("/joint_commands", stamp_ns(time), JOINTS, _single(targets))
+    # -- what was believed and wanted -----------------------------------------------------------------
 
     def _belief(self, cycle: Cycle) -> None:
         time = cycle.estimate.time
@@ -183,29 +141,3 @@ class Recorder:
 def stamp_ns(time: float) -> int:
     """A time [s] in nanoseconds, to the microsecond: sums of periods come out round."""
     return round(time * 1e6) * 1000
-
-
-def _single(values: ArrayLike) -> FloatArray:
-    """In single precision: half of a log's size, and more digits than any sensor has."""
-    return np.asarray(values, dtype=np.float32).astype(np.float64)
-
-
-def _thinned(times: FloatArray, period: float) -> IntArray:
-    """Indices of samples that lie at the ends of periods [s]; all where they are further apart."""
-    if times.size < 2:
-        return np.arange(times.size)
-    step = float(times[1] - times[0])
-    number = np.floor(times / period + 1e-6)
-    return np.flatnonzero(number > np.floor((times - step) / period + 1e-6))
-
-
-def _share(time: float, start: float, end: float) -> float:
-    return float(np.clip((time - start) / (end - start), 0.0, 1.0)) if end > start else 1.0
-
-
-def _twist(before: Body, after: Body, share: float) -> tuple[FloatArray, FloatArray]:
-    """Velocity and rate between two states."""
-    return (
-        before.velocity + share * (after.velocity - before.velocity),
-        before.rate + share * (after.rate - before.rate),
-    )

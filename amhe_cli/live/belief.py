@@ -1,0 +1,71 @@
+"""What the controller believes while it works: the truth, something fixed, or the newest estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from amhe_cli.live.buffer import Buffer
+from amhe_cli.live.episode import Cycle, News
+from amhe_cli.live.samples import Sampler
+from amhe_cli.live.workers import Worker
+
+
+class FixedBelief:
+    """The same all the time, or what a function of the target tells: mode `true`.
+
+    Args:
+        tell: Gives the parameters by name.
+    """
+
+    def __init__(self, tell: Callable[[], dict[str, float]]) -> None:
+        self._tell = tell
+
+    def at(self, time: float) -> dict[str, float]:
+        """See `BeliefSource`."""
+        return self._tell()
+
+    def saw(self, cycle: Cycle) -> tuple[News, ...]:
+        """See `BeliefSource`."""
+        return ()
+
+
+class AdaptiveBelief:
+    """The moving-horizon estimator beside the controller: newest window out, newest belief in.
+
+    Parameters change only between two plans. An estimator that is late, hangs or has died leaves the last
+    good belief in force.
+
+    Args:
+        start: Parameters by name before the first estimate.
+        buffer: Of states and commands.
+        sampler: That fills it.
+        worker: That runs the estimator.
+        period: Between two updates, dt_update [s].
+    """
+
+    def __init__(
+        self, start: Mapping[str, float], buffer: Buffer, sampler: Sampler, worker: Worker, period: float
+    ) -> None:
+        self._belief = dict(start)
+        self._buffer, self._sampler, self._worker, self._period = buffer, sampler, worker, period
+        self._due = 0.0
+
+    def at(self, time: float) -> dict[str, float]:
+        """See `BeliefSource`: line 9 of Algorithm 1."""
+        return dict(self._belief)
+
+    def saw(self, cycle: Cycle) -> tuple[News, ...]:
+        """See `BeliefSource`: lines 5 to 8 of Algorithm 1."""
+        now = cycle.estimate.time
+        self._buffer.append(self._sampler.take(cycle))
+        news = self._worker.poll(now)
+        for one in news:
+            if one.estimate is not None:
+                names = one.estimate.belief.names
+                self._belief |= dict(zip(names, map(float, one.estimate.theta), strict=True))
+        if now >= self._due - 1e-6 and self._worker.ready:
+            window = self._buffer.window(now)
+            if window is not None:
+                self._worker.submit(window, now)
+                self._due = now + self._period
+        return news

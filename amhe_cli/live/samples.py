@@ -1,0 +1,133 @@
+"""What a live run knows of itself, cycle by cycle: the same samples for its log and for its estimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from amhe_cli.control.controller import Plan
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.go1.state import Body, Measurements
+from amhe_cli.live.episode import Cycle
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """Of one cycle, everything in single precision, as a Go1 sends it.
+
+    Args:
+        sensor_times: Of joints and IMU [s], shape (m,).
+        joints, joint_rates: [rad], [rad/s], shape (m, 12).
+        gyro, accelerometer: Of the trunk in its own frame [rad/s], [m/s^2], shape (m, 3).
+        pose_times: Of the poses [s], shape (n,).
+        bodies: 'trunk' and 'box': measured poses with the state estimator's twists, n of them each.
+        command_times: When joint targets took effect [s], shape (c,).
+        commands: The targets [rad], shape (c, 12).
+    """
+
+    sensor_times: FloatArray
+    joints: FloatArray
+    joint_rates: FloatArray
+    gyro: FloatArray
+    accelerometer: FloatArray
+    pose_times: FloatArray
+    bodies: dict[str, Body]
+    command_times: FloatArray
+    commands: FloatArray
+
+
+class Sampler:
+    """Turns cycles into samples.
+
+    The robot's own samples are thinned: 500 Hz of twelve joints are most of a log, and little of what an
+    identification learns from it. Nothing is older than the first command: then the clock of our reader,
+    which starts at the first sample, meets every command on a step of its own.
+
+    Args:
+        period: Of control [s].
+        sample_period: The least between two samples of joints and IMU [s].
+    """
+
+    def __init__(self, period: float, sample_period: float = 0.01) -> None:
+        self._period, self._sample_period = period, sample_period
+        self._last: Cycle | None = None
+        self._in_force: Plan | None = None
+
+    def take(self, cycle: Cycle) -> Samples:
+        """The samples that a cycle brought; to be asked once for each cycle, in their order."""
+        measured = cycle.measured
+        rows = _thinned(measured.robot_times, self._sample_period)
+        rows = rows[self._new(measured.robot_times[rows], measured)]
+        poses = np.flatnonzero(self._new(measured.pose_times, measured))
+        times, commands = self._commands(cycle)
+        samples = Samples(
+            sensor_times=measured.robot_times[rows],
+            joints=_single(measured.joints[rows]),
+            joint_rates=_single(measured.joint_rates[rows]),
+            gyro=_single(measured.gyro[rows]),
+            accelerometer=_single(measured.accelerometer[rows]),
+            pose_times=measured.pose_times[poses],
+            bodies=self._bodies(cycle, poses),
+            command_times=times,
+            commands=_single(commands),
+        )
+        self._in_force = self._last.plan if self._last is not None else None  # from now on
+        self._last = cycle
+        return samples
+
+    def _new(self, times: FloatArray, measured: Measurements) -> np.ndarray:
+        """Samples that are not older than the first command."""
+        if self._last is not None:
+            return np.ones(times.size, dtype=bool)
+        return times >= measured.time - 1e-6
+
+    def _bodies(self, cycle: Cycle, rows: IntArray) -> dict[str, Body]:
+        """Measured poses, with twists between those of the last cycle's estimate and this one's."""
+        measured, now = cycle.measured, cycle.estimate
+        before = self._last.estimate if self._last else now
+        share = _share(measured.pose_times[rows], before.time, now.time)[:, None]
+        bodies = {}
+        for name, position, orientation in (
+            ("trunk", measured.trunk_position, measured.trunk_orientation),
+            ("box", measured.box_position, measured.box_orientation),
+        ):
+            velocity, rate = _twists(getattr(before, name), getattr(now, name), share)
+            bodies[name] = Body(*map(_single, (position[rows], orientation[rows], velocity, rate)))
+        return bodies
+
+    def _commands(self, cycle: Cycle) -> tuple[FloatArray, FloatArray]:
+        """Joint targets when they took effect; also those of periods that had no new plan."""
+        now, last = cycle.estimate.time, self._last
+        if last is None:
+            return np.array([now]), cycle.played[None]
+        missed = np.arange(last.estimate.time + self._period, now - 1e-6, self._period)
+        played = [last.played if self._in_force is None else self._in_force.at(float(t)) for t in missed]
+        return np.append(missed, now), np.array([*played, cycle.played])
+
+
+def _thinned(times: FloatArray, period: float) -> IntArray:
+    """Indices of samples that lie at the ends of periods [s]; all where they are further apart."""
+    if times.size < 2:
+        return np.arange(times.size)
+    step = float(times[1] - times[0])
+    number = np.floor(times / period + 1e-6)
+    return np.flatnonzero(number > np.floor((times - step) / period + 1e-6))
+
+
+def _share(times: FloatArray, start: float, end: float) -> FloatArray:
+    return np.clip((times - start) / (end - start), 0.0, 1.0) if end > start else np.ones(times.size)
+
+
+def _twists(before: Body, after: Body, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Velocities and rates between two states, shape (n, 3) each; `share` has shape (n, 1)."""
+    return (
+        before.velocity + share * (after.velocity - before.velocity),
+        before.rate + share * (after.rate - before.rate),
+    )
+
+
+def _single(values: ArrayLike) -> FloatArray:
+    """In single precision: half of a log's size, and more digits than any sensor has."""
+    return np.asarray(values, dtype=np.float32).astype(np.float64)

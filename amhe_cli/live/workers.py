@@ -1,0 +1,163 @@
+"""Where the estimator of a live run computes: here, in lock-step; or in a process of its own, at its pace."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Protocol
+
+from amhe_cli.core.trajectory import Window
+from amhe_cli.live.episode import News
+from amhe_cli.online.horizon import Estimate, MovingHorizon
+
+logger = logging.getLogger(__name__)
+
+#: Makes the estimator; picklable, since it may run in another process.
+Factory = Callable[[], MovingHorizon]
+#: The estimator gives way to the controller where there are fewer cores than work.
+_NICE = 10
+
+
+class Worker(Protocol):
+    """Runs one update at a time."""
+
+    @property
+    def ready(self) -> bool:
+        """Nothing is under way."""
+        ...
+
+    def submit(self, window: Window, at: float) -> None:
+        """Start an update with a window that ends at a time [s]; only when `ready`."""
+        ...
+
+    def poll(self, now: float) -> tuple[News, ...]:
+        """What has come about since; never waits."""
+        ...
+
+    def close(self) -> None:
+        """Let go of everything."""
+        ...
+
+
+class InStep:
+    """For simulations in lock-step: every run is the same, to the bit.
+
+    Args:
+        factory: Makes the estimator.
+        latency: From the end of a window until its belief is in force [s].
+    """
+
+    def __init__(self, factory: Factory, latency: float) -> None:
+        self._estimator, self._latency = factory(), latency
+        self._waiting: tuple[float, Estimate] | None = None
+
+    @property
+    def ready(self) -> bool:
+        """See `Worker`."""
+        return self._waiting is None
+
+    def submit(self, window: Window, at: float) -> None:
+        """See `Worker`."""
+        self._waiting = at + self._latency, self._estimator.update(window, at)
+
+    def poll(self, now: float) -> tuple[News, ...]:
+        """See `Worker`."""
+        if self._waiting is None or now < self._waiting[0] - 1e-6:
+            return ()
+        estimate, self._waiting = self._waiting[1], None
+        return (News(now, estimate),)
+
+    def close(self) -> None:
+        """See `Worker`."""
+
+
+class InProcess:
+    """For runs against the wall clock: the controller never waits for the estimator.
+
+    Args:
+        factory: Makes the estimator, in the process.
+        budget: Most time that an update may take [s].
+        patience: An update that takes longer hangs: the process is ended and a new one begun [s].
+        starting: The same for the start of the process, which loads a lot [s].
+    """
+
+    def __init__(
+        self, factory: Factory, budget: float, patience: float = 2.0, starting: float = 20.0
+    ) -> None:
+        self._factory, self._budget = factory, budget
+        self._patience, self._starting = patience, starting
+        self._start()
+
+    @property
+    def ready(self) -> bool:
+        """See `Worker`."""
+        return self._since is None
+
+    def submit(self, window: Window, at: float) -> None:
+        """See `Worker`."""
+        with suppress(OSError):  # it has died: poll will tell
+            self._pipe.send((window, at, self._budget))
+        self._since, self._limit = time.monotonic(), self._patience
+
+    def poll(self, now: float) -> tuple[News, ...]:
+        """See `Worker`."""
+        try:
+            if self._pipe.poll():
+                answer = self._pipe.recv()
+                self._since = None
+                if isinstance(answer, Estimate):
+                    return (News(now, answer),)
+                return () if answer is None else (News(now, None, f"estimator: {answer}"),)
+        except (OSError, EOFError):
+            return self._again(now, f"the estimator died (exit code {self._ended()})")
+        if self._since is not None and time.monotonic() - self._since > self._limit:
+            return self._again(now, f"the estimator hung for {self._limit:g} s")
+        return ()
+
+    def close(self) -> None:
+        """See `Worker`."""
+        self._process.kill()
+        self._process.join()
+        self._pipe.close()
+
+    def _start(self) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._pipe, theirs = context.Pipe()
+        self._process = context.Process(target=_serve, args=(theirs, self._factory), daemon=True)
+        self._process.start()
+        theirs.close()  # so that its death is seen
+        self._since: float | None = time.monotonic()
+        self._limit = self._starting
+
+    def _ended(self) -> int | None:
+        self._process.join(0.1)
+        return self._process.exitcode
+
+    def _again(self, now: float, what: str) -> tuple[News, ...]:
+        """Begin anew; the belief in force stays."""
+        self.close()
+        self._start()
+        logger.warning(f"{what}: the last good belief stays in force, and a new estimator begins")
+        return (News(now, None, f"{what}; the last good belief stays"),)
+
+
+def _serve(pipe: Connection, factory: Factory) -> None:
+    """The process: windows in, estimates out, until the pipe ends. None says that it is ready."""
+    os.nice(_NICE)
+    estimator = factory()
+    pipe.send(None)
+    while True:
+        try:
+            window, at, budget = pipe.recv()
+        except EOFError:
+            return
+        try:
+            answer = estimator.update(window, at, budget)
+        except Exception as error:  # one bad window must not end the estimator
+            answer = f"{type(error).__name__}: {error}"
+        pipe.send(answer)
