@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from amhe_cli.core.errors import ConfigError, LogError, one_of
 from amhe_cli.core.parameters import Belief
@@ -151,7 +152,20 @@ def open_system(
     """Load the system that the user named, or else the one that the logs name, with its topics remapped."""
     folder = find_system(name or system_of(source.paths))
     settings = overrides.gathered(config, os.environ, assignments)
-    return _remapped(load_system(folder, settings), source.topics)
+    own = _own_overrides(source.paths) if name is None else {}
+    return _remapped(load_system(folder, overrides.merged(own, settings)), source.topics)
+
+
+def _own_overrides(logs: Sequence[Path]) -> dict[str, Any]:
+    """What the logs say of the system they are about, such as the size of their box; the user's word wins."""
+    said: dict[str, Any] = {}
+    for path in logs:
+        try:
+            own = json.loads(read_metadata(path).get("overrides") or "{}")
+        except ValueError:
+            continue  # somebody else's idea of the key: not for us
+        said = overrides.merged(said, own if isinstance(own, dict) else {})
+    return said
 
 
 def system_of(logs: Sequence[Path]) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,7 @@ def open_run(options: RunOptions) -> Run:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
     """
     task = find_task(options.task)
-    system = _system(options)
+    system = _system(options, task)
     settings = system.settings.control
     seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
@@ -119,9 +120,14 @@ def open_run(options: RunOptions) -> Run:
     return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief.at(0.0))
 
 
-def _system(options: RunOptions) -> System:
+def _system(options: RunOptions, task: Task) -> System:
     settings = overrides.gathered(options.config, os.environ, options.assignments)
-    return load_system(find_system(SYSTEM), settings, warn=False)
+    return load_system(find_system(SYSTEM), overrides.merged(measured(task), settings), warn=False)
+
+
+def measured(task: Task) -> dict[str, Any]:
+    """What the system file must be told of a task: the size of its box, where it is another one."""
+    return {} if task.box.size == Box().size else {"boxes": {"box": list(task.box.size)}}
 
 
 def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> BeliefSource:
@@ -145,7 +151,8 @@ def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> Be
 
 def estimator_of(options: RunOptions) -> MovingHorizon:
     """The estimator of an adaptive run; also in another process, which has nothing but the options."""
-    task, system = find_task(options.task), _system(options)
+    task = find_task(options.task)
+    system = _system(options, task)
     threads = 1 if options.realtime else options.threads
     engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
     rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])

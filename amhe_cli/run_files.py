@@ -9,7 +9,7 @@ from amhe_cli import __version__
 from amhe_cli.go1.video import Film, check_encoder
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.scenery import scenery_of
-from amhe_cli.run_assembly import Run
+from amhe_cli.run_assembly import Run, measured
 
 
 def recorder_of(run: Run, path: Path) -> Recorder:
@@ -23,6 +23,8 @@ def recorder_of(run: Run, path: Path) -> Recorder:
         "target": "sim",
         "version": __version__,
     }
+    if measured(run.task):  # so that whoever reads the log has the same model
+        metadata["overrides"] = json.dumps(measured(run.task))
     if not run.task.changes:  # what changes on the way has no one true value; /amhe/truth tells it
         metadata["truth"] = json.dumps(run.first_truth)
     settings = run.system.settings

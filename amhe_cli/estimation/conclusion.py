@@ -70,7 +70,7 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     study = study_of(problem, finding)
     compared = disagreements(problem, finding, study, with_halves=not hurried)
     report_misfit(study)
-    report_unsettled(space, finding, study)
+    report_unsettled(problem, finding, study)
     report_drift(space, compared)
     shifts = {} if hurried else shifts_of(problem, finding, study)
     ratio = step_ratio(problem, finding, study)

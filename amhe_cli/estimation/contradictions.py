@@ -28,7 +28,7 @@ from amhe_cli.system.system import System
 logger = logging.getLogger(__name__)
 
 #: A next step of this many sd is a search cut short; residuals of this many noise sd are a wrong model.
-UNSETTLED, MISFIT = 2.0, 3.0
+UNSETTLED, MISFIT = 3.0, 3.0
 HALVES = "the first and second half of the logs"
 #: Iterations that each half gets to find its own estimate, and the clips that it must have.
 REFITS, FEWEST_CLIPS = 3, 3
@@ -137,10 +137,11 @@ def systematic(
     return contradicted + found.step**2
 
 
-def report_unsettled(space: ParameterSpace, finding: Finding, study: Study) -> None:
-    """Warn of a search that stopped on its way."""
+def report_unsettled(problem: Problem, finding: Finding, study: Study) -> None:
+    """Warn of a search that stopped on its way; on a rough cost the steps never get short."""
+    space = problem.system.space
     left = np.abs(study.posterior.step) / study.posterior.sd
-    moving = isinstance(finding, search.State) and not finding.settled
+    moving = isinstance(finding, search.State) and not (finding.settled or problem.rough)
     if moving or left.max() > UNSETTLED:
         logger.warning(
             f"the search stopped before it settled ({space.names[int(left.argmax())]} was still moving): "

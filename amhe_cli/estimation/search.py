@@ -32,6 +32,8 @@ SETTLED = 0.3
 REACH = 3.0
 #: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
 LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
+#: Near its minimum a rough cost cannot tell a good step from none: the longest that completes is taken.
+BLIND_LINE = np.array([1.0, 0.5, 0.2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +48,7 @@ class State:
         scale: Channel -> residual sd over declared noise sd.
         record: One entry an iteration.
         settled: The last step was short, and the samples no wider than the posterior.
+        trail: Where each step of polishing a rough cost ended, shape (k, d).
     """
 
     stage: Stage
@@ -55,6 +58,7 @@ class State:
     scale: Mapping[str, float] = field(default_factory=dict)
     record: tuple[Iteration, ...] = ()
     settled: bool = False
+    trail: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
 
     @property
     def done(self) -> bool:
@@ -90,12 +94,17 @@ def advance(problem: Problem, state: State) -> State:
     taken = gauss_newton(problem, cost, state, found, windows)
     shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
     number = state.number + 1
+    trail = state.trail
+    if problem.rough and not exploring:
+        trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
     settled = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
+    stage = _next_stage(state, number, settled, setting)
     return replace(
         state,
-        stage=_next_stage(state, number, settled, setting),
+        stage=stage,
         number=number,
-        z=taken.z,
+        z=_averaged(trail) if stage == "done" and len(trail) else taken.z,
+        trail=trail,
         settled=settled,
         shape=shape,
         scale=noise_scale(cost, found, state.scale),
@@ -132,11 +141,14 @@ def gauss_newton(
     gradient = np.einsum("c,ci->i", weight, found.score) + prior @ state.z
     step = -np.linalg.solve(hessian, gradient) * problem.active
     reach = np.abs(coordinates(state.shape, step[None])).max() / REACH
-    tried = problem.system.space.clip(state.z + LINE[:, None] * step / max(1.0, reach))
+    blind = problem.rough and state.stage == "polish"
+    line = BLIND_LINE if blind else LINE
+    tried = problem.system.space.clip(state.z + line[:, None] * step / max(1.0, reach))
     first = found.first(tried - state.z)
     residuals = cost.residuals(tried, first if first.shape[2] else None)
     values = objective(cost, residuals, first, found.times, weight)
-    best = int(np.argmin(values + quadratic_prior(tried, np.zeros_like(state.z), prior)))
+    values = values + quadratic_prior(tried, np.zeros_like(state.z), prior)
+    best = int(np.argmax(np.isfinite(values)) if blind else np.argmin(values))
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     moved = tried[best] - state.z
     return Step(
@@ -186,6 +198,11 @@ def noise_scale(cost: MatchingCost, found: Information, before: Mapping[str, flo
         key = observed.channel.key
         scale[key] = float(before.get(key, 1.0) * np.sqrt(max(misfit, 1e-12)))
     return scale
+
+
+def _averaged(trail: FloatArray) -> FloatArray:
+    """Mean of the later steps: each is an estimate from its own samples, and their scatter averages out."""
+    return trail[len(trail) // 3 :].mean(axis=0)
 
 
 def _fits_first_states(when: str, exploring: bool) -> bool:

@@ -18,6 +18,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.go1.legs import HOME, HOME_HEIGHT, JOINTS, LOWER, SERVOS, TORQUE_LIMIT, UPPER
 from amhe_cli.go1.robot_file import Robot, read_robot
+from amhe_cli.system.boxes import resize
 from amhe_cli.system.load import find_system
 from amhe_cli.system.model_file import compiled, read_spec
 
@@ -162,15 +163,9 @@ def _folder() -> Path:
 
 def _set_box(spec: mujoco.MjSpec, box: Box) -> None:
     body = spec.body("box")
-    half = 0.5 * np.array(box.size)
-    ratio = half / spec.geom("box").size
-    for geom in body.geoms:  # the tape keeps its place on the cardboard
-        geom.size = geom.size * ratio
-        geom.pos = geom.pos * ratio
-    squares = np.array(box.size) ** 2
     body.mass = box.mass
-    body.inertia = box.mass / 12.0 * (squares.sum() - squares)
-    body.pos = [*box.position, half[2]]
+    resize(spec.geom("box"), box.size)  # its inertia too
+    body.pos = [*box.position, 0.5 * box.size[2]]
     body.quat = [np.cos(0.5 * box.yaw), 0.0, 0.0, np.sin(0.5 * box.yaw)]
 
 

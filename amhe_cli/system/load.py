@@ -11,6 +11,7 @@ import mujoco
 
 import amhe_cli
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.system.boxes import resize_boxes
 from amhe_cli.system.cautions import caution
 from amhe_cli.system.channels import plan
 from amhe_cli.system.model_file import compiled, read_spec
@@ -25,7 +26,7 @@ logger = logging.getLogger(__name__)
 #: The file that makes a folder a system.
 FILE_NAME = "system.yaml"
 #: Keys of `system.yaml` that overrides name directly; every other override is a setting.
-_OWN_KEYS = ("parameters", "signals", "keyframe", "model")
+_OWN_KEYS = ("parameters", "signals", "keyframe", "model", "boxes")
 
 
 def bundled_root() -> Path:
@@ -135,7 +136,7 @@ def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:
     known = keys_at(SystemEntry, ("settings",)) or []
     for key in settings:
         if key not in known:
-            raise ConfigError(one_of("setting", key, [*known, "parameters", "signals", "keyframe"]))
+            raise ConfigError(one_of("setting", key, [*known, "parameters", "signals", "keyframe", "boxes"]))
     return merged(own, {"settings": settings}) if settings else own
 
 
@@ -154,10 +155,15 @@ def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | Non
         file.problem(("model",), f"no file {entry.model!r} beside this one; give an MJCF or a URDF")
         return None
     try:
-        return read_spec(path)
+        spec = read_spec(path)
     except ConfigError as error:
         file.problem(("model",), str(error))
         return None
+    try:
+        resize_boxes(spec, entry.boxes)
+    except ConfigError as error:
+        file.problem(("boxes",), str(error))
+    return spec
 
 
 def _compiled(file: YamlFile, spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -105,6 +105,9 @@ class SystemEntry(_Entry):
 
     model: Name
     keyframe: Name | None = None
+    boxes: dict[Name, Annotated[list[Positive], Field(min_length=3, max_length=3)]] = Field(
+        default_factory=dict
+    )
     parameters: Annotated[dict[Name, ParameterEntry], Field(min_length=1)]
     signals: Annotated[dict[Name, SignalEntry], Field(min_length=1)]
     settings: Settings = Settings()

@@ -122,14 +122,14 @@ def unit_of(quantity: str, joints: Collection[int] = ()) -> str:
 def state_channel(
     key: str,
     quantity: str,
-    source: Literal["qpos", "qvel"],
+    source: str,
     columns: Iterable[int],
     entry: SignalEntry,
     unit: str,
 ) -> Channel:
     """Channel of a quantity that sets the state of a rollout, and is compared if the entry says so."""
     noise, compared = entry.noise.get(quantity), entry.compares(quantity)
-    return Channel(key, _kind(quantity), source, tuple(columns), noise, unit, compared)
+    return Channel(key, _kind(quantity), source, tuple(columns), noise, unit, compared)  # pyright: ignore[reportArgumentType]
 
 
 def _kind(quantity: str) -> Literal["linear", "rotation"]:
