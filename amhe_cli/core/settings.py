@@ -116,6 +116,9 @@ class MheSettings(_Group):
     prior_weight: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """Weight w_NAME of a parameter's squared distance from the last estimate, in prior sd, against the
     window's mean squared residual (logrank); linearised adds it to the precision it carries. Default 0."""
+    first_state: Literal["estimated", "recorded"] = "estimated"
+    """Errors of a window's first state: fitted along by linearised, two rollouts for each of its unknowns; or
+    left to `cost.smoothing`, where they are many."""
     elites: Annotated[float, Field(gt=0, le=1)] = 0.3
     """Share of the samples that logrank learns from."""
     sigma: _Positive = 0.2

@@ -1,11 +1,13 @@
 """The default update: one Gauss-Newton step of cost plus arrival cost, from samples, without a derivative.
 
 docs/estimation.md derives it. Differences from SPI's use of the same linearisation
-(`estimation.linearised`): one window, whose first state is taken from the state estimator as it is; noise
-remembered from window to window; and only the new share of overlapping windows counts as information.
+(`estimation.linearised`): one window; noise remembered from window to window; and only the new share of
+overlapping windows counts as information.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -23,19 +25,20 @@ def linearised_update(task: Task) -> Outcome:
     cost, arrival, counts = task.cost, task.arrival, task.cost.clips.counts
     moved, noise, done = arrival, task.noise, 0
     rollouts = diverged = 0
-    before = excited = np.nan
-    shape = _shape(task)
+    before = after = excited = np.inf
+    shape, first = _shape(task), np.zeros((1, cost.nx if task.settings.first_state == "estimated" else 0))
     while done < task.settings.iteration_count and not (done and task.late()):
-        slopes = linearise(cost, moved.z, np.zeros((1, 0)), shape, task.settings.sample_count, task.rng)
+        slopes = linearise(cost, moved.z, first, shape, task.settings.sample_count, task.rng)
         rollouts, diverged, done = rollouts + slopes.rollouts, diverged + slopes.diverged, done + 1
-        if done == 1:
-            before = rms(slopes.residual[0], counts) if slopes.completed[0] else np.inf
-            excited = rms(shape.T @ slopes.gain[0], counts) if slopes.completed[0] else np.inf
         if not slopes.completed[0]:
+            after = np.inf
             break
-        step, noise, covariance = _step(task, slopes, moved.z)
-        moved = Arrival(cost.system.space.clip(moved.z + step), covariance)
-    after = np.inf if not slopes.completed[0] else rms(slopes.residual[0] + step @ slopes.gain[0], counts)
+        if done == 1:
+            before = rms(slopes.residual[0], counts)
+            excited = rms(shape.T @ slopes.gain[0, : moved.z.size], counts)
+        found = _step(task, slopes, moved.z)
+        noise, after = found.noise, rms(found.fitted, counts)
+        moved = Arrival(cost.system.space.clip(moved.z + found.step), found.covariance)
     return Outcome(moved, noise, before, after, excited, rollouts, diverged, done)
 
 
@@ -46,22 +49,39 @@ def _shape(task: Task) -> FloatArray:
     return bounded(task.arrival.covariance, floor, np.ones(len(space), dtype=bool))
 
 
-def _step(task: Task, slopes: Linearisation, z: FloatArray) -> tuple[FloatArray, Noise, FloatArray]:
-    """Step, noise with this window, posterior covariance; the weights need the residuals after the step."""
-    cost, gain, start = task.cost, slopes.gain[0], slopes.residual[0]
+@dataclass(frozen=True, slots=True, eq=False)
+class _Found:
+    """What a linearised window says: step and covariance of z, residuals (R,) after the step, noise."""
+
+    step: FloatArray
+    covariance: FloatArray
+    fitted: FloatArray
+    noise: Noise
+
+
+def _step(task: Task, slopes: Linearisation, z: FloatArray) -> _Found:
+    """Gauss-Newton step from z (d,), the errors of the first state fitted along and eliminated."""
+    cost, start, d = task.cost, slopes.residual[0], z.size
+    gz, gx = slopes.gain[0, :d], slopes.gain[0, d:]
     precision = np.linalg.inv(task.arrival.covariance) + np.diag(
         task.settings.weights(cost.system.space.names)
     )
     straight = 1.0 / (1.0 + slopes.bend[0])
-    step, noise = np.zeros(z.size), task.noise
-    for _ in range(2):
-        fitted = start + step @ gain
+    step, noise, fitted = np.zeros(d), task.noise, start
+    hessian = precision
+    for _ in range(2):  # first with the noise of earlier windows: what the belief misses is no noise
+        weight = _weights(cost, fitted, noise) * straight
+        wz, wx = gz * weight, gx * weight
+        ridge: FloatArray = np.linalg.solve(
+            wx @ gx.T + np.eye(len(gx)), np.column_stack((wx @ start, wx @ gz.T))
+        )
+        score = wz @ start - wz @ gx.T @ ridge[:, 0]
+        hessian = task.share * (wz @ gz.T - wz @ gx.T @ ridge[:, 1:]) + precision
+        step = -np.linalg.solve(hessian, task.share * score + precision @ (z - task.arrival.z))
+        fitted = start + step @ gz - (ridge[:, 0] + ridge[:, 1:] @ step) @ gx
         noise = _heard(task.noise, cost, fitted)
-        weighted = gain * (_weights(cost, fitted, noise) * straight)
-        hessian = task.share * weighted @ gain.T + precision
-        gradient = task.share * weighted @ start + precision @ (z - task.arrival.z)
-        step = -np.linalg.solve(hessian, gradient)
-    return step, noise, np.linalg.inv(hessian)
+    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
+    return _Found(step, covariance, fitted, noise)
 
 
 def _heard(before: Noise, cost: MatchingCost, fitted: FloatArray) -> Noise:
@@ -79,8 +99,8 @@ def _weights(cost: MatchingCost, fitted: FloatArray, noise: Noise) -> FloatArray
     parts = []
     for observed, values in zip(cost.clips.observed, split(cost, fitted[None]), strict=True):
         key = observed.channel.key
-        variance = max(noise.square[key], 1.0)
+        variance = max(noise.square.get(key, 1.0), 1.0)
         squared = np.einsum("sk,sk->s", values[0], values[0]) / variance
-        weight = pseudo_huber_weight(squared, cost.settings.huber) / (variance * noise.time[key])
+        weight = pseudo_huber_weight(squared, cost.settings.huber) / (variance * noise.time.get(key, 1.0))
         parts.append(np.repeat(weight, values.shape[2]))
     return np.concatenate(parts)

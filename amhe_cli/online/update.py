@@ -13,8 +13,9 @@ from amhe_cli.core.settings import MheSettings
 from amhe_cli.matching import MatchingCost, Residuals
 from amhe_cli.online.arrival import Arrival
 
-#: Share of the newest window in what is remembered of the noise.
-_NEW = 0.2
+#: Share of the newest window in what is remembered of the noise; and by how much one window may exceed it:
+#: what does not fit after a jump, or far from the truth, is no noise.
+_NEW, _MOST = 0.2, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +36,12 @@ class Noise:
 
 
 def _faded(old: Mapping[str, float], new: Mapping[str, float]) -> dict[str, float]:
-    return dict(old) | {key: (1.0 - _NEW) * old.get(key, value) + _NEW * value for key, value in new.items()}
+    """Before the first window the noise is as declared, and white: 1."""
+    faded = dict(old)
+    for key, value in new.items():
+        before = old.get(key, 1.0)
+        faded[key] = (1.0 - _NEW) * before + _NEW * min(value, _MOST * before)
+    return faded
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,180 @@
+"""The estimator beside the controller: reproducible in step, harmless whatever becomes of its process."""
+
+from __future__ import annotations
+
+import os
+import time
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amhe_cli.assembly import LogSource, open_system, trajectories
+from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.trajectory import Window
+from amhe_cli.live.buffer import Buffer
+from amhe_cli.live.episode import Cycle
+from amhe_cli.live.samples import Sampler
+from amhe_cli.live.workers import InProcess
+from amhe_cli.online.horizon import Estimate
+from amhe_cli.run_assembly import RunOptions, estimator_of, open_run
+from amhe_cli.run_files import recorder_of
+
+QUICK = ("control.samples=5", "control.horizon=8", "mhe.samples=6")
+
+
+def cycles(tmp_path: Path, seconds: float, threads: int = 1) -> list[Cycle]:
+    run = open_run(RunOptions("t1", "adaptive", seed=5, duration=seconds, threads=threads, assignments=QUICK))
+    with recorder_of(run, tmp_path / "log.mcap") as recorder:
+        found = []
+        for cycle in run.episode.cycles():
+            recorder.write(cycle)
+            found.append(cycle)
+    return found
+
+
+@pytest.fixture(scope="module")
+def adaptive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Cycle]]:
+    folder = tmp_path_factory.mktemp("adaptive")
+    return folder / "log.mcap", cycles(folder, 2.2)
+
+
+def news(of: list[Cycle]) -> list[tuple[float, Estimate]]:
+    return [(cycle.estimate.time, n.estimate) for cycle in of for n in cycle.news if n.estimate]
+
+
+def test_it_starts_from_the_baseline_and_learns(adaptive: tuple[Path, list[Cycle]]) -> None:
+    _, run = adaptive
+    assert run[0].belief == pytest.approx({"box_mass": 2.0, "box_inertia_scale": 1.0, "floor_friction": 0.3})
+    last = run[-1].belief
+    assert last["box_mass"] * last["floor_friction"] > 1.2, "0.6 was believed, 2.4 is true"
+
+
+def test_a_belief_takes_effect_after_the_latency_and_between_plans(
+    adaptive: tuple[Path, list[Cycle]],
+) -> None:
+    _, run = adaptive
+    first, estimate = news(run)[0]
+    assert first == pytest.approx(estimate.time + 0.1 + 0.02)  # the cycle that ends after it
+    changed = [b.estimate.time for a, b in pairwise(run) if a.belief != b.belief]
+    assert set(np.round(changed, 3)) <= set(np.round([t for t, _ in news(run)], 3))
+    assert np.diff([e.time for _, e in news(run)]) == pytest.approx(0.2)
+
+
+def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(
+    adaptive: tuple[Path, list[Cycle]], tmp_path: Path
+) -> None:
+    again = cycles(tmp_path, 1.2, threads=2)
+    for one, other in zip(again, adaptive[1], strict=False):
+        np.testing.assert_array_equal(one.plan.targets, other.plan.targets)
+        assert one.belief == other.belief
+
+
+def test_the_buffer_holds_what_the_log_holds(adaptive: tuple[Path, list[Cycle]]) -> None:
+    path, run = adaptive
+    source = LogSource((path,), {}, None, None, None)
+    system = open_system(None, source, QUICK)
+    (log,) = trajectories(system, source)
+    sampler, buffer = Sampler(0.02), Buffer(system.signals, 0.5, log.dt, 0.2)
+    windows = []
+    for cycle in run:
+        buffer.append(sampler.take(cycle))
+        windows.append(buffer.window(cycle.estimate.time))
+    assert windows[20] is None, "there is not enough yet"
+    for cycle, window in list(zip(run, windows, strict=True))[60:100:7]:
+        assert window is not None and window.length == 125
+        stop = round((cycle.estimate.time - 1e-9 * log.start_ns) / log.dt)
+        for key, logged in log.series.items():
+            live = window.trajectory[key]
+            ours, theirs = slice(window.start, window.stop), slice(stop - 125, stop)
+            # a sample halfway between two steps may count for either
+            assert live.sampled[ours].sum() == pytest.approx(logged.sampled[theirs].sum(), abs=1), key
+            np.testing.assert_allclose(live.values[ours], logged.values[theirs], atol=1e-9, err_msg=key)
+
+
+# -- a process of its own --------------------------------------------------------------------------------
+
+
+class Puppet:
+    """An estimator that does what the window says."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def update(self, window: str, at: float, budget: float | None = None) -> Estimate:
+        self.count += 1
+        if window == "die":
+            os._exit(7)
+        if window == "hang":
+            time.sleep(60.0)
+        if window == "fail":
+            raise ValueError("no such window")
+        space = SPACE.space
+        belief = belief_of("go1_push", space, np.zeros(3), np.eye(3), {})
+        nothing = np.zeros(3)
+        theta = space.nominal + self.count
+        return Estimate(at, theta, nothing, nothing, nothing, belief, "updated", 1.0, 1.0, 9, 0, 1.0)
+
+
+SPACE = open_system("go1_push", LogSource((), {}, None, None, None))
+
+
+def wait(worker: InProcess, seconds: float = 20.0) -> tuple:
+    """Poll until there is something."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if found := worker.poll(1.0):
+            return found
+        time.sleep(0.01)
+    raise AssertionError("nothing came")
+
+
+def ready(worker: InProcess) -> None:
+    end = time.monotonic() + 20.0
+    while not worker.ready and time.monotonic() < end:
+        worker.poll(0.0)
+        time.sleep(0.01)
+    assert worker.ready
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [("fail", "ValueError: no such window"), ("die", "died (exit code 7)"), ("hang", "hung for 0.3 s")],
+)
+def test_whatever_becomes_of_the_estimator_the_controller_goes_on(order: str, said: str) -> None:
+    worker = InProcess(Puppet, budget=0.2, patience=0.3)
+    try:
+        ready(worker)
+        worker.submit("fine", 3.0)  # type: ignore[arg-type]
+        (one,) = wait(worker)
+        assert one.estimate.time == 3.0 and one.estimate.theta[0] == SPACE.space.nominal[0] + 1
+        begun = time.monotonic()
+        worker.submit(order, 4.0)  # type: ignore[arg-type]
+        assert worker.poll(4.0) == () and time.monotonic() - begun < 0.1, "nobody waits for it"
+        (two,) = wait(worker)
+        assert two.estimate is None and said in two.text
+        ready(worker)  # a new one, or the same
+        worker.submit("fine", 5.0)  # type: ignore[arg-type]
+        assert wait(worker)[0].estimate.time == 5.0
+    finally:
+        worker.close()
+
+
+def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cycle]]) -> None:
+    source = LogSource((adaptive[0],), {}, None, None, None)
+    system = open_system(None, source, QUICK)
+    (log,) = trajectories(system, source)
+    options = RunOptions("t1", "adaptive", seed=5, assignments=QUICK)
+    window = Window(log, 60, 125)
+    here = estimator_of(options).update(window, 1.0)
+    worker = InProcess(partial(estimator_of, options), budget=1.0, patience=20.0, starting=60.0)
+    try:
+        ready(worker)
+        worker.submit(window, 1.0)
+        assert worker.ready is False
+        there = wait(worker)[0].estimate
+        np.testing.assert_array_equal(there.theta, here.theta)
+    finally:
+        worker.close()

@@ -1,0 +1,122 @@
+"""The moving-horizon estimator against the truth of a cart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import EstimationError
+from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.online.arrival import arrival_of, in_z
+from amhe_cli.online.horizon import Estimate, MovingHorizon
+from amhe_cli.online.replay import replay, windows
+from amhe_cli.system.system import System
+
+
+def with_mhe(system: System, **changes: object) -> System:
+    mhe = system.settings.mhe.model_copy(update=changes)
+    return replace(system, settings=system.settings.model_copy(update={"mhe": mhe}))
+
+
+def estimates(system: System, log: Trajectory, seed: int = 0, threads: int = 1) -> list[Estimate]:
+    engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
+    estimator = MovingHorizon(system, engine, np.random.default_rng(seed))
+    return list(replay(estimator, windows(system, log)))
+
+
+@pytest.mark.parametrize(("method", "within"), [("linearised", 0.03), ("logrank", 0.12)])
+def test_it_finds_the_truth(cart, drive, method: str, within: float) -> None:
+    found = estimates(with_mhe(cart, method=method), drive(6.0))
+    assert found[-1].theta == pytest.approx([2.0, 3.0], rel=within)
+    assert all(e.updated and e.diverged == 0 for e in found)
+    assert found[-1].time == pytest.approx(5.9)
+
+
+def test_the_intervals_hold_the_truth_as_often_as_they_say(constant, drive) -> None:
+    truth = np.array([2.0, 3.0])
+    ends = [estimates(constant, drive(3.0, seed=seed), seed)[-1] for seed in range(60)]
+    held = np.array([(e.lower < truth) & (truth < e.upper) for e in ends]).mean(axis=0)
+    assert (held > 0.8).all(), held  # 90 %, less 2.5 sd of the count
+    spread = np.log([e.theta for e in ends]).std(axis=0)
+    said = np.mean([e.sd / e.theta for e in ends], axis=0)
+    assert (said < 3.0 * spread).all(), said / spread
+
+
+def test_a_jump_is_seen_and_followed(cart, drive) -> None:
+    found = estimates(cart, drive(8.0, mass=lambda t: 2.0 if t < 4.0 else 3.5))
+    jumps = [e.time for e in found if e.mark == "jump"]
+    assert jumps and 4.0 < jumps[0] < 4.8
+    assert all(time > 4.0 for time in jumps)
+    late = [e for e in found if e.time > 6.0]
+    assert np.mean([e.theta[0] for e in late]) == pytest.approx(3.5, rel=0.04)
+
+
+def test_at_rest_it_keeps_its_belief_and_grows_less_sure(cart, drive) -> None:
+    found = estimates(cart, drive(6.0, force=lambda t: np.where(t < 3.0, swing_of(t), 0.0) * (t < 3.0)))
+    still = [e for e in found if e.time > 5.5]
+    assert [e.mark for e in still] == ["still"] * len(still)
+    assert np.ptp([e.theta for e in still], axis=0) == pytest.approx(0.0)
+    assert (np.diff([e.sd for e in still], axis=0) > 0.0).all()
+
+
+def swing_of(time: np.ndarray) -> np.ndarray:
+    return 6.0 * np.sin(2.0 * np.pi * 1.3 * time)
+
+
+def test_a_gap_is_passed_over(cart, drive) -> None:
+    log = drive(5.0)
+    series = dict(log.series)
+    valid = np.array(series["force.effort"].valid)
+    valid[400:420] = False
+    gone = series["force.effort"]
+    series["force.effort"] = Series(gone.values, valid, gone.sampled & valid, gone.columns)
+    found = estimates(cart, replace(log, series=series))
+    assert {e.mark for e in found} == {"updated", "gap"}
+    assert all((e.mark == "gap") == (e.time - 0.5 < 2.1 - 1e-9 and e.time > 2.0 + 1e-9) for e in found)
+    assert found[-1].theta == pytest.approx([2.0, 3.0], rel=0.05)
+
+
+def test_a_seed_gives_the_same_estimates_at_any_number_of_threads(cart, drive) -> None:
+    log = drive(2.0)
+    one, two = estimates(cart, log, 3, 1), estimates(cart, log, 3, 2)
+    np.testing.assert_array_equal([e.theta for e in one], [e.theta for e in two])
+    other = estimates(cart, log, 4)
+    assert (one[-1].theta != other[-1].theta).all()
+
+
+@pytest.mark.parametrize("method", ["linearised", "logrank"])
+def test_weights_hold_a_parameter_at_its_last_estimate(cart, drive, method: str) -> None:
+    heavy = with_mhe(cart, method=method, prior_weight={"mass": 1e9})
+    found = estimates(heavy, drive(3.0))
+    assert found[-1].theta[0] == pytest.approx(1.5, rel=0.05)
+    assert found[-1].theta[1] != pytest.approx(2.0, rel=0.1)
+
+
+def test_time_up_stops_after_the_first_iteration(cart, drive) -> None:
+    system = with_mhe(cart, method="logrank", iterations=6)
+    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    window = windows(system, drive(2.0))[2]
+    counts = []
+    for budget in (None, 1e-9):
+        estimator = MovingHorizon(system, engine, np.random.default_rng(0))
+        counts.append(estimator.update(window, 1.0, budget).rollouts)
+    assert counts == [6 * 32, 32]
+
+
+def test_a_log_shorter_than_a_window_is_refused(cart, drive) -> None:
+    with pytest.raises(EstimationError, match=r"0\.30 s hold no window of 0\.5 s"):
+        windows(cart, drive(0.3))
+
+
+def test_a_loaded_belief_can_still_move(cart) -> None:
+    space = cart.space
+    belief = belief_of("cart", space, space.z_of(np.array([1.0, 4.0])), 1e-8 * np.eye(2), {})
+    start = arrival_of(space, belief, 0.2)
+    assert space.theta_of(start.z) == pytest.approx([1.0, 4.0])
+    assert start.sd == pytest.approx(in_z(space, 0.2))
+    wide = arrival_of(space, None, 0.2)
+    assert wide.sd == pytest.approx([1.0, 1.0]), "the prior is not narrowed"
