@@ -62,6 +62,10 @@ class Trajectory:
         object.__setattr__(self, "series", MappingProxyType(dict(self.series)))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """As plain values: windows go to an estimator in another process, and mapping proxies do not."""
+        return Trajectory, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata))
+
     @property
     def steps(self) -> int:
         """Number of rows T."""
