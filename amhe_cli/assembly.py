@@ -117,14 +117,43 @@ def identify_problem(
             raise ConfigError(f"{path}: is both fitted and held out; validation needs a log of its own")
     loaded = open_system(system, source, assignments, config)
     prior = read_belief(belief, loaded) if belief else None
-    try:
-        training = trajectories(loaded, source)
-    except LogError as error:
-        if system or any(read_metadata(path).get("system") for path in source.paths):
-            raise
-        raise LogError(f"{error}. {_unnamed(source.paths)}") from None
+    training = understood(loaded, source, system)
     validation = trajectories(loaded, replace(source, paths=tuple(held_out), start=None, end=None))
-    return IdentifyProblem(loaded, training, validation or None, prior, _truth(training))
+    return IdentifyProblem(loaded, training, validation or None, prior, told_truth(training))
+
+
+def understood(loaded: System, source: LogSource, named: str | None) -> tuple[Trajectory, ...]:
+    """The logs' trajectories; where that fails, the error also says what the logs may be about instead.
+
+    Args:
+        loaded: The system.
+        source: The logs.
+        named: What the user called the system; None: the logs were asked, or the default taken.
+
+    Raises:
+        LogError: A log cannot be read, or lacks what the system needs.
+    """
+    try:
+        return trajectories(loaded, source)
+    except LogError as error:
+        about = {str(name) for path in source.paths if (name := read_metadata(path).get("system"))}
+        if not named and not about:
+            raise LogError(f"{error}. {_unnamed(source.paths)}") from None
+        if named and about - {loaded.name}:
+            others = ", ".join(sorted(about))
+            raise LogError(f"{error}. The log says that it is about {others}, not {loaded.name}") from None
+        raise
+
+
+def check_prior_weights(system: System) -> None:
+    """Refuse a prior weight of no parameter.
+
+    Raises:
+        ConfigError: Its text lists the parameters.
+    """
+    for name in system.settings.mhe.prior_weight:
+        if name not in system.space.names:
+            raise ConfigError(f"prior weight: {one_of('parameter', name, system.space.names)}")
 
 
 def _unnamed(logs: Sequence[Path]) -> str:
@@ -136,7 +165,7 @@ def _unnamed(logs: Sequence[Path]) -> str:
     )
 
 
-def _truth(logs: Sequence[Trajectory]) -> dict[str, float]:
+def told_truth(logs: Sequence[Trajectory]) -> dict[str, float]:
     """The `truth` of the logs' metadata, a JSON object of numbers; {} where they disagree or have none."""
     said = {log.metadata.get("truth") for log in logs}
     try:

@@ -9,6 +9,7 @@ from amhe_cli import __version__
 from amhe_cli.go1.video import Film, check_encoder
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.scenery import scenery_of
+from amhe_cli.report.provenance import attachments
 from amhe_cli.run_assembly import Run, measured
 
 
@@ -27,12 +28,8 @@ def recorder_of(run: Run, path: Path) -> Recorder:
         metadata["overrides"] = json.dumps(measured(run.task))
     if not run.task.changes:  # what changes on the way has no one true value; /amhe/truth tells it
         metadata["truth"] = json.dumps(run.first_truth)
-    settings = run.system.settings
-    attachments = {
-        "settings.yaml": settings.model_dump_json(indent=2) + "\n",  # JSON is YAML too
-        "system.yaml": (run.system.folder / "system.yaml").read_text(encoding="utf-8"),
-    }
-    return Recorder(path, run.task, metadata, attachments, settings.control.period)
+    period = run.system.settings.control.period
+    return Recorder(path, run.task, metadata, attachments(run.system), period)
 
 
 def film_of(run: Run) -> Film:

@@ -28,14 +28,15 @@ def fits(problem: Problem, z: FloatArray, windows: Sequence[Window], held_out: b
     cost = MatchingCost(problem.system, chosen, problem.engine, problem.settings.cost)
     predicted, _ = cost.predict(np.stack((np.zeros_like(z), z)))
     return tuple(
-        _fit(observed, values[:, i], window, i, held_out)
+        fit_of(observed, values[:, i], window, i, held_out)
         for i, window in enumerate(chosen)
         for observed, values in zip(cost.clips.observed, predicted, strict=True)
         if observed.mask[i].any()
     )
 
 
-def _fit(observed: Observed, predicted: FloatArray, window: Window, i: int, held_out: bool) -> Fit:
+def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, held_out: bool) -> Fit:
+    """Channel on clip i, its initial and identified predictions of shape (2, samples, columns)."""
     keep = observed.mask[i]
     measured, (initial, identified) = observed.measured[i, keep], predicted[:, keep]
     columns = window.trajectory[observed.channel.key].columns

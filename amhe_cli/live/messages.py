@@ -101,14 +101,14 @@ def write_floor_pose(
 
 
 def write_diagnostics(
-    log: LogWriter, stamp_ns: int, level: int, text: str, values: Mapping[str, str]
+    log: LogWriter, stamp_ns: int, level: int, text: str, values: Mapping[str, str], of: str = "controller"
 ) -> None:
-    """Write a diagnostic_msgs/DiagnosticArray on /diagnostics with one status, that of the controller."""
+    """Write a diagnostic_msgs/DiagnosticArray on /diagnostics with the status of one component."""
     name = "diagnostic_msgs/msg/"
     status = log.message(
         f"{name}DiagnosticStatus",
         level=level,
-        name="amhe: controller",
+        name=f"amhe: {of}",
         message=text,
         hardware_id="",
         values=[log.message(f"{name}KeyValue", key=key, value=value) for key, value in values.items()],

@@ -4,6 +4,15 @@ from __future__ import annotations
 
 from amhe_cli.logs.survey import Survey, TopicSurvey, read_metadata, survey
 from amhe_cli.logs.trajectory import read_trajectory
+from amhe_cli.logs.truth import read_truth
 from amhe_cli.logs.writer import LogWriter
 
-__all__ = ["LogWriter", "Survey", "TopicSurvey", "read_metadata", "read_trajectory", "survey"]
+__all__ = [
+    "LogWriter",
+    "Survey",
+    "TopicSurvey",
+    "read_metadata",
+    "read_trajectory",
+    "read_truth",
+    "survey",
+]

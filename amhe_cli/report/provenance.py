@@ -10,6 +10,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from amhe_cli import __version__
+from amhe_cli.system.system import System
 
 #: Files of a system folder that decide what the system is.
 SYSTEM_SUFFIXES = frozenset(
@@ -39,8 +40,23 @@ def provenance(
 
 def run_provenance(command_line: str, seed: int, folder: Path, inputs: Sequence[Path]) -> dict[str, object]:
     """The same of a run: its inputs are files such as a belief or another plant."""
-    origin = provenance(command_line, seed, "mpopi", folder, inputs, ())
+    return estimator_provenance(command_line, seed, "mpopi", folder, inputs)
+
+
+def estimator_provenance(
+    command_line: str, seed: int, method: str, folder: Path, inputs: Sequence[Path]
+) -> dict[str, object]:
+    """The same of a command that fits nothing offline: logs and beliefs alike are its inputs."""
+    origin = provenance(command_line, seed, method, folder, inputs, ())
     return origin | {"inputs": origin.pop("logs")}
+
+
+def attachments(system: System) -> dict[str, str]:
+    """What a log that we write carries with it: settings and system as texts, by file name."""
+    return {
+        "settings.yaml": system.settings.model_dump_json(indent=2) + "\n",  # JSON is YAML too
+        "system.yaml": (system.folder / "system.yaml").read_text(encoding="utf-8"),
+    }
 
 
 def versions() -> dict[str, str]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.result import HeldOut, Identification, ParameterResult
 
 #: Fields of a parameter that are plain numbers or words, in the order of result.json.
@@ -75,3 +76,10 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def quantiles(values: FloatArray) -> dict[str, float]:
+    """Median and 99 % of times (n,); NaN of none."""
+    if not values.size:
+        return {"p50": math.nan, "p99": math.nan}
+    return {"p50": round(float(np.median(values)), 3), "p99": round(float(np.quantile(values, 0.99)), 3)}

@@ -7,11 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.live.drive import Ending
 from amhe_cli.live.evaluation import Measures
 from amhe_cli.live.history import History
-from amhe_cli.report.record import plain
+from amhe_cli.report.record import plain, quantiles
 
 
 def run_record(measures: Measures, history: History, ending: Ending) -> dict[str, Any]:
@@ -28,15 +27,9 @@ def run_record(measures: Measures, history: History, ending: Ending) -> dict[str
             "belief": history.belief,
             "truth": history.truth,
             "cycles": history.cycles,
-            "cycle_ms": _quantiles(columns.get("plan_ms", np.empty(0))),
+            "cycle_ms": quantiles(columns.get("plan_ms", np.empty(0))),
             "deadline_misses": history.misses,
             "rollouts": int(columns["rollouts"].sum()) if columns else 0,
             "diverged": int(columns["diverged"].sum()) if columns else 0,
         }
     )
-
-
-def _quantiles(values: FloatArray) -> dict[str, float]:
-    if not values.size:
-        return {"p50": np.nan, "p99": np.nan}
-    return {"p50": round(float(np.median(values)), 3), "p99": round(float(np.quantile(values, 0.99)), 3)}

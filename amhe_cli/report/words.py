@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -92,18 +92,23 @@ def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
     for verdict, tone in tones.items():
         names = [p.name for p in parameters if p.verdict == verdict]
         if names:
-            yield Statement(tone, f"{_and(names)}: {VERDICTS[verdict]}.")
+            yield Statement(tone, f"{joined(names)}: {VERDICTS[verdict]}.")
 
 
 def known_together(result: Identification) -> list[Combination]:
     """Combinations that are known better than any of their parts, best first."""
     relative = {p.name: p.sd / abs(p.estimate) for p in result.parameters if p.estimate}
+    return sharper(result.combinations, relative)
+
+
+def sharper(combinations: Sequence[Combination], relative: Mapping[str, float]) -> list[Combination]:
+    """Those that are known better than any of their factors, whose relative sd are given, best first."""
 
     def parts(combination: Combination) -> Iterator[float]:
         for factor in combination.text.replace(" / ", " * ").split(" * "):
             yield relative.get(factor.partition("^")[0], math.inf)
 
-    return sorted((c for c in result.combinations if c.sd < min(parts(c))), key=lambda c: c.sd)
+    return sorted((c for c in combinations if c.sd < min(parts(c))), key=lambda c: c.sd)
 
 
 def _combinations(result: Identification) -> Iterator[Statement]:
@@ -132,5 +137,6 @@ def _divergence(result: Identification) -> Iterator[Statement]:
         )
 
 
-def _and(names: Sequence[str]) -> str:
+def joined(names: Sequence[str]) -> str:
+    """'a, b and c'."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

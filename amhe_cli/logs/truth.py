@@ -1,0 +1,43 @@
+"""What a log itself calls true of the parameters, as a simulation can; nothing is ever fitted to it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.errors import LogError
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs.trajectory import read_trajectory
+
+#: A JointState whose names are the parameters, and whose positions are their values.
+TOPIC = "/amhe/truth"
+#: Resolution in time [s].
+_STEP = 0.01
+
+
+def read_truth(path: Path, stamps_ns: IntArray, settings: LogSettings) -> dict[str, FloatArray]:
+    """Values on `/amhe/truth` at some instants; {} where the log has no such topic.
+
+    Args:
+        path: The log.
+        stamps_ns: The instants [ns] on the log's clock, shape (n,).
+        settings: Clock and gap settings.
+
+    Returns:
+        Parameter -> values, shape (n,). Each holds until the next; NaN before the first.
+    """
+    try:
+        told = read_trajectory(path, [Signal("truth", TOPIC, ("position",), is_input=True)], _STEP, settings)
+    except LogError:
+        return {}
+    series = told["truth.position"]
+    row = np.floor((stamps_ns - told.start_ns) / (1e9 * _STEP) + 1e-6).astype(int)
+    held = np.clip(row, 0, told.steps - 1)
+    known = (row >= 0) & series.valid[held]
+    return {
+        name: np.where(known, series.values[held, column], np.nan)
+        for column, name in enumerate(series.columns)
+    }
