@@ -25,6 +25,7 @@ FLOORS = (
     "live",
     "report",
     "assembly",
+    "replay_assembly",
     "run_assembly",
     "run_files",
     "cli",

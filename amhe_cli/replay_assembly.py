@@ -1,0 +1,67 @@
+"""A log and options become an estimator and the windows that it is to see."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.assembly import LogSource, check_prior_weights, open_system, told_truth, understood
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.trajectory import Trajectory, Window
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.logs import read_truth
+from amhe_cli.online.arrival import arrival_of
+from amhe_cli.online.horizon import MovingHorizon
+from amhe_cli.online.replay import ReplayProblem, windows
+from amhe_cli.report.belief_file import read_belief
+from amhe_cli.system.load import bundled_root
+from amhe_cli.system.system import System
+
+
+def bundled_log() -> Path:
+    """The log that is replayed where none is given: a Go1 pushes a box onto another floor."""
+    return bundled_root() / "examples" / "logs" / "t4.mcap"
+
+
+def open_replay(
+    source: LogSource,
+    system: str | None,
+    belief: Path | None,
+    seed: int,
+    threads: int,
+    assignments: Sequence[str],
+    config: Path | None,
+) -> ReplayProblem:
+    """Read everything that `amhe mhe-replay` needs.
+
+    Raises:
+        ConfigError: A setting, the system folder or the belief is wrong.
+        LogError: The log cannot be read, or lacks what the system needs.
+        EstimationError: It is too short for any window.
+    """
+    opened = open_system(system, source, assignments, config)
+    check_prior_weights(opened)
+    known = read_belief(belief, opened) if belief else None
+    (log,) = understood(opened, source, system)
+    steps = windows(opened, log)
+    engine = CpuEngine(opened.model, opened.edits, opened.input_spec, threads, opened.senses)
+    return ReplayProblem(
+        system=opened,
+        engine=engine,
+        estimator=MovingHorizon(opened, engine, np.random.default_rng(seed), known),
+        start=arrival_of(opened.space, known, opened.settings.mhe.start_sd),
+        windows=steps,
+        truth=_truth(source.paths[0], opened, log, steps),
+        begun=np.ceil((source.start or 0.0) / log.dt - 1e-6) * log.dt,  # as the log is read
+    )
+
+
+def _truth(path: Path, system: System, log: Trajectory, steps: Sequence[Window]) -> dict[str, FloatArray]:
+    """What the log tells over time, or else once for all of it, of the system's parameters."""
+    ends = np.array([step.stop for step in steps])
+    stamps_ns = log.start_ns + np.round(ends * log.dt * 1e9).astype(np.int64)
+    over_time = read_truth(path, stamps_ns, system.settings.logs)
+    once = {name: np.full(ends.size, value) for name, value in told_truth([log]).items()}
+    return {name: values for name, values in (once | over_time).items() if name in system.space.names}
