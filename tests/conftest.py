@@ -19,8 +19,17 @@ MODELS = Path(__file__).parents[1] / "models"
 PENDULUM_TRUTH = {"load_mass": 0.62, "damping": 0.035, "friction_loss": 0.03, "armature": 0.006}
 
 
-def write_pendulum_log(path: Path, seconds: float, seed: int = 0, **metadata: str) -> Path:
-    """Swing the bundled pendulum with other parameters; log states at 250 Hz and commands at 50 Hz."""
+def write_pendulum_log(
+    path: Path,
+    seconds: float,
+    seed: int = 0,
+    silent: tuple[float, float] = (np.inf, np.inf),
+    **metadata: str,
+) -> Path:
+    """Swing the bundled pendulum with other parameters; log states at 250 Hz and commands at 50 Hz.
+
+    Between the two times `silent` [s] no state is logged.
+    """
     model = mujoco.MjModel.from_xml_path(str(MODELS / "pendulum" / "scene.xml"))
     model.body("load").mass[0] = PENDULUM_TRUTH["load_mass"]
     hinge = model.joint("hinge").dofadr[0]
@@ -33,7 +42,7 @@ def write_pendulum_log(path: Path, seconds: float, seed: int = 0, **metadata: st
     with LogWriter(path, metadata) as log:
         for step in range(round(seconds / model.opt.timestep) + 1):
             stamp_ns = 1_700_000_000_000_000_000 + round(step * model.opt.timestep * 1e9)
-            if step % 2 == 0:
+            if step % 2 == 0 and not silent[0] < step * model.opt.timestep < silent[1]:
                 position = data.qpos + rng.normal(0.0, 0.002, 1)
                 velocity = data.qvel + rng.normal(0.0, 0.05, 1)
                 log.joint_state("/joint_states", stamp_ns, ["hinge"], position, velocity)

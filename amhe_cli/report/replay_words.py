@@ -88,4 +88,5 @@ def windows_line(record: Mapping[str, Any]) -> str:
         if record[key]
     ]
     rest = f"; {', '.join(passed)}" if passed else ""
-    return f"{record['windows']} windows: {record['updated']} moved the belief{jumps}{rest}"
+    count = record["windows"]
+    return f"{count} window{'s' * (count != 1)}: {record['updated']} moved the belief{jumps}{rest}"

@@ -1,0 +1,276 @@
+"""`amhe mhe-replay` from the outside: files, streams, exit codes, interruption."""
+
+import csv
+import json
+import re
+import signal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amhe_cli.cli.main import amhe, run
+from amhe_cli.core.settings import LogSettings, MheSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs import read_metadata, read_trajectory, survey
+from amhe_cli.online.horizon import UPDATES, MovingHorizon
+from amhe_cli.system.load import bundled_root
+from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
+
+LOGS = bundled_root() / "examples" / "logs"
+PENDULUM = str(LOGS / "pendulum.mcap")
+NAMES = ("box_mass", "box_inertia_scale", "floor_friction")
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands write below the folder that they are run in."""
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def pushed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of three seconds of the bundled log of a Go1."""
+    out = tmp_path_factory.mktemp("replay") / "out"
+    assert run(["mhe-replay", "--to", "3", "-q", "-o", str(out)]) == 0
+    return out
+
+
+def record(folder: str | Path) -> dict:
+    return json.loads((Path(folder) / "result.json").read_text())
+
+
+def table(folder: str | Path) -> list[dict[str, str]]:
+    with (Path(folder) / "estimates.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def column(folder: str | Path, name: str) -> np.ndarray:
+    return np.array([float(row[name] or "nan") for row in table(folder)])
+
+
+# -- files ----------------------------------------------------------------------------------------------
+
+
+def test_it_writes_its_four_files(pushed: Path) -> None:
+    names = sorted(path.name for path in pushed.iterdir())
+    assert names == ["estimates.csv", "estimates.mcap", "report.html", "result.json"]
+
+
+def test_result_json_has_the_keys_of_every_command_and_its_own(pushed: Path) -> None:
+    said = record(pushed)
+    assert {"schema_version", "command", "version", "seconds", "warnings"} <= set(said)
+    assert (said["command"], said["system"], said["method"]) == ("mhe-replay", "go1_push", "linearised")
+    assert [p["name"] for p in said["parameters"]] == list(NAMES)
+    assert {"estimate", "sd", "lower", "upper", "unit", "truth"} <= set(said["parameters"][0])
+    assert said["windows"] == len(table(pushed)) == 13
+    assert said["updated"] + said["still"] + said["gaps"] + said["lost"] == said["windows"]
+    assert said["rollouts"] == {"count": 9 * 13, "diverged": 0}
+    assert 0.0 < said["update_ms"]["p50"] <= said["update_ms"]["p99"]
+    assert said["real_time_factor"] > 0.0
+
+
+def test_the_table_has_a_row_for_each_window(pushed: Path) -> None:
+    header = list(table(pushed)[0])
+    triples = [cell for name in NAMES for cell in (name, f"{name}_sd", f"{name}_true")]
+    assert header == ["time", *triples, "misfit", "updated", "update_ms", "mark", "excitation"]
+    np.testing.assert_allclose(column(pushed, "time"), 0.5 + 0.2 * np.arange(13), atol=1e-9)
+    np.testing.assert_array_equal(column(pushed, "floor_friction_true"), 0.4)
+    assert all((row["updated"] == "1") == (row["mark"] in ("updated", "jump")) for row in table(pushed))
+
+
+def test_a_push_is_learnt_from_and_a_walk_towards_the_box_is_not(pushed: Path) -> None:
+    """The belief waits, and grows less sure, until there is something to learn."""
+    updated, sd = column(pushed, "updated") == 1.0, column(pushed, "box_mass_sd")
+    begin = int(np.argmax(updated))
+    assert 3 <= begin <= 7
+    np.testing.assert_array_equal(column(pushed, "box_mass")[:begin], 3.0)
+    assert (np.diff(sd[:begin]) > 0.0).all()
+    assert sd[-1] < 0.3 * sd[0]
+    last = {p["name"]: p for p in record(pushed)["parameters"]}
+    assert last["box_mass"]["lower"] < last["box_mass"]["truth"] == 4.0 < last["box_mass"]["upper"]
+
+
+def test_the_log_of_estimates_is_read_back_by_ours(pushed: Path) -> None:
+    path = pushed / "estimates.mcap"
+    assert not survey(path).problems
+    assert read_metadata(path)["system"] == "go1_push"
+    topics = {topic.name: topic for topic in survey(path).topics}
+    assert {"/amhe/params", "/amhe/estimate", "/amhe/truth", "/diagnostics"} <= set(topics)
+    assert topics["/amhe/estimate"].type == "amhe_msgs/msg/Estimate"
+    params = Signal("params", "/amhe/params", ("position",))
+    log = read_trajectory(path, [params], 0.2, LogSettings())["params.position"]
+    assert log.columns == NAMES
+    for i, name in enumerate(NAMES):
+        np.testing.assert_allclose(log.values[:, i], column(pushed, name), rtol=1e-8)
+
+
+def test_the_log_predicts_the_measured_topics(pushed: Path) -> None:
+    """Within a few times the sensors' noise, at the measurements' own times."""
+    for topic, quantity, within in (
+        ("/box/odom", "position", 0.01),
+        ("/odom", "position", 0.01),
+        ("/odom", "linear_velocity", 0.4),
+        ("/joint_states", "position", 0.06),
+    ):
+        said = Signal("it", f"/amhe/pred{topic}", (quantity,))
+        predicted = read_trajectory(pushed / "estimates.mcap", [said], 0.01, LogSettings())
+        measured = read_trajectory(
+            LOGS / "t4.mcap", [Signal("it", topic, (quantity,))], 0.01, LogSettings(), end=2.9
+        )
+        late = round((predicted.start_ns - measured.start_ns) / 1e7)
+        ours, theirs = predicted[f"it.{quantity}"], measured[f"it.{quantity}"]
+        assert ours.columns == theirs.columns
+        count = len(ours.values)
+        assert count > 250
+        error = np.abs(ours.values - theirs.values[late : late + count])
+        assert np.median(error) < 0.25 * within
+        assert np.quantile(error, 0.98) < within
+
+
+def test_the_report_is_one_page_that_needs_no_network(pushed: Path) -> None:
+    page = (pushed / "report.html").read_text()
+    assert page.count("<svg") == 5  # estimates, windows, three fits
+    links = re.findall(r"""(?:src|href)=["']([^"']+)""", page)
+    assert all(link.startswith("#") for link in links), links
+    for loading in ("<script", "<link", "url(http", "@import"):
+        assert loading not in page
+    assert len(page) < 1_000_000
+
+
+# -- options --------------------------------------------------------------------------------------------
+
+
+def test_the_options_tell_the_defaults_of_the_library() -> None:
+    options = {p.name: p for p in amhe.commands["mhe-replay"].params}
+    told = MheSettings()
+    assert tuple(options["method"].type.choices) == tuple(UPDATES)  # type: ignore[attr-defined]
+    for name in ("method", "window", "update_period", "learning_rate"):
+        assert f"[default: {getattr(told, name)}]" in options[name].help  # type: ignore[attr-defined]
+    for name, count in (("samples", "sample_count"), ("iterations", "iteration_count")):
+        ours, papers = (getattr(MheSettings(method=m), count) for m in ("linearised", "logrank"))
+        text = f"[default: {ours} for linearised, {papers} for logrank]"
+        assert text in options[name].help  # type: ignore[attr-defined]
+
+
+def test_options_become_settings_and_overrule_set(capsys) -> None:
+    options = ["--window", "0.4", "--set", "mhe.window=1", "--samples", "12", "--iterations", "2"]
+    options += ["--learning-rate", "0.3", "--prior-weight", "damping=2", "--prior-weight", "load_mass=0"]
+    options += ["--method", "logrank", "--update-period", "0.5", "--to", "1.5"]
+    assert run(["mhe-replay", PENDULUM, "-o", "out", "--json", "-q", *options]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said == record("out")
+    assert said["method"] == "logrank"
+    assert said["settings"] == {
+        "window": 0.4, "update_period": 0.5, "learning_rate": 0.3, "samples": 12, "iterations": 2,
+        "prior_weight": {"damping": 2.0, "load_mass": 0.0},
+    }  # fmt: skip
+    assert said["windows"] == 3
+
+
+def test_a_seed_gives_the_same_estimates_whatever_the_threads() -> None:
+    tables = []
+    for threads in ("1", "2"):
+        options = ["--to", "1", "-q", "--seed", "5", "--threads", threads, "-o", threads]
+        assert run(["mhe-replay", PENDULUM, *options]) == 0
+        tables.append([{k: v for k, v in row.items() if k != "update_ms"} for row in table(threads)])
+    assert tables[0] == tables[1]
+
+
+def test_times_count_from_the_logs_start_and_truth_may_be_told_once() -> None:
+    assert run(["mhe-replay", PENDULUM, "--from", "4", "--to", "5", "-q", "-o", "out"]) == 0
+    np.testing.assert_allclose(column("out", "time"), [4.5, 4.7, 4.9], atol=1e-9)
+    np.testing.assert_array_equal(column("out", "load_mass_true"), 0.55)  # of the log's metadata
+
+
+def test_a_belief_is_started_from() -> None:
+    parameter = "- {{name: {}, unit: '-', scale: log, estimate: {}}}\n"
+    values = {"load_mass": 0.5, "damping": 0.04, "friction_loss": 0.03, "armature": 0.005}
+    rows = (0.0001 * np.eye(4)).tolist()
+    Path("belief.yaml").write_text(
+        "schema_version: 1\nsystem: pendulum\nparameters:\n"
+        + "".join(parameter.format(*item) for item in values.items())
+        + f"covariance: {rows}\n"
+    )
+    options = ["--belief", "belief.yaml", "--set", "mhe.excitation=1e9", "--to", "1", "-q", "-o", "out"]
+    assert run(["mhe-replay", PENDULUM, *options]) == 0
+    assert {p["name"]: p["start"] for p in record("out")["parameters"]} == pytest.approx(values)
+    assert column("out", "load_mass_sd")[0] == pytest.approx(0.2 * 0.5, rel=0.1)  # not 1 %: it is floored
+
+
+# -- input that is not as it should be ------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "said"),
+    [
+        (["--prior-weight", "mass=1"], 2, "did you mean 'load_mass'?"),
+        (["--prior-weight", "load_mass"], 2, "NAME=W"),
+        (["--prior-weight", "load_mass=-1"], 2, "NAME=W"),
+        (["--set", "mhe.widow=1"], 2, "window"),
+        (["--system", "go1_push"], 4, "about pendulum, not go1_push"),
+        (["--topic", "joints=/nothing"], 4, "no topic '/nothing'"),
+        (["--to", "0.004"], 1, "no window"),
+    ],
+)
+def test_what_cannot_be_replayed_is_said_in_one_line(capsys, arguments, code: int, said: str) -> None:
+    assert run(["mhe-replay", PENDULUM, "-o", "out", *arguments]) == code
+    err = capsys.readouterr().err
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert not Path("out").exists()
+
+
+def test_of_a_log_shorter_than_the_window_all_is_used_and_that_is_said(capsys) -> None:
+    arguments = ["mhe-replay", PENDULUM, "--window", "20", "--to", "1", "-q", "-o", "out", "--strict"]
+    assert run(arguments) == 3
+    assert "hold no window of 20 s" in capsys.readouterr().err
+    assert record("out")["windows"] == record("out")["updated"] == 1
+
+
+def test_gaps_are_marked_counted_and_warned_of_once(capsys, tmp_path: Path) -> None:
+    log = write_pendulum_log(tmp_path / "log.mcap", 4.0, silent=(1.55, 2.15), system="pendulum")
+    assert run(["mhe-replay", str(log), "-q", "-o", "out", "--set", "mhe.update_period=0.1"]) == 0
+    marks = [row["mark"] for row in table("out")]
+    gaps = [i for i, mark in enumerate(marks) if mark == "gap"]
+    assert record("out")["gaps"] == len(gaps) >= 4
+    starts = column("out", "time")[gaps] - 0.5
+    assert ((starts > 1.5) & (starts < 2.2)).all()
+    np.testing.assert_array_equal(column("out", "load_mass")[gaps], column("out", "load_mass")[gaps[0] - 1])
+    warned = [line for line in capsys.readouterr().err.splitlines() if "windows lack a signal" in line]
+    assert len(warned) == 1
+    assert "silent" in Path("out/report.html").read_text()
+    assert column("out", "load_mass")[-1] == pytest.approx(PENDULUM_TRUTH["load_mass"], rel=0.1)
+
+
+def test_an_update_that_takes_longer_than_its_period_is_told_with_the_number(capsys) -> None:
+    arguments = ["mhe-replay", PENDULUM, "--update-period", "0.002", "--to", "0.52", "-q", "-o", "out"]
+    assert run([*arguments, "--strict"]) == 3
+    took = record("out")["update_ms"]["p50"]
+    warning = f"an update takes {took:.0f} ms, and the update period is 2 ms"
+    assert warning in capsys.readouterr().err
+    assert any(warning in text for text in record("out")["warnings"])
+
+
+def test_a_log_that_says_nothing_is_no_result(capsys) -> None:
+    arguments = ["mhe-replay", PENDULUM, "--to", "1", "-q", "-o", "out", "--set", "mhe.excitation=1e9"]
+    assert run(arguments) == 0
+    assert "no window moved the belief" in capsys.readouterr().err
+    assert record("out")["still"] == record("out")["windows"]
+
+
+def test_an_interrupted_replay_keeps_what_there_is(monkeypatch, capsys) -> None:
+    update, seen = MovingHorizon.update, []
+
+    def interrupted(*arguments, **more):
+        seen.append(None)
+        if len(seen) == 3:
+            signal.raise_signal(signal.SIGINT)
+        return update(*arguments, **more)
+
+    monkeypatch.setattr(MovingHorizon, "update", interrupted)
+    assert run(["mhe-replay", PENDULUM, "-q", "-o", "out"]) == 130
+    assert record("out")["interrupted"] is True
+    assert record("out")["windows"] == len(table("out")) == 3
+    assert not survey(Path("out/estimates.mcap")).problems
+    assert "interrupted" in capsys.readouterr().out
