@@ -20,8 +20,8 @@ _BAND = "#dbeafe"
 
 def estimates_figure(replay: Replay) -> str:
     """Each parameter over time with its 90 % band, the truth where it is told, and the marks."""
-    space, times = replay.system.space, replay.times
-    theta, lower, upper = (replay.column(name) for name in ("theta", "lower", "upper"))
+    space, times = replay.system.space, _held_until(replay)
+    theta, lower, upper = (_held(replay.column(name)) for name in ("theta", "lower", "upper"))
     across = 3 if len(space) in (3, 5, 6) or len(space) > 8 else min(2, len(space))
     grid = Grid(len(space), across, height=2.5)
     with styled("estimates"):
@@ -31,10 +31,10 @@ def estimates_figure(replay: Replay) -> str:
             _marks(axes, replay)
             axes.fill_between(times, lower[:, i], upper[:, i], color=_BAND, linewidth=0, step="post")
             if parameter.name in replay.truth:
-                axes.step(times, replay.truth[parameter.name], where="post", color=INK, linewidth=1.3)
+                axes.step(times, _held(replay.truth[parameter.name]), where="post", color=INK, linewidth=1.3)
             axes.step(times, theta[:, i], where="post", color=IDENTIFIED, linewidth=1.5)
             axes.set_ylim(*_limits(replay, i))
-            axes.set_xlim(times[0], max(times[-1], times[0] + 1e-3))
+            axes.set_xlim(times[0], times[-1])
             axes.set_xlabel("time [s]")
             axes.set_title(
                 parameter.name if parameter.unit == "-" else f"{parameter.name} [{parameter.unit}]"
@@ -60,9 +60,19 @@ def windows_figure(replay: Replay) -> str:
         took.set_title("update [ms]; dashed: its period")
         for axes in (misfit, excitation, took):
             _marks(axes, replay)
-            axes.set_xlim(replay.times[0], max(replay.times[-1], replay.times[0] + 1e-3))
+            axes.set_xlim(replay.times[0], _held_until(replay)[-1])
             axes.set_xlabel("time [s]")
         return svg(figure)
+
+
+def _held_until(replay: Replay) -> FloatArray:
+    """Times of the estimates, and when the last of them would be replaced, shape (n + 1,)."""
+    return np.append(replay.times, replay.times[-1] + replay.system.settings.mhe.update_period)
+
+
+def _held(values: FloatArray) -> FloatArray:
+    """Values (n, ...) with the last of them once more."""
+    return np.concatenate((values, values[-1:]))
 
 
 def _log_line(axes: Axes, replay: Replay, values: FloatArray, color: str) -> None:
@@ -99,7 +109,7 @@ def _marks(axes: Axes, replay: Replay) -> None:
 
 def _stretches(replay: Replay) -> Iterator[tuple[str, float, float]]:
     """Neighbours of one mark as one: mark, begin and end; each jump for itself."""
-    times = np.append(replay.times, replay.times[-1] + replay.system.settings.mhe.update_period)
+    times = _held_until(replay)
     begin = 0
     for i, estimate in enumerate(replay.estimates):
         last = i + 1 == len(replay.estimates)
