@@ -14,8 +14,8 @@ from amhe_cli.logs.trajectory import read_trajectory
 
 #: A JointState whose names are the parameters, and whose positions are their values.
 TOPIC = "/amhe/truth"
-#: Resolution in time [s].
-_STEP = 0.01
+#: Resolution in time [s]; and no silence is too long for a truth to hold.
+_STEP, _FOREVER = 0.01, 1e9
 
 
 def read_truth(path: Path, stamps_ns: IntArray, settings: LogSettings) -> dict[str, FloatArray]:
@@ -24,13 +24,14 @@ def read_truth(path: Path, stamps_ns: IntArray, settings: LogSettings) -> dict[s
     Args:
         path: The log.
         stamps_ns: The instants [ns] on the log's clock, shape (n,).
-        settings: Clock and gap settings.
+        settings: Clock settings.
 
     Returns:
         Parameter -> values, shape (n,). Each holds until the next; NaN before the first.
     """
+    lasting = settings.model_copy(update={"max_gap": _FOREVER})
     try:
-        told = read_trajectory(path, [Signal("truth", TOPIC, ("position",), is_input=True)], _STEP, settings)
+        told = read_trajectory(path, [Signal("truth", TOPIC, ("position",), is_input=True)], _STEP, lasting)
     except LogError:
         return {}
     series = told["truth.position"]

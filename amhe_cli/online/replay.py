@@ -87,6 +87,11 @@ class Replay:
         """Parameters as they were believed before, shape (d,)."""
         return self.system.space.theta_of(self.start.z)
 
+    @property
+    def update_ms(self) -> FloatArray:
+        """Time of each update [ms], NaN where nothing was rolled out, shape (n,)."""
+        return np.where(self.column("rollouts") > 0, self.column("update_ms"), np.nan)
+
     @cached_property
     def marks(self) -> Counter[str]:
         """How many windows had each mark."""
@@ -171,7 +176,8 @@ def caution(done: Replay) -> None:
         )
     if not any(e.updated for e in done.estimates):
         logger.warning("%s: no window moved the belief: it says what it said at the start", source)
-    usual, period = float(np.median(done.column("update_ms"))), 1e3 * done.system.settings.mhe.update_period
+    took = done.update_ms[np.isfinite(done.update_ms)]
+    usual, period = float(np.median(took)) if took.size else 0.0, 1e3 * done.system.settings.mhe.update_period
     if usual > period:
         logger.warning(
             "an update takes %.0f ms, and the update period is %g ms: live, this machine would not keep up; "

@@ -46,7 +46,7 @@ def replay_record(replay: Replay) -> dict[str, Any]:
                 "count": int(replay.column("rollouts").sum()),
                 "diverged": int(replay.column("diverged").sum()),
             },
-            "update_ms": quantiles(replay.column("update_ms")),
+            "update_ms": quantiles(replay.update_ms),
             "real_time_factor": round(replay.real_time_factor, 3),
         }
     )

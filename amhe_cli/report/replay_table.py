@@ -67,7 +67,6 @@ def _true(parameter: Mapping[str, Any]) -> str:
 def speed_line(record: Mapping[str, Any]) -> str:
     """'4.1 times real time; an update takes 35 ms (median), 52 ms (99 %)'."""
     ms = record["update_ms"]
-    return (
-        f"{record['real_time_factor']:.1f} times real time; an update takes {ms['p50']:.0f} ms (median), "
-        f"{ms['p99']:.0f} ms (99 %)"
-    )
+    took = [numbers.MISSING if ms[key] is None else f"{ms[key]:.0f} ms" for key in ("p50", "p99")]
+    factor = record["real_time_factor"]
+    return f"{factor:.1f} times real time; an update takes {took[0]} (median), {took[1]} (99 %)"

@@ -66,10 +66,12 @@ def _marks(record: Mapping[str, Any]) -> Iterator[Statement]:
 
 def _speed(record: Mapping[str, Any]) -> Iterator[Statement]:
     ms, period = record["update_ms"], 1e3 * record["settings"]["update_period"]
-    yield Statement(
-        "good" if ms["p99"] <= period else "mixed",
-        f"An update took {ms['p50']:.0f} ms (median; 99 %: {ms['p99']:.0f} ms); its period is {period:g} ms.",
-    )
+    if ms["p50"] is not None:
+        yield Statement(
+            "good" if ms["p99"] <= period else "mixed",
+            f"An update took {ms['p50']:.0f} ms (median; 99 %: {ms['p99']:.0f} ms), with a period of "
+            f"{period:g} ms.",
+        )
 
 
 def _diverged(record: Mapping[str, Any]) -> Iterator[Statement]:
@@ -80,8 +82,8 @@ def _diverged(record: Mapping[str, Any]) -> Iterator[Statement]:
 
 
 def windows_line(record: Mapping[str, Any]) -> str:
-    """'68 windows: 61 moved the belief, 2 of them jumps; 5 say nothing, 2 cross a gap'."""
-    jumps = f", {record['jumps']} of them as jumps" if record["jumps"] else ""
+    """'68 windows: 61 moved the belief (2 jumps); 5 say nothing, 2 cross a gap'."""
+    jumps = f" ({record['jumps']} jump{'s' * (record['jumps'] != 1)})" if record["jumps"] else ""
     passed = [
         f"{record[key]} {text}"
         for key, text in (("still", "say nothing"), ("gaps", "cross a gap"), ("lost", "diverged"))

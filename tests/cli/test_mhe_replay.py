@@ -243,6 +243,14 @@ def test_gaps_are_marked_counted_and_warned_of_once(capsys, tmp_path: Path) -> N
     assert column("out", "load_mass")[-1] == pytest.approx(PENDULUM_TRUTH["load_mass"], rel=0.1)
 
 
+def test_a_log_of_gaps_alone_is_replayed_to_its_end(capsys, tmp_path: Path) -> None:
+    log = write_pendulum_log(tmp_path / "log.mcap", 1.2, silent=(0.003, 1.19), system="pendulum")
+    assert run(["mhe-replay", str(log), "-q", "-o", "out", "--from", "0.1", "--strict"]) == 3
+    assert record("out")["gaps"] == record("out")["windows"] > 2
+    assert record("out")["update_ms"] == {"p50": None, "p99": None}
+    assert "no window moved the belief" in capsys.readouterr().err
+
+
 def test_an_update_that_takes_longer_than_its_period_is_told_with_the_number(capsys) -> None:
     arguments = ["mhe-replay", PENDULUM, "--update-period", "0.002", "--to", "0.52", "-q", "-o", "out"]
     assert run([*arguments, "--strict"]) == 3
