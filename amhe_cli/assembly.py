@@ -145,17 +145,6 @@ def understood(loaded: System, source: LogSource, named: str | None) -> tuple[Tr
         raise
 
 
-def check_prior_weights(system: System) -> None:
-    """Refuse a prior weight of no parameter.
-
-    Raises:
-        ConfigError: Its text lists the parameters.
-    """
-    for name in system.settings.mhe.prior_weight:
-        if name not in system.space.names:
-            raise ConfigError(f"prior weight: {one_of('parameter', name, system.space.names)}")
-
-
 def _unnamed(logs: Sequence[Path]) -> str:
     known = ", ".join(bundled_systems())
     return (

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from amhe_cli.cli import options
+from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.session import Session
 
 
@@ -19,7 +20,7 @@ from amhe_cli.cli.session import Session
     metavar="FILE",
     help="Start from a belief.yaml, its sd floored so that it can still move, instead of the system's prior.",
 )
-@options.estimator
+@estimator
 @options.work
 @options.tuning
 @options.out

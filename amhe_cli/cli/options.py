@@ -6,14 +6,12 @@ tuning: --set --config
 sampling: --seed --threads
 work:   those and --engine
 out:    -o --force
-estimator: --method --window --update-period --samples --iterations --learning-rate --prior-weight
 """
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from functools import wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -188,81 +186,3 @@ out = _stack(
     ),
     force,
 )
-
-
-def _weights(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> dict[str, float]:
-    """NAME=W, repeated, as a dictionary."""
-    weights = {}
-    for text in value:
-        name, _, number = text.partition("=")
-        try:
-            weights[name] = float(number)
-        except ValueError:
-            weights[name] = -1.0
-        if not (name and 0.0 <= weights[name] < float("inf")):
-            raise click.BadParameter(f"{text!r} is not of the form NAME=W, W a number from 0 on", ctx, param)
-    return weights
-
-
-#: Options of the online estimator, by the setting `mhe....` that each of them is.
-_ESTIMATOR = {
-    "method": click.option(
-        "--method",
-        type=click.Choice(["linearised", "logrank"]),
-        help="Update of the estimator: ours, or the paper's.  [default: linearised]",
-    ),
-    "window": click.option(
-        "--window",
-        type=Number(min=0, min_open=True),
-        metavar="S",
-        help="Time that one update looks back.  [default: 0.5]",
-    ),
-    "update_period": click.option(
-        "--update-period",
-        type=Number(min=0, min_open=True),
-        metavar="S",
-        help="Time between two updates.  [default: 0.2]",
-    ),
-    "samples": click.option(
-        "--samples",
-        type=WholeNumber(min=4),
-        metavar="B",
-        help="Rollouts of one iteration.  [default: 8 for linearised, 32 for logrank]",
-    ),
-    "iterations": click.option(
-        "--iterations",
-        type=WholeNumber(min=1),
-        metavar="L",
-        help="Iterations of one update.  [default: 1 for linearised, 4 for logrank]",
-    ),
-    "learning_rate": click.option(
-        "--learning-rate",
-        type=Number(min=0, min_open=True, max=1),
-        metavar="A",
-        help="How far an iteration of logrank moves mean and variance.  [default: 0.5]",
-    ),
-    "prior_weight": click.option(
-        "--prior-weight",
-        multiple=True,
-        callback=_weights,
-        metavar="NAME=W",
-        help="How firmly a parameter is held at its last estimate; repeat for more.  [default: 0]",
-    ),
-}
-
-
-def estimator(function: F) -> F:
-    """The estimator's options, handed on among the `assignments` of --set, which they overrule."""
-
-    @wraps(function)
-    def command(*args: Any, assignments: tuple[str, ...], **values: Any) -> Any:
-        chosen = []
-        for name in _ESTIMATOR:
-            value = values.pop(name)
-            if isinstance(value, dict):
-                chosen += [f"mhe.{name}.{key}={number!r}" for key, number in value.items()]
-            elif value is not None:
-                chosen.append(f"mhe.{name}={value}")
-        return function(*args, assignments=(*assignments, *chosen), **values)
-
-    return _stack(*_ESTIMATOR.values())(command)  # type: ignore[return-value]

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import Belief, ParameterSpace
+from amhe_cli.core.settings import MheSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,3 +61,14 @@ def arrival_of(space: ParameterSpace, belief: Belief | None, least_sd: float) ->
     scale = known.prior_sd / space.prior_sd
     start = Arrival(space.z_of(known.nominal), known.prior_covariance * np.outer(scale, scale))
     return start.floored(in_z(space, least_sd))
+
+
+def check_weights(space: ParameterSpace, settings: MheSettings) -> None:
+    """Refuse a prior weight of no parameter.
+
+    Raises:
+        ConfigError: Its text lists the parameters.
+    """
+    for name in settings.prior_weight:
+        if name not in space.names:
+            raise ConfigError(f"prior weight: {one_of('parameter', name, space.names)}")

@@ -53,7 +53,8 @@ def windows_figure(replay: Replay) -> str:
         misfit.set_title("misfit before the update, in noise sd")
         _log_line(excitation, replay, replay.column("excitation"), MEASURED)
         excitation.axhline(setting.excitation, color=INITIAL, linewidth=1.2, linestyle="--")
-        excitation.set_ylim(bottom=0.2 * setting.excitation)  # how far below the gate is no matter
+        if setting.excitation:  # how far below the gate is no matter
+            excitation.set_ylim(bottom=0.2 * setting.excitation)
         excitation.set_title("excitation, in noise sd; dashed: the gate")
         took.plot(*thinned(replay.times, replay.update_ms), color=MEASURED, linewidth=1.0)
         took.axhline(1e3 * setting.update_period, color=INITIAL, linewidth=1.2, linestyle="--")
