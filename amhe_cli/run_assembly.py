@@ -28,6 +28,7 @@ from amhe_cli.live.evaluation import Judge
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.target import SimTarget
 from amhe_cli.live.workers import InProcess, InStep
+from amhe_cli.online.arrival import check_weights
 from amhe_cli.online.horizon import MovingHorizon
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
@@ -142,6 +143,7 @@ def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> Be
     if options.mode != "adaptive":
         return FixedBelief(lambda: fixed)
     settings, mhe = system.settings, system.settings.mhe
+    check_weights(system.space, mhe)
     buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
     factory = partial(estimator_of, options)
     budget = mhe.budget or mhe.update_period

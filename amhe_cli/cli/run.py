@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from amhe_cli.cli import options
+from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.session import Session
 
 #: Those of control/tasks.py and run_assembly.py, which --help need not load.
@@ -53,6 +54,7 @@ MODES = ("true", "baseline", "stale", "adaptive")
     metavar="XML",
     help="MJCF of another Go1 to simulate; the planner keeps its own.",
 )
+@estimator
 @options.tuning
 @options.out
 @options.common

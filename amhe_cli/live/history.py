@@ -15,6 +15,7 @@ from amhe_cli.go1.legs import feet
 from amhe_cli.go1.state import State
 from amhe_cli.live.episode import Cycle
 from amhe_cli.live.evaluation import forward_speed
+from amhe_cli.online.horizon import Estimate
 
 
 @dataclass(slots=True, eq=False)
@@ -23,9 +24,13 @@ class History:
 
     Args:
         task: That is done.
+        estimates: That came in, in adaptive runs.
+        troubles: Of the estimator.
     """
 
     task: Task
+    estimates: list[Estimate] = field(default_factory=list)
+    troubles: list[str] = field(default_factory=list)
     _rows: list[dict[str, float]] = field(default_factory=list)
     _last: Cycle | None = None
 
@@ -34,10 +39,28 @@ class History:
         state = cycle.truth or cycle.estimate
         row = _motion(state, self.task) | _planning(cycle)
         row |= {f"belief/{name}": value for name, value in cycle.belief.items()}
+        row |= self._estimated(cycle)
         row |= {f"truth/{name}": value for name, value in (cycle.parameters or {}).items()}
         self._rows.append(row)
         self._last = cycle
         return row
+
+    def _estimated(self, cycle: Cycle) -> dict[str, float]:
+        """Interval and time of the newest estimate; nothing before the first."""
+        for news in cycle.news:
+            if news.estimate is not None:
+                self.estimates.append(news.estimate)
+            if news.text:
+                self.troubles.append(f"at {news.time:.1f} s {news.text}")
+        if not self.estimates:
+            return {}
+        newest = self.estimates[-1]
+        ends = zip(newest.belief.names, newest.lower, newest.upper, strict=True)
+        return {
+            f"{end}/{name}": float(v)
+            for name, *pair in ends
+            for end, v in zip(("lower", "upper"), pair, strict=True)
+        }
 
     @property
     def cycles(self) -> int:
@@ -61,11 +84,11 @@ class History:
 
     def column(self, name: str) -> FloatArray:
         """One number over the cycles, shape (n,)."""
-        return np.array([row[name] for row in self._rows])
+        return np.array([row.get(name, np.nan) for row in self._rows])
 
     def columns(self) -> Mapping[str, FloatArray]:
         """All of them."""
-        return {name: self.column(name) for name in (self._rows[0] if self._rows else ())}
+        return {name: self.column(name) for name in (self._rows[-1] if self._rows else ())}
 
     def _named(self, prefix: str) -> dict[str, float]:
         last = self._rows[-1] if self._rows else {}

@@ -18,6 +18,7 @@ from amhe_cli.live import messages
 from amhe_cli.live.episode import Cycle
 from amhe_cli.live.samples import Sampler, Samples
 from amhe_cli.logs import LogWriter
+from amhe_cli.online import messages as estimates
 
 #: Topics whose content is not a matter of the seed alone.
 WALL_CLOCK = ("/amhe/timing", "/diagnostics")
@@ -53,6 +54,7 @@ class Recorder:
     def __enter__(self) -> Recorder:
         self._log.__enter__()
         messages.define(self._log)
+        estimates.define(self._log)
         for name, text in self._attachments.items():
             self._log.attach(name, "application/yaml", text.encode())
         return self
@@ -70,6 +72,7 @@ class Recorder:
         for time, targets in zip(samples.command_times, samples.commands, strict=True):
             self._log.joint_state("/joint_commands", stamp_ns(float(time)), JOINTS, targets)
         self._belief(cycle)
+        self._news(cycle)
         self._intention(cycle)
         stamp = stamp_ns(cycle.estimate.time)
         messages.write_plan(self._log, "/amhe/plan", stamp, cycle.plan)
@@ -109,6 +112,15 @@ class Recorder:
         for topic, values in (("/amhe/params", cycle.belief), ("/amhe/truth", cycle.parameters)):
             if values is not None and self._due(topic, time, _SELDOM, values):
                 self._log.joint_state(topic, stamp_ns(time), values, list(values.values()))
+
+    def _news(self, cycle: Cycle) -> None:
+        """What came from the estimator: estimates at the time from which they were in force."""
+        stamp = stamp_ns(cycle.estimate.time)
+        for news in cycle.news:
+            if news.estimate is not None:
+                estimates.write_estimate(self._log, stamp, news.estimate)
+            if news.text:
+                messages.write_diagnostics(self._log, stamp, messages.WARN, news.text, {}, of="estimator")
 
     def _intention(self, cycle: Cycle) -> None:
         time, log, path = cycle.estimate.time, self._log, self._task.path

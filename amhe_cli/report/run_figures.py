@@ -93,8 +93,13 @@ def belief_figure(history: History, units: Mapping[str, str]) -> str:
             believed, true = c[f"belief/{name}"], c.get(f"truth/{name}")
             if true is not None:
                 axes.plot(*_steps(c["time"], true), color=INK, linewidth=1.3)
+            shown = [v for v in (believed, true) if v is not None]
+            if (lower := c.get(f"lower/{name}")) is not None:
+                upper = c[f"upper/{name}"]
+                _band(axes, c["time"], lower, upper)
+                shown.append(np.minimum(upper, 2.0 * np.nanmax(shown)))
             axes.plot(*_steps(c["time"], believed), "--", color=IDENTIFIED, linewidth=1.8)
-            highest = max(float(np.nanmax(v)) for v in (believed, true) if v is not None)
+            highest = max(float(np.nanmax(v)) for v in shown)
             axes.set_ylim(0.0, 1.25 * highest or 1.0)
             axes.set_xlabel("time [s]")
             unit = units.get(name, "-")
@@ -177,6 +182,12 @@ def _changes(axes: Axes, c: Mapping[str, FloatArray]) -> None:
         if name.startswith("truth/"):
             for row in np.flatnonzero(np.diff(values)):
                 axes.axvline(c["time"][row + 1], color=MUTED, linewidth=0.8, linestyle=":")
+
+
+def _band(axes: Axes, time: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
+    """An interval over time, thinned."""
+    kept = np.flatnonzero(np.isfinite(lower))[::5]
+    axes.fill_between(time[kept], lower[kept], upper[kept], step="post", color="#dbeafe", linewidth=0)
 
 
 def _steps(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import asdict
 from typing import Any
 
@@ -25,6 +26,7 @@ def run_record(measures: Measures, history: History, ending: Ending) -> dict[str
             "error": None if ending.error is None else str(ending.error),
             "cost_terms": terms,
             "belief": history.belief,
+            "estimator": _estimator(history),
             "truth": history.truth,
             "cycles": history.cycles,
             "cycle_ms": quantiles(columns.get("plan_ms", np.empty(0))),
@@ -33,3 +35,19 @@ def run_record(measures: Measures, history: History, ending: Ending) -> dict[str
             "diverged": int(columns["diverged"].sum()) if columns else 0,
         }
     )
+
+
+def _estimator(history: History) -> dict[str, Any] | None:
+    """How the online estimator did; None where there was none."""
+    found = history.estimates
+    if not found:
+        return None
+    last = found[-1]
+    return {
+        "updates": len(found),
+        "marks": Counter(e.mark for e in found),
+        "sd": dict(zip(last.belief.names, last.sd, strict=True)),
+        "update_ms": quantiles(np.array([e.update_ms for e in found if e.rollouts])),
+        "diverged": sum(e.diverged for e in found),
+        "troubles": history.troubles,
+    }
