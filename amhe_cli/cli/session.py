@@ -94,11 +94,9 @@ class Session:
 
     def hush_mujoco(self) -> None:
         """Send MuJoCo's warnings to the log; by default it writes MUJOCO_LOG.TXT where the user stands."""
-        import logging
+        from amhe_cli.engine.quiet import hush_mujoco
 
-        import mujoco
-
-        mujoco.set_mju_user_warning(logging.getLogger("amhe_cli.mujoco").debug)
+        hush_mujoco()
 
     def console(self, stderr: bool = False) -> Console:
         """Rich console on stdout, or on stderr."""

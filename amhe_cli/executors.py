@@ -1,0 +1,173 @@
+"""Where work is done: local processes, or a cluster of dask workers, behind `concurrent.futures.Executor`.
+
+Nothing here knows what the work is, and nothing heavy is imported: a fresh process begins with this file.
+"""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from contextlib import AbstractContextManager, contextmanager
+from typing import TypeVar
+
+from amhe_cli.core.errors import AmheError, ConfigError
+
+logger = logging.getLogger(__name__)
+
+K = TypeVar("K")
+T = TypeVar("T")
+R = TypeVar("R")
+#: Opens an executor; leaving it stops what still runs there.
+Pool = Callable[[], AbstractContextManager[Executor]]
+
+#: How often work is tried whose process died under it.
+ATTEMPTS = 3
+#: A scheduler answers within this [s], or is taken for absent.
+PATIENCE = 10.0
+#: How often it is asked whether to stop [s].
+_GLANCE = 0.2
+#: One thread of linear algebra in each process: the processes share the cores already.
+_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+def pool_of(workers: int, cluster: str | None) -> Pool:
+    """The local pool, or that of a scheduler's address where one is given."""
+    return (lambda: local(workers)) if cluster is None else (lambda: remote(cluster))
+
+
+@contextmanager
+def local(workers: int) -> Iterator[Executor]:
+    """Fresh processes on this machine, with one thread of linear algebra each."""
+    others = set(multiprocessing.active_children())
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)  # children read it when they start
+    executor = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin)
+    try:
+        yield executor
+    finally:
+        for process in set(multiprocessing.active_children()) - others:
+            process.terminate()
+        executor.shutdown(cancel_futures=True)
+        for name, value in before.items():
+            os.environ.pop(name) if value is None else os.environ.update({name: value})
+
+
+def _begin() -> None:
+    """A worker leaves Ctrl-C to its parent, and goes when its parent is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    parent = multiprocessing.parent_process()
+
+    def follow() -> None:
+        if parent:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
+
+
+@contextmanager
+def remote(address: str) -> Iterator[Executor]:
+    """The workers of a dask scheduler, such as tcp://host:8786; what a dead one did is done by another.
+
+    Raises:
+        ConfigError: The extra is not installed, or the address is none.
+        AmheError: Nobody answers there.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ConfigError("--cluster needs the extra: pip install 'amhe[cluster]'") from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes back with the futures
+    try:
+        client = Client(address, timeout=PATIENCE, set_as_default=False)
+    except ValueError as error:
+        raise ConfigError(f"--cluster {address}: {error}; write tcp://HOST:8786") from None
+    except OSError:
+        raise AmheError(
+            f"no scheduler answers at {address} within {PATIENCE:g} s: start one with `dask scheduler`, "
+            f"and workers with `dask worker {address} --nthreads 1`"
+        ) from None
+    with client:
+        if not client.scheduler_info()["workers"]:
+            logger.warning(
+                "the scheduler has no workers yet: start some with `dask worker %s --nthreads 1`", address
+            )
+        executor = client.get_executor(pure=False)
+        try:
+            yield executor
+        finally:
+            executor.shutdown(wait=False)
+
+
+def gathered(
+    function: Callable[[T], R], items: Mapping[K, T], pool: Pool, stopped: Callable[[], bool]
+) -> Iterator[tuple[K, R | Exception]]:
+    """Do all the work, and give each result as it comes; work whose process died is done again.
+
+    Args:
+        function: Importable by name: it is sent to other processes.
+        items: What to call it with, by key.
+        pool: Where.
+        stopped: Asked now and then; True: give up what is running.
+
+    Yields:
+        A key, and what the function returned or raised; `BrokenExecutor` of work under which the process
+        died `ATTEMPTS` times.
+
+    Raises:
+        AmheError: The cluster is gone.
+    """
+    left, deaths = dict(items), Counter[K]()
+    while left and not stopped():
+        # what was running when a process died goes alone from then on: only the guilty is given up
+        turn = [key for key in left if not deaths[key]] or [next(iter(left))]
+        with pool() as executor:
+            futures = {executor.submit(function, left[key]): key for key in turn}
+            running: list[K] = []
+            for future in _finished(futures, running, stopped):
+                key, error = futures[future], _error(future)
+                if isinstance(error, BrokenExecutor):
+                    deaths.update(running or turn)
+                    break
+                del left[key]
+                yield key, error or future.result()
+        for key in [key for key in left if deaths[key] >= ATTEMPTS]:
+            del left[key]
+            yield key, BrokenExecutor(f"its process died {ATTEMPTS} times")
+
+
+def _finished(
+    futures: dict[Future[R], K], running: list[K], stopped: Callable[[], bool]
+) -> Iterator[Future[R]]:
+    """Futures as they end; `running` holds the keys of those that were seen running last."""
+    waiting = set(futures)
+    while waiting and not stopped():
+        done, waiting = wait(waiting, _GLANCE, FIRST_COMPLETED)
+        # a broken pool marks all of its futures: those that brought a result come first
+        yield from sorted(done, key=lambda future: isinstance(_error(future), BrokenExecutor))
+        running[:] = [futures[future] for future in waiting if future.running()]
+
+
+def _error(future: Future[R]) -> Exception | None:
+    try:
+        error = future.exception()
+    except CancelledError:  # not by us: we never ask for one that we cancelled
+        raise AmheError("the scheduler is gone; what is done is kept: start it again, and --resume") from None
+    if error is not None and not isinstance(error, Exception):
+        raise error
+    return error
