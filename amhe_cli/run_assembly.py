@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -56,6 +56,7 @@ class RunOptions:
         realtime: Keep pace with the wall clock.
         plant: MJCF of another Go1.
         assignments, config: Settings, as everywhere.
+        environment: Variables that may hold settings too.
     """
 
     task: str
@@ -68,6 +69,7 @@ class RunOptions:
     plant: Path | None = None
     assignments: Sequence[str] = ()
     config: Path | None = None
+    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,7 +124,7 @@ def open_run(options: RunOptions) -> Run:
 
 
 def _system(options: RunOptions, task: Task) -> System:
-    settings = overrides.gathered(options.config, os.environ, options.assignments)
+    settings = overrides.gathered(options.config, options.environment, options.assignments)
     return load_system(find_system(SYSTEM), overrides.merged(measured(task), settings), warn=False)
 
 

@@ -54,6 +54,10 @@ class Judge:
         behaviour: Whose running cost counts.
         period: Between two states [s].
         longest: The episode's limit [s].
+
+    Attributes:
+        last_cost: Running cost of the newest state.
+        fell, arrived: How it ended, if it did.
     """
 
     def __init__(self, task: Task, behaviour: Behaviour, period: float, longest: float = LONGEST) -> None:
@@ -63,9 +67,9 @@ class Judge:
         self._left: list[float] = []
         self._near_since: float | None = None
         self._tapering = False
-        self._last_cost = 0.0
         self._goal_error = np.inf
         self._time = 0.0
+        self.last_cost = 0.0
         self.fell = False
         self.arrived = False
 
@@ -93,7 +97,7 @@ class Judge:
             on_time=success and self.arrived and self._time <= ON_TIME * self._task.nominal_time,
             fell=self.fell,
             goal_error_m=self._goal_error,
-            cost=sum(self._terms.values()) + (0.0 if self.arrived else self._last_cost * rest),
+            cost=sum(self._terms.values()) + (0.0 if self.arrived else self.last_cost * rest),
             time_s=self._time if self.arrived else self._longest,
             speed_rmse=float(np.sqrt((errors**2).mean())) if errors.size else None,
             path_rmse_m=float(np.sqrt((left**2).mean())),
@@ -102,7 +106,7 @@ class Judge:
 
     def _charge(self, state: State) -> None:
         terms = self._behaviour.running_cost(state)
-        self._last_cost = sum(terms.values())
+        self.last_cost = sum(terms.values())
         for name, value in terms.items():
             self._terms[name] = self._terms.get(name, 0.0) + value
 

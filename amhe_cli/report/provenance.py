@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -23,7 +24,7 @@ def provenance(
 ) -> dict[str, object]:
     """Versions, hashes, seed and command of one run, as plain values."""
     return {
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "created": now(),
         "command": command_line,
         "method": method,
         "seed": seed,
@@ -57,6 +58,31 @@ def attachments(system: System) -> dict[str, str]:
         "settings.yaml": system.settings.model_dump_json(indent=2) + "\n",  # JSON is YAML too
         "system.yaml": (system.folder / "system.yaml").read_text(encoding="utf-8"),
     }
+
+
+def now() -> str:
+    """The time, UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def machine() -> dict[str, str]:
+    """Hardware and operating system, without the machine's name."""
+    return {
+        "processor": _processor(),
+        "cores": str(os.cpu_count()),
+        "system": platform.system(),
+        "python": platform.python_version(),
+    }
+
+
+def _processor() -> str:
+    """As Linux tells it; elsewhere as Python does."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor() or platform.machine()
 
 
 def versions() -> dict[str, str]:

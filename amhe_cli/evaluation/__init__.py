@@ -1,0 +1,1 @@
+"""Many runs as one study: which cells there are, their result files, and what they say together."""

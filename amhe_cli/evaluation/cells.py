@@ -1,0 +1,100 @@
+"""A cell is one run of a study: task, mode, setting, seed. Its name holds the hash of all that decides it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+#: Settings that differ from the defaults, as sorted (path, value) pairs: (("control.samples", 16),).
+Setting = tuple[tuple[str, Any], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One run.
+
+    Args:
+        task, mode, seed: As of `amhe run`.
+        setting: How it differs from the defaults.
+        belief: Content of a belief file that replaces the mode's fixed numbers; None: there is none.
+        duration: The longest that it may take [s].
+    """
+
+    task: str
+    mode: str
+    seed: int
+    setting: Setting = ()
+    belief: str | None = None
+    duration: float = 40.0
+
+    @property
+    def title(self) -> str:
+        """'t4 adaptive, mhe.samples=8, seed 3'."""
+        return ", ".join(filter(None, (f"{self.task} {self.mode}", words(self.setting), f"seed {self.seed}")))
+
+    def plain(self) -> dict[str, Any]:
+        """Built-in types, for JSON and for other machines."""
+        return asdict(self) | {"setting": dict(self.setting)}
+
+    def file_name(self, code: Mapping[str, str]) -> str:
+        """Of its result under a version of the code: 't4-true-03-5d41402abc4b.json'."""
+        text = json.dumps([self.plain(), dict(code)], sort_keys=True)
+        return (
+            f"{self.task}-{self.mode}-{self.seed:02d}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
+        )
+
+
+def cell_of(plain: Mapping[str, Any]) -> Cell:
+    """The cell that `Cell.plain` came from."""
+    return Cell(**{**plain, "setting": setting_of(plain["setting"])})
+
+
+def setting_of(values: Mapping[str, Any]) -> Setting:
+    """Sorted pairs of a mapping; lists become tuples, so that settings can be compared and looked up."""
+    return tuple((path, _frozen(value)) for path, value in sorted(values.items()))
+
+
+def _frozen(value: Any) -> Any:
+    return tuple(_frozen(item) for item in value) if isinstance(value, (list, tuple)) else value
+
+
+def words(setting: Setting) -> str:
+    """'mhe.samples=8, mhe.window=0.25'; '' of the defaults."""
+    return ", ".join(f"{path}={json.dumps(value)}" for path, value in setting)
+
+
+def grid(
+    tasks: Iterable[str],
+    modes: Iterable[str],
+    seeds: int,
+    settings: Iterable[Setting],
+    beliefs: Mapping[str, str],
+    exists: Mapping[str, Iterable[str]],
+    duration: float,
+) -> list[Cell]:
+    """All cells of a study, seed by seed, so that a part of them says something about each mode already.
+
+    Args:
+        tasks, modes: By name.
+        seeds: How many, from 0 on.
+        settings: To run each in.
+        beliefs: Task -> content of a belief file, for the modes that start from the baseline's.
+        exists: Task -> modes that it has.
+        duration: The longest that one may take [s].
+    """
+    tasks, modes, settings = tuple(tasks), tuple(modes), tuple(dict.fromkeys(settings))
+    return [
+        Cell(task, mode, seed, setting, None if mode in _OWN_BELIEF else beliefs.get(task), duration)
+        for seed in range(seeds)
+        for setting in settings
+        for task in tasks
+        for mode in modes
+        if mode in exists[task]
+    ]
+
+
+#: Modes whose belief is their own, not that of an identification.
+_OWN_BELIEF = ("true", "stale")
