@@ -4,7 +4,6 @@ import multiprocessing
 import os
 import re
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -15,6 +14,7 @@ import pytest
 
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.executors import ATTEMPTS, gathered, local, pool_of, remote
+from tests.clusters import Cluster
 from tests.work import (
     deadly,
     forgetful,
@@ -104,54 +104,11 @@ def test_without_the_extra_its_name_is_told(monkeypatch) -> None:
         pass
 
 
-class Cluster:
-    """A real scheduler and workers of this machine, each a process of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._processes: list[subprocess.Popen[bytes]] = []
-        ready = folder / "scheduler.json"
-        self._start(
-            "scheduler",
-            "--port",
-            "0",
-            "--no-dashboard",
-            "--scheduler-file",
-            str(ready),
-            "--host",
-            "127.0.0.1",
-        )
-        deadline = time.monotonic() + 60.0
-        while not ready.exists() and time.monotonic() < deadline:
-            time.sleep(0.1)
-        self.address = re.findall(r'"address": "([^"]+)"', ready.read_text())[0]
-
-    def worker(self) -> subprocess.Popen[bytes]:
-        options = ("--nthreads", "1", "--no-dashboard", "--no-nanny", "--host", "127.0.0.1")
-        return self._start("worker", self.address, *options)
-
-    def close(self) -> None:
-        for process in self._processes:
-            process.kill()
-            process.wait()
-
-    def _start(self, what: str, *options: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "distributed.cli.dask_" + what, *options]
-        root = str(Path(__file__).parents[1])
-        log = (self._folder / "log.txt").open("ab")
-        process = subprocess.Popen(
-            command, cwd=self._folder, env=os.environ | {"PYTHONPATH": root}, stdout=log, stderr=log
-        )
-        self._processes.append(process)
-        return process
-
-
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
     pytest.importorskip("distributed")
-    cluster = Cluster(tmp_path)
-    yield cluster
-    cluster.close()
+    with Cluster(tmp_path) as cluster:
+        yield cluster
 
 
 def test_cells_of_a_killed_worker_are_run_by_another(cluster: Cluster, tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ where:  --system --topic --msg-path --from --to
 tuning: --set --config
 sampling: --seed --threads
 work:   those and --engine
+spread: --workers --cluster
 out:    -o --force
 """
 
@@ -171,6 +172,22 @@ work = _stack(
         expose_value=False,
         callback=_cpu_only,
         help="What rolls the candidates out.",
+    ),
+)
+
+spread = _stack(
+    click.option(
+        "--workers",
+        type=WholeNumber(min=1),
+        metavar="N",
+        default=_cores,
+        show_default="all cores",
+        help="Processes on this machine.",
+    ),
+    click.option(
+        "--cluster",
+        metavar="tcp://HOST:PORT",
+        help="A dask scheduler whose workers do it instead; needs the extra [cluster].",
     ),
 )
 

@@ -63,7 +63,7 @@ class Groups:
     def __init__(
         self, results: Iterable[Result], base: Setting, tasks: Sequence[str], modes: Sequence[str]
     ) -> None:
-        self.base = base
+        self.base, self._modes = base, modes
         found: dict[tuple[str, str, Setting], list[Result]] = {}
         for result in results:
             cell = result.cell
@@ -87,10 +87,14 @@ class Groups:
         """That have results at the operating point."""
         return list(dict.fromkeys(group.task for group in self.at_base()))
 
-    @property
-    def modes(self) -> list[str]:
-        """Likewise, in the order of the modes."""
-        return list(dict.fromkeys(group.mode for group in self.at_base()))
+    def of(self, task: str) -> list[Group]:
+        """Those of a task at the operating point, mode by mode."""
+        return [group for group in self.at_base() if group.task == task]
+
+    def modes_of(self, tasks: Iterable[str]) -> list[str]:
+        """Modes that any of the tasks has results of, in order."""
+        found = {group.mode for task in tasks for group in self.of(task)}
+        return sorted(found, key=lambda mode: _rank(self._modes, mode))
 
 
 def difference(group: Group, reference: Group, name: str) -> Difference:
@@ -126,14 +130,15 @@ def _group(key: tuple[str, str, Setting], results: Sequence[Result]) -> Group:
 
 
 def _order(tasks: Sequence[str], modes: Sequence[str], base: Setting):
-    def rank(names: Sequence[str], name: str) -> int:
-        return names.index(name) if name in names else len(names)
-
     def key(group: tuple[str, str, Setting]) -> tuple[Any, ...]:
         task, mode, setting = group
         return (
             setting != base, tuple((p, str(type(v)), v) for p, v in setting),
-            rank(tasks, task), task, rank(modes, mode), mode,
+            _rank(tasks, task), task, _rank(modes, mode), mode,
         )  # fmt: skip
 
     return key
+
+
+def _rank(names: Sequence[str], name: str) -> int:
+    return names.index(name) if name in names else len(names)

@@ -1,0 +1,166 @@
+"""`amhe eval`: tasks by modes by seeds, on this machine or a cluster, and what they say together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from amhe_cli.cli import options
+from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.evaluation.store import Store
+
+#: What --tasks is without the option: the paper's five.
+TASKS = ("t1", "t2", "t3", "t4", "t5")
+
+
+def _names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
+    """'t1,t3' as a tuple without repetitions."""
+    return tuple(dict.fromkeys(name.strip() for name in (value or "").split(",") if name.strip()))
+
+
+def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> dict[str, Path]:
+    """TASK=FILE, repeated, as a dictionary."""
+    files = {}
+    for text in value:
+        task, equals, file = text.partition("=")
+        if not (task and equals and file):
+            raise click.BadParameter(f"{text!r} is not of the form TASK=FILE", ctx, param)
+        if not Path(file).is_file():
+            raise click.BadParameter(f"there is no file {file!r}", ctx, param)
+        files[task] = Path(file)
+    return files
+
+
+@click.command("eval", cls=options.Command, short_help="Tasks by modes by seeds: tables and figures.")
+@click.option(
+    "--tasks",
+    metavar="T,...",
+    callback=_names,
+    default=",".join(TASKS),
+    show_default=True,
+    help="As of amhe run.",
+)
+@click.option(
+    "--modes",
+    metavar="M,...",
+    callback=_names,
+    help="Likewise.  [default: all; with --ablate, that of amhe run]",
+)
+@click.option(
+    "--seeds",
+    type=options.WholeNumber(min=1),
+    metavar="N",
+    default=15,
+    show_default=True,
+    help="Seeds 0 to N - 1 of each, the same for all modes.",
+)
+@click.option(
+    "--ablate",
+    "ablations",
+    multiple=True,
+    metavar="KEY=V,...",
+    help="Try values of one setting, all others at the operating point; repeat for more. A key without a dot "
+    "is a setting of mhe, or else of control.",
+)
+@click.option(
+    "--belief",
+    "beliefs",
+    multiple=True,
+    metavar="TASK=FILE",
+    callback=_beliefs,
+    help="A belief.yaml that the baseline of a task believes; repeat for more.",
+)
+@click.option(
+    "--duration",
+    type=options.Number(min=0, min_open=True, max=600),
+    metavar="S",
+    help="Stop each run after S seconds of it.  [default: 40, the tasks' own limit]",
+)
+@options.spread
+@click.option("--resume", is_flag=True, help="Go on in OUT: run what is missing or has failed.")
+@click.option(
+    "--report",
+    type=options.EXISTING_FOLDER,
+    metavar="OUT",
+    help="Run nothing; make summary, tables and figures of OUT again.",
+)
+@options.tuning
+@options.out
+@options.common
+@click.pass_obj
+def evaluate(
+    session: Session,
+    tasks: tuple[str, ...],
+    modes: tuple[str, ...],
+    seeds: int,
+    ablations: tuple[str, ...],
+    beliefs: dict[str, Path],
+    duration: float | None,
+    workers: int,
+    cluster: str | None,
+    resume: bool,
+    report: Path | None,
+    assignments: tuple[str, ...],
+    config: Path | None,
+    out: Path | None,
+    force: bool,
+) -> None:
+    """Run tasks in modes over seeds, and make the paper's tables and figures of what came out.
+
+    Each run is a cell with a result file of its own in OUT/cells; what is done is kept, whatever stops the
+    rest. Writes summary.json, tables (plain, Markdown, LaTeX, CSV, JSON), figures (PNG, PDF) and report.html.
+    Exit code 1 where a cell brought no result.
+    """
+    from amhe_cli.cli.stopping import stopping
+    from amhe_cli.eval_assembly import EvalOptions, planned, run_cell, study_of
+    from amhe_cli.evaluation.conduct import conduct
+    from amhe_cli.evaluation.store import open_store, start
+    from amhe_cli.executors import pool_of
+    from amhe_cli.report.folder import reserve
+    from amhe_cli.report.provenance import machine, now
+
+    if report:
+        _tell(session, open_store(report), 0)
+        return
+    from amhe_cli.cli.eval_progress import eval_progress
+    from amhe_cli.control.tasks import LONGEST
+
+    longest = LONGEST if duration is None else duration
+    wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, assignments, config)
+    study = study_of(wanted, session.command_line, now(), machine())
+    cells = planned(wanted, study)
+    store = start(out or reserve(None, "eval", force), study, resume, force)
+    missing = store.missing(cells)
+    if len(missing) < len(cells):
+        session.say("", f"{len(cells) - len(missing)} of {len(cells)} cells are done already")
+    with stopping(session) as stopped, eval_progress(session, len(missing)) as on_result:
+        conduct(store, missing, run_cell, pool_of(workers, cluster), stopped, on_result)
+    left = len(store.missing(cells))
+    session.interrupted = stopped()
+    _tell(session, store, left)
+    if session.interrupted:
+        session.say(
+            "", f"interrupted with {left} of {len(cells)} cells to go: go on with --resume -o {store.folder}"
+        )
+
+
+def _tell(session: Session, store: Store, left: int) -> None:
+    """Write and print what the cells say; fail where some brought nothing."""
+    from amhe_cli.control.tasks import TASKS as ALL
+    from amhe_cli.report.evaluation.files import write_study
+    from amhe_cli.run_assembly import MODES
+
+    report = write_study(store, ALL, MODES)
+    if session.json:
+        told: dict[str, Any] = {"cells": report.cells, "failed": report.failures, "missing": left}
+        session.print_json(session.record(**told, summary=report.summary, out=str(store.folder)))
+    else:
+        print(report.text)
+        print(f"report: {store.folder / 'report.html'}")
+    session.failed = bool(report.failures) or (left > 0 and not session.interrupted)
+    for title, reason in report.failures.items():
+        session.say("error", f"{title}: {reason}")

@@ -1,0 +1,91 @@
+"""How figures of a study are made: one look, and each as SVG for the page, PNG and PDF for elsewhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from amhe_cli.report.figures import INK, MUTED, Grid, styled, svg
+
+#: Of each mode, everywhere; a mode of another name is grey.
+COLORS = {"true": INK, "baseline": "#d97706", "stale": "#b91c1c", "adaptive": "#2563eb"}
+TRUTH, DEFAULT, PATH = "#15803d", "#15803d", "#94a3b8"
+#: Height of the legend below the panels [inch].
+_STRIP = 0.34
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """A figure to come.
+
+    Args:
+        name: Of its files.
+        title: What it shows.
+        caption: How to read it.
+        draw: Makes it.
+    """
+
+    name: str
+    title: str
+    caption: str
+    draw: Callable[[], Figure]
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """A figure on the page: `svg` is its element."""
+
+    name: str
+    title: str
+    caption: str
+    svg: str
+
+
+def drawn(drawings: Sequence[Drawing], folder: Path) -> list[Picture]:
+    """Draw figures, write each as PNG and PDF, and give them for the page.
+
+    Args:
+        drawings: What to draw.
+        folder: For the files; made where there is something to draw.
+    """
+    pictures = []
+    for drawing in drawings:
+        folder.mkdir(exist_ok=True)
+        with styled(drawing.name):
+            figure = drawing.draw()
+            element = svg(figure)
+            figure.savefig(
+                folder / f"{drawing.name}.png", dpi=200, facecolor="white", metadata={"Software": None}
+            )
+            figure.savefig(folder / f"{drawing.name}.pdf", metadata={"CreationDate": None})
+        pictures.append(Picture(drawing.name, drawing.title, drawing.caption, element))
+    return pictures
+
+
+def color_of(mode: str) -> str:
+    """Of a mode."""
+    return COLORS.get(mode, MUTED)
+
+
+def room(grid: Grid) -> Figure:
+    """A figure of the grid's cells, with a strip for the legend below them."""
+    figure = grid.figure()
+    figure.set_figheight(figure.get_figheight() + _STRIP)
+    return figure
+
+
+def legend(figure: Figure, modes: Sequence[str], *others: Line2D) -> None:
+    """One for all panels, below them: modes by their colour, and other lines."""
+    lines = [Line2D([], [], color=color_of(mode), linewidth=1.8, label=mode) for mode in modes]
+    handles = [*lines, *others]
+    figure.legend(handles=handles, loc="lower center", ncols=len(handles), fontsize=8.5, handlelength=1.8)
+
+
+def line(label: str, color: str, style: Literal["--", ":"] = "--") -> Line2D:
+    """An entry of a legend."""
+    return Line2D([], [], color=color, linestyle=style, linewidth=1.3, label=label)

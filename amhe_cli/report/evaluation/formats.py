@@ -1,0 +1,100 @@
+"""One table, as people and as programs read it."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from amhe_cli.report.record import plain
+
+#: Characters that LaTeX takes for its own, and how they are written.
+_LATEX = {
+    "\\": r"\textbackslash{}", "%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "$": r"\$",
+    "±": r"$\pm$", "≤": r"$\le$", "≥": r"$\ge$", "–": "--", "×": r"$\times$", "−": "$-$",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Text for people, numbers for programs.
+
+    Args:
+        name: Of its files.
+        title: What it shows.
+        head: Of the columns.
+        rows: As many texts each.
+        records: The same as numbers, in long form.
+        note: What a reader should know.
+    """
+
+    name: str
+    title: str
+    head: tuple[str, ...]
+    rows: Sequence[tuple[str, ...]]
+    records: Sequence[Mapping[str, Any]]
+    note: str = ""
+
+
+def text(table: Table) -> str:
+    """For a terminal: columns side by side, the first to the left."""
+    lines = [table.head, *table.rows]
+    widths = [max(len(line[i]) for line in lines) for i in range(len(table.head))]
+
+    def laid(line: Sequence[str]) -> str:
+        first, *rest = (cell.rjust(width) for cell, width in zip(line, widths, strict=True))
+        return "  ".join((line[0].ljust(len(first)), *rest)).rstrip()
+
+    ruled = [laid(table.head), "-" * (sum(widths) + 2 * (len(widths) - 1)), *map(laid, table.rows)]
+    return "\n".join((table.title, "", *ruled, *(["", table.note] if table.note else []))) + "\n"
+
+
+def markdown(table: Table) -> str:
+    """For GitHub."""
+    lines = [table.head, ("---", *["---:"] * (len(table.head) - 1)), *table.rows]
+    body = ["| " + " | ".join(line) + " |" for line in lines]
+    return "\n".join((f"**{table.title}**", "", *body, *(["", table.note] if table.note else []))) + "\n"
+
+
+def latex(table: Table) -> str:
+    """For a paper that loads booktabs."""
+    columns = "l" + "r" * (len(table.head) - 1)
+    lines = [" & ".join(map(_escaped, line)) + r" \\" for line in (table.head, *table.rows)]
+    return "\n".join(
+        (
+            r"\begin{table}[htbp]", r"  \centering", rf"  \caption{{{_escaped(table.title)}}}",
+            rf"  \label{{tab:{table.name}}}", rf"  \begin{{tabular}}{{@{{}}{columns}@{{}}}}", r"    \toprule",
+            f"    {lines[0]}", r"    \midrule", *(f"    {line}" for line in lines[1:]), r"    \bottomrule",
+            r"  \end{tabular}", r"\end{table}", "",
+        )
+    )  # fmt: skip
+
+
+def comma_separated(table: Table) -> str:
+    """The numbers, one row each."""
+    out = io.StringIO()
+    names = list(dict.fromkeys(name for record in table.records for name in record))
+    writer = csv.DictWriter(out, names, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(plain(record) for record in table.records)
+    return out.getvalue()
+
+
+def as_json(table: Table) -> str:
+    """The numbers and the title."""
+    record = {"name": table.name, "title": table.title, "note": table.note, "rows": plain(table.records)}
+    return json.dumps(record, indent=1, allow_nan=False) + "\n"
+
+
+#: Suffix of a file -> what is in it.
+FORMATS: Mapping[str, Callable[[Table], str]] = {
+    "txt": text, "md": markdown, "tex": latex, "csv": comma_separated, "json": as_json,
+}  # fmt: skip
+
+
+def _escaped(words: str) -> str:
+    return re.sub("|".join(map(re.escape, _LATEX)), lambda found: _LATEX[found[0]], words)

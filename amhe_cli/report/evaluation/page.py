@@ -1,0 +1,38 @@
+"""`report.html` of a study: one page that opens without a network."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from amhe_cli.evaluation.cells import words
+from amhe_cli.evaluation.store import Study
+from amhe_cli.report.evaluation.drawing import Picture
+from amhe_cli.report.evaluation.formats import Table
+from amhe_cli.report.page import template
+
+
+def study_page(
+    study: Study,
+    cells: int,
+    failures: Mapping[str, str],
+    tables: Sequence[Table],
+    pictures: Sequence[Picture],
+) -> str:
+    """The page.
+
+    Args:
+        study: What all cells share.
+        cells: How many brought a result.
+        failures: Title of a cell -> why it brought none.
+        tables: To show, in order.
+        pictures: Likewise.
+    """
+    return template("study.html.j2").render(
+        study=study,
+        setting=words(study.setting),
+        cells=cells,
+        failures=failures,
+        goals=next((table for table in tables if table.name == "goals"), None),
+        tables=tables,
+        pictures=pictures,
+    )

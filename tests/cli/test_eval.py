@@ -1,0 +1,232 @@
+"""`amhe eval` from the outside: cells, files, streams, exit codes, interruption, both executors."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.cli.main import run
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.eval_assembly import EvalOptions, code, planned, run_cell, study_of
+from amhe_cli.evaluation.cells import Cell, setting_of
+from amhe_cli.evaluation.store import open_store
+from tests.clusters import Cluster
+
+ROOT = Path(__file__).parents[2]
+#: Little work: a run of five cycles.
+QUICK = ["--duration", "0.1", "--set", "control.samples=5", "--set", "control.horizon=8"]
+GRID = ["--tasks", "t1,t5", "--modes", "true,baseline", "--seeds", "1", "--workers", "1"]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Output of one quick study; the cells failed in nothing but their task, so the exit code is 0."""
+    out = tmp_path_factory.mktemp("eval") / "out"
+    assert run(["eval", *GRID, *QUICK, "-q", "-o", str(out)]) == 0
+    return out
+
+
+@pytest.fixture
+def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of other things: figures take seconds."""
+    monkeypatch.setattr("amhe_cli.report.evaluation.files.drawings", lambda *of: [])
+
+
+def cells_of(folder: Path) -> dict[str, object]:
+    """What must be the same wherever a cell was run."""
+    found = {}
+    for path in (folder / "cells").iterdir():
+        record = json.loads(path.read_text())
+        del record["seconds"], record["outcome"]["cycle_ms"]
+        found[path.name] = record
+    return found
+
+
+def the_line(capsys) -> str:
+    (line,) = capsys.readouterr().err.splitlines()
+    return line
+
+
+def test_a_study_leaves_a_file_a_cell_and_all_that_is_made_of_them(done: Path) -> None:
+    assert {p.name.rsplit("-", 1)[0] for p in (done / "cells").iterdir()} == {
+        "t1-true-00", "t1-baseline-00", "t5-true-00", "t5-baseline-00"
+    }  # fmt: skip
+    rows = json.loads((done / "summary.json").read_text())
+    assert [(row["task"], row["mode"], row["n"]) for row in rows] == [
+        ("t1", "true", 1), ("t1", "baseline", 1), ("t5", "true", 1), ("t5", "baseline", 1)
+    ]  # fmt: skip
+    assert {p.suffix for p in (done / "tables").glob("measures.*")} == {
+        ".txt",
+        ".md",
+        ".tex",
+        ".csv",
+        ".json",
+    }
+    assert {p.name for p in (done / "figures").iterdir()} >= {
+        "paths.png",
+        "paths.pdf",
+        "speed.png",
+        "final.pdf",
+    }
+
+
+def test_the_page_needs_no_network(done: Path) -> None:
+    page = (done / "report.html").read_text()
+    assert page.count("<svg") == 3
+    for loading in ("<script", "<link", "src=", "url(http", "@import"):
+        assert loading not in page
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_what_is_done_is_not_run_again(done: Path, capsys) -> None:
+    shutil.copytree(done, "out")
+    gone = next(Path("out/cells").glob("t5-true*"))
+    gone.unlink()
+    kept = {path: path.stat().st_mtime_ns for path in Path("out/cells").iterdir()}
+    assert run(["eval", *GRID, *QUICK, "-o", "out", "--resume"]) == 0
+    err = capsys.readouterr().err.splitlines()
+    assert err[0] == "amhe eval: 3 of 4 cells are done already"
+    assert err[1].startswith("amhe eval: 1/1: t5 true, control.horizon=8, control.samples=5, seed 0: ")
+    assert all(path.stat().st_mtime_ns == when for path, when in kept.items())
+    assert cells_of(Path("out")) == cells_of(done)
+
+
+def test_the_report_is_made_again_of_the_cells_alone(done: Path, capsys) -> None:
+    Path("out").mkdir()
+    shutil.copytree(done / "cells", "out/cells")
+    shutil.copy(done / "study.json", "out/study.json")
+    assert run(["eval", "--report", "out", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["command"], told["cells"], told["failed"]) == ("eval", 4, {})
+    assert told["summary"] == json.loads((done / "summary.json").read_text())
+    for path in ("report.html", "summary.json", "tables/measures.csv", "tables/table2.tex"):
+        assert (Path("out") / path).read_bytes() == (done / path).read_bytes()
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_cluster_gives_the_same_cells_as_this_machine(done: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    with Cluster(tmp_path) as cluster:
+        cluster.worker()
+        assert run(["eval", *GRID, *QUICK, "-q", "-o", "out", "--cluster", cluster.address]) == 0
+    assert cells_of(Path("out")) == cells_of(done)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_ctrl_c_keeps_what_is_done_and_a_study_goes_on(done: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "amhe_cli", "eval", *GRID, *QUICK, "-o", "out"]
+    process = subprocess.Popen(
+        command, env=os.environ | {"PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60.0
+    while not any(Path("out/cells").glob("*.json")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60.0)
+    assert process.returncode == 130
+    assert "go on with --resume" in err.splitlines()[-1]
+    assert 1 <= len(list(Path("out/cells").iterdir())) < 4
+    assert Path("out/report.html").exists()
+    assert run(["eval", *GRID, *QUICK, "-q", "-o", "out", "--resume"]) == 0
+    assert cells_of(Path("out")) == cells_of(done)
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_cell_that_breaks_is_recorded_and_the_command_fails(monkeypatch, capsys) -> None:
+    monkeypatch.setattr("amhe_cli.eval_assembly.run_cell", breaking)
+    assert run(["eval", *GRID, *QUICK, "-q", "-o", "out"]) == 1
+    err = capsys.readouterr().err
+    where = "t5 baseline, control.horizon=8, control.samples=5, seed 0"
+    assert err.splitlines() == [f"amhe eval: error: {where}: SimulationError: it broke"]
+    assert len(list(Path("out/cells").iterdir())) == 4
+
+
+def breaking(request):
+    """A plant that breaks in one cell."""
+    from amhe_cli.evaluation.results import blank
+    from tests.evaluation.cells_at_play import record
+
+    cell = request["cell"]
+    broken = (cell["task"], cell["mode"]) == ("t5", "baseline")
+    return blank(request, "SimulationError: it broke") if broken else record(request)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--ablate", "sampels=8,16"], "no parameter 'sampels' (did you mean 'samples'?); there is: "),
+        (["--ablate", "control.sampels=8"], "no key 'sampels' (did you mean 'samples'?); there is: elites"),
+        (["--ablate", "samples"], "write KEY=VALUE,VALUE"),
+        (["--ablate", "samples=many"], "samples is 'many'"),
+        (["--tasks", "t9"], "no task 't9'"),
+        (["--modes", "truth"], "no mode 'truth' (did you mean 'true'?)"),
+        (["--tasks", "t1", "--modes", "stale"], "nothing to run"),
+        (["--belief", "t1"], "TASK=FILE"),
+        (["--belief", "t1=nowhere.yaml"], "no file 'nowhere.yaml'"),
+        (["--report", "nowhere"], "nowhere"),
+        (["--cluster", "nonsense://here:1"], "nonsense"),
+    ],
+)
+def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, options, said: str) -> None:
+    pytest.importorskip("distributed")
+    assert run(["eval", "-q", "-o", "out", *options]) == 2
+    assert said in the_line(capsys)
+    assert not list(Path().rglob("*.json")) or "--cluster" in options
+
+
+@pytest.mark.usefixtures("no_figures")
+def test_a_study_of_other_code_is_not_mixed_with_this(done: Path, capsys) -> None:
+    shutil.copytree(done, "out")
+    study = json.loads(Path("out/study.json").read_text())
+    study["code"]["sources"] = "ffffffffffff"
+    Path("out/study.json").write_text(json.dumps(study))
+    assert run(["eval", *GRID, *QUICK, "-q", "-o", "out", "--resume"]) == 2
+    assert "holds cells of sources ffffffffffff" in the_line(capsys)
+    assert run(["eval", "--report", "out", "-q"]) == 0
+
+
+def test_where_no_scheduler_answers_the_command_fails_in_one_line(monkeypatch, capsys) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("amhe_cli.executors.PATIENCE", 0.5)
+    assert run(["eval", *GRID, "-q", "-o", "out", "--cluster", "tcp://127.0.0.1:9"]) == 1
+    assert "no scheduler answers at tcp://127.0.0.1:9" in the_line(capsys)
+
+
+def test_a_worker_of_other_code_refuses_to_run() -> None:
+    request = {"cell": Cell("t1", "true", 0).plain(), "code": code() | {"sources": "ffffffffffff"}}
+    with pytest.raises(ConfigError, match="a worker runs sources .* ffffffffffff: install the same"):
+        run_cell(request)
+
+
+def test_the_environment_of_a_worker_changes_nothing(monkeypatch, done: Path) -> None:
+    result = next(r for r in open_store(done).results() if (r.cell.task, r.cell.mode) == ("t1", "true"))
+    monkeypatch.setenv("AMHE_CONTROL__TEMPERATURE", "3.0")
+    again = run_cell({"cell": result.cell.plain(), "code": code()})
+    assert again["outcome"]["cost"] == result.outcome["cost"]
+
+
+def test_the_users_environment_and_options_are_the_operating_point(monkeypatch) -> None:
+    monkeypatch.setenv("AMHE_CONTROL__SAMPLES", "16")
+    options = EvalOptions(["t1"], ["true"], 1, assignments=["control.horizon=16", "control.loops=2.0"])
+    study = study_of(options, "amhe eval", "", {})
+    assert study.setting == setting_of({"control.samples": 16, "control.loops": 2})
+    assert {cell.setting for cell in planned(options, study)} == {study.setting}
+
+
+def test_an_ablated_value_that_is_the_operating_point_is_the_same_cell() -> None:
+    options = EvalOptions(["t4"], [], 2, ["control.samples=8,16", "control.sigma_range=[0.2,1.0]"])
+    cells = planned(options, study_of(options, "", "", {}))
+    settings = [(), (("control.samples", 16),), (("control.sigma_range", (0.2, 1.0)),)]
+    assert list(dict.fromkeys(cell.setting for cell in cells)) == settings
+    assert len(cells) == len(set(cells)) == 6

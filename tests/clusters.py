@@ -1,0 +1,58 @@
+"""A real dask cluster on the loopback."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+
+class Cluster:
+    """A real scheduler and workers of this machine, each a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._processes: list[subprocess.Popen[bytes]] = []
+        ready = folder / "scheduler.json"
+        self._start(
+            "scheduler",
+            "--port",
+            "0",
+            "--no-dashboard",
+            "--scheduler-file",
+            str(ready),
+            "--host",
+            "127.0.0.1",
+        )
+        deadline = time.monotonic() + 60.0
+        while not ready.exists() and time.monotonic() < deadline:
+            time.sleep(0.1)
+        self.address = re.findall(r'"address": "([^"]+)"', ready.read_text())[0]
+
+    def worker(self) -> subprocess.Popen[bytes]:
+        options = ("--nthreads", "1", "--no-dashboard", "--no-nanny", "--host", "127.0.0.1")
+        return self._start("worker", self.address, *options)
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        for process in self._processes:
+            process.kill()
+            process.wait()
+
+    def _start(self, what: str, *options: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "distributed.cli.dask_" + what, *options]
+        root = str(Path(__file__).parents[1])
+        log = (self._folder / "log.txt").open("ab")
+        process = subprocess.Popen(
+            command, cwd=self._folder, env=os.environ | {"PYTHONPATH": root}, stdout=log, stderr=log
+        )
+        self._processes.append(process)
+        return process

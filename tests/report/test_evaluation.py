@@ -1,0 +1,119 @@
+"""Tables and figures of studies that were never run."""
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amhe_cli.control.tasks import TASKS
+from amhe_cli.evaluation.ablations import ablations
+from amhe_cli.evaluation.cells import Cell, setting_of
+from amhe_cli.evaluation.goals import goals
+from amhe_cli.evaluation.summary import Groups
+from amhe_cli.report.evaluation import curves, formats, tables
+from amhe_cli.report.evaluation.drawing import drawn
+from amhe_cli.report.evaluation.figures import drawings
+from tests.evaluation.cells_at_play import result
+
+MODES = ("true", "baseline", "stale", "adaptive")
+DEFAULTS = {"control.samples": 8}
+
+
+@pytest.fixture(scope="module")
+def groups() -> Groups:
+    worse = {"true": 0.0, "baseline": 1.0, "adaptive": 0.03}
+    cells = [
+        Cell(task, mode, seed) for task in ("t1", "t3", "t4", "t5") for mode in worse for seed in range(3)
+    ]
+    cells += [Cell("t4", "adaptive", seed, setting_of({"control.samples": 16})) for seed in range(2)]
+    return Groups([result(cell, worse[cell.mode]) for cell in cells], (), tuple(TASKS), MODES)
+
+
+def made(groups: Groups, name: str) -> formats.Table:
+    every = tables.tables(groups, ablations(groups, DEFAULTS), goals(groups))
+    return next(table for table in every if table.name == name)
+
+
+def test_table_1_sets_t4_beside_the_papers_numbers(groups: Groups) -> None:
+    table = made(groups, "table1")
+    assert table.head[:4] == ("", "true (n = 3)", "baseline (n = 3)", "adaptive (n = 3)")
+    row = {line[0]: line[1:] for line in table.rows}
+    assert row["S_R [%]"] == ("100 ± 0", "0 ± 0", "0 ± 0", "100 ± 0", "13 ± 35", "87 ± 35")
+    assert row["e_g [m]"][3:] == ("0.045 ± 0.020", "0.580 ± 0.230", "0.160 ± 0.240")
+
+
+def test_table_2_has_only_tasks_that_were_run(groups: Groups) -> None:
+    table = made(groups, "table2")
+    assert [row[0] for row in table.rows] == [
+        "T1 RMSE [m/s]", "T3 RMSE [m/s]", "T4 RMSE [m/s]", "T5 e_g [m]", "T5 RMSE [m/s]"
+    ]  # fmt: skip
+    assert table.rows[0][-3:] == ("0.134", "0.160", "0.139")
+
+
+def test_differences_are_percent_of_the_true_mode_where_it_says_so(groups: Groups) -> None:
+    table = made(groups, "differences")
+    row = next(line for line in table.rows if line[0] == "t4 adaptive")
+    assert row[4].startswith("+3.0 [")
+    assert row[2].startswith("+0.003 [")
+
+
+def test_goals_say_what_was_missed(groups: Groups) -> None:
+    missed = {(row[0], row[1]) for row in made(groups, "goals").rows if row[-1] == "NO"}
+    assert ("t4 adaptive", "S_R") in missed
+    assert ("t4 adaptive", "J / true's − 1") not in missed
+
+
+def test_the_operating_point_of_an_ablation_is_marked(groups: Groups) -> None:
+    assert [row[1] for row in made(groups, "ablations").rows] == ["8 *", "16"]
+
+
+@pytest.mark.parametrize("name", ["table1", "table2", "measures", "differences", "goals", "ablations"])
+def test_every_form_holds_every_row(groups: Groups, name: str) -> None:
+    table = made(groups, name)
+    lines = formats.text(table).splitlines()
+    assert len({len(line) for line in lines[3 : 3 + len(table.rows)]}) <= 2
+    assert formats.markdown(table).count("\n| ") == len(table.rows) + 2
+    tex = formats.latex(table)
+    assert tex.count(r" \\") == len(table.rows) + 1
+    assert not set("±≤≥–−×") & set(tex)
+    assert not [line for line in tex.splitlines() if "_" in line.replace(r"\_", "") and "label" not in line]
+    rows = list(csv.DictReader(io.StringIO(formats.comma_separated(table))))
+    assert len(rows) == len(table.records) == len(json.loads(formats.as_json(table))["rows"])
+
+
+def test_numbers_of_the_csv_are_not_rounded(groups: Groups) -> None:
+    rows = csv.DictReader(io.StringIO(formats.comma_separated(made(groups, "table1"))))
+    cost = next(row for row in rows if (row["mode"], row["measure"]) == ("adaptive", "cost"))
+    assert float(cost["mean"]) == pytest.approx(1040.0)
+    assert float(cost["paper_mean"]) == 51000.0
+    assert float(cost["low"]) < 1040.0 < float(cost["high"])
+
+
+def test_every_figure_is_written_twice_and_drawn_for_the_page(groups: Groups, tmp_path: Path) -> None:
+    pictures = drawn(drawings(groups, ablations(groups, DEFAULTS), TASKS), tmp_path)
+    names = {picture.name for picture in pictures}
+    assert names == {"paths", "speed", "costs", "parameters", "final", "ablations"}
+    assert {path.name for path in tmp_path.iterdir()} == {f"{n}.{s}" for n in names for s in ("png", "pdf")}
+    assert all(picture.svg.startswith("<svg") for picture in pictures)
+
+
+def test_a_mean_over_seeds_ends_where_most_of_them_have_ended() -> None:
+    long, short = result(Cell("t1", "true", 0)), result(Cell("t1", "true", 1))
+    short = type(short)(
+        short.cell, short.code, None, short.outcome, {n: v[:20] for n, v in short.trace.items()}, 1.0
+    )
+    time, mean, sd = curves.over_time([long, short, short], lambda r: r.trace["box_x"])
+    assert time[-1] == pytest.approx(4.0)
+    assert np.isfinite(mean).all()
+    assert (sd >= 0.0).all()
+
+
+def test_time_is_counted_from_the_change() -> None:
+    changed = result(Cell("t4", "true", 0))
+    assert curves.since_change(changed) == pytest.approx(6.2)
+    time, truth, _ = curves.over_time([changed], lambda r: r.trace["truth/box_mass"], curves.since_change)
+    assert truth[np.argmin(np.abs(time))] == pytest.approx(6.0)
+    assert truth[np.argmin(np.abs(time)) - 1] == pytest.approx(4.0)
