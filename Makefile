@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip --quiet --quiet --disable-pip-version-check
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint format docs bench clean
+.PHONY: help demo test lint format docs results-report bench clean
 
 help:
 	@echo "make demo    identify the bundled pendulum log, print the table, write the report"
@@ -15,6 +15,8 @@ help:
 	@echo "make lint    ruff and pyright"
 	@echo "make format  let ruff format the code"
 	@echo "make docs    write docs/cli.md from the commands' own help"
+	@echo "make results-report"
+	@echo "             tables and figures of docs/results/, in docs/results.md and the README"
 	@echo "make bench   run the benchmarks"
 	@echo "make clean   remove .venv and all caches"
 
@@ -35,6 +37,9 @@ format: .venv/.installed-dev
 
 docs: .venv/.installed-dev
 	$(BIN)/python docs/make_cli_docs.py
+
+results-report: .venv/.installed
+	$(BIN)/python docs/make_results.py
 
 bench: .venv/.installed-bench
 	@for table in $(filter-out benchmarks/common.py,$(wildcard benchmarks/*.py)); do echo "== $$table"; $(BIN)/python $$table || exit 1; done

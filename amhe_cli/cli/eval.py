@@ -126,6 +126,8 @@ def evaluate(
     if report:
         _tell(session, open_store(report), 0)
         return
+    if resume and out is None:
+        raise click.UsageError("--resume goes on in a folder: name it with -o OUT")
     from amhe_cli.cli.eval_progress import eval_progress
     from amhe_cli.control.tasks import LONGEST
 

@@ -18,9 +18,9 @@ from amhe_cli.evaluation.cells import Cell, cell_of
 TRACE_STEP = 0.2
 #: Columns of a trace and their decimals: sampled at the row's time, or the mean since the row before,
 #: since speed and cost swing with every step of the robot.
-_SAMPLED = {"trunk_x": 3, "trunk_y": 3, "trunk_yaw": 3, "box_x": 3, "box_y": 3, "box_yaw": 3}
-_SAMPLED |= {"foot_x": 3, "foot_y": 3}
-_AVERAGED = {"speed": 3, "command": 3, "running_cost": 3}
+_SAMPLED = {"box_x": 3, "box_y": 3, "box_yaw": 3, "trunk_x": 2, "trunk_y": 2, "trunk_yaw": 2}
+_SAMPLED |= {"foot_x": 2, "foot_y": 2}
+_AVERAGED = {"speed": 3, "command": 3, "running_cost": 2}
 #: Columns of beliefs, their sd, and the truth: NAME follows.
 _NAMED = ("belief/", "belief_sd/", "truth/")
 _NAMED_DIGITS = 4

@@ -185,6 +185,11 @@ def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, op
     assert not list(Path().rglob("*.json")) or "--cluster" in options
 
 
+def test_resume_needs_a_folder_to_go_on_in(capsys) -> None:
+    assert run(["eval", "--resume"]) == 2
+    assert "-o OUT" in the_line(capsys)
+
+
 @pytest.mark.usefixtures("no_figures")
 def test_a_study_of_other_code_is_not_mixed_with_this(done: Path, capsys) -> None:
     shutil.copytree(done, "out")

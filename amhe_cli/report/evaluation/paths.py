@@ -44,12 +44,7 @@ def path_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
             axes.set_ylim(min(low, -_BESIDE), max(high, _BESIDE))
         axes.set_title(f"{task.name.upper()}: {task.title}, y [m]")
         axes.set_xlabel("x [m]")
-    legend(
-        figure,
-        groups.modes_of(task.name for task in tasks),
-        line("path", PATH),
-        line("box or floor changes", MUTED, ":"),
-    )
+    legend(figure, groups.modes_of(task.name for task in tasks), line("path", PATH))
     return figure
 
 

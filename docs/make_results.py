@@ -1,0 +1,82 @@
+"""Fill docs/results.md and the README from the stored studies of docs/results/: `make results-report`.
+
+A study is a folder that `amhe eval -o docs/results/NAME` wrote; its cells are kept, all else is made of them.
+Between `<!-- results NAME/TABLE -->` and `<!-- end -->` stands that table; /figures are its figures, /made is
+what it was made with.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+
+from amhe_cli.control.tasks import TASKS
+from amhe_cli.evaluation.store import Store, open_store
+from amhe_cli.report.evaluation.files import write_study
+from amhe_cli.run_assembly import MODES
+
+DOCS = Path(__file__).parent
+STUDIES = DOCS / "results"
+PAGES = (DOCS / "results.md", DOCS.parent / "README.md")
+BLOCK = re.compile(r"<!-- results (?P<study>[\w-]+)/(?P<what>\w+) -->\n.*?<!-- end -->", re.DOTALL)
+
+
+def main() -> None:
+    """Make every study's files again, and fill the pages."""
+    folders = sorted(path.parent for path in STUDIES.glob("*/study.json"))
+    if not folders:
+        sys.exit(
+            f"{STUDIES}: holds no study; make one: amhe eval -o docs/results/main (docs/results.md has all)"
+        )
+    for folder in folders:
+        print(write_study(open_store(folder), TASKS, MODES).text)
+    for page in PAGES:
+        page.write_text(filled(page.read_text(encoding="utf-8"), page.parent), encoding="utf-8")
+
+
+def filled(text: str, beside: Path) -> str:
+    """A page with its blocks filled; those of studies that are not stored stay as they are.
+
+    Args:
+        text: Of the page.
+        beside: Folder of the page, for links.
+    """
+
+    def fill(block: re.Match[str]) -> str:
+        folder = STUDIES / block["study"]
+        if not folder.is_dir():
+            return block[0]
+        content = _content(open_store(folder), block["what"], beside)
+        return f"<!-- results {block['study']}/{block['what']} -->\n{content.rstrip()}\n<!-- end -->"
+
+    return BLOCK.sub(fill, text)
+
+
+def _content(store: Store, what: str, beside: Path) -> str:
+    if what == "made":
+        return _made(store)
+    if what == "figures":
+        pictures = sorted((store.folder / "figures").glob("*.png"))
+        return "\n\n".join(
+            f"![{path.stem}]({Path(os.path.relpath(path, beside)).as_posix()})" for path in pictures
+        )
+    table = store.folder / "tables" / f"{what}.md"
+    if not table.is_file():
+        sys.exit(
+            f"{store.folder}: makes no table {what!r}; correct the block, or run the cells that it needs"
+        )
+    return table.read_text(encoding="utf-8")
+
+
+def _made(store: Store) -> str:
+    study = store.study
+    commands = "\n".join(study.commands)
+    versions = ", ".join(f"{name} {version}" for name, version in study.code.items())
+    machine = ", ".join(f"{name} {value}" for name, value in study.machine.items())
+    return f"```sh\n{commands}\n```\n\nBegun {study.made[:10]}; {versions}; {machine}."
+
+
+if __name__ == "__main__":
+    main()
