@@ -21,7 +21,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     wait,
 )
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import TypeVar
 
 from amhe_cli.core.errors import AmheError, ConfigError
@@ -47,6 +47,11 @@ _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THR
 def pool_of(workers: int, cluster: str | None) -> Pool:
     """The local pool, or that of a scheduler's address where one is given."""
     return (lambda: local(workers)) if cluster is None else (lambda: remote(cluster))
+
+
+def executor_of(workers: int | None, cluster: str | None) -> AbstractContextManager[Executor | None]:
+    """The executor that was asked for, open; None where none was."""
+    return nullcontext() if workers is None and cluster is None else pool_of(workers or 1, cluster)()
 
 
 @contextmanager

@@ -47,6 +47,7 @@ from amhe_cli.cli.session import Session
     help="Save the search here as it goes; resume from it, to the bit, if it exists.",
 )
 @options.work
+@options.spread_if_asked
 @options.tuning
 @options.out
 @options.common
@@ -66,6 +67,8 @@ def identify(
     checkpoint: Path | None,
     seed: int,
     threads: int,
+    workers: int | None,
+    cluster: str | None,
     assignments: tuple[str, ...],
     config: Path | None,
     out: Path | None,
@@ -80,6 +83,7 @@ def identify(
     from amhe_cli.cli.progress import progress
     from amhe_cli.estimation.identification import IdentifyOptions
     from amhe_cli.estimation.identification import identify as run
+    from amhe_cli.executors import executor_of
     from amhe_cli.report.folder import reserve
     from amhe_cli.report.identification import write_identification
     from amhe_cli.report.provenance import provenance
@@ -90,8 +94,8 @@ def identify(
     folder = reserve(out, "identify", force)
     source = LogSource(logs, topics, msg_path, start, end)
     problem = identify_problem(source, held_out, system, assignments, config, belief)
-    search = IdentifyOptions(method, seed, threads, max_time, checkpoint, problem.prior)
-    with progress(session) as on_iteration:
+    with progress(session) as on_iteration, executor_of(workers, cluster) as executor:
+        search = IdentifyOptions(method, seed, threads, max_time, checkpoint, problem.prior, executor)
         result = run(problem.system, problem.training, problem.held_out, search, on_iteration)
     session.interrupted = result.interrupted
     origin = provenance(session.command_line, seed, result.method, problem.system.folder, logs, held_out)

@@ -175,21 +175,27 @@ work = _stack(
     ),
 )
 
-spread = _stack(
-    click.option(
-        "--workers",
-        type=WholeNumber(min=1),
-        metavar="N",
-        default=_cores,
-        show_default="all cores",
-        help="Processes on this machine.",
-    ),
-    click.option(
-        "--cluster",
-        metavar="tcp://HOST:PORT",
-        help="A dask scheduler whose workers do it instead; needs the extra [cluster].",
-    ),
-)
+
+def _spread(default: Callable[[], int] | None, shown: str) -> Callable[[F], F]:
+    return _stack(
+        click.option(
+            "--workers",
+            type=WholeNumber(min=1),
+            metavar="N",
+            default=default,
+            show_default=shown,
+            help="Processes on this machine.",
+        ),
+        click.option(
+            "--cluster",
+            metavar="tcp://HOST:PORT",
+            help="A dask scheduler whose workers do it instead; needs the extra [cluster].",
+        ),
+    )
+
+
+spread = _spread(_cores, "all cores")
+spread_if_asked = _spread(None, "none: threads of this one")
 
 force = click.option("--force", is_flag=True, help="Write into an existing OUT that is not empty.")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -15,6 +16,8 @@ from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.spread import SpreadEngine
 from amhe_cli.estimation import cma, search
 from amhe_cli.estimation.checkpoint import Checkpoint
 from amhe_cli.estimation.clips import ClipPool, split_held_out, whole
@@ -38,6 +41,7 @@ class IdentifyOptions:
         max_time: Stop after this many seconds with the best so far; None: no limit.
         checkpoint: File to save the search in after every iteration, and to resume from.
         prior: A belief to start from instead of the system's own prior.
+        executor: Whose workers roll out; None: threads of this process. Results do not depend on it.
     """
 
     method: str = "linearised"
@@ -46,6 +50,7 @@ class IdentifyOptions:
     max_time: float | None = None
     checkpoint: Path | None = None
     prior: Belief | None = None
+    executor: Executor | None = None
 
 
 def identify(
@@ -95,8 +100,9 @@ def _pose(
         fit, held = [whole(log) for log in training], [whole(log) for log in held_out]
     else:
         fit, held = split_held_out(training, clips.held_out)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, options.threads, system.senses)
-    problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed, options.threads)
+    problem = Problem(
+        system, ClipPool(system, fit, clips), _engine(system, options), options.seed, options.threads
+    )
     if not problem.tiles:
         raise EstimationError(_no_clips(problem.pool))
     validation = ClipPool(system, held, clips)
@@ -111,6 +117,13 @@ def _pose(
                 f"because this motion cannot tell it"
             )
     return problem, windows
+
+
+def _engine(system: System, options: IdentifyOptions) -> RolloutEngine:
+    about = (system.model, system.edits, system.input_spec)
+    if options.executor is not None:
+        return SpreadEngine(options.executor, *about, system.senses)
+    return CpuEngine(*about, options.threads, system.senses)
 
 
 def _no_clips(pool: ClipPool) -> str:

@@ -198,3 +198,14 @@ def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: in
     assert "interrupted" in out
     assert names("out") == FILES
     assert json.loads(Path("out/result.json").read_text())["interrupted"] is True
+
+
+def test_workers_find_the_same_parameters_to_the_bit(tmp_path: Path, pendulum_log: Path) -> None:
+    few = ("identify.iterations=1", "identify.bootstrap=0", "identify.profile_points=0", "clips.count=8")
+    quick = ["--to", "3", "-q", *(word for setting in few for word in ("--set", setting))]
+    assert run(["identify", str(pendulum_log), "-o", str(tmp_path / "here"), *quick]) == 0
+    assert run(["identify", str(pendulum_log), "-o", str(tmp_path / "there"), *quick, "--workers", "1"]) == 0
+    here, there = (json.loads((tmp_path / out / "result.json").read_text()) for out in ("here", "there"))
+    for own in ("seconds", "out"):
+        del here[own], there[own]
+    assert here == there
