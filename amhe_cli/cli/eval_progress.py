@@ -50,7 +50,8 @@ def _live(console: Console, total: int) -> Iterator[OnResult]:
         TextColumn("{task.fields[left]}"),
         TimeElapsedColumn(),
     )
-    bars, done, clock = Progress(*columns, console=console), list[Result](), _Clock(total)
+    bars, clock = Progress(*columns, console=console), _Clock(total)
+    done: list[Result] = []
     task = bars.add_task("", total=total, left="")
     with Live(Group(bars, _means(done)), console=console, transient=True) as live:
 

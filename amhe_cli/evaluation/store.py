@@ -60,7 +60,7 @@ class Store:
         Raises:
             AmheError: It cannot be written, as on a full disk.
         """
-        _write(self.path(cell), json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
+        write_whole(self.path(cell), json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
 
     def results(self) -> list[Result]:
         """All cells so far, by name."""
@@ -112,7 +112,7 @@ def start(folder: Path, study: Study, resume: bool, force: bool) -> Store:
         for path in (folder / CELLS).glob("*.json"):
             path.unlink()
     record = asdict(study) | {"setting": dict(study.setting)}
-    _write(folder / STUDY, json.dumps(record, indent=1) + "\n")
+    write_whole(folder / STUDY, json.dumps(record, indent=1) + "\n")
     return Store(folder, study)
 
 
@@ -130,7 +130,12 @@ def _check(folder: Path, before: Study, now: Study) -> None:
         )
 
 
-def _write(path: Path, text: str) -> None:
+def write_whole(path: Path, text: str) -> None:
+    """Write a file that appears whole or not at all.
+
+    Raises:
+        AmheError: It cannot be written.
+    """
     scratch = path.with_suffix(".partial")
     try:
         with scratch.open("w", encoding="utf-8") as file:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -11,12 +12,15 @@ from pathlib import Path
 
 import pytest
 
+from amhe_cli.cli.eval_progress import eval_progress
 from amhe_cli.cli.main import run
+from amhe_cli.cli.session import Session
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.eval_assembly import EvalOptions, code, planned, run_cell, study_of
 from amhe_cli.evaluation.cells import Cell, setting_of
 from amhe_cli.evaluation.store import open_store
 from tests.clusters import Cluster
+from tests.evaluation.cells_at_play import result
 
 ROOT = Path(__file__).parents[2]
 #: Little work: a run of five cycles.
@@ -185,6 +189,19 @@ def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, op
     assert not list(Path().rglob("*.json")) or "--cluster" in options
 
 
+def test_a_terminal_shows_cells_done_time_left_and_running_means(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "100")
+    with eval_progress(Session(), 4) as show:
+        show(result(Cell("t4", "true", 0)))
+        show(result(Cell("t4", "baseline", 0)))
+        show(result(Cell("t4", "true", 2)))
+    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
+    assert "3/4" in shown
+    assert "s left" in shown
+    assert re.search(r"t4 +true +2 +100% +0\.021 +0\.030 +14\.0", shown)
+
+
 def test_resume_needs_a_folder_to_go_on_in(capsys) -> None:
     assert run(["eval", "--resume"]) == 2
     assert "-o OUT" in the_line(capsys)
@@ -215,10 +232,10 @@ def test_a_worker_of_other_code_refuses_to_run() -> None:
 
 
 def test_the_environment_of_a_worker_changes_nothing(monkeypatch, done: Path) -> None:
-    result = next(r for r in open_store(done).results() if (r.cell.task, r.cell.mode) == ("t1", "true"))
+    stored = next(r for r in open_store(done).results() if (r.cell.task, r.cell.mode) == ("t1", "true"))
     monkeypatch.setenv("AMHE_CONTROL__TEMPERATURE", "3.0")
-    again = run_cell({"cell": result.cell.plain(), "code": code()})
-    assert again["outcome"]["cost"] == result.outcome["cost"]
+    again = run_cell({"cell": stored.cell.plain(), "code": code()})
+    assert again["outcome"]["cost"] == stored.outcome["cost"]
 
 
 def test_the_users_environment_and_options_are_the_operating_point(monkeypatch) -> None:

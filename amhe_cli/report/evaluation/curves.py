@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from amhe_cli.control.tasks import Task
 from amhe_cli.core.arrays import FloatArray
@@ -61,6 +62,7 @@ def cost_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
             axes.fill_between(10.0**at, density, color=color_of(mode), alpha=0.15, linewidth=0)
             axes.plot(10.0**at, density, color=color_of(mode), linewidth=1.5)
         axes.set_xscale("log")
+        axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         axes.xaxis.set_major_formatter("{x:g}")
         axes.minorticks_off()
         axes.set_ylim(bottom=0.0)

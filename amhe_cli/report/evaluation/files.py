@@ -11,7 +11,7 @@ from typing import Any
 from amhe_cli.control.tasks import Task
 from amhe_cli.evaluation.ablations import ablations
 from amhe_cli.evaluation.goals import goals
-from amhe_cli.evaluation.store import Store
+from amhe_cli.evaluation.store import Store, write_whole
 from amhe_cli.evaluation.summary import Groups, summary
 from amhe_cli.report.evaluation.drawing import drawn
 from amhe_cli.report.evaluation.figures import drawings
@@ -57,11 +57,11 @@ def write_study(store: Store, tasks: Mapping[str, Task], modes: Sequence[str]) -
         for suffix, form in FORMATS.items():
             _write(store.folder / "tables" / f"{table.name}.{suffix}", form(table))
     pictures = drawn(drawings(groups, tried, tasks), store.folder / "figures")
-    page = study_page(store.study, len(results) - len(failures), failures, made, pictures)
+    page = study_page(store.study, groups, failures, made, pictures)
     _write(store.folder / "report.html", page)
     return Report(len(results) - len(failures), failures, told, "\n".join(map(text, made)))
 
 
 def _write(path: Path, content: str) -> None:
     path.parent.mkdir(exist_ok=True)
-    path.write_text(content, encoding="utf-8")
+    write_whole(path, content)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from amhe_cli.evaluation.cells import words
 from amhe_cli.evaluation.store import Study
+from amhe_cli.evaluation.summary import Groups
 from amhe_cli.report.evaluation.drawing import Picture
 from amhe_cli.report.evaluation.formats import Table
 from amhe_cli.report.page import template
@@ -13,7 +14,7 @@ from amhe_cli.report.page import template
 
 def study_page(
     study: Study,
-    cells: int,
+    groups: Groups,
     failures: Mapping[str, str],
     tables: Sequence[Table],
     pictures: Sequence[Picture],
@@ -22,7 +23,7 @@ def study_page(
 
     Args:
         study: What all cells share.
-        cells: How many brought a result.
+        groups: Its results.
         failures: Title of a cell -> why it brought none.
         tables: To show, in order.
         pictures: Likewise.
@@ -30,7 +31,8 @@ def study_page(
     return template("study.html.j2").render(
         study=study,
         setting=words(study.setting),
-        cells=cells,
+        cells=sum(group.n for group in groups),
+        seeds=sorted({group.n for group in groups.at_base()}),
         failures=failures,
         goals=next((table for table in tables if table.name == "goals"), None),
         tables=tables,
