@@ -137,3 +137,14 @@ def test_a_scheduler_that_goes_away_stops_the_work_with_one_line(cluster: Cluste
     with pytest.raises(AmheError, match="--resume"):
         for _ in gathered(slow, items, pool_of(1, cluster.address), never):
             cluster.close()
+
+
+def test_a_scheduler_without_workers_is_told_of_and_can_be_left(cluster: Cluster, caplog) -> None:
+    begun = time.monotonic()
+
+    def stopped() -> bool:
+        return time.monotonic() - begun > 1.0
+
+    assert not list(gathered(slow, {1: 60.0}, pool_of(1, cluster.address), stopped))
+    assert f"dask worker {cluster.address}" in caplog.text
+    assert time.monotonic() - begun < 15.0

@@ -36,6 +36,11 @@ def test_the_bootstrap_of_a_mean_is_that_of_the_normal_theory() -> None:
     assert (low, high) == pytest.approx((values.mean() - half, values.mean() + half), abs=0.03)
 
 
+def test_few_rows_widen_the_interval() -> None:
+    low, high = bootstrap(np.array([[0.0], [1.0]]), mean, rng())
+    assert (low, high) == pytest.approx((0.5 - 0.5 * np.sqrt(2.0), 0.5 + 0.5 * np.sqrt(2.0)))
+
+
 def test_its_interval_covers_as_often_as_it_says() -> None:
     draws = np.random.default_rng(2)
     hits = 0
