@@ -1,6 +1,8 @@
+from dataclasses import replace
+
 from amhe_cli.evaluation.ablations import ablations
 from amhe_cli.evaluation.cells import Cell, setting_of
-from amhe_cli.evaluation.goals import goals
+from amhe_cli.evaluation.goals import Goal, goals
 from amhe_cli.evaluation.results import blank, result_of
 from amhe_cli.evaluation.summary import Groups, difference, summary
 from tests.evaluation.cells_at_play import CODE, result
@@ -44,6 +46,14 @@ def test_goals_are_judged_by_the_numbers() -> None:
     assert not by_name["adaptive", "cost"].reached
     assert not by_name["adaptive", "cost"].at_least
     assert abs(by_name["adaptive", "cost"].value - 0.1) < 0.002
+
+
+def test_a_goal_is_judged_by_the_value_and_not_by_the_luck_of_its_interval() -> None:
+    late = Goal("t4", "adaptive", "cost", "ratio", 0.06, 0.01, 0.11, limit=0.05)
+    assert not late.reached
+    assert replace(late, value=0.05).reached
+    assert replace(late, at_least=True).reached
+    assert not replace(late, value=0.04, at_least=True).reached
 
 
 def test_ablations_change_one_thing_and_hold_the_operating_point() -> None:
