@@ -39,6 +39,14 @@ from amhe_cli.system.yaml_file import scalar
 _ONLOOKERS = ("cli", "evaluation", "executors.py", "report")
 #: Groups of settings whose keys `--ablate` takes without the group's name; the first that has one wins.
 _SHORT = ("mhe", "control")
+#: The paper's own symbols for its seven hyper-parameters.
+_SYMBOLS = {
+    "L_MHE": "mhe.iterations", "B": "mhe.samples", "dt_update": "mhe.update_period", "H": "mhe.window",
+    "alpha": "mhe.learning_rate", "w_mass": "mhe.prior_weight.box_mass",
+    "w_friction": "mhe.prior_weight.floor_friction",
+}  # fmt: skip
+#: The mode that an ablation is of where none is named: the one that has all the settings.
+_ABLATED = "adaptive"
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +54,7 @@ class EvalOptions:
     """What the user asked for.
 
     Args:
-        tasks, modes: By name; no modes: all, and of an ablation that of `amhe run`.
+        tasks, modes: By name; no modes: all, and of an ablation the adaptive one.
         seeds: How many.
         ablations: As typed, 'samples=8,16'.
         beliefs: Task -> file of a belief that replaces the baseline's numbers.
@@ -71,12 +79,12 @@ def planned(options: EvalOptions, study: Study) -> list[Cell]:
         ConfigError: An unknown task, mode or parameter, a value that is none, a belief that does not suit,
             or nothing to run.
     """
-    modes = list(options.modes) or (list(MODES) if not options.ablations else [RunOptions("").mode])
+    modes = list(options.modes) or ([_ABLATED] if options.ablations else list(MODES))
     for mode in modes:
         if mode not in MODES:
             raise ConfigError(one_of("mode", mode, MODES))
     exists = {name: [m for m in MODES if m != "stale" or find_task(name).stale] for name in options.tasks}
-    settings = [study.setting, *_ablated(options.ablations, study.setting)]
+    settings = [study.setting, *_ablated(options.ablations, study)]
     cells = grid(options.tasks, modes, options.seeds, settings, _beliefs(options), exists, options.duration)
     if not cells:
         raise ConfigError(
@@ -88,7 +96,7 @@ def planned(options: EvalOptions, study: Study) -> list[Cell]:
 def study_of(options: EvalOptions, command_line: str, made: str, machine: Mapping[str, str]) -> Study:
     """What all cells of this command share."""
     setting = _setting(overrides.gathered(options.config, os.environ, options.assignments))
-    return Study(code(), _defaults(), setting, options.duration, (command_line,), made, machine)
+    return Study(code(), _meant(setting), setting, options.duration, (command_line,), made, machine)
 
 
 def run_cell(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -129,12 +137,19 @@ def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
                 assignments=_assignments(cell.setting), environment={},
             )
         )  # fmt: skip
-    history, costs = History(run.task), []
+    history, costs, doubts = History(run.task), [], []
+    doubt = np.full(len(run.episode.names), np.nan)  # of what is believed, where somebody estimates it
     for cycle in run.episode.cycles():
         history.add(cycle)
         costs.append(run.judge.last_cost)
+        doubts.append(doubt)
+        doubt = next((news.estimate.sd for news in reversed(cycle.news) if news.estimate), doubt)
     outcome = run_record(run.judge.measures(), history, Ending())
     columns = {**history.columns(), "running_cost": np.array(costs)}
+    if np.isfinite(doubts).any():
+        columns |= {
+            f"belief_sd/{name}": sd for name, sd in zip(run.episode.names, np.array(doubts).T, strict=True)
+        }
     if not run.task.one_leg:  # no figure shows the feet of a walking robot
         del columns["foot_x"], columns["foot_y"]
     return outcome, thinned(columns, run.system.settings.control.period)
@@ -163,8 +178,8 @@ def code() -> dict[str, str]:
     return {**numbers, "sources": sources.hexdigest()[:12], "model": model.hexdigest()[:12]}
 
 
-def _ablated(ablations: Sequence[str], base: Setting) -> Iterator[Setting]:
-    """Settings that differ from the operating point in one value."""
+def _ablated(ablations: Sequence[str], study: Study) -> Iterator[Setting]:
+    """Settings that differ from the operating point in one value, or not at all."""
     for typed in ablations:
         key, sign, values = typed.partition("=")
         listed = scalar(f"[{values}]")
@@ -172,17 +187,19 @@ def _ablated(ablations: Sequence[str], base: Setting) -> Iterator[Setting]:
             raise ConfigError(f"--ablate {typed!r}: write KEY=VALUE,VALUE, for instance samples=8,16")
         path = _path(key.strip())
         for value in listed:
-            yield _setting(overrides.parse_set([*_assignments(base), f"{path}={json.dumps(value)}"]))
+            typed = [*_assignments(study.setting), f"{path}={json.dumps(value)}"]
+            setting = _setting(overrides.parse_set(typed))
+            same = path not in dict(study.setting) and dict(setting).get(path) == study.defaults.get(path)
+            yield study.setting if same else setting
 
 
 def _path(key: str) -> str:
     """The setting that a key of `--ablate` means."""
-    if "." in key:
-        return key
     short = {p.partition(".")[2]: p for g in reversed(_SHORT) for p in _defaults() if p.startswith(f"{g}.")}
-    if key not in short:
-        raise ConfigError(f"--ablate: {one_of('parameter', key, short)}; or any other setting as GROUP.KEY")
-    return short[key]
+    short |= _SYMBOLS
+    if key in short or "." in key:
+        return short.get(key, key)
+    raise ConfigError(f"--ablate: {one_of('parameter', key, short)}; or any other setting as GROUP.KEY")
 
 
 def _assignments(setting: Setting) -> list[str]:
@@ -202,12 +219,23 @@ def _defaults() -> dict[str, Any]:
     return dict(_leaves(_system({})))
 
 
+def _meant(setting: Setting) -> dict[str, Any]:
+    """Defaults, with what "none" stands for at an operating point."""
+    mhe = _system(overrides.parse_set(_assignments(setting))).settings.mhe
+    counts = {"mhe.samples": mhe.sample_count, "mhe.iterations": mhe.iteration_count}
+    return _defaults() | {path: count for path, count in counts.items() if path not in dict(setting)}
+
+
 def _system(given: Mapping[str, Any]) -> System:
     return load_system(find_system(SYSTEM), given, warn=False)
 
 
 def _leaves(system: System) -> Iterator[tuple[str, Any]]:
-    return _flat(system.settings.model_dump(mode="json"))
+    """Paths and values of all settings, those that name a parameter included."""
+    yield from _flat(system.settings.model_dump(mode="json", exclude={"mhe": {"prior_weight"}}))
+    names = system.space.names
+    for name, weight in zip(names, system.settings.mhe.weights(names), strict=True):
+        yield f"mhe.prior_weight.{name}", weight
 
 
 def _flat(nested: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:

@@ -163,8 +163,8 @@ def _finished(
     waiting = set(futures)
     while waiting and not stopped():
         done, waiting = wait(waiting, _GLANCE, FIRST_COMPLETED)
-        # a broken pool marks all of its futures: those that brought a result come first
-        yield from sorted(done, key=lambda future: isinstance(_error(future), BrokenExecutor))
+        # what brought a result comes first: an error may end it all
+        yield from sorted(done, key=lambda future: _error(future) is not None)
         running[:] = [futures[future] for future in waiting if future.running()]
 
 

@@ -48,7 +48,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
     "--modes",
     metavar="M,...",
     callback=_names,
-    help="Likewise.  [default: all; with --ablate, that of amhe run]",
+    help="Likewise.  [default: all; with --ablate, adaptive]",
 )
 @click.option(
     "--seeds",
@@ -64,7 +64,8 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
     multiple=True,
     metavar="KEY=V,...",
     help="Try values of one setting, all others at the operating point; repeat for more. A key without a dot "
-    "is a setting of mhe, or else of control.",
+    "is a setting of mhe, or else of control, or one of the paper's: L_MHE, B, dt_update, H, alpha, w_mass, "
+    "w_friction.",
 )
 @click.option(
     "--belief",

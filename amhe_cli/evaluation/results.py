@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,8 +79,11 @@ def thinned(columns: Mapping[str, FloatArray], period: float) -> dict[str, Any]:
     return trace
 
 
-def _rounded(values: FloatArray, digits: int) -> list[float] | float:
-    rows: list[float] = [int(v) if v == int(v) else v for v in np.round(values, digits).tolist()]
+def _rounded(values: FloatArray, digits: int) -> Any:
+    """As few characters as the digits need; JSON lacks NaN, and has null."""
+    rows = [
+        None if math.isnan(v) else int(v) if v == int(v) else v for v in np.round(values, digits).tolist()
+    ]
     return rows[0] if len(rows) > 1 and len(set(rows)) == 1 else rows
 
 
@@ -108,9 +112,7 @@ def result_of(record: Mapping[str, Any]) -> Result:
     columns = record["trace"]
     rows = len(columns.get("time", ()))
     trace = {
-        name: np.full(rows, values, dtype=float)
-        if isinstance(values, (int, float))
-        else np.array(values, float)
+        name: np.array(values, float) if isinstance(values, list) else np.full(rows, values, dtype=float)
         for name, values in columns.items()
     }
     return Result(

@@ -247,8 +247,28 @@ def test_the_users_environment_and_options_are_the_operating_point(monkeypatch) 
 
 
 def test_an_ablated_value_that_is_the_operating_point_is_the_same_cell() -> None:
-    options = EvalOptions(["t4"], [], 2, ["control.samples=8,16", "control.sigma_range=[0.2,1.0]"])
+    options = EvalOptions(
+        ["t4"], [], 2, ["control.samples=8,16", "control.sigma_range=[0.2,1.0]", "samples=8,32"]
+    )
     cells = planned(options, study_of(options, "", "", {}))
-    settings = [(), (("control.samples", 16),), (("control.sigma_range", (0.2, 1.0)),)]
+    settings = [
+        (), (("control.samples", 16),), (("control.sigma_range", (0.2, 1.0)),), (("mhe.samples", 32),)
+    ]  # fmt: skip
     assert list(dict.fromkeys(cell.setting for cell in cells)) == settings
-    assert len(cells) == len(set(cells)) == 6
+    assert len(cells) == len(set(cells)) == 8
+    assert {cell.mode for cell in cells} == {"adaptive"}
+
+
+def test_the_papers_seven_have_their_own_symbols_and_a_value_at_the_operating_point() -> None:
+    symbols = ["L_MHE=9", "B=9", "dt_update=0.9", "H=0.9", "alpha=0.9", "w_mass=0.9", "w_friction=0.9"]
+    options = EvalOptions(["t4"], [], 1, symbols, assignments=["mhe.method=logrank"])
+    study = study_of(options, "", "", {})
+    changed = [set(cell.setting) - set(study.setting) for cell in planned(options, study)]
+    paths = [path for change in changed for path, _ in change]
+    assert paths == [
+        "mhe.iterations", "mhe.samples", "mhe.update_period", "mhe.window", "mhe.learning_rate",
+        "mhe.prior_weight.box_mass", "mhe.prior_weight.floor_friction",
+    ]  # fmt: skip
+    assert study.setting == (("mhe.method", "logrank"),)
+    assert (study.defaults["mhe.samples"], study.defaults["mhe.iterations"]) == (32, 4)
+    assert all(study.defaults[path] is not None for path in paths)

@@ -32,6 +32,16 @@ def test_a_trace_keeps_the_last_row_and_says_what_never_changes_once() -> None:
     assert len(trace["belief/box_mass"]) == 4
 
 
+def test_what_nobody_knows_yet_is_null_and_comes_back_as_nan() -> None:
+    sd = np.where(np.arange(30) < 15, np.nan, 0.12345)
+    trace = thinned(columns(30) | {"belief_sd/box_mass": sd}, 0.02)
+    assert trace["belief_sd/box_mass"] == [None, 0.1234, 0.1234]
+    plain = record({"cell": Cell("t1", "true", 0).plain(), "code": CODE}) | {"trace": trace}
+    again = result_of(json.loads(json.dumps(plain, allow_nan=False))).trace["belief_sd/box_mass"]
+    assert np.isnan(again[0])
+    assert again[1] == 0.1234
+
+
 def test_what_swings_within_a_row_is_averaged_and_sums_stay() -> None:
     trace = thinned(columns(40), 0.02)
     assert trace["speed"] == pytest.approx(0.2)
