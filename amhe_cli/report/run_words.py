@@ -102,7 +102,7 @@ def is_failure(record: Mapping[str, Any]) -> bool:
 def measures(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Name, value and unit of what matters."""
     ms = record["cycle_ms"]
-    return [
+    rows = [
         ("time", number(record["time_s"], "{:.2f}"), "s"),
         ("box from the goal", number(record["goal_error_m"], "{:.3f}"), "m"),
         ("speed error, rms", number(record["speed_rmse"], "{:.3f}"), "m/s"),
@@ -113,6 +113,13 @@ def measures(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         ("deadlines missed", str(record["deadline_misses"]), ""),
         ("rollouts diverged", f"{record['diverged']:,} of {record['rollouts']:,}", ""),
     ]
+    if estimator := record.get("estimator"):
+        took = number(estimator["update_ms"]["p50"], "{:.0f}")
+        rows += [
+            ("updates of the belief", str(estimator["updates"]), ""),
+            ("time of an update, median", took, "ms"),
+        ]
+    return rows
 
 
 def number(value: float | None, form: str) -> str:

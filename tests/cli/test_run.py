@@ -49,7 +49,12 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output of one quick run."""
     out = tmp_path_factory.mktemp("run") / "out"
-    assert run(["run", "--task", "t1", "--seed", "3", "-o", str(out), "--threads", "1", *QUICK]) == 0
+    assert (
+        run(
+            ["run", "--task", "t1", "--mode", "true", "--seed", "3", "-o", str(out), "--threads", "1", *QUICK]
+        )
+        == 0
+    )
     return out
 
 
@@ -71,6 +76,19 @@ def test_result_json_has_the_keys_of_every_command_and_its_own(done: Path) -> No
     assert record["success"] is record["fell"] is record["interrupted"] is False
 
 
+def test_an_adaptive_run_tells_of_its_estimator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    more = ["--duration", "1.3", "--update-period", "0.3", "--samples", "6"]
+    assert run(["run", "--task", "t1", "-o", "out", *QUICK, *more]) == 0
+    record = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert record["mode"] == "adaptive"
+    assert record["estimator"]["updates"] == 2  # of windows that end at 0.72 and 1.02 s
+    assert set(record["estimator"]["sd"]) == set(record["belief"])
+    assert record["estimator"]["troubles"] == []
+    assert "/amhe/estimate" in survey(tmp_path / "out" / "log.mcap").topics
+    assert "90 % interval" in (tmp_path / "out" / "report.html").read_text()
+
+
 def test_the_log_says_what_it_is_of(done: Path) -> None:
     said = read_metadata(done / "log.mcap")
     assert (said["system"], said["task"], said["mode"], said["seed"]) == ("go1_push", "t1", "true", "3")
@@ -86,7 +104,10 @@ def test_the_report_is_one_page_that_needs_no_network(done: Path) -> None:
 
 
 def test_a_seed_gives_the_same_result_whatever_the_threads(done: Path) -> None:
-    assert run(["run", "--task", "t1", "--seed", "3", "-o", "again", "--threads", "2", *QUICK]) == 0
+    assert (
+        run(["run", "--task", "t1", "--mode", "true", "--seed", "3", "-o", "again", "--threads", "2", *QUICK])
+        == 0
+    )
     first, again = (json.loads((out / "result.json").read_text()) for out in (done, Path("again")))
     for own in ("seconds", "cycle_ms", "out"):
         del first[own], again[own]
