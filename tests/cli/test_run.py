@@ -82,7 +82,7 @@ def test_an_adaptive_run_tells_of_its_estimator(tmp_path: Path, monkeypatch: pyt
     assert run(["run", "--task", "t1", "-o", "out", *QUICK, *more]) == 0
     record = json.loads((tmp_path / "out" / "result.json").read_text())
     assert record["mode"] == "adaptive"
-    assert record["estimator"]["updates"] == 2  # of windows that end at 0.72 and 1.02 s
+    assert record["estimator"]["updates"] == 3  # windows end at 0.52, 0.82 and 1.12 s
     assert set(record["estimator"]["sd"]) == set(record["belief"])
     assert record["estimator"]["troubles"] == []
     assert "/amhe/estimate" in survey(tmp_path / "out" / "log.mcap").topics
