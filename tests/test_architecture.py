@@ -15,6 +15,7 @@ FLOORS = (
     "system",
     "engine",
     "go1",
+    "go1_link",
     "first_errors",
     "windows",
     "matching",
