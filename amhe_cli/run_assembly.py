@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from amhe_cli.control.behaviour import Behaviour
 from amhe_cli.control.controller import Controller
 from amhe_cli.control.tasks import LONGEST, Task, find_task
 from amhe_cli.core.arrays import FloatArray
@@ -20,6 +21,7 @@ from amhe_cli.go1.model import SYSTEM, Box, home, layout, planner_model, plant_m
 from amhe_cli.go1.plant import Plant
 from amhe_cli.live.episode import BeliefSource, Episode
 from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.go1_target import Go1Target
 from amhe_cli.live.target import SimTarget
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
@@ -37,6 +39,7 @@ class RunOptions:
 
     Args:
         task: Name of the task.
+        target: 'sim' or 'go1'.
         mode: Whose belief: one of `MODES`.
         belief: File of a belief that replaces the mode's fixed one.
         seed: Of start poses, sensor noise and sampling.
@@ -48,6 +51,7 @@ class RunOptions:
     """
 
     task: str
+    target: str = "sim"
     mode: str = "true"
     belief: Path | None = None
     seed: int = 0
@@ -61,7 +65,7 @@ class RunOptions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """An episode on a simulated target, and what it is about.
+    """An episode on its target, and what it is about.
 
     Args:
         options: As given.
@@ -69,9 +73,9 @@ class Run:
         system: `go1_push` with the user's settings.
         episode: Ready to run.
         target: Of the episode.
-        plant: Behind the target; for pictures.
+        plant: Behind a simulated target; for pictures.
         judge: Of the episode.
-        first_truth: The plant's parameters at the start, by name.
+        first_truth: The plant's parameters at the start, by name; {} where nobody knows.
         first_belief: What is believed at the start, by name.
     """
 
@@ -79,8 +83,8 @@ class Run:
     task: Task
     system: System
     episode: Episode
-    target: SimTarget
-    plant: Plant
+    target: SimTarget | Go1Target
+    plant: Plant | None
     judge: Judge
     first_truth: dict[str, float]
     first_belief: dict[str, float]
@@ -93,7 +97,7 @@ def open_run(options: RunOptions) -> Run:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
     """
     task = find_task(options.task)
-    system = _system(options)
+    system = system_of(options)
     settings = system.settings.control
     seeds = np.random.SeedSequence(options.seed).spawn(3)
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
@@ -101,24 +105,42 @@ def open_run(options: RunOptions) -> Run:
     plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
     target = SimTarget(plant, settings.period, HOME, options.realtime)
     behaviour = task.behaviour()
-    planner = planner_model(task.box, timestep=settings.period / settings.substeps)
-    engine = CpuEngine(planner, system.edits.upon(planner), system.input_spec, options.threads, sensors=False)
-    controller = Controller(behaviour, engine, layout(planner), settings, samples)
+    controller = controller_for(task, behaviour, system, options.threads, samples)
     judge = Judge(task, behaviour, settings.period, options.duration)
-    belief = _belief(options, task, system, plant)
+    belief = belief_source(options, task, system, plant)
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
     return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief(0.0))
 
 
-def _system(options: RunOptions) -> System:
+def controller_for(
+    task: Task, behaviour: Behaviour, system: System, threads: int, samples: np.random.Generator
+) -> Controller:
+    """The controller of a task, with the planner's model of its box."""
+    settings = system.settings.control
+    planner = planner_model(task.box, timestep=settings.period / settings.substeps)
+    engine = CpuEngine(planner, system.edits.upon(planner), system.input_spec, threads, sensors=False)
+    return Controller(behaviour, engine, layout(planner), settings, samples)
+
+
+def system_of(options: RunOptions) -> System:
+    """`go1_push` with the user's settings.
+
+    Raises:
+        ConfigError: A setting is wrong.
+    """
     settings = overrides.gathered(options.config, os.environ, options.assignments)
     return load_system(find_system(SYSTEM), settings, warn=False)
 
 
-def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> BeliefSource:
+def belief_source(options: RunOptions, task: Task, system: System, plant: Plant | None) -> BeliefSource:
+    """Whom the controller believes: the plant, where there is one, or fixed parameters.
+
+    Raises:
+        ConfigError: Unknown mode, or a belief that does not suit.
+    """
     if options.mode not in MODES:
         raise ConfigError(one_of("mode", options.mode, MODES))
-    if options.mode == "true":
+    if options.mode == "true" and plant is not None:
         if options.belief is not None:
             raise ConfigError("--mode true believes the plant's own parameters; leave out --belief")
         return lambda _: plant.parameters

@@ -105,29 +105,23 @@ class Link:
         self._check_contact()
         return self.report
 
-    def stand_up(self) -> None:
-        """Let the robot stand up, and wait until it does.
-
-        Raises:
-            StoppedError: A trip came first.
-        """
+    def stand(self) -> None:
+        """Let the robot stand up."""
         self._order(mail.STAND)
-        self.wait_for(Phase.READY)
 
     def arm(self) -> None:
         """Let plans be played, as the operator's key does."""
         self._order(mail.ARM)
 
-    def wait_for(self, phase: Phase) -> None:
-        """Wait until a phase has come.
+    def reached(self, phase: Phase) -> bool:
+        """Whether a phase has come.
 
         Raises:
             StoppedError: A trip came first.
         """
-        while self._poll().phase < phase:
-            time.sleep(_STEP)
-        if self.report.phase > phase:
+        if self._poll().phase > phase:
             raise StoppedError(f"stopped: {self.report.reason or 'the run was ended'}")
+        return self.report.phase == phase
 
     def play(self, plan: Targets, pose_time: float) -> None:
         """Hand over the newest plan.

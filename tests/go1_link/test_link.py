@@ -18,7 +18,7 @@ import pytest
 
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1.legs import HOME
-from amhe_cli.go1_link import mail, state, wire
+from amhe_cli.go1_link import state, wire
 from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.link import Link, StoppedError
 from amhe_cli.go1_link.motion import Targets
@@ -49,11 +49,17 @@ def a_link(puppet: Puppet, settings: Go1Settings = QUICK, keys: int = -1) -> Lin
     return Link("127.0.0.1", puppet.port, settings, CLOCK, keys)
 
 
+def wait_for(link: Link, phase: Phase) -> None:
+    while not link.reached(phase):
+        time.sleep(0.002)
+
+
 def running(link: Link) -> None:
     link.connect()
-    link.stand_up()
+    link.stand()
+    wait_for(link, Phase.READY)
     link.arm()
-    link.wait_for(Phase.RUN)
+    wait_for(link, Phase.RUN)
 
 
 class Player(threading.Thread):
@@ -116,7 +122,7 @@ def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip:
     changes = {"mode": {"modes": np.full(12, 8)}, "remote": {"remote": Remote(frozenset({"L2", "B"})).raw()}}
     with a_link(puppet) as link:
         link.connect()
-        link._order(mail.STAND)
+        link.stand()
         puppet.wait(lambda told: told.kp[0] > 10.0)
         if fault == "silence":
             puppet.mangle = lambda packet: None
@@ -126,7 +132,7 @@ def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip:
             puppet.change = lambda sent: replace(sent, **changes[fault])
         puppet.wait(damps)
         with pytest.raises(StoppedError):
-            link.wait_for(Phase.READY)
+            wait_for(link, Phase.READY)
     assert link.report.trip == trip
 
 
@@ -148,9 +154,10 @@ def test_an_operator_who_stops(puppet: Puppet, how: str) -> None:
     keys, terminal = socket.socketpair()
     with keys, terminal, a_link(puppet, keys=keys.fileno()) as link:
         link.connect()
-        link.stand_up()
+        link.stand()
+        wait_for(link, Phase.READY)
         terminal.send(b"\n")
-        link.wait_for(Phase.RUN)
+        wait_for(link, Phase.RUN)
         if how == "stop":
             link.stop()
         elif how == "key":
