@@ -156,10 +156,11 @@ class Go1Target:
             self._play(plan)
         self._sleep_to_the_next_period()
         self._collect()
-        while not (self._robot and self._poses):  # of the very first call: an estimate needs both
-            self._clock.sleep_until(self._clock.now() + _STEP)
-            self._collect()
         self._check_phase()
+        while plan is None and not (self._robot and self._poses):  # the first estimate needs both
+            self._sleep_to_the_next_period()
+            self._collect()
+            self._check_phase()
         return self._measured()
 
     def _play(self, plan: Plan) -> None:
@@ -214,14 +215,14 @@ class Go1Target:
         robot, poses = self._robot, self._poses
         self._robot, self._poses = [], []
         columns = {
-            name: np.array([sample[name] for sample in robot]).reshape(len(robot), -1)
-            for name in ("joints", "joint_rates", "gyro", "accelerometer")
+            name: np.array([sample[name] for sample in robot]).reshape(len(robot), width)
+            for name, width in (("joints", 12), ("joint_rates", 12), ("gyro", 3), ("accelerometer", 3))
         }
         pairs = {"trunk": [pose[1] for pose in poses], "box": [pose[2] for pose in poses]}
         seen = {
-            f"{body}_{part}": np.array([pose[column] for pose in pairs[body]]).reshape(len(poses), -1)
+            f"{body}_{part}": np.array([pose[column] for pose in pairs[body]]).reshape(len(poses), width)
             for body in pairs
-            for column, part in enumerate(("position", "orientation"))
+            for column, (part, width) in enumerate((("position", 3), ("orientation", 4)))
         }
         return Measurements(
             time=self._time,
