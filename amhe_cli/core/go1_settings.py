@@ -37,8 +37,8 @@ class TripSettings(_Group):
     """Of the hottest motor [deg C]; nobody publishes a limit, this one is ours."""
     charge: Annotated[float, Field(ge=0, le=100)] = 15.0
     """Least charge of the battery [%]."""
-    target_jump: _Positive = 0.15
-    """Of a joint target from one packet to the next [rad]."""
+    target_jump: _Positive = 0.5
+    """Between the targets in force and a new plan [rad]; less is blended over 20 ms, 0.05 rad a packet."""
     position_margin: Annotated[float, Field(ge=0)] = 0.05
     """How far a joint may be beyond the limits of commands [rad], once the robot stands."""
     bad_packets: Annotated[int, Field(ge=1)] = 20

@@ -66,7 +66,7 @@ class Emulator:
     """
 
     def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:
-        o = self._options = options
+        o, self._faults = options, options.faults
         self._clock, self._on_command = Clock(o.slow), on_command
         self._port = RobotPort(o.host, o.port, o.faults)
         self._cameras = _cameras(o)
@@ -101,6 +101,10 @@ class Emulator:
         """Commands accepted and datagrams rejected, so far."""
         return self._port.accepted, self._port.rejected
 
+    def cause(self, faults: Faults) -> None:
+        """From now on, let other things go wrong."""
+        self._faults = faults
+
     def serve(self, stopped: Callable[[], bool]) -> None:
         """Emulate millisecond by millisecond until `stopped`.
 
@@ -126,7 +130,7 @@ class Emulator:
                 self._driven_since = self._body.time
         state, measured = self._body.advance(self._port.command)
         driven = -1.0 if self._driven_since is None else self._body.time - self._driven_since
-        faults = self._options.faults
+        faults = self._faults
         if driven >= faults.stale:
             state = replace(state, tick=1)
         if driven < faults.silence:
@@ -141,6 +145,10 @@ class _Cameras:
 
     address: tuple[str, int] | None = None
 
+    def cause(self, faults: Faults) -> None:
+        """From now on, let other things go wrong."""
+        self._faults = faults
+
     def serve(self, now: float) -> None: ...
 
     def show(self, measured: Measurements, faults: Faults, now: float) -> None: ...
@@ -152,6 +160,10 @@ class _NatNetCameras(_Cameras):
     def __init__(self, options: EmulatorOptions) -> None:
         self._motive = Motive(options.host, options.mocap_port, options.bodies)
         self.address = self._motive.address
+
+    def cause(self, faults: Faults) -> None:
+        """From now on, let other things go wrong."""
+        self._faults = faults
 
     def serve(self, now: float) -> None:
         self._motive.serve(now)

@@ -7,10 +7,12 @@ one has died, however it died: by that a sender watches its parent.
 from __future__ import annotations
 
 import json
+import os
 import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from amhe_cli.go1_link.wire import LinkError
@@ -80,6 +82,7 @@ class Child:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", module, str(theirs.fileno())],
                 pass_fds=(theirs.fileno(), *files), stdin=subprocess.DEVNULL, stdout=sys.__stderr__,
+                env=_environment(),
             )  # fmt: skip
         self.channel = Channel(ours)
         self.channel.send(json.dumps(settings).encode())
@@ -92,6 +95,12 @@ class Child:
         except subprocess.TimeoutExpired:
             self.process.kill()
             self.process.wait()
+
+
+def _environment() -> dict[str, str]:
+    """Ours, and this very package for the child, wherever we stand."""
+    ours = str(Path(__file__).parents[2])
+    return os.environ | {"PYTHONPATH": os.pathsep.join([ours, *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
 def begun() -> tuple[Channel, dict[str, Any]]:

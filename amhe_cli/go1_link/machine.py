@@ -25,8 +25,8 @@ from amhe_cli.go1_link.trips import NO_JUMP, View, power, tripped
 FOLDED = sealed(np.tile([0.0, 1.2, -2.6], 4))
 #: The first plan after arming may take so long [s].
 _FIRST_PLAN = 2.0
-#: From standing to plans, the targets are blended for so long [s].
-_BLEND = 0.2
+#: From what is in force, targets are blended into the first plan, and into every other one, for so long [s].
+_FIRST_BLEND, _BLEND = 0.2, 0.02
 _AT_REST = sealed(np.zeros(12))
 
 
@@ -77,7 +77,9 @@ class Machine:
     _since: float = 0.0
     _from: FloatArray = field(default_factory=lambda: _AT_REST)
     _sent: FloatArray | None = None
-    _first_plan: float = np.inf
+    _playing: Targets | None = None
+    _blend: tuple[float, float, FloatArray] = (0.0, 1.0, NO_JUMP)
+    _jump: FloatArray = field(default_factory=lambda: NO_JUMP)
     _over_power: int = 0
     _power_tick: int = -1
 
@@ -92,7 +94,7 @@ class Machine:
             self._count_power(inbox.state)
             self._go_on(now, inbox, inbox.state)
             wanted = self._targets(now, inbox)
-            self._guard(now, inbox, inbox.state, wanted)
+            self._guard(now, inbox, inbox.state)
             if self._drives:
                 return self._servo(now, inbox.state, wanted)
         elif inbox.stop or inbox.finish:
@@ -129,18 +131,18 @@ class Machine:
             then = Phase.OVER if self.phase == Phase.CONNECT else Phase.SIT
             self._enter(then, now, state.joints if self._sent is None else self._sent)
 
-    def _guard(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> None:
+    def _guard(self, now: float, inbox: Inbox, state: RobotState) -> None:
         if self.phase == Phase.CONNECT:
             if inbox.stop:
                 self._trip("order", inbox.stop, Phase.OVER, now)
             return
         if self.phase >= Phase.DAMP:
             return
-        found = tripped(self._view(now, inbox, state, wanted), self.settings.trips)
+        found = tripped(self._view(now, inbox, state), self.settings.trips)
         if found:
             self._trip(*found, now)
 
-    def _view(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> View:
+    def _view(self, now: float, inbox: Inbox, state: RobotState) -> View:
         grace = self._since + _FIRST_PLAN if inbox.plan is None else -np.inf
         return View(
             phase=self.phase,
@@ -150,7 +152,7 @@ class Machine:
             pose_age=now - max(inbox.pose_time, grace),
             over_power=self._over_power,
             bad_packets=inbox.bad_packets,
-            jump=NO_JUMP if self._sent is None else wanted - self._sent,
+            jump=self._jump,
             order=inbox.stop,
         )
 
@@ -183,12 +185,22 @@ class Machine:
                 rising = self._stand_time - self._fold_time
                 return eased(FOLDED, HOME, (elapsed - self._fold_time) / rising)
             case Phase.RUN if inbox.plan is not None:
-                # the first plan leans on its feet where a standing robot did not yet
-                self._first_plan = min(self._first_plan, now)
-                return eased(self._from, inbox.plan.at(now), (now - self._first_plan) / _BLEND)
+                return self._played(now, inbox.plan)
             case Phase.SIT:
                 return eased(self._from, FOLDED, elapsed / self.settings.sit_time)
         return self._from
+
+    def _played(self, now: float, plan: Targets) -> FloatArray:
+        """Of a plan; a new one is blended into: plans come late now and then, and then begin with a step."""
+        targets, before = plan.at(now), self._from if self._sent is None else self._sent
+        self._jump = NO_JUMP
+        if plan is not self._playing:
+            self._jump = targets - before
+            # the first one leans on its feet where a standing robot did not yet
+            duration = _FIRST_BLEND if self._playing is None else _BLEND
+            self._playing, self._blend = plan, (now - 1.0 / self.settings.rate, duration, before - targets)
+        begun, duration, offset = self._blend
+        return targets + max(0.0, 1.0 - (now - begun) / duration) * offset
 
     def _servo(self, now: float, state: RobotState, wanted: FloatArray) -> Command:
         s = self.settings

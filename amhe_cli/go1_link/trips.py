@@ -32,7 +32,7 @@ class View:
         pose_age: Of the older one of the newest poses of trunk and box [s].
         over_power: States one after the other with too much power.
         bad_packets: Damaged datagrams one after the other.
-        jump: Of the targets, from the last packet to this one, shape (12,).
+        jump: From the targets in force to those of a plan that is new in this tick, shape (12,).
         order: Why somebody wants it to stop; '' if nobody does.
     """
 

@@ -188,9 +188,10 @@ class Go1Target:
     # -- what comes in --------------------------------------------------------------------------------
 
     def _collect(self) -> None:
-        self._robot += self._link.samples()
+        """All that has come and is of the run: not older than its beginning."""
+        self._robot += [sample for sample in self._link.samples() if sample["time"] >= self._start]
         for pose in self._feed.poses():
-            if pose.body in self._newest:
+            if pose.body in self._newest and pose.time - self._settings.pose_delay >= self._start:
                 self._newest[pose.body] = max(self._newest[pose.body], pose.time)
                 self._pair(pose)
 

@@ -94,9 +94,8 @@ def test_a_whole_day_of_a_robot(puppet: Puppet) -> None:
     assert link.report.phase == Phase.OVER
     assert link.report.trip == ""
     assert link.report.intervals["packets"] == pytest.approx(len(told), abs=5)
-    # between two packets no target moves by more than the trip allows
     driven = np.array([command.position for command in told if command.kp[0] > 0])
-    assert np.abs(np.diff(driven, axis=0)).max() < QUICK.trips.target_jump
+    assert np.abs(np.diff(driven, axis=0)).max() < 0.05
     # the offset of the robot's clock has been found by the time it stands
     stamps = np.array([sample["time"] for sample in samples if sample["phase"] >= Phase.READY])
     assert (np.diff(stamps) > 0).all()

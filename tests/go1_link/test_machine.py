@@ -70,7 +70,7 @@ class Robot:
 
 
 def running(**settings) -> Robot:
-    robot = Robot(**settings)
+    robot = Robot(**{"gain_time": 0.2, "stand_speed": 3.0, **settings})
     robot.inbox.arm = True
     robot.until(Phase.RUN)
     robot.for_a_while(0.5)
@@ -108,7 +108,7 @@ def test_it_waits_for_the_operator_and_then_for_the_first_plan() -> None:
     for told in robot.for_a_while(1.5):
         np.testing.assert_allclose(told.position, HOME)
     robot.no_plans = robot.no_poses = False
-    np.testing.assert_allclose(robot.for_a_while(0.5)[-1].position, HOME + 0.1)
+    np.testing.assert_allclose(robot.for_a_while(0.5)[-1].position, HOME + 0.1, atol=1e-3)
     assert robot.machine.phase == Phase.RUN
 
 
@@ -135,7 +135,7 @@ CHANGES: dict[str, Callable[[Robot], None]] = {
     "motor_mode": lambda robot: robot.change.update(modes=np.array([10] * 11 + [8])),
     "battery": lambda robot: robot.change.update(charge=14),
     "range": lambda robot: robot.change.update(joints=np.tile([0.0, 0.9, -2.8], 4)),
-    "target_jump": lambda robot: setattr(robot, "offset", 0.3),
+    "target_jump": lambda robot: setattr(robot, "offset", 0.7),
     "plan_lost": lambda robot: setattr(robot, "no_plans", True),
     "pose_lost": lambda robot: setattr(robot, "no_poses", True),
 }
@@ -155,7 +155,7 @@ def test_every_trip_ends_in_damped_motors_in_time(trip: str) -> None:
     told = robot.until(Phase.DAMP, 5.0)
     assert robot.machine.trip == trip
     assert robot.machine.reason
-    assert robot.now - since <= LATEST.get(trip, TICK) + 2 * TICK
+    assert robot.now - since <= LATEST.get(trip, TICK) + 5 * TICK
     assert is_damping(told[-1])
     # whatever it was, it is over: even a robot that is well again is not driven any more
     robot.change, robot.silent, robot.no_plans, robot.no_poses, robot.inbox.stop = {}, False, False, False, ""
@@ -217,6 +217,15 @@ def test_nothing_moves_before_it_is_to_stand() -> None:
     robot.inbox.finish = True
     robot.step()
     assert robot.machine.phase == Phase.OVER
+
+
+def test_a_plan_that_begins_with_a_step_is_blended_into() -> None:
+    robot = running()
+    robot.offset = 0.5
+    told = np.array([command.position for command in robot.for_a_while(0.5)])
+    assert robot.machine.phase == Phase.RUN
+    assert np.abs(np.diff(told, axis=0)).max() <= 0.05
+    np.testing.assert_allclose(told[-1], allowed(HOME + 0.5, told[-2], 60.0, 0.7), atol=1e-3)
 
 
 def test_targets_stay_within_joints_and_torques() -> None:
