@@ -104,6 +104,7 @@ class Emulator:
     def cause(self, faults: Faults) -> None:
         """From now on, let other things go wrong."""
         self._faults = faults
+        self._port.cause(faults)
 
     def serve(self, stopped: Callable[[], bool]) -> None:
         """Emulate millisecond by millisecond until `stopped`.
@@ -148,6 +149,7 @@ class _Cameras:
     def cause(self, faults: Faults) -> None:
         """From now on, let other things go wrong."""
         self._faults = faults
+        self._port.cause(faults)
 
     def serve(self, now: float) -> None: ...
 
@@ -164,6 +166,7 @@ class _NatNetCameras(_Cameras):
     def cause(self, faults: Faults) -> None:
         """From now on, let other things go wrong."""
         self._faults = faults
+        self._port.cause(faults)
 
     def serve(self, now: float) -> None:
         self._motive.serve(now)

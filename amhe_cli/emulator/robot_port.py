@@ -53,7 +53,7 @@ class RobotPort:
 
     def __init__(self, host: str, port: int, faults: Faults) -> None:
         self._socket = bound(host, port)
-        self._faults, self._dice = faults, Dice(faults, np.random.default_rng(1))
+        self.cause(faults)
         self._waiting: list[tuple[float, int, bool, bytes]] = []
         self._order = itertools.count()
         self._heard: list[Command] = []
@@ -65,6 +65,10 @@ class RobotPort:
     def address(self) -> tuple[str, int]:
         """Where it listens."""
         return self._socket.getsockname()
+
+    def cause(self, faults: Faults) -> None:
+        """From now on, let other things go wrong on the way."""
+        self._faults, self._dice = faults, Dice(faults, np.random.default_rng(1))
 
     def receive(self, now: float) -> list[Command]:
         """Good commands that have come by a time [s]."""
