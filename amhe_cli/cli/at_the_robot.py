@@ -76,7 +76,8 @@ def dry_run(session: Session, run: Run) -> None:
 @contextmanager
 def ready(target: Any, session: Session) -> Iterator[None]:
     """A target that waits for plans; a robot has stood up by then, and is let down in the end."""
-    from amhe_cli.live.go1_target import Go1Target
+    from amhe_cli.go1_link.link import StoppedError
+    from amhe_cli.live.go1_target import SIGNALS, Go1Target
 
     if not isinstance(target, Go1Target):
         yield
@@ -84,7 +85,12 @@ def ready(target: Any, session: Session) -> Iterator[None]:
     with _unseen_keys(), target:
         for name, value in target.check().items():
             session.say("", f"{name}: {value}")
-        target.begin(lambda text: session.say("", text))
+        try:
+            target.begin(lambda text: session.say("", text))
+        except StoppedError:
+            if target.report.reason in SIGNALS:
+                raise KeyboardInterrupt from None
+            raise
         yield
 
 

@@ -146,11 +146,6 @@ class _Cameras:
 
     address: tuple[str, int] | None = None
 
-    def cause(self, faults: Faults) -> None:
-        """From now on, let other things go wrong."""
-        self._faults = faults
-        self._port.cause(faults)
-
     def serve(self, now: float) -> None: ...
 
     def show(self, measured: Measurements, faults: Faults, now: float) -> None: ...
@@ -162,11 +157,6 @@ class _NatNetCameras(_Cameras):
     def __init__(self, options: EmulatorOptions) -> None:
         self._motive = Motive(options.host, options.mocap_port, options.bodies)
         self.address = self._motive.address
-
-    def cause(self, faults: Faults) -> None:
-        """From now on, let other things go wrong."""
-        self._faults = faults
-        self._port.cause(faults)
 
     def serve(self, now: float) -> None:
         self._motive.serve(now)

@@ -18,7 +18,8 @@ class Faults:
     """Shares from 0 to 1, delays [s], and when things happen [s after the motors were first driven].
 
     Args:
-        loss, duplicate, corrupt: Share of datagrams, either way.
+        loss, duplicate: Share of datagrams, either way.
+        corrupt: Share of states that come damaged.
         delay: Of all datagrams, either way.
         silence: States stop: the cable is pulled.
         stale: The robot's clock stands still.
@@ -106,7 +107,7 @@ class Dice:
     faults: Faults
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
-    def copies(self, datagram: bytes) -> list[bytes]:
+    def copies(self, datagram: bytes, inward: bool) -> list[bytes]:
         """What arrives of a datagram: nothing, itself, itself twice, or something else."""
         f = self.faults
         if not (f.loss or f.duplicate or f.corrupt):
@@ -114,7 +115,7 @@ class Dice:
         lost, doubled, damaged = self.rng.random(3)
         if lost < f.loss:
             return []
-        if damaged < f.corrupt:
+        if damaged < f.corrupt and not inward:
             position = int(self.rng.integers(3, 600))
             datagram = datagram[:position] + bytes([datagram[position] ^ 1]) + datagram[position + 1 :]
         return [datagram] * (2 if doubled < f.duplicate else 1)

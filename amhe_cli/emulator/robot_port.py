@@ -95,7 +95,7 @@ class RobotPort:
         self._socket.close()
 
     def _delay(self, now: float, inward: bool, datagram: bytes) -> None:
-        for copy in self._dice.copies(datagram):
+        for copy in self._dice.copies(datagram, inward):
             heapq.heappush(self._waiting, (now + self._faults.delay, next(self._order), inward, copy))
 
     def _deliver(self, now: float) -> None:

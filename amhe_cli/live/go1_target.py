@@ -28,7 +28,8 @@ from amhe_cli.poses.frame import World, check_axes, check_place, offset_pose, ti
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
 _STEP = 0.01
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+#: Who sent one of these knows why the run ends.
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _Pose = tuple[FloatArray, FloatArray]
 
 
@@ -181,8 +182,7 @@ class Go1Target:
 
     def _check_phase(self) -> None:
         report = self.report
-        # who sent the signal ends the run in good order
-        if report.phase > Phase.RUN and report.reason not in _SIGNALS:
+        if report.phase > Phase.RUN and report.reason not in SIGNALS:
             raise StoppedError(f"stopped, {report.phase.name.lower()}: {report.reason}")
 
     # -- what comes in --------------------------------------------------------------------------------

@@ -5,8 +5,8 @@ python -m amhe_cli.poses.feed CHANNEL
 
 from __future__ import annotations
 
-import contextlib
 import json
+import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -185,6 +185,11 @@ class _Sender:
 
 def main() -> None:
     """Pass poses on until the program hangs up."""
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # meant for the program, which still needs poses to sit down
+        signal.signal(number, signal.SIG_IGN)
     channel, given = begun()
     options = FeedOptions(**given)
     sender = _Sender(channel, Clock(options.slow))
@@ -200,10 +205,8 @@ def main() -> None:
     except PoseError as error:
         sender.say({"error": str(error)})
     finally:
-        with contextlib.suppress(KeyboardInterrupt):
-            source.close()
+        source.close()
 
 
 if __name__ == "__main__":
-    with contextlib.suppress(KeyboardInterrupt):
-        sys.exit(main())
+    sys.exit(main())

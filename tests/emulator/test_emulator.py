@@ -117,15 +117,30 @@ def test_the_port_answers_the_last_sender_and_takes_only_good_commands() -> None
     port.close()
 
 
-def test_a_lossy_late_line_loses_and_delays() -> None:
+def test_a_lossy_late_line_loses_delays_and_damages() -> None:
     faults = parse_faults("loss=0.5,duplicate=0.2,corrupt=0.2,delay=5ms")
     port = RobotPort("127.0.0.1", 0, faults)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
         for _ in range(200):
             client.sendto(command.encode(servo(HOME)), port.address)
         assert port.receive(1.0) == []
-        assert 60 < len(port.receive(1.006)) < 140
-        assert port.rejected > 5
+        assert 60 < len(port.receive(1.006)) < 160
+        for tick in range(200):
+            port.send(a_state(tick=tick), 2.0)
+        port.receive(2.006)
+        client.setblocking(False)
+        good, bad = set(), 0
+        while True:
+            try:
+                datagram = client.recv(2000)
+            except BlockingIOError:
+                break
+            try:
+                good.add(state.decode(datagram).tick)
+            except wire.PacketError:
+                bad += 1
+        assert 50 < len(good) < 110
+        assert 5 < bad < 50
     port.close()
 
 
