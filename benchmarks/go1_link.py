@@ -325,20 +325,27 @@ def _mutants(good: bytes, count: int, rng: np.random.Generator) -> Iterator[byte
 
 
 def _is_right(datagram: bytes, good: bytes, layout: np.dtype) -> bool:
-    """Length, head, level and checksum, by other means than the decoder's: a bitwise division."""
+    """Length, head, level and checksum, by other means than the decoder's: a table of divisions."""
     if len(datagram) != layout.itemsize or datagram[:3] != good[:3]:
         return False
     crc = 0xFFFFFFFF
-    words = np.frombuffer(datagram[: 4 * (len(datagram) // 4 - 1)], "<u4").tolist()
-    for word in words:
-        crc ^= word
-        for _ in range(32):
-            crc = ((crc << 1) ^ 0x04C11DB7 if crc >> 31 else crc << 1) & 0xFFFFFFFF
+    for byte in np.frombuffer(datagram[: 4 * (len(datagram) // 4 - 1)], "<u4").byteswap().tobytes():
+        crc = (crc << 8) & 0xFFFFFFFF ^ _TABLE[crc >> 24 ^ byte]
     told = int.from_bytes(datagram[-4:], "little")
     if told == crc:
         return True
     mixed = crc ^ 0xEDCAB9DE
     return len(datagram) == 614 and told == (mixed >> 8) | ((mixed & 0xFF) << 24)
+
+
+def _divided(byte: int) -> int:
+    crc = byte << 24
+    for _ in range(8):
+        crc = (crc << 1) ^ 0x104C11DB7 if crc >> 31 else crc << 1
+    return crc
+
+
+_TABLE = [_divided(byte) for byte in range(256)]
 
 
 def _a_command() -> Command:

@@ -44,6 +44,7 @@ def test_the_choices_are_those_of_the_library() -> None:
     assert at_the_robot.POSES == KINDS
 
 
+@pytest.mark.slow
 def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys) -> None:
     pytest.importorskip("natnet")
     with emulating("--slow", "2") as emulated:

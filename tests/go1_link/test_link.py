@@ -114,7 +114,12 @@ def test_nothing_but_idle_packets_before_the_order_to_stand(puppet: Puppet) -> N
 
 @pytest.mark.parametrize(
     ("fault", "trip"),
-    [("mode", "motor_mode"), ("remote", "remote"), ("silence", "state_lost"), ("crc", "damaged")],
+    [
+        ("remote", "remote"),
+        ("silence", "state_lost"),
+        pytest.param("mode", "motor_mode", marks=pytest.mark.slow),
+        pytest.param("crc", "damaged", marks=pytest.mark.slow),
+    ],
 )
 def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip: str) -> None:
     """The trips themselves are in test_machine.py."""
@@ -135,6 +140,7 @@ def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip:
     assert link.report.trip == trip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("lost", "trip"), [("plans", "plan_lost"), ("poses", "pose_lost")])
 def test_a_lost_plan_or_pose_holds_then_sits_then_damps(puppet: Puppet, lost: str, trip: str) -> None:
     with a_link(puppet) as link:
@@ -148,7 +154,9 @@ def test_a_lost_plan_or_pose_holds_then_sits_then_damps(puppet: Puppet, lost: st
     assert link.report.trip == trip
 
 
-@pytest.mark.parametrize("how", ["stop", "key", "gone"])
+@pytest.mark.parametrize(
+    "how", ["key", *(pytest.param(how, marks=pytest.mark.slow) for how in ("stop", "gone"))]
+)
 def test_an_operator_who_stops(puppet: Puppet, how: str) -> None:
     keys, terminal = socket.socketpair()
     with keys, terminal, a_link(puppet, keys=keys.fileno()) as link:
@@ -183,7 +191,10 @@ with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
+)
 def test_a_program_that_is_killed_leaves_motors_damped_and_no_process(puppet: Puppet, number: int) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
