@@ -17,13 +17,13 @@ class _Group(BaseModel):
 
 
 class TripSettings(_Group):
-    """What ends a run. Times in seconds."""
+    """What ends a run; ages are a little below the 50, 100 and 200 ms in which motors must be told."""
 
-    state_age: _Positive = 0.05
+    state_age: _Positive = 0.045
     """No new state of the robot for so long [s]: motors damped."""
-    plan_age: _Positive = 0.1
+    plan_age: _Positive = 0.09
     """No new plan [s]: hold, sit, then motors damped."""
-    pose_age: _Positive = 0.2
+    pose_age: _Positive = 0.19
     """No new pose of trunk or box [s]: hold, sit, then motors damped."""
     tilt: _Positive = 0.9
     """Of the trunk, by the IMU [rad]."""
