@@ -49,6 +49,7 @@ class RobotState:
     version: tuple[int, int] = (0, 0)
 
 
+@np.errstate(invalid="ignore")  # a signalling NaN is a matter for the trips
 def decode(datagram: bytes) -> RobotState:
     """The state of a packet.
 

@@ -150,3 +150,10 @@ def test_keys_of_the_remote() -> None:
     assert not Remote.of(Remote(frozenset({"L2"})).raw()).stops
     assert Remote.of(Remote(frozenset({"R2"})).raw()).arms
     assert not Remote.of(bytes(40)).arms
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_signalling_nan_is_read_as_one_without_a_word() -> None:
+    record = bytearray(state.encode(a_state()))
+    record[22:26] = bytes.fromhex("010080ff")
+    assert np.isnan(state.decode(wire.seal(record)).quaternion[0])
