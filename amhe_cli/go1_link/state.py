@@ -58,11 +58,12 @@ def decode(datagram: bytes) -> RobotState:
     """
     record = wire.opened(datagram, wire.STATE)
     motors = record["motors"][:JOINTS]
+    imu = np.frombuffer(datagram, "<f4", 10, _IMU_AT).astype(np.float64)  # three fields at once
     return RobotState(
         int(record["tick"]),
-        record["quaternion"].astype(np.float64),
-        record["gyro"].astype(np.float64),
-        record["accelerometer"].astype(np.float64),
+        imu[:4],
+        imu[4:7],
+        imu[7:],
         motors["mode"].astype(np.int64),
         motors["position"].astype(np.float64),
         motors["velocity"].astype(np.float64),
@@ -109,4 +110,5 @@ def _rpy(q: FloatArray) -> tuple[float, float, float]:
     )
 
 
+_IMU_AT = wire.STATE.fields["quaternion"][1]
 _TEMPLATE = wire.blank(wire.STATE).tobytes()
