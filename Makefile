@@ -59,6 +59,8 @@ $(BIN)/python:
 
 .venv/.installed-dev: pyproject.toml | $(BIN)/python
 	@$(PIP) install --editable '.[dev]'
+	@# the maker's own library, to test against: not for every Python, and what it says it needs, it does not
+	@$(PIP) install --no-deps --only-binary :all: unitree-legged-sdk==3.8.20231105 2>/dev/null || true
 	@touch .venv/.installed $@
 
 .venv/.installed-bench: pyproject.toml | $(BIN)/python

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from amhe_cli.control.behaviour import Behaviour
 from amhe_cli.control.controller import Controller
 from amhe_cli.control.tasks import LONGEST, Task, find_task
 from amhe_cli.core.arrays import FloatArray
@@ -25,6 +26,7 @@ from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
 from amhe_cli.live.buffer import Buffer
 from amhe_cli.live.episode import BeliefSource, Episode
 from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.go1_target import Go1Target
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.target import SimTarget
 from amhe_cli.live.workers import InProcess, InStep
@@ -48,6 +50,7 @@ class RunOptions:
 
     Args:
         task: Name of the task.
+        target: 'sim' or 'go1'.
         mode: Whose belief: one of `MODES`.
         belief: File of a belief that replaces the mode's fixed one.
         seed: Of start poses, sensor noise and sampling.
@@ -60,6 +63,7 @@ class RunOptions:
     """
 
     task: str
+    target: str = "sim"
     mode: str = "true"
     belief: Path | None = None
     seed: int = 0
@@ -69,12 +73,17 @@ class RunOptions:
     plant: Path | None = None
     assignments: Sequence[str] = ()
     config: Path | None = None
-    environment: Mapping[str, str] = field(default_factory=lambda: os.environ)
+    environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+
+    @property
+    def live(self) -> bool:
+        """Time goes on while we compute."""
+        return self.realtime or self.target != "sim"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """An episode on a simulated target, and what it is about.
+    """An episode on its target, and what it is about.
 
     Args:
         options: As given.
@@ -82,9 +91,9 @@ class Run:
         system: `go1_push` with the user's settings.
         episode: Ready to run.
         target: Of the episode.
-        plant: Behind the target; for pictures.
+        plant: Behind a simulated target; for pictures.
         judge: Of the episode.
-        first_truth: The plant's parameters at the start, by name.
+        first_truth: The plant's parameters at the start, by name; {} where nobody knows.
         first_belief: What is believed at the start, by name.
     """
 
@@ -92,8 +101,8 @@ class Run:
     task: Task
     system: System
     episode: Episode
-    target: SimTarget
-    plant: Plant
+    target: SimTarget | Go1Target
+    plant: Plant | None
     judge: Judge
     first_truth: dict[str, float]
     first_belief: dict[str, float]
@@ -106,7 +115,7 @@ def open_run(options: RunOptions) -> Run:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
     """
     task = find_task(options.task)
-    system = _system(options, task)
+    system = system_of(options, task)
     settings = system.settings.control
     seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
@@ -114,18 +123,11 @@ def open_run(options: RunOptions) -> Run:
     plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
     target = SimTarget(plant, settings.period, HOME, options.realtime)
     behaviour = task.behaviour()
-    planner = planner_model(task.box, timestep=settings.period / settings.substeps)
-    engine = CpuEngine(planner, system.edits.upon(planner), system.input_spec, options.threads, sensors=False)
-    controller = Controller(behaviour, engine, layout(planner), settings, samples)
+    controller = controller_for(task, behaviour, system, options.threads, samples)
     judge = Judge(task, behaviour, settings.period, options.duration)
-    belief = _belief(options, task, system, plant)
+    belief = belief_source(options, task, system, plant)
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
     return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief.at(0.0))
-
-
-def _system(options: RunOptions, task: Task) -> System:
-    settings = overrides.gathered(options.config, options.environment, options.assignments)
-    return load_system(find_system(SYSTEM), overrides.merged(measured(task), settings), warn=False)
 
 
 def measured(task: Task) -> dict[str, Any]:
@@ -133,10 +135,35 @@ def measured(task: Task) -> dict[str, Any]:
     return {} if task.box.size == Box().size else {"boxes": {"box": list(task.box.size)}}
 
 
-def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> BeliefSource:
+def controller_for(
+    task: Task, behaviour: Behaviour, system: System, threads: int, samples: np.random.Generator
+) -> Controller:
+    """The controller of a task, with the planner's model of its box."""
+    settings = system.settings.control
+    planner = planner_model(task.box, timestep=settings.period / settings.substeps)
+    engine = CpuEngine(planner, system.edits.upon(planner), system.input_spec, threads, sensors=False)
+    return Controller(behaviour, engine, layout(planner), settings, samples)
+
+
+def system_of(options: RunOptions, task: Task) -> System:
+    """`go1_push` with the task's box and the user's settings.
+
+    Raises:
+        ConfigError: A setting is wrong.
+    """
+    settings = overrides.gathered(options.config, options.environment, options.assignments)
+    return load_system(find_system(SYSTEM), overrides.merged(measured(task), settings), warn=False)
+
+
+def belief_source(options: RunOptions, task: Task, system: System, plant: Plant | None) -> BeliefSource:
+    """Whom the controller believes: the plant, where there is one, or fixed parameters.
+
+    Raises:
+        ConfigError: Unknown mode, or a belief that does not suit.
+    """
     if options.mode not in MODES:
         raise ConfigError(one_of("mode", options.mode, MODES))
-    if options.mode == "true":
+    if options.mode == "true" and plant is not None:
         if options.belief is not None:
             raise ConfigError("--mode true believes the plant's own parameters; leave out --belief")
         return FixedBelief(lambda: plant.parameters)
@@ -149,15 +176,15 @@ def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> Be
     buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
     factory = partial(estimator_of, options)
     budget = mhe.budget or mhe.update_period
-    worker = InProcess(factory, budget) if options.realtime else InStep(factory, mhe.latency)
+    worker = InProcess(factory, budget) if options.live else InStep(factory, mhe.latency)
     return AdaptiveBelief(fixed, buffer, Sampler(settings.control.period), worker, mhe.update_period)
 
 
 def estimator_of(options: RunOptions) -> MovingHorizon:
     """The estimator of an adaptive run; also in another process, which has nothing but the options."""
     task = find_task(options.task)
-    system = _system(options, task)
-    threads = 1 if options.realtime else options.threads
+    system = system_of(options, task)
+    threads = 1 if options.live else options.threads
     engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
     rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])
     return MovingHorizon(system, engine, rng, _start_belief(options, task, system))

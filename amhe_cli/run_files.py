@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 from amhe_cli import __version__
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.go1.video import Film, check_encoder
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.live.scenery import scenery_of
@@ -21,12 +22,12 @@ def recorder_of(run: Run, path: Path) -> Recorder:
         "seed": str(options.seed),
         "task": options.task,
         "mode": options.mode,
-        "target": "sim",
+        "target": options.target,
         "version": __version__,
     }
     if measured(run.task):  # so that whoever reads the log has the same model
         metadata["overrides"] = json.dumps(measured(run.task))
-    if not run.task.changes:  # what changes on the way has no one true value; /amhe/truth tells it
+    if run.first_truth and not run.task.changes:  # what changes has no one true value; /amhe/truth tells it
         metadata["truth"] = json.dumps(run.first_truth)
     period = run.system.settings.control.period
     return Recorder(path, run.task, metadata, attachments(run.system), period)
@@ -38,5 +39,7 @@ def film_of(run: Run) -> Film:
     Raises:
         ConfigError: A film cannot be drawn, or not be encoded.
     """
+    if run.plant is None:
+        raise ConfigError("--video films a simulated plant; leave it out with --target go1")
     check_encoder()
     return Film(run.plant.model, scenery_of(run.task))

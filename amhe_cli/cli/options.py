@@ -91,7 +91,9 @@ def _cpu_only(ctx: click.Context, param: click.Parameter, value: str) -> None:
         raise click.BadParameter("there is no GPU engine in this version; use cpu or auto", ctx, param)
 
 
-def _stack(*decorators: Callable[[F], F]) -> Callable[[F], F]:
+def stacked(*decorators: Callable[[F], F]) -> Callable[[F], F]:
+    """Several options as one."""
+
     def decorate(function: F) -> F:
         for decorator in reversed(decorators):
             function = decorator(function)
@@ -100,7 +102,7 @@ def _stack(*decorators: Callable[[F], F]) -> Callable[[F], F]:
     return decorate
 
 
-common = _stack(
+common = stacked(
     _flag("--json", help="Print one JSON object on stdout, the content of result.json."),
     _flag("--strict", help="Exit with code 3 if there was any warning."),
     _flag("-q", "--quiet", help="No progress; warnings, errors and results only."),
@@ -122,7 +124,7 @@ msg_path = click.option(
     help="Folder of .msg files, for message types that the log does not define itself.",
 )
 
-where = _stack(
+where = stacked(
     system,
     click.option(
         "--topic",
@@ -139,7 +141,7 @@ where = _stack(
     click.option("--to", "end", type=_SECONDS, metavar="S", help="End S seconds after the log's start."),
 )
 
-tuning = _stack(
+tuning = stacked(
     click.option(
         "--set",
         "assignments",
@@ -150,7 +152,7 @@ tuning = _stack(
     click.option("--config", type=EXISTING_FILE, metavar="FILE", help="YAML file of settings; --set wins."),
 )
 
-sampling = _stack(
+sampling = stacked(
     click.option("--seed", type=WholeNumber(min=0), metavar="N", default=0, show_default=True),
     click.option(
         "--threads",
@@ -162,7 +164,7 @@ sampling = _stack(
     ),
 )
 
-work = _stack(
+work = stacked(
     sampling,
     click.option(
         "--engine",
@@ -177,7 +179,7 @@ work = _stack(
 
 
 def _spread(default: Callable[[], int] | None, shown: str) -> Callable[[F], F]:
-    return _stack(
+    return stacked(
         click.option(
             "--workers",
             type=WholeNumber(min=1),
@@ -199,7 +201,7 @@ spread_if_asked = _spread(None, "none: threads of this one")
 
 force = click.option("--force", is_flag=True, help="Write into an existing OUT that is not empty.")
 
-out = _stack(
+out = stacked(
     click.option(
         "-o",
         "--out",

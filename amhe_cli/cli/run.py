@@ -1,13 +1,14 @@
-"""`amhe run`: a simulated Go1 pushes a box through a task."""
+"""`amhe run`: a Go1, simulated or real, pushes a box through a task."""
 
 from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.session import Session
 
@@ -23,8 +24,13 @@ MODES = ("true", "baseline", "stale", "adaptive")
 @click.command(cls=options.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
 @click.option("--task", type=click.Choice(TASKS), required=True, help=_TASKS)
 @click.option(
-    "--target", type=click.Choice(["sim"]), default="sim", show_default=True, help="What is controlled."
+    "--target",
+    type=click.Choice(["sim", "go1"]),
+    default="sim",
+    show_default=True,
+    help="What is controlled.",
 )
+@at_the_robot.wire_options
 @click.option(
     "--mode",
     type=click.Choice(MODES),
@@ -75,11 +81,13 @@ def run(
     config: Path | None,
     out: Path | None,
     force: bool,
+    **wire: Any,
 ) -> None:
     """Run a task to its end and say how well it went.
 
     Writes log.mcap, result.json and report.html. Exit code 1 where the robot falls, the simulation
     diverges, or the task is not done within its own time; a run that --duration cut short is no failure.
+    A real robot (--target go1): read docs/go1.md first.
     """
     from amhe_cli.cli.run_progress import run_progress
     from amhe_cli.cli.stopping import stopping
@@ -97,9 +105,12 @@ def run(
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration
-    opened = open_run(
-        RunOptions(task, mode, belief, seed, threads, longest, realtime, plant, assignments, config)
+    asked = RunOptions(
+        task, target, mode, belief, seed, threads, longest, realtime, plant, assignments, config
     )
+    opened = at_the_robot.opened(asked, wire) or open_run(asked)
+    if wire["dry_run"]:
+        return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None
     folder = reserve(out, "run", force)
     history = History(opened.task)
@@ -113,15 +124,17 @@ def run(
 
             def on_cycle(cycle: object, row: dict[str, float]) -> None:
                 show(row)
-                if shoot:
-                    shoot(row["time"], opened.target.qpos)
+                if shoot and opened.plant:
+                    shoot(row["time"], opened.plant.qpos)
 
-            ending = drive(opened.episode, recorder, history, stopped, on_cycle)
+            with at_the_robot.ready(opened.target, session):
+                ending = drive(opened.episode, recorder, history, stopped, on_cycle)
+            link = at_the_robot.link_record(opened.target, recorder, history)
         session.interrupted = ending.interrupted
         record = session.record(
             task=task, mode=mode, target=target, seed=seed,
             **run_record(opened.judge.measures(), history, ending),
-            duration=longest, cut_short=longest < LONGEST, out=str(folder),
+            duration=longest, cut_short=longest < LONGEST, out=str(folder), **link,
         )  # fmt: skip
         origin = run_provenance(
             session.command_line, seed, opened.system.folder, [p for p in (belief, plant) if p]

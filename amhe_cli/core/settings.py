@@ -11,6 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
+from amhe_cli.core.go1_settings import Go1Settings
+
 
 def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
     if pair[0] > pair[1]:
@@ -200,3 +202,4 @@ class Settings(_Group):
     identify: IdentifySettings = IdentifySettings()
     mhe: MheSettings = MheSettings()
     control: ControlSettings = ControlSettings()
+    go1: Go1Settings = Go1Settings()

@@ -28,6 +28,9 @@ class FixedBelief:
         """See `BeliefSource`."""
         return ()
 
+    def close(self) -> None:
+        """See `BeliefSource`."""
+
 
 class AdaptiveBelief:
     """The moving-horizon estimator beside the controller: newest window out, newest belief in.
@@ -69,3 +72,7 @@ class AdaptiveBelief:
                 self._worker.submit(window, now)
                 self._due = now + self._period
         return news
+
+    def close(self) -> None:
+        """See `BeliefSource`."""
+        self._worker.close()

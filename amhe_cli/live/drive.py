@@ -51,6 +51,8 @@ def drive(
     except Exception as error:
         recorder.say(time, messages.ERROR, str(error))
         return Ending(error=error)
+    finally:
+        episode.belief.close()
     recorder.say(time, *_verdict(episode))
     return Ending()
 

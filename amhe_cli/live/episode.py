@@ -78,6 +78,10 @@ class BeliefSource(Protocol):
         """Learn from a cycle; what is new for the next."""
         ...
 
+    def close(self) -> None:
+        """Let go of what it holds; nothing is asked of it after."""
+        ...
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Episode:

@@ -1,0 +1,137 @@
+"""What a command needs at a real robot: options, the operator's keys, the walk from lying to running."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from amhe_cli.cli import options
+from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.live.history import History
+    from amhe_cli.live.recorder import Recorder
+    from amhe_cli.run_assembly import Run, RunOptions
+
+POSES = ("natnet", "motioncapture", "ros2", "udp")
+_PORT = options.WholeNumber(1, 65535)
+
+wire_options = options.stacked(
+    click.option("--host", metavar="ADDRESS", help="go1: of the robot.  [default: 192.168.123.10]"),
+    click.option("--port", type=_PORT, metavar="N", help="go1: of the robot.  [default: 8007]"),
+    click.option("--pose", type=click.Choice(POSES), help="go1: kind of motion capture.  [default: natnet]"),
+    click.option(
+        "--pose-host",
+        metavar="ADDRESS",
+        help="go1: of motion capture; motioncapture: KIND:ADDRESS; udp: to listen on; ros2: domain.",
+    ),
+    click.option(
+        "--pose-port", type=_PORT, metavar="N", help="go1: likewise.  [default: natnet 1510, udp 1512]"
+    ),
+    click.option("--dry-run", is_flag=True, help="go1: check robot, poses and box; send nothing that moves."),
+    click.option(
+        "--slow",
+        type=options.Number(min=1, max=100),
+        metavar="X",
+        help="go1: the emulator runs X times slower than the clock.  [default: 1]",
+    ),
+)
+
+
+def opened(asked: RunOptions, wire: Mapping[str, Any]) -> Run | None:
+    """The run on a real robot; None: it is to be simulated.
+
+    Raises:
+        ConfigError: Options that do not go together.
+    """
+    from amhe_cli.core.errors import ConfigError
+    from amhe_cli.go1_assembly import WireOptions, open_go1_run
+
+    given = {name: value for name, value in wire.items() if value}
+    if asked.target != "go1":
+        if given:
+            name = next(iter(given)).replace("_", "-")
+            raise ConfigError(f"--{name} is of a real robot: give --target go1 too")
+        return None
+    given.pop("dry_run", None)
+    return open_go1_run(asked, WireOptions(**given, keys=_terminal()))
+
+
+def dry_run(session: Session, run: Run) -> None:
+    """Check everything and say what was found; nothing moves."""
+    with run.target as target:  # type: ignore[union-attr]
+        found = target.check()
+    if session.json:
+        session.print_json(session.record(checks=found))
+        return
+    for name, value in found.items():
+        print(f"{name}: {value}")
+    print("all is well; nothing has moved")
+
+
+@contextmanager
+def ready(target: Any, session: Session) -> Iterator[None]:
+    """A target that waits for plans; a robot has stood up by then, and is let down in the end."""
+    from amhe_cli.go1_link.link import StoppedError
+    from amhe_cli.live.go1_target import SIGNALS, Go1Target
+
+    if not isinstance(target, Go1Target):
+        yield
+        return
+    with _unseen_keys(), target:
+        for name, value in target.check().items():
+            session.say("", f"{name}: {value}")
+        try:
+            target.begin(lambda text: session.say("", text))
+        except StoppedError:
+            if target.report.reason in SIGNALS:
+                raise KeyboardInterrupt from None
+            raise
+        yield
+
+
+def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, Any]:
+    """What result.json says of the link, which the log's last diagnostics say too; {} for a simulation."""
+    from amhe_cli.live import messages
+    from amhe_cli.live.go1_target import Go1Target
+
+    if not isinstance(target, Go1Target):
+        return {}
+    report, slow = target.report, target.slow
+    packets = ", ".join(f"{name} {value:g}" for name, value in report.intervals.items())
+    words = f"sender: {packets}; time {slow:g} times slower than the clock"
+    level = messages.ERROR if report.trip else messages.OK
+    time = float(history.column("time")[-1]) if history.cycles else 0.0
+    recorder.say(time + 1e-3, level, f"{words}; {report.trip}: {report.reason}" if report.trip else words)
+    return {
+        "link": {
+            "trip": report.trip, "reason": report.reason, "slow": slow, "notes": report.notes,
+            "round_trip_ms": report.contact.get("round_trip_ms"), "packets": report.intervals,
+        }
+    }  # fmt: skip
+
+
+def _terminal() -> int:
+    return sys.stdin.fileno() if sys.stdin.isatty() else -1
+
+
+@contextmanager
+def _unseen_keys() -> Iterator[None]:
+    """Each key is handed over at once and not shown; as before in the end."""
+    descriptor = _terminal()
+    if descriptor < 0:
+        yield
+        return
+    import termios
+    import tty
+
+    before = termios.tcgetattr(descriptor)
+    tty.setcbreak(descriptor)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

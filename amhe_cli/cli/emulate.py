@@ -1,0 +1,84 @@
+"""`amhe emulate`: a Go1 and its motion capture on this computer."""
+
+from __future__ import annotations
+
+import click
+
+from amhe_cli.cli import options
+from amhe_cli.cli.run import TASKS
+from amhe_cli.cli.session import Session
+
+MOCAP = ("natnet", "udp", "none")
+
+
+@click.command(cls=options.Command, short_help="A Go1 and its motion capture, emulated on this computer.")
+@click.option(
+    "--task", type=click.Choice(TASKS), default="t1", show_default=True, help="Whose box to put down."
+)
+@click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="To listen on.")
+@click.option(
+    "--port",
+    type=options.WholeNumber(0, 65535),
+    default=8007,
+    show_default=True,
+    metavar="N",
+    help="Of the robot.",
+)
+@click.option(
+    "--mocap", type=click.Choice(MOCAP), default="natnet", show_default=True, help="Its cameras' protocol."
+)
+@click.option(
+    "--mocap-port",
+    type=options.WholeNumber(0, 65535),
+    metavar="N",
+    help="natnet: where Motive listens; udp: where poses are sent to.  [default: 1510 or 1512]",
+)
+@click.option(
+    "--fault", default="", metavar="NAME=V,...", help="What goes wrong, such as loss=0.02,delay=5ms,hot=20."
+)
+@click.option(
+    "--slow",
+    type=options.Number(min=1, max=100),
+    default=1.0,
+    show_default=True,
+    metavar="X",
+    help="Time goes X times slower than the clock; give `amhe run` the same.",
+)
+@click.option("--seed", type=options.WholeNumber(min=0), default=0, show_default=True, metavar="N")
+@options.common
+@click.pass_obj
+def emulate(
+    session: Session,
+    task: str,
+    host: str,
+    port: int,
+    mocap: str,
+    mocap_port: int | None,
+    fault: str,
+    slow: float,
+    seed: int,
+) -> None:
+    """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
+
+    It speaks the robot's own UDP protocol, with MuJoCo physics behind it, and streams the poses of "go1" and
+    "box" as motion capture does. Try `amhe run --target go1 --host 127.0.0.1` on it.
+    """
+    from amhe_cli.cli.stopping import stopping
+    from amhe_cli.control.tasks import find_task
+    from amhe_cli.emulator.emulator import Emulator, EmulatorOptions
+    from amhe_cli.emulator.faults import parse_faults
+    from amhe_cli.poses import natnet, udp
+
+    session.hush_mujoco()
+    pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)
+    emulated = EmulatorOptions(
+        find_task(task), host, port, mocap, pose_port, parse_faults(fault), slow, seed  # type: ignore[arg-type]
+    )  # fmt: skip
+    with stopping(session) as stopped, Emulator(emulated) as emulator:
+        robot, cameras = emulator.address, emulator.mocap_address
+        seen = f", motion capture on {cameras[0]}:{cameras[1]}" if cameras else ""
+        session.say("", f"a Go1 before the box of {task} on {robot[0]}:{robot[1]}{seen}; Ctrl-C ends")
+        emulator.serve(stopped)
+        accepted, rejected = emulator.counts
+        lag = f"; this computer was {emulator.lag:.1f} s too slow" if emulator.lag > 0.05 else ""
+        session.say("", f"{accepted} commands, {rejected} damaged datagrams{lag}")

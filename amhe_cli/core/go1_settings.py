@@ -1,0 +1,91 @@
+"""Settings of a real Go1: gains, thresholds of trips, motion capture. What a trip does: docs/go1.md."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Share = Annotated[float, Field(gt=0, le=1)]
+#: x, y, z [m], then a rotation vector [rad].
+_Offset = tuple[float, float, float, float, float, float]
+
+
+class _Group(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class TripSettings(_Group):
+    """What ends a run; ages are a little below the 50, 100 and 200 ms in which motors must be told."""
+
+    state_age: _Positive = 0.045
+    """No new state of the robot for so long [s]: motors damped."""
+    plan_age: _Positive = 0.09
+    """No new plan [s]: hold, sit, then motors damped."""
+    pose_age: _Positive = 0.19
+    """No new pose of trunk or box [s]: hold, sit, then motors damped."""
+    tilt: _Positive = 0.9
+    """Of the trunk, by the IMU [rad]."""
+    joint_speed: tuple[_Positive, _Positive, _Positive] = (25.0, 25.0, 18.0)
+    """Of hip, thigh and calf [rad/s]."""
+    power: _Positive = 700.0
+    """Sum over the motors of |torque x speed| [W] ..."""
+    power_ticks: Annotated[int, Field(ge=1)] = 6
+    """... in so many states one after the other, as the vendor's own PowerProtect counts."""
+    temperature: _Positive = 75.0
+    """Of the hottest motor [deg C]; nobody publishes a limit, this one is ours."""
+    charge: Annotated[float, Field(ge=0, le=100)] = 15.0
+    """Least charge of the battery [%]."""
+    target_jump: _Positive = 0.5
+    """Between the targets in force and a new plan [rad]; less is blended over 20 ms, 0.05 rad a packet."""
+    position_margin: Annotated[float, Field(ge=0)] = 0.05
+    """How far a joint may be beyond the limits of commands [rad], once the robot stands."""
+    bad_packets: Annotated[int, Field(ge=1)] = 20
+    """Damaged datagrams in a row."""
+
+
+class Go1Settings(_Group):
+    """The real robot."""
+
+    rate: Annotated[float, Field(ge=100, le=1000)] = 500.0
+    """Packets a second to the robot [Hz]."""
+    crc: Literal["plain", "encrypted"] = "plain"
+    """Form of the commands' checksum: EDU robots take the plain one."""
+    kp: Annotated[float, Field(gt=0, le=100)] = 60.0
+    """Gain of position control [N m/rad]: that of the planner's model."""
+    kd: Annotated[float, Field(gt=0, le=10)] = 3.0
+    """Damping [N m s/rad]: the planner's 1, and the 2 that its model gives to the joints themselves."""
+    torque_share: _Share = 0.7
+    """Targets are clipped so that position control asks for no more than this share of the torque limit."""
+    damping: Annotated[float, Field(gt=0, le=10)] = 3.0
+    """kd of damped motors [N m s/rad]."""
+    gain_time: _Positive = 2.0
+    """In which gains rise from zero, before standing up [s]."""
+    stand_speed: Annotated[float, Field(gt=0, le=3)] = 0.5
+    """Fastest joint while standing up [rad/s]."""
+    sit_time: _Positive = 2.5
+    """[s]."""
+    hold_time: Annotated[float, Field(ge=0)] = 0.3
+    """Standing still between a lost plan or pose and sitting down [s]."""
+    damp_time: Annotated[float, Field(ge=0.3)] = 1.5
+    """Motors are damped at least so long before the sender ends [s]."""
+    connect_time: _Positive = 3.0
+    """Longest wait for the robot, and for motion capture [s]."""
+    arm: Literal["operator", "auto"] = "operator"
+    """Who lets the run begin; auto is for the emulator, and refused where the robot is not on loopback."""
+    trunk: str = "go1"
+    """Name of the trunk's rigid body."""
+    box: str = "box"
+    """Name of the box's."""
+    trunk_offset: _Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Trunk frame in the rigid body's frame: position [m], rotation vector [rad]."""
+    box_offset: _Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    """Centre of the box in its rigid body's frame, likewise."""
+    world: Literal["trunk", "mocap"] = "trunk"
+    """The task's frame: under the trunk along its heading before it stands up, or motion capture's own."""
+    place_tolerance: _Positive = 0.15
+    """How far the box may be from where the task has it, before anything moves [m]."""
+    pose_delay: Annotated[float, Field(ge=0)] = 0.0
+    """Age of poses when they arrive, beside what the source itself tells [s]."""
+    trips: TripSettings = TripSettings()

@@ -1,0 +1,203 @@
+"""Robot, box and cameras by the clock: `amhe emulate`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from amhe_cli.control.tasks import Task
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.rotations import exp, multiply, rotate
+from amhe_cli.emulator.body import STEP, Body
+from amhe_cli.emulator.faults import Faults
+from amhe_cli.emulator.motive import Motive, Seen
+from amhe_cli.emulator.robot_port import RobotPort, bound
+from amhe_cli.go1.state import Measurements
+from amhe_cli.go1_link.clock import Clock
+from amhe_cli.go1_link.command import Command
+from amhe_cli.poses import udp
+
+#: An emulator that is so far behind the clock [s] lets the time go: it then is slower than it says.
+_BEHIND = 0.1
+_Y_UP = exp(np.array([-0.5 * np.pi, 0.0, 0.0]))
+
+#: Called with every good command: when it came [s of the emulator's clock], and what it says.
+OnCommand = Callable[[float, Command], None]
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatorOptions:
+    """What is emulated where.
+
+    Args:
+        task: Whose box stands before the robot.
+        host, port: Of the robot; port 0: any that is free.
+        mocap: Protocol of the cameras.
+        mocap_port: natnet: where Motive listens, 0: any; udp: where datagrams are sent to.
+        faults: What goes wrong.
+        slow: How many times slower than the wall clock.
+        seed: Of the sensors' noise.
+        bodies: Names of trunk and box.
+    """
+
+    task: Task
+    host: str = "127.0.0.1"
+    port: int = 8007
+    mocap: Literal["natnet", "udp", "none"] = "natnet"
+    mocap_port: int = 1510
+    faults: Faults = field(default_factory=Faults)
+    slow: float = 1.0
+    seed: int = 0
+    bodies: tuple[str, str] = ("go1", "box")
+
+
+class Emulator:
+    """Serves until told to stop; use it as a context manager.
+
+    Args:
+        options: What and where.
+        on_command: Who wants to see the commands.
+
+    Attributes:
+        lag: By how much the emulated time had to fall behind the clock, in all [s].
+    """
+
+    def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:
+        o, self._faults = options, options.faults
+        self._clock, self._on_command = Clock(o.slow), on_command
+        self._port = RobotPort(o.host, o.port, o.faults)
+        self._cameras = _cameras(o)
+        self._body = Body(o.task, np.random.default_rng(o.seed))
+        self._driven_since: float | None = None
+        self.lag = 0.0
+
+    def __enter__(self) -> Emulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._port.close()
+        self._cameras.close()
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Of the robot."""
+        return self._port.address
+
+    @property
+    def mocap_address(self) -> tuple[str, int] | None:
+        """Of the cameras; None: nobody listens there."""
+        return self._cameras.address
+
+    @property
+    def body(self) -> Body:
+        """What is emulated."""
+        return self._body
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Commands accepted and datagrams rejected, so far."""
+        return self._port.accepted, self._port.rejected
+
+    def cause(self, faults: Faults) -> None:
+        """From now on, let other things go wrong."""
+        self._faults = faults
+        self._port.cause(faults)
+
+    def serve(self, stopped: Callable[[], bool]) -> None:
+        """Emulate millisecond by millisecond until `stopped`.
+
+        Raises:
+            SimulationError: The simulation diverged.
+        """
+        offset = self._clock.now() - self._body.time
+        while not stopped():
+            due = offset + self._body.time + STEP
+            late = self._clock.now() - due
+            if late > _BEHIND:
+                offset += late
+                self.lag += late
+            self._clock.sleep_until(due)
+            self._millisecond()
+
+    def _millisecond(self) -> None:
+        now = self._clock.now()
+        for told in self._port.receive(now):
+            if self._on_command:
+                self._on_command(now, told)
+            if self._driven_since is None and told.kp.max() > 0.0:
+                self._driven_since = self._body.time
+        state, measured = self._body.advance(self._port.command)
+        driven = -1.0 if self._driven_since is None else self._body.time - self._driven_since
+        faults = self._faults
+        if driven >= faults.stale:
+            state = replace(state, tick=1)
+        if driven < faults.silence:
+            self._port.send(faults.told(state, driven), now)
+        self._cameras.serve(now)
+        if len(measured.pose_times) and driven < faults.mocap:
+            self._cameras.show(measured, faults, now)
+
+
+class _Cameras:
+    """Shows nobody anything."""
+
+    address: tuple[str, int] | None = None
+
+    def serve(self, now: float) -> None: ...
+
+    def show(self, measured: Measurements, faults: Faults, now: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class _NatNetCameras(_Cameras):
+    def __init__(self, options: EmulatorOptions) -> None:
+        self._motive = Motive(options.host, options.mocap_port, options.bodies)
+        self.address = self._motive.address
+
+    def serve(self, now: float) -> None:
+        self._motive.serve(now)
+
+    def show(self, measured: Measurements, faults: Faults, now: float) -> None:
+        self._motive.stream([Seen(*pose) for pose in _seen(measured, faults)], now)
+
+    def close(self) -> None:
+        self._motive.close()
+
+
+class _UdpCameras(_Cameras):
+    def __init__(self, options: EmulatorOptions) -> None:
+        self._socket = bound(options.host, 0)
+        self._to, self._names = (options.host, options.mocap_port), options.bodies
+
+    def show(self, measured: Measurements, faults: Faults, now: float) -> None:
+        for name, (position, orientation) in zip(self._names, _seen(measured, faults), strict=True):
+            message = udp.datagram(name, now, position, orientation)
+            try:
+                self._socket.sendto(message, self._to)
+            except OSError:  # nobody listens yet
+                return
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def _cameras(options: EmulatorOptions) -> _Cameras:
+    kinds = {"natnet": _NatNetCameras, "udp": _UdpCameras}
+    return kinds[options.mocap](options) if options.mocap in kinds else _Cameras()
+
+
+def _seen(measured: Measurements, faults: Faults) -> list[tuple[FloatArray, FloatArray]]:
+    """Poses of what is named trunk and box, in the cameras' frame."""
+    poses = [
+        (measured.trunk_position[-1], measured.trunk_orientation[-1]),
+        (measured.box_position[-1], measured.box_orientation[-1]),
+    ]
+    if faults.swap:
+        poses.reverse()
+    if faults.yup:
+        poses = [(rotate(_Y_UP, position), multiply(_Y_UP, turn)) for position, turn in poses]
+    return poses

@@ -1,0 +1,107 @@
+"""A task's name and options become an episode on a Go1 that is reached by wire."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.control.tasks import Task, find_task
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.go1_link.clock import Clock
+from amhe_cli.go1_link.link import Link
+from amhe_cli.live.episode import Episode
+from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.go1_target import Go1Target
+from amhe_cli.poses import natnet, udp
+from amhe_cli.poses.feed import KINDS, FeedOptions, PoseFeed
+from amhe_cli.run_assembly import Run, RunOptions, belief_source, controller_for, system_of
+
+#: The robot's own address and port, as it leaves the factory.
+HOST, PORT = "192.168.123.10", 8007
+_POSE_HOSTS = {"natnet": "192.168.123.100", "udp": "127.0.0.1", "ros2": "0"}
+_POSE_PORTS = {"natnet": natnet.PORT, "udp": udp.PORT}
+
+
+@dataclass(frozen=True, slots=True)
+class WireOptions:
+    """How robot and motion capture are reached.
+
+    Args:
+        host, port: Of the robot.
+        pose: Kind of motion capture.
+        pose_host, pose_port: See `FeedOptions`; None: that of the kind.
+        slow: How many times slower an emulated robot runs.
+        keys: Descriptor of a terminal whose keys arm and stop; -1: none.
+    """
+
+    host: str = HOST
+    port: int = PORT
+    pose: str = "natnet"
+    pose_host: str | None = None
+    pose_port: int | None = None
+    slow: float = 1.0
+    keys: int = -1
+
+
+def open_go1_run(options: RunOptions, wire: WireOptions) -> Run:
+    """Set everything up; nothing is sent yet.
+
+    Raises:
+        ConfigError: What `open_run` refuses, and what only a simulation can do.
+    """
+    task = find_task(options.task)
+    _refuse(options)
+    system = system_of(options, task)
+    settings, period = system.settings.go1, system.settings.control.period
+    if settings.arm == "auto" and not _on_loopback(wire.host):
+        raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
+    clock = Clock(wire.slow)
+    target = Go1Target(
+        Link(wire.host, wire.port, settings, clock, wire.keys),
+        PoseFeed(_feed(wire, settings)), settings, clock, period, _box_centre(task),
+    )  # fmt: skip
+    behaviour = task.behaviour()
+    samples = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(3)[2])
+    controller = controller_for(task, behaviour, system, options.threads, samples)
+    judge = Judge(task, behaviour, period, options.duration)
+    belief = belief_source(options, task, system, None)
+    episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
+    return Run(options, task, system, episode, target, None, judge, {}, belief.at(0.0))
+
+
+def _refuse(options: RunOptions) -> None:
+    if options.mode == "true":
+        raise ConfigError(
+            "--mode true needs a plant whose parameters are known; on go1 use adaptive or baseline"
+        )
+    if options.plant is not None:
+        raise ConfigError("--plant is the robot of a simulation; leave it out with --target go1")
+
+
+def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
+    if wire.pose not in KINDS:
+        raise ConfigError(one_of("pose source", wire.pose, KINDS))
+    host = wire.pose_host or _POSE_HOSTS.get(wire.pose)
+    if host is None:
+        raise ConfigError("--pose motioncapture needs --pose-host KIND:HOST, such as vicon:192.168.1.5")
+    port = wire.pose_port if wire.pose_port is not None else _POSE_PORTS.get(wire.pose, 0)
+    bodies = (settings.trunk, settings.box)
+    if bodies[0] == bodies[1]:
+        raise ConfigError(f"go1.trunk and go1.box have the same name {bodies[0]!r}")
+    return FeedOptions(wire.pose, host, port, bodies, settings.connect_time, wire.slow)
+
+
+def _box_centre(task: Task) -> FloatArray:
+    return np.array([*task.box.position, 0.5 * task.box.size[2]])
+
+
+def _on_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+    except OSError:
+        return False

@@ -1,0 +1,78 @@
+"""First contact: who answers, how much of it arrives, and how long a command takes there and back."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+from amhe_cli.go1_link import wire
+from amhe_cli.go1_link.state import RobotState
+
+#: Turns of the motors' mode whose echoes are timed, and the time given to one [s].
+_TURNS, _PATIENCE = 10, 0.1
+
+
+@dataclass(slots=True)
+class Contact:
+    """Counts what comes before anything moves, and times echoes.
+
+    A state tells each motor's mode. Servo mode without gains and damping mode both leave a motor alone, so
+    that turning from one to the other moves nothing, and its echo tells the time there and back.
+
+    Attributes:
+        mode: To be commanded now.
+    """
+
+    mode: int = wire.DAMPED
+    _echoes: list[float] = field(default_factory=list)
+    _turned: float = -1.0
+    _good: int = 0
+    _ticks: tuple[int, int] | None = None
+    _strange: Counter[int] = field(default_factory=Counter)
+
+    def turn(self, now: float) -> int:
+        """The motors' mode to command at a time [s]."""
+        if self._turned < 0.0 or now - self._turned > _PATIENCE:
+            self._turned = now
+            self.mode = wire.DAMPED if self.mode == wire.SERVO else wire.SERVO
+        if self.complete:
+            self.mode = wire.SERVO
+        return self.mode
+
+    def see(self, state: RobotState, arrival: float) -> None:
+        """Take in a good state."""
+        self._good += 1
+        self._ticks = (self._ticks[0] if self._ticks else state.tick, state.tick)
+        if not self.complete and self._turned >= 0.0 and (state.modes == self.mode).all():
+            self._echoes.append(arrival - self._turned)
+            self._turned = -1.0
+
+    def see_strange(self, datagram: bytes) -> None:
+        """Take in a datagram that is no state."""
+        self._strange[len(datagram)] += 1
+
+    @property
+    def complete(self) -> bool:
+        """Whether enough echoes have come."""
+        return len(self._echoes) >= _TURNS
+
+    @property
+    def round_trip(self) -> float:
+        """There and back [s]; 0 before the first echo."""
+        return statistics.median(self._echoes) if self._echoes else 0.0
+
+    @property
+    def report(self) -> dict[str, Any]:
+        """As plain values; `share` of the robot's states arrived."""
+        expected = self._ticks[1] - self._ticks[0] + 1 if self._ticks else 0
+        strange = self._strange.most_common(1)
+        return {
+            "complete": self.complete,
+            "round_trip_ms": round(1e3 * self.round_trip, 2),
+            "states": self._good,
+            "share": round(min(1.0, self._good / expected), 3) if expected > 0 else 0.0,
+            "strange": sum(self._strange.values()),
+            "strange_size": strange[0][0] if strange else 0,
+        }

@@ -1,0 +1,46 @@
+"""Joint targets at any time: those of a plan, and slow motions from one pose to another."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Targets:
+    """Joint targets over time.
+
+    Each row is meant for one period. In its middle it is reached; between the middles targets move along
+    straight lines, so that they are smooth and, on average, no later than rows that were held.
+
+    Args:
+        start: When the first row takes effect [s].
+        period: [s].
+        rows: [rad], shape (n, 12).
+    """
+
+    start: float
+    period: float
+    rows: FloatArray
+
+    def at(self, time: float) -> FloatArray:
+        """Targets at a time [s], shape (12,); the first and last row are held."""
+        place = min(max((time - self.start) / self.period - 0.5, 0.0), len(self.rows) - 1.0)
+        row = int(place)
+        if row + 1 >= len(self.rows):
+            return self.rows[-1]
+        return self.rows[row] + (place - row) * (self.rows[row + 1] - self.rows[row])
+
+
+def eased(start: FloatArray, end: FloatArray, share: float) -> FloatArray:
+    """From start to end (12,), slowly at both ends; `share` of the time from 0 to 1."""
+    share = min(max(share, 0.0), 1.0)
+    return start + share * share * (3.0 - 2.0 * share) * (end - start)
+
+
+def travel_time(start: FloatArray, end: FloatArray, speed: float) -> float:
+    """For `eased` at no more than a speed of any joint [rad/s]: [s]."""
+    return 1.5 * float(np.abs(end - start).max()) / speed

@@ -1,0 +1,256 @@
+"""The process that talks to the robot: a packet every 2 ms, whatever planner and estimator do meanwhile.
+
+    python -m amhe_cli.go1_link.sender CHANNEL
+
+It is a process of its own so that nothing can hold it up, and so that it outlives a program that dies: it
+then lets the robot down (motors damped) and ends.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import select
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.go1_link import mail, state, wire
+from amhe_cli.go1_link.child import Channel, begun
+from amhe_cli.go1_link.clock import Clock, ClockMap
+from amhe_cli.go1_link.command import Command, encode
+from amhe_cli.go1_link.contact import Contact
+from amhe_cli.go1_link.intervals import Intervals
+from amhe_cli.go1_link.machine import Inbox, Machine
+from amhe_cli.go1_link.phase import Phase
+from amhe_cli.go1_link.robot_socket import RobotSocket
+from amhe_cli.go1_link.state import RobotState
+
+#: Reports go out at every change and so often [s].
+_REPORT_PERIOD = 0.1
+#: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
+_PASS_ON = 2
+_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_PRIORITY = 50
+
+
+class Sender:
+    """The loop; see `run`.
+
+    Args:
+        settings: Of the robot.
+        robot: Socket to it.
+        channel: To the program.
+        clock: Ours.
+        keys: Descriptor of a terminal whose keys are read; -1: none.
+        notes: What the report is to say besides.
+    """
+
+    def __init__(
+        self,
+        settings: Go1Settings,
+        robot: RobotSocket,
+        channel: Channel,
+        clock: Clock,
+        keys: int,
+        notes: list[str],
+    ) -> None:
+        self._settings, self._robot, self._channel, self._clock = settings, robot, channel, clock
+        self._keys, self._notes = keys, notes
+        self._machine, self._inbox, self._contact = Machine(settings), Inbox(), Contact()
+        self._ticks, self._tick = ClockMap(), -1
+        self._intervals = Intervals()
+        self._reported = (-np.inf, Phase.OVER)
+
+    def run(self) -> None:
+        """Send until the last phase is over."""
+        period = 1.0 / self._settings.rate
+        due = self._clock.now()
+        while self._machine.phase != Phase.OVER:
+            self._clock.sleep_until(due)
+            self._read_robot()
+            self._read_channel()
+            self._read_keys()
+            now = self._clock.now()
+            self._send(self._machine.step(now, self._inbox), now)
+            self._report(now)
+            # a late tick is not made up for: two packets at once help nobody
+            due = max(due + period, now)
+
+    def let_down(self) -> None:
+        """Damp the motors for some time, then stop: what is left to do when something broke."""
+        period, end = 1.0 / self._settings.rate, self._clock.now() + self._settings.damp_time
+        damped = Command(velocity=np.zeros(12), kd=np.full(12, self._settings.damping))
+        while self._clock.now() < end:
+            self._robot.send(encode(damped, self._settings.crc))
+            self._clock.sleep_until(self._clock.now() + period)
+        self._robot.send(encode(Command(), self._settings.crc))
+
+    def stop(self, reason: str) -> None:
+        """Damp the motors at the next tick."""
+        self._inbox.stop = self._inbox.stop or reason
+
+    def say(self, reason: str) -> None:
+        """A last report."""
+        self._machine.trip, self._machine.reason = (
+            self._machine.trip or "error",
+            self._machine.reason or reason,
+        )
+        self._machine.phase = Phase.OVER
+        self._report(self._clock.now())
+
+    # -- what comes in --------------------------------------------------------------------------------
+
+    def _read_robot(self) -> None:
+        for datagram, arrival in self._robot.received():
+            try:
+                read = state.decode(datagram)
+            except wire.PacketError:
+                self._inbox.bad_packets += 1
+                self._contact.see_strange(datagram)
+                continue
+            self._inbox.bad_packets = 0
+            if read.tick != self._tick:  # a robot whose clock stands still tells nothing new
+                self._take(read, arrival)
+
+    def _take(self, read: RobotState, arrival: float) -> None:
+        self._tick = read.tick
+        self._inbox.state, self._inbox.state_time = read, arrival
+        time = self._ticks.see(1e-3 * read.tick, arrival) - 0.5 * self._contact.round_trip
+        if self._machine.phase == Phase.CONNECT:
+            self._contact.see(read, arrival)
+        if read.tick % _PASS_ON == 0:
+            self._channel.send(mail.sample_message(_sample(time, self._machine.phase, read)))
+
+    def _read_channel(self) -> None:
+        for message in self._channel.received():
+            plan = mail.read_plan(message)
+            if plan is not None:
+                self._inbox.plan, self._inbox.pose_time = plan
+                self._inbox.plan_time = self._clock.now()
+            elif message in _ORDERS:
+                _ORDERS[message](self._inbox)
+            elif len(message) == 1 and message[0] in _STOPPING:
+                self.stop(signal.Signals(message[0]).name)
+        if not self._channel.open:
+            self.stop("the program has died")
+
+    def _read_keys(self) -> None:
+        if self._keys < 0 or not select.select([self._keys], [], [], 0.0)[0]:
+            return
+        keys = os.read(self._keys, 64)
+        if not keys:  # the terminal is gone
+            self._keys = -1
+            self.stop("the terminal is gone")
+        elif self._machine.phase == Phase.READY and keys in (b"\n", b"\r"):
+            self._inbox.arm = True
+        else:
+            self.stop("key")
+
+    # -- what goes out --------------------------------------------------------------------------------
+
+    def _send(self, command: Command, now: float) -> None:
+        if self._machine.phase == Phase.CONNECT:
+            command = Command(self._contact.turn(now))
+        if self._robot.send(encode(command, self._settings.crc)):
+            self._intervals.see(now)
+
+    def _report(self, now: float) -> None:
+        machine = self._machine
+        last, phase = self._reported
+        if machine.phase == phase and now - last < _REPORT_PERIOD:
+            return
+        self._reported = now, machine.phase
+        self._channel.send(
+            mail.report_message(
+                {
+                    "phase": int(machine.phase), "trip": machine.trip, "reason": machine.reason,
+                    "contact": self._contact.report, "refused": self._robot.refused,
+                    "intervals": self._intervals.summary() if machine.phase >= Phase.PAUSE else {},
+                    "robot": _robot(self._inbox.state), "notes": self._notes,
+                }
+            )
+        )  # fmt: skip
+
+
+def _stand(inbox: Inbox) -> None:
+    inbox.stand = True
+
+
+def _arm(inbox: Inbox) -> None:
+    inbox.arm = True
+
+
+def _finish(inbox: Inbox) -> None:
+    inbox.finish = True
+
+
+def _stop(inbox: Inbox) -> None:
+    inbox.stop = inbox.stop or "asked to stop"
+
+
+_ORDERS: dict[bytes, Callable[[Inbox], None]] = {
+    mail.STAND: _stand, mail.ARM: _arm, mail.FINISH: _finish, mail.STOP: _stop
+}  # fmt: skip
+
+
+def _sample(time: float, phase: Phase, read: RobotState) -> Any:
+    return np.array(
+        (
+            time, int(phase), read.quaternion, read.gyro, read.accelerometer, read.joints, read.joint_rates
+        ),
+        dtype=mail.SAMPLE,
+    )  # fmt: skip
+
+
+def _robot(read: RobotState | None) -> dict[str, Any]:
+    if read is None:
+        return {}
+    return {
+        "charge": read.charge, "hottest": float(read.temperatures.max()), "serial": list(read.serial),
+        "version": list(read.version), "quaternion": read.quaternion.tolist(), "joints": read.joints.tolist(),
+    }  # fmt: skip
+
+
+def _take_priority() -> list[str]:
+    """Real-time priority where it is allowed; what could not be had, in words."""
+    gc.freeze()
+    gc.disable()  # nothing here makes cycles
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
+    except (OSError, AttributeError):
+        with contextlib.suppress(OSError):
+            os.nice(-10)
+        return ["the sender has no real-time priority: packets may be late when the computer is busy"]
+    return []
+
+
+def main() -> None:
+    """Read the settings from the channel, and send."""
+    channel, given = begun()
+    settings, clock = Go1Settings.model_validate(given["settings"]), Clock(given["slow"])
+    try:
+        robot = RobotSocket(given["host"], given["port"], clock)
+    except wire.LinkError as error:
+        channel.send(mail.report_message({"phase": int(Phase.OVER), "trip": "error", "reason": str(error)}))
+        return
+    sender = Sender(settings, robot, channel, clock, given["keys"], _take_priority())
+    for number in _STOPPING:
+        signal.signal(number, lambda number, _: sender.stop(signal.Signals(number).name))
+    try:
+        sender.run()
+    except BaseException as error:
+        sender.let_down()
+        sender.say(f"{type(error).__name__}: {error}")
+        raise
+    finally:
+        channel.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""What every pose source gives, and the interface behind which each has its own protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import AmheError
+
+
+class PoseError(AmheError):
+    """Poses do not come, or cannot be trusted."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """One body seen once, as the source tells it.
+
+    Args:
+        body: Its name.
+        position: [m], shape (3,).
+        orientation: Unit quaternion w, x, y, z, shape (4,).
+        stamp: On the source's own clock [s]; None: it tells none.
+        age: Since the exposure, when it was sent, as far as the source tells it [s].
+    """
+
+    body: str
+    position: FloatArray
+    orientation: FloatArray
+    stamp: float | None = None
+    age: float = 0.0
+
+
+class PoseSource(Protocol):
+    """One way to learn poses. It lives in a process of its own: it may block, and may die."""
+
+    def connect(self) -> None:
+        """Reach the source.
+
+        Raises:
+            PoseError: It cannot be reached; the text says what to check.
+        """
+        ...
+
+    def wait(self, seconds: float) -> list[Sighting]:
+        """What was seen since the last call; waits for something, but no longer than so [s]."""
+        ...
+
+    def close(self) -> None:
+        """Let go."""
+        ...
+
+
+def sighting(
+    body: str, position: object, orientation: object, stamp: float | None = None, age: float = 0.0
+) -> Sighting | None:
+    """A sighting of what looks like one; None where it is no pose: lost bodies are told as NaN or 0."""
+    place = np.asarray(position, dtype=np.float64)
+    turn = np.asarray(orientation, dtype=np.float64)
+    if place.shape != (3,) or turn.shape != (4,):
+        return None
+    size = float(np.linalg.norm(turn))
+    if not (np.isfinite(place).all() and 0.5 < size < 2.0):
+        return None
+    return Sighting(body, place, turn / size, stamp, age)

@@ -1,0 +1,363 @@
+"""The link to a Go1, on an emulated one: time of the codec, reactions to faults, evenness of packets, fuzz.
+
+    python benchmarks/go1_link.py                     all four tables; the jitter for 60 s, 1e6 datagrams
+    python benchmarks/go1_link.py codec trips         some of them
+    python benchmarks/go1_link.py --seconds 10 jitter
+
+Reactions are measured where it counts: from the fault to the first packet that damps, or holds, at the
+emulated robot's socket. The jitter is that of the sender itself, while the planner of T1 runs in the program
+and the emulator beside it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from amhe_cli.control.tasks import find_task
+from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.emulator.emulator import Emulator, EmulatorOptions
+from amhe_cli.emulator.faults import Faults
+from amhe_cli.go1.legs import HOME
+from amhe_cli.go1_link import command, state, wire
+from amhe_cli.go1_link.clock import Clock
+from amhe_cli.go1_link.command import Command
+from amhe_cli.go1_link.link import Link
+from amhe_cli.go1_link.motion import Targets
+from amhe_cli.go1_link.phase import Phase
+from amhe_cli.go1_link.state import RobotState
+
+#: The trips keep their defaults; only standing up and sitting down are in a hurry.
+SETTINGS = {"gain_time": 0.3, "stand_speed": 3.0, "sit_time": 1.0, "damp_time": 0.3, "arm": "auto"}
+TABLES = ("codec", "trips", "jitter", "fuzz")
+
+
+def main() -> None:
+    """Print the tables that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("tables", nargs="*", default=TABLES, metavar="codec|trips|jitter|fuzz")
+    parser.add_argument("--seconds", type=float, default=60.0, help="of the jitter")
+    parser.add_argument("--datagrams", type=int, default=1_000_000, help="of the fuzz, for each receiver")
+    parser.add_argument("--repeats", type=int, default=5, help="of each trip")
+    parser.add_argument("--program", type=int, help=argparse.SUPPRESS)
+    parser.add_argument("--plan", action="store_true", help=argparse.SUPPRESS)
+    given = parser.parse_args()
+    if given.program:
+        return program(given.program, given.plan)
+    made = {
+        "codec": codec, "trips": lambda: trips(given.repeats), "jitter": lambda: jitter(given.seconds),
+        "fuzz": lambda: fuzz(given.datagrams),
+    }  # fmt: skip
+    for name in given.tables:
+        Console(width=110).print(made[name]())
+
+
+# -- codec -------------------------------------------------------------------------------------------------
+
+
+def codec() -> Table:
+    """Time of one packet."""
+    told, read = _a_command(), _a_state()
+    packets = command.encode(told), state.encode(read)
+    table = Table("packet", "median us", "99 % us")
+    for name, code in {
+        "encode a command": lambda: command.encode(told),
+        "decode a state": lambda: state.decode(packets[1]),
+        "decode a command (emulator)": lambda: command.decode(packets[0]),
+        "encode a state (emulator)": lambda: state.encode(read),
+    }.items():
+        times = np.array([_timed(code) for _ in range(20_000)])
+        table.add_row(name, *(f"{1e6 * np.quantile(times, share):.1f}" for share in (0.5, 0.99)))
+    return table
+
+
+def _timed(code: Callable[[], object]) -> float:
+    begun = time.perf_counter()
+    code()
+    return time.perf_counter() - begun
+
+
+# -- trips -------------------------------------------------------------------------------------------------
+
+
+def trips(repeats: int) -> Table:
+    """Reaction to every fault, at the robot's socket."""
+    limits = {
+        "silence": 50,
+        "stale": 50,
+        "SIGINT": 20,
+        "SIGTERM": 20,
+        "SIGKILL": 100,
+        "plans stop": 100,
+        "poses stop": 200,
+    }
+    table = Table("fault", "reaction", "to reach ms", "median ms", "worst ms")
+    for fault in (
+        "silence",
+        "stale",
+        "remote",
+        "hot",
+        "mode",
+        "battery",
+        "tilt",
+        "speed",
+        "power",
+        "nan",
+        "corrupt",
+    ):
+        changed = Faults(**{fault: 1.0 if fault == "corrupt" else 0.0})
+        times = [
+            _reaction(lambda robot, changed=changed: robot.emulator.cause(changed), damps)
+            for _ in range(repeats)
+        ]
+        table.add_row(*_row(fault, "damped", limits, times))
+    for name in ("SIGINT", "SIGTERM", "SIGKILL"):
+        number = getattr(signal, name)
+        times = [
+            _reaction(lambda robot, number=number: robot.process.send_signal(number), damps)
+            for _ in range(repeats)
+        ]
+        table.add_row(*_row(name, "damped", limits, times))
+    for name, number in (("plans stop", signal.SIGSTOP), ("poses stop", signal.SIGUSR1)):
+        for reaction, test in (("held", holds), ("sat down, then damped", damps)):
+            times = [
+                _reaction(lambda robot, number=number: robot.process.send_signal(number), test)
+                for _ in range(repeats)
+            ]
+            table.add_row(*_row(name, reaction, limits if test is holds else {}, times))
+    return table
+
+
+def _row(fault: str, reaction: str, limits: dict[str, int], times: list[float]) -> list[str]:
+    limit = str(limits[fault]) if fault in limits else "-"
+    return [fault, reaction, limit, f"{1e3 * np.median(times):.0f}", f"{1e3 * max(times):.0f}"]
+
+
+class Robot:
+    """An emulated robot in a thread, and a program that plays swaying plans to it."""
+
+    def __init__(self, plan: bool = False) -> None:
+        self.heard: list[tuple[float, Command]] = []
+        options = EmulatorOptions(find_task("t1"), port=0, mocap="none")
+        self.emulator = Emulator(options, lambda when, told: self.heard.append((when, told)))
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread.start()
+        port = str(self.emulator.address[1])
+        self.process = subprocess.Popen(
+            [sys.executable, __file__, "--program", port, *(["--plan"] if plan else [])],
+            stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        assert self.process.stdout is not None
+        self.runs = "running" in self.process.stdout.readline()
+
+    def _serve(self) -> None:
+        # a robot's own computer does nothing else either: what is measured is the sender, not this thread
+        with contextlib.suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
+        self.emulator.serve(self._stop.is_set)
+
+    def close(self) -> str:
+        """End both; the program's last words."""
+        self.process.send_signal(signal.SIGCONT)
+        self.process.send_signal(signal.SIGTERM)
+        words, _ = self.process.communicate()
+        self._stop.set()
+        self._thread.join()
+        self.emulator.__exit__()
+        return words
+
+
+@contextmanager
+def a_robot() -> Iterator[Robot]:
+    """A robot that is running; one that stumbles over a busy computer on its way there is started again."""
+    robot = Robot()
+    while not robot.runs:
+        robot.close()
+        robot = Robot()
+    try:
+        yield robot
+    finally:
+        robot.close()
+
+
+def _reaction(fault: Callable[[Robot], None], test: Callable[[list[Command]], bool]) -> float:
+    """From a fault to the first packet that passes a test [s]."""
+    with a_robot() as robot:
+        time.sleep(0.5)
+        first = len(robot.heard)
+        begun = Clock().now()
+        fault(robot)
+        while Clock().now() - begun < 10.0:
+            told = [one for _, one in robot.heard[first:]]
+            for index in range(len(told)):
+                if test(told[: index + 1]):
+                    return robot.heard[first + index][0] - begun
+            time.sleep(0.05)
+    raise RuntimeError("no reaction")
+
+
+def damps(told: list[Command]) -> bool:
+    """The last of some packets only damps."""
+    return told[-1].kp.max() == 0.0 and told[-1].kd.min() > 0.0
+
+
+def holds(told: list[Command]) -> bool:
+    """Targets, which sway while plans are played, have come to rest."""
+    return len(told) > 5 and all(np.array_equal(one.position, told[-1].position) for one in told[-5:-1])
+
+
+def program(port: int, plan: bool) -> None:
+    """Stand up, and play plans that sway a little; with a planner that works for nobody."""
+    stop, poses = threading.Event(), [True]
+    signal.signal(signal.SIGTERM, lambda *_: stop.set())
+    signal.signal(signal.SIGINT, lambda *_: stop.set())
+    signal.signal(signal.SIGUSR1, lambda *_: poses.__setitem__(0, False))
+    clock, trip = Clock(), {"plan_age": 5.0, "pose_age": 10.0, "state_age": 1.0} if plan else {}
+    settings = Go1Settings.model_validate(SETTINGS | {"trips": trip})
+    with Link("127.0.0.1", port, settings, clock) as link:
+        link.connect()
+        link.stand()
+        _wait(link, Phase.READY)
+        link.arm()
+        _wait(link, Phase.RUN)
+        if plan:
+            threading.Thread(target=_plan, args=(stop,), daemon=True).start()
+        print("running", flush=True)
+        pose_time = clock.now()
+        while not stop.wait(0.02) and link.report.phase == Phase.RUN:
+            now = clock.now()
+            pose_time = now if poses[0] else pose_time
+            sway = 0.02 * np.sin(6.0 * (now + 0.02 * np.arange(16)))
+            link.play(Targets(now, 0.02, HOME + sway[:, None]), pose_time)
+            link.samples()
+    print(link.report.intervals)
+
+
+def _wait(link: Link, phase: Phase) -> None:
+    while not link.reached(phase):
+        time.sleep(0.005)
+
+
+def _plan(stop: threading.Event) -> None:
+    from amhe_cli.run_assembly import RunOptions, open_run
+
+    while not stop.is_set():
+        for _ in open_run(RunOptions("t1", threads=1)).episode.cycles():
+            if stop.is_set():
+                return
+
+
+# -- jitter ------------------------------------------------------------------------------------------------
+
+
+def jitter(seconds: float) -> Table:
+    """Time between the sender's packets."""
+    robot = Robot(plan=True)
+    assert robot.runs
+    time.sleep(seconds)
+    words = robot.close().strip().splitlines()[-1]
+    arrivals = np.diff([when for when, _ in robot.heard])
+    load = os.getloadavg()[0]
+    table = Table(
+        "at", "p50 ms", "p99 ms", "p99.9 ms", "max ms", title=f"load {load:.1f}, {os.cpu_count()} cores"
+    )
+    sent = eval(words)  # a dictionary of numbers that we printed ourselves
+    table.add_row("sender", *(str(sent[name]) for name in ("p50_ms", "p99_ms", "p999_ms", "max_ms")))
+    shares = (0.5, 0.99, 0.999, 1.0)
+    table.add_row("robot's socket", *(f"{1e3 * np.quantile(arrivals, share):.2f}" for share in shares))
+    return table
+
+
+# -- fuzz --------------------------------------------------------------------------------------------------
+
+
+def fuzz(count: int) -> Table:
+    """Random and mutated datagrams into both receivers: what was accepted although it should not."""
+    table = Table("receiver", "datagrams", "accepted", "wrongly accepted", "crashes")
+    for name, good, decode, form in (
+        ("robot's states", state.encode(_a_state()), state.decode, wire.STATE),
+        ("commands (emulator)", command.encode(_a_command()), command.decode, wire.COMMAND),
+    ):
+        rng, accepted, wrong, crashes = np.random.default_rng(0), 0, 0, 0
+        for datagram in _mutants(good, count, rng):
+            try:
+                decode(datagram)
+            except wire.PacketError:
+                continue
+            except Exception:
+                crashes += 1
+                continue
+            accepted += 1
+            wrong += not _is_right(datagram, good, form)
+        table.add_row(name, f"{count:,}", f"{accepted:,}", str(wrong), str(crashes))
+    return table
+
+
+def _mutants(good: bytes, count: int, rng: np.random.Generator) -> Iterator[bytes]:
+    kinds = rng.integers(0, 4, count)
+    for kind in kinds.tolist():
+        if kind == 0:
+            yield rng.bytes(int(rng.integers(0, 1200)))
+        elif kind == 1:
+            yield good[: int(rng.integers(0, len(good)))] + rng.bytes(int(rng.integers(0, 3)))
+        else:
+            packet = bytearray(good)
+            for position in rng.integers(0, len(good), kind - 1 + int(rng.integers(0, 3))).tolist():
+                packet[position] ^= 1 << int(rng.integers(0, 8))
+            if kind == 3 and rng.random() < 0.5:
+                wire.seal(packet)  # a right checksum over a wrong content
+            yield bytes(packet)
+
+
+def _is_right(datagram: bytes, good: bytes, layout: np.dtype) -> bool:
+    """Length, head, level and checksum, by other means than the decoder's: a table of divisions."""
+    if len(datagram) != layout.itemsize or datagram[:3] != good[:3]:
+        return False
+    crc = 0xFFFFFFFF
+    for byte in np.frombuffer(datagram[: 4 * (len(datagram) // 4 - 1)], "<u4").byteswap().tobytes():
+        crc = (crc << 8) & 0xFFFFFFFF ^ _TABLE[crc >> 24 ^ byte]
+    told = int.from_bytes(datagram[-4:], "little")
+    if told == crc:
+        return True
+    mixed = crc ^ 0xEDCAB9DE
+    return len(datagram) == 614 and told == (mixed >> 8) | ((mixed & 0xFF) << 24)
+
+
+def _divided(byte: int) -> int:
+    crc = byte << 24
+    for _ in range(8):
+        crc = (crc << 1) ^ 0x104C11DB7 if crc >> 31 else crc << 1
+    return crc
+
+
+_TABLE = [_divided(byte) for byte in range(256)]
+
+
+def _a_command() -> Command:
+    return Command(wire.SERVO, np.array(HOME), np.zeros(12), np.ones(12), np.full(12, 60.0), np.full(12, 3.0))
+
+
+def _a_state() -> RobotState:
+    return RobotState(
+        7, np.array([1.0, 0, 0, 0]), np.zeros(3), np.ones(3), np.full(12, 10), np.array(HOME), np.ones(12),
+        np.ones(12), np.full(12, 30.0), np.ones(4), 80,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

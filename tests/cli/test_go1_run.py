@@ -1,0 +1,135 @@
+"""`amhe run --target go1` from the outside, on an emulated robot."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.cli import at_the_robot
+from amhe_cli.cli.main import run
+from amhe_cli.logs import read_metadata, survey
+from amhe_cli.poses.feed import KINDS
+from tests.emulator.emulating import Emulated, emulating
+
+ROOT = Path(__file__).parents[2]
+#: Little work, quick motions, and patience with a busy machine.
+QUICK = [
+    *("--set", "control.samples=5"), *("--set", "control.horizon=8"), *("--set", "go1.gain_time=0.3"),
+    *("--set", "go1.stand_speed=2"), *("--set", "go1.sit_time=0.5"), *("--set", "go1.damp_time=0.3"),
+    *("--set", "go1.trips.plan_age=1"), *("--set", "go1.trips.state_age=0.5"),
+    *("--set", "go1.trips.pose_age=1"), *("--set", "go1.place_tolerance=0.3"),
+    *("--set", "go1.trips.target_jump=3"), "--threads", "1", "-q",
+]  # fmt: skip
+ROBOT = ["run", "--task", "t1", "--target", "go1", "--mode", "baseline"]
+
+
+def at(emulated: Emulated, slow: int = 2) -> list[str]:
+    here = ["--host", "127.0.0.1", "--port", str(emulated.port)]
+    eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port)]
+    return [*ROBOT, *here, *eyes, "--slow", str(slow), "--set", "go1.arm=auto", *QUICK]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_the_choices_are_those_of_the_library() -> None:
+    assert at_the_robot.POSES == KINDS
+
+
+@pytest.mark.slow
+def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "2") as emulated:
+        assert run([*at(emulated), "--dry-run"]) == 0
+        assert "nothing has moved" in capsys.readouterr().out
+        assert list(Path().iterdir()) == []
+        assert run([*at(emulated), "--duration", "0.5", "-o", "out"]) == 0, capsys.readouterr().err
+    assert run([*ROBOT[:3], "--duration", "0.1", "-o", "sim", *QUICK]) == 0
+    record = json.loads(Path("out/result.json").read_text())
+    assert (record["target"], record["fell"], record["truth"]) == ("go1", False, {})
+    assert record["link"]["trip"] == ""
+    assert record["link"]["slow"] == 2.0
+    assert record["link"]["packets"]["packets"] > 500
+    assert read_metadata(Path("out/log.mcap"))["target"] == "go1"
+    real, simulated = survey(Path("out/log.mcap")), survey(Path("sim/log.mcap"))
+    assert not real.problems
+    topics = [{(topic.name, topic.type) for topic in log.topics} for log in (simulated, real)]
+    assert topics[0] - topics[1] == {("/amhe/truth", "sensor_msgs/msg/JointState")}
+    assert topics[1] <= topics[0]
+    assert run(["inspect", "out/log.mcap"]) == 0
+
+
+@pytest.mark.slow
+def test_a_fault_damps_fails_and_keeps_a_readable_log(capsys) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "2", "--fault", "hot=4") as emulated:
+        assert run([*at(emulated), "-o", "out"]) == 1
+    assert "deg C hot" in capsys.readouterr().err
+    record = json.loads(Path("out/result.json").read_text())
+    assert record["link"]["trip"] == "temperature"
+    assert not survey(Path("out/log.mcap")).problems
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "2") as emulated:
+        command = [sys.executable, "-m", "amhe_cli", *at(emulated), "-o", "out"]
+        command.remove("-q")
+        environment = os.environ | {"PYTHONPATH": str(ROOT)}
+        with subprocess.Popen(command, text=True, env=environment, stderr=subprocess.PIPE) as process:
+            assert process.stderr is not None
+            while "from the goal" not in (line := process.stderr.readline()):
+                assert line, "it ended before it ran"
+            process.send_signal(signal.SIGINT)
+            process.communicate(timeout=60)
+    assert process.returncode == 130
+    record = json.loads(Path("out/result.json").read_text())
+    assert record["interrupted"] is True
+    assert record["link"]["reason"] == "SIGINT"
+    assert not survey(Path("out/log.mcap")).problems
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([*ROBOT[:-1], "true"], "--mode baseline"),
+        ([*ROBOT, "--plant", "robot.xml"], "--plant is the robot of a simulation"),
+        ([*ROBOT, "--video", "--set", "go1.arm=operator"], "--video films a simulated plant"),
+        ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.arm=auto"], "for the emulator"),
+        ([*ROBOT, "--pose", "motioncapture"], "vicon:"),
+        ([*ROBOT, "--set", "go1.box=go1"], "same name"),
+        ([*ROBOT, "--set", "go1.trips.tilt=-1"], "go1.trips.tilt"),
+        (["run", "--task", "t1", "--pose-port", "5"], "--pose-port is of a real robot"),
+        (["run", "--task", "t1", "--dry-run"], "--dry-run is of a real robot"),
+        (["emulate", "--fault", "los=1"], "did you mean 'loss'"),
+    ],
+)
+def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments: list[str], said: str) -> None:
+    Path("robot.xml").write_text("<mujoco/>")
+    assert run(arguments) == 2
+    err = capsys.readouterr().err
+    assert said in err
+    assert len(err.splitlines()) == 1
+    assert [path.name for path in Path().iterdir()] == ["robot.xml"]
+
+
+def test_a_robot_that_is_not_there_is_one_line(capfd) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        port = str(deaf.getsockname()[1])
+        where = ["--host", "127.0.0.1", "--port", port, "--pose", "udp", "--pose-port", port]
+        assert run([*ROBOT, *where, "--set", "go1.connect_time=0.3", *QUICK]) == 1
+    err = capfd.readouterr().err
+    assert f"nothing answers from 127.0.0.1:{port}" in err
+    assert len(err.splitlines()) == 1
+    assert list(Path().glob("*/*/log.mcap")) == []

@@ -1,0 +1,254 @@
+"""The emulated robot and its cameras, on loopback, through other people's software too."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from amhe_cli.control.tasks import find_task
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.emulator.body import Body
+from amhe_cli.emulator.emulator import Emulator, EmulatorOptions
+from amhe_cli.emulator.faults import Faults, parse_faults
+from amhe_cli.emulator.motive import Motive, Seen
+from amhe_cli.emulator.robot_port import PortError, RobotPort
+from amhe_cli.go1.legs import HOME, TORQUE_LIMIT
+from amhe_cli.go1_link import command, state, wire
+from amhe_cli.go1_link.command import Command
+from amhe_cli.poses.natnet import NatNet
+from amhe_cli.poses.source import PoseError
+from tests.emulator.emulating import emulating
+from tests.go1_link.makers import a_state
+
+T1 = find_task("t1")
+FOLDED = np.tile([0.0, 1.2, -2.6], 4)
+
+
+@pytest.fixture(scope="module")
+def lying() -> Body:
+    """A robot as it is switched on; tests leave it as they will."""
+    return Body(T1, np.random.default_rng(0))
+
+
+def servo(position: np.ndarray, kp: float = 60.0, kd: float = 3.0) -> Command:
+    return Command(wire.SERVO, position, np.zeros(12), np.zeros(12), np.full(12, kp), np.full(12, kd))
+
+
+def stands_up(body: Body) -> None:
+    told, _ = body.advance(Command())
+    for start, end, seconds in ((told.joints, FOLDED, 0.5), (FOLDED, HOME, 1.0), (HOME, HOME, 0.5)):
+        for share in np.linspace(0.0, 1.0, round(seconds * 1000)):
+            body.advance(servo(start + share * (end - start)))
+
+
+def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: Body) -> None:
+    told, _ = lying.advance(Command(wire.DAMPED))
+    assert 0.05 < lying.trunk_height < 0.12
+    assert (told.joints[2::3] < -2.6).all()
+    stands_up(lying)
+    assert 0.24 < lying.trunk_height < 0.3
+    told, _ = lying.advance(servo(HOME))
+    assert told.accelerometer[2] == pytest.approx(9.81, abs=1.5)
+    weight = (told.foot_force - [12, -7, 20, 3]).sum() / 1.2
+    assert weight == pytest.approx(12.7 * 9.81, rel=0.25)
+    assert (told.modes == wire.SERVO).all()
+    for _ in range(1500):
+        told, _ = lying.advance(Command(velocity=np.zeros(12), kd=np.full(12, 3.0)))
+    assert lying.trunk_height < 0.16
+
+
+def test_torques_are_clipped_and_stopped_loops_are_off() -> None:
+    body = Body(T1, np.random.default_rng(0))
+    told, _ = body.advance(servo(HOME + 3.0, kp=200.0))
+    assert (np.abs(told.torques) <= TORQUE_LIMIT + 1e-6).all()
+    assert np.abs(told.torques).max() > 20.0
+    told, _ = body.advance(replace(Command(), kp=np.full(12, 60.0), kd=np.full(12, 3.0)))
+    np.testing.assert_allclose(told.torques, 0.0, atol=1e-9)
+    told, _ = body.advance(replace(Command(), torque=np.full(12, 2.0)))
+    np.testing.assert_allclose(told.torques, 2.0, atol=1e-9)
+
+
+def test_a_motor_that_works_hard_gets_hot_and_switches_itself_off() -> None:
+    body = Body(T1, np.random.default_rng(0))
+    body._temperatures[:] = 89.99
+    for _ in range(2000):
+        told, _ = body.advance(servo(HOME + 3.0, kp=200.0))
+        if (told.modes == wire.OVERHEATED).any():
+            break
+    assert (told.modes == wire.OVERHEATED).any()
+
+
+def test_time_based_changes_count_from_the_first_push() -> None:
+    body = Body(find_task("t3"), np.random.default_rng(0))
+    mass = body.parameters["box_mass"]
+    assert mass == pytest.approx(4.0)
+    body._moving_since = body.time - 9.9985
+    body.advance(Command())
+    assert body.parameters["box_mass"] == pytest.approx(4.0)
+    body.advance(Command())
+    assert body.parameters["box_mass"] == pytest.approx(6.0)
+
+
+def test_the_port_answers_the_last_sender_and_takes_only_good_commands() -> None:
+    port = RobotPort("127.0.0.1", 0, Faults())
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        for client in (one, other):
+            client.bind(("127.0.0.1", 0))
+            client.settimeout(1.0)
+        good = command.encode(servo(HOME))
+        for client, datagram in ((one, good), (one, good[:-1]), (other, b"\0" * 614), (other, good)):
+            client.sendto(datagram, port.address)
+        assert len(port.receive(0.0)) == 2
+        assert (port.accepted, port.rejected) == (2, 2)
+        port.send(a_state(tick=77), 0.0)
+        assert state.decode(other.recv(2000)).tick == 77
+        one.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            one.recv(2000)
+    port.close()
+
+
+def test_a_lossy_late_line_loses_delays_and_damages() -> None:
+    faults = parse_faults("loss=0.5,duplicate=0.2,corrupt=0.2,delay=5ms")
+    port = RobotPort("127.0.0.1", 0, faults)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        for _ in range(200):
+            client.sendto(command.encode(servo(HOME)), port.address)
+        assert port.receive(1.0) == []
+        assert 60 < len(port.receive(1.006)) < 160
+        for tick in range(200):
+            port.send(a_state(tick=tick), 2.0)
+        port.receive(2.006)
+        client.setblocking(False)
+        good, bad = set(), 0
+        while True:
+            try:
+                datagram = client.recv(2000)
+            except BlockingIOError:
+                break
+            try:
+                good.add(state.decode(datagram).tick)
+            except wire.PacketError:
+                bad += 1
+        assert 50 < len(good) < 110
+        assert 5 < bad < 50
+    port.close()
+
+
+@pytest.mark.parametrize("text", ["los=0.1", "loss", "delay=soon"])
+def test_a_fault_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="loss|delay"):
+        parse_faults(text)
+
+
+def test_a_port_that_is_taken_is_one_line() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        with pytest.raises(PortError, match=f"port {other.getsockname()[1]} of 127.0.0.1"):
+            RobotPort("127.0.0.1", other.getsockname()[1], Faults())
+
+
+@pytest.fixture(params=[(3, 1), (4, 1)])
+def motive(request: pytest.FixtureRequest) -> Iterator[Motive]:
+    server = Motive("127.0.0.1", 0, ("go1", "box"), request.param)
+    yield server
+    server.close()
+
+
+def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
+    pytest.importorskip("natnet")
+    source = NatNet(*motive.address, 2.0)
+    stop = threading.Event()
+    turn = np.array([np.cos(0.3), 0.0, 0.0, np.sin(0.3)])
+
+    def serve() -> None:
+        time_now = 5.0
+        while not stop.wait(0.005):
+            time_now += 0.01
+            motive.serve(time_now)
+            box = Seen(np.array([0.6, 0.1, 0.15]), -turn, valid=time_now > 5.6)
+            motive.stream([Seen(np.array([1.0, 2.0, 0.3]), turn), box], time_now)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        source.connect()
+        seen, end = {}, time.monotonic() + 5.0
+        while len(seen) < 2 and time.monotonic() < end:
+            seen |= {one.body: one for one in source.wait(0.05)}
+    finally:
+        stop.set()
+        thread.join()
+        source.close()
+    np.testing.assert_allclose(seen["go1"].position, [1.0, 2.0, 0.3], atol=1e-6)
+    np.testing.assert_allclose(seen["go1"].orientation, turn, atol=1e-6)
+    np.testing.assert_allclose(seen["box"].orientation, -turn, atol=1e-6)
+    assert seen["box"].stamp > 5.6
+    assert seen["go1"].age == pytest.approx(0.004)
+
+
+def test_no_motive_is_one_line() -> None:
+    pytest.importorskip("natnet")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        with pytest.raises(PoseError, match="no Motive answers"):
+            NatNet("127.0.0.1", deaf.getsockname()[1], 0.2).connect()
+
+
+def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
+    """The emulator's socket on one side, their `UDP` class on the other, in step with the emulated clock."""
+    sdk = pytest.importorskip(
+        "unitree_legged_sdk.robot_interface", reason="unitree-legged-sdk has no wheel here"
+    )
+    with Emulator(EmulatorOptions(T1, port=0, mocap="none")) as emulator:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            local = probe.getsockname()[1]
+        udp = sdk.UDP(0xFF, local, *emulator.address)
+        told, read = sdk.LowCmd(), sdk.LowState()
+        udp.InitCmdData(told)
+        safe = sdk.Safety(sdk.LeggedType.Go1)
+
+        def turn(target: np.ndarray | None, kp: float) -> np.ndarray:
+            if target is not None:
+                for motor, q in zip(told.motorCmd[:12], target, strict=False):
+                    motor.q, motor.dq, motor.Kp, motor.Kd, motor.tau = q, 0.0, kp, 3.0, 0.0
+                safe.PowerProtect(told, read, 7)
+            udp.SetSend(told)
+            udp.Send()
+            for _ in range(2):
+                emulator._millisecond()
+            udp.Recv()
+            udp.GetRecv(read)
+            return np.array([motor.q for motor in read.motorState[:12]])
+
+        for _ in range(20):
+            start = turn(None, 0.0)
+        assert read.bms.SOC == 85
+        for begin, end, ticks in ((start, FOLDED, 200), (FOLDED, HOME, 500), (HOME, HOME, 150)):
+            for share in np.linspace(0.0, 1.0, ticks):
+                joints = turn(begin + share * (end - begin), 60.0)
+        assert emulator.body.trunk_height > 0.24
+        np.testing.assert_allclose(joints, HOME, atol=0.12)
+        assert emulator.counts[1] == 0
+
+
+def test_the_command_serves_says_where_and_ends_in_order() -> None:
+    with emulating("--task", "t4", "--mocap", "natnet") as emulated:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.settimeout(5.0)
+            client.connect(("127.0.0.1", emulated.port))
+            client.send(command.encode(Command()))
+            ticks = [state.decode(client.recv(2000)).tick for _ in range(50)]
+        assert (np.diff(ticks) == 1).all()
+    assert "1 commands, 0 damaged" in emulated.said
+    assert emulated.process.returncode == 0

@@ -1,0 +1,20 @@
+"""What docs/go1.md says of the trips is what they are."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from amhe_cli.core.go1_settings import TripSettings
+from amhe_cli.go1_link.phase import Phase
+from amhe_cli.go1_link.trips import TRIPS
+
+PAGE = (Path(__file__).parents[2] / "docs" / "go1.md").read_text(encoding="utf-8")
+
+
+def test_every_trip_and_every_threshold_is_explained() -> None:
+    rows = dict(re.findall(r"^\| `(\w+)` \|.*\| ([^|]+) \|$", PAGE, re.MULTILINE))
+    for name, (_, then) in TRIPS.items():
+        assert rows[name].startswith("damp" if then == Phase.DAMP else "hold"), name
+    for name in TripSettings.model_fields:
+        assert f"`{name}`" in PAGE, name

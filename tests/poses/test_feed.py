@@ -1,0 +1,169 @@
+"""Pose sources in their process: what comes through, and what is said when nothing does."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from amhe_cli.go1_link.clock import Clock, ClockMap
+from amhe_cli.poses import udp
+from amhe_cli.poses.feed import FeedOptions, PoseFeed
+from amhe_cli.poses.ros2 import Ros2, message_types
+from amhe_cli.poses.source import PoseError
+
+CLOCK = Clock()
+BODIES = ("go1", "box")
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def sending(port: int, *bodies: str) -> Iterator[None]:
+    """Poses of bodies at 200 Hz, by a clock that is 1000 s off."""
+    stop = threading.Event()
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            while not stop.wait(0.005):
+                now = CLOCK.now() + 1000.0
+                for body in bodies:
+                    place = np.array([now, 0.0, 0.1])
+                    message = udp.datagram(body, now, place, np.array([1.0, 0, 0, 0]))
+                    client.sendto(message, ("127.0.0.1", port))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_poses_come_through_on_our_clock() -> None:
+    port = free_port()
+    with sending(port, *BODIES), PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 3.0)) as feed:
+        assert set(feed.first()) == set(BODIES)
+        time.sleep(0.3)
+        poses = feed.poses()
+    assert len(poses) > 30
+    # the position tells when it was taken
+    late = [pose.time - (pose.position[0] - 1000.0) for pose in poses]
+    assert 0.0 <= np.median(late) < 0.03
+    assert np.ptp(late) < 0.01
+
+
+def test_a_body_that_never_comes_is_named_with_those_that_do() -> None:
+    port = free_port()
+    options = FeedOptions("udp", "127.0.0.1", port, ("go1", "crate"), 0.5)
+    with (
+        sending(port, "go1", "box"),
+        PoseFeed(options) as feed,
+        pytest.raises(PoseError, match="no pose of 'crate'.*it has: box"),
+    ):
+        feed.first()
+
+
+def test_silence_is_named() -> None:
+    options = FeedOptions("udp", "127.0.0.1", free_port(), BODIES, 0.3)
+    with PoseFeed(options) as feed, pytest.raises(PoseError, match="no body at all"):
+        feed.first()
+
+
+def test_a_source_that_blocks_for_ever_is_given_up() -> None:
+    pytest.importorskip("motioncapture")
+    begun = time.monotonic()
+    options = FeedOptions("motioncapture", "vicon:192.0.2.1", 0, BODIES, 0.5)
+    with PoseFeed(options) as feed, pytest.raises(PoseError, match="no pose of 'go1' and 'box'"):
+        feed.first()
+    assert time.monotonic() - begun < 15.0
+
+
+def test_libmotioncapture_comes_through() -> None:
+    pytest.importorskip("motioncapture")
+    mocked = "mock:go1(0,0,0.3,1,0,0,0);box(0.6,0.1,0.15,0,0,0,1)"
+    with PoseFeed(FeedOptions("motioncapture", mocked, 0, BODIES, 3.0)) as feed:
+        seen = feed.first()
+    np.testing.assert_allclose(seen["box"].position, [0.6, 0.1, 0.15], atol=1e-6)
+    np.testing.assert_allclose(np.abs(seen["box"].orientation), [0, 0, 0, 1], atol=1e-6)
+    assert abs(seen["go1"].time - CLOCK.now()) < 5.0
+
+
+def test_ros2_poses_and_odometry_come_through() -> None:
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.topic import Topic
+
+    domain = 77
+    source = Ros2(["/go1/pose", "/box/odom"], domain)
+    source.connect()
+    stamped, odometry = message_types()
+    participant = DomainParticipant(domain)
+    writers = [
+        DataWriter(participant, Topic(participant, f"rt/{name}", kind))
+        for name, kind in (("go1/pose", stamped), ("box/odom", odometry))
+    ]
+
+    def made(kind, **more):
+        hints = kind.__annotations__
+        header = hints["header"](hints["header"].__annotations__["stamp"](12, 500_000_000), "world")
+        return kind(header=header, **more)
+
+    pose = stamped.__annotations__["pose"]
+    point, turn = pose.__annotations__["position"], pose.__annotations__["orientation"]
+    here = pose(point(1.0, 2.0, 0.3), turn(0.0, 0.0, 0.6, 0.8))
+    posed, twisted = odometry.__annotations__["pose"], odometry.__annotations__["twist"]
+    twist = twisted.__annotations__["twist"]
+    vector = twist.__annotations__["linear"]
+    still = twisted(twist(vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)), [0.0] * 36)
+    seen, end = {}, time.monotonic() + 10.0
+    while len(seen) < 2 and time.monotonic() < end:
+        writers[0].write(made(stamped, pose=here))
+        writers[1].write(made(odometry, child_frame_id="box", pose=posed(here, [0.0] * 36), twist=still))
+        seen |= {one.body: one for one in source.wait(0.1)}
+    source.close()
+    assert set(seen) == {"/go1/pose", "/box/odom"}
+    for one in seen.values():
+        np.testing.assert_allclose(one.position, [1.0, 2.0, 0.3])
+        np.testing.assert_allclose(one.orientation, [0.8, 0.0, 0.0, 0.6])
+        assert one.stamp == 12.5
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
+def test_rubbish_is_no_pose(message: bytes) -> None:
+    assert udp.read(message) is None
+
+
+@pytest.mark.parametrize(
+    "told", ['{"body": "a", "position": [1, 2], "orientation": [1, 0, 0, 0]}',
+             '{"body": "a", "position": [1, 2, NaN], "orientation": [1, 0, 0, 0]}',
+             '{"body": "a", "position": [1, 2, 3], "orientation": [0, 0, 0, 0]}', "[]", '"x"', "7"],
+)  # fmt: skip
+def test_what_is_no_pose_is_left_out(told: str) -> None:
+    assert udp.read(told.encode()) is None
+
+
+def test_the_offset_of_a_clock_is_found_under_jitter_and_drift() -> None:
+    rng, known = np.random.default_rng(0), ClockMap()
+    errors = []
+    for sent in np.arange(0.0, 30.0, 0.002):
+        ours = 500.0 + sent * 1.00005  # 50 ppm
+        arrival = ours + 0.0003 + rng.exponential(0.002)
+        errors.append(known.see(sent, arrival) - ours)
+    late = np.array(errors[1000:])
+    assert late.min() > 0.0
+    assert late.max() < 0.0007
