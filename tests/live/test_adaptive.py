@@ -26,7 +26,9 @@ QUICK = ("control.samples=5", "control.horizon=8", "mhe.samples=6")
 
 
 def cycles(tmp_path: Path, seconds: float, threads: int = 1) -> list[Cycle]:
-    run = open_run(RunOptions("t1", "adaptive", seed=5, duration=seconds, threads=threads, assignments=QUICK))
+    run = open_run(
+        RunOptions("t1", mode="adaptive", seed=5, duration=seconds, threads=threads, assignments=QUICK)
+    )
     with recorder_of(run, tmp_path / "log.mcap") as recorder:
         found = []
         for cycle in run.episode.cycles():
@@ -166,7 +168,7 @@ def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cy
     source = LogSource((adaptive[0],), {}, None, None, None)
     system = open_system(None, source, QUICK)
     (log,) = trajectories(system, source)
-    options = RunOptions("t1", "adaptive", seed=5, assignments=QUICK)
+    options = RunOptions("t1", mode="adaptive", seed=5, assignments=QUICK)
     window = Window(log, 60, 125)
     here = estimator_of(options).update(window, 1.0)
     worker = InProcess(partial(estimator_of, options), budget=1.0, patience=20.0, starting=60.0)
