@@ -50,8 +50,8 @@ class RunOptions:
 
     Args:
         task: Name of the task.
-        target: 'sim' or 'go1'.
         mode: Whose belief: one of `MODES`.
+        target: 'sim' or 'go1'.
         belief: File of a belief that replaces the mode's fixed one.
         seed: Of start poses, sensor noise and sampling.
         threads: Of the rollouts; the outcome does not depend on it.
@@ -63,8 +63,8 @@ class RunOptions:
     """
 
     task: str
-    target: str = "sim"
     mode: str = "true"
+    target: str = "sim"
     belief: Path | None = None
     seed: int = 0
     threads: int = 1

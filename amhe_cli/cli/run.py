@@ -106,7 +106,7 @@ def run(
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration
     asked = RunOptions(
-        task, target, mode, belief, seed, threads, longest, realtime, plant, assignments, config
+        task, mode, target, belief, seed, threads, longest, realtime, plant, assignments, config
     )
     opened = at_the_robot.opened(asked, wire) or open_run(asked)
     if wire["dry_run"]:
