@@ -10,7 +10,7 @@ export OMP_NUM_THREADS ?= 1
 .PHONY: help demo test lint format docs results-report bench clean
 
 help:
-	@echo "make demo    identify the bundled pendulum log, print the table, write the report"
+	@echo "make demo    identify a pushed box from the bundled Go1 log, print the table, write the report"
 	@echo "make test    run the whole test suite"
 	@echo "make lint    ruff and pyright"
 	@echo "make format  let ruff format the code"
@@ -21,7 +21,7 @@ help:
 	@echo "make clean   remove .venv and all caches"
 
 demo: .venv/.installed
-	$(BIN)/amhe identify examples/logs/pendulum.mcap -o amhe-out/demo --force
+	$(BIN)/amhe identify examples/logs/t1.mcap -o amhe-out/demo --force
 
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest -q -n auto

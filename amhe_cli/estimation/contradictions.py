@@ -74,7 +74,9 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
     means, variances = [], []
     system = _quick(problem.system)
     for side in (late, ~late):
-        part = replace(problem, system=system, only=thinned(problem, np.flatnonzero(side)))
+        rows = np.flatnonzero(side)
+        only = thinned(problem, rows) if system is problem.system else tuple(problem.tiles[i] for i in rows)
+        part = replace(problem, system=system, only=only)
         state = search.restart(part, finding.z)
         for _ in range(REFITS):
             state = search.advance(part, state)

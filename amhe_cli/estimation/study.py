@@ -59,7 +59,8 @@ def study_of(problem: Problem, finding: Finding) -> Study:
             slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z
         )
         wanted = bounded(4.0 * study.posterior.covariance, floor, problem.active)
-        if turn > 0 and not changed(sampling_sd(shape), sampling_sd(wanted)):
+        known = turn > 0 or problem.rough  # of a rough cost: by the search's own last steps, in this shape
+        if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
             break
         shape, scale = wanted, search.noise_scale(slopes.cost, found, scale)
     return study
