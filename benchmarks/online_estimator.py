@@ -1,0 +1,126 @@
+"""Accuracy and time of the online estimator after a switch: the linearised update against the paper's log-rank one.
+
+    python benchmarks/online_estimator.py --seeds 2                the table of docs/benchmarks.md
+    python benchmarks/online_estimator.py --logs FOLDER            on logs that are there: FOLDER/t3-0.mcap, ...
+
+Makes logs of t3 and t4 under the true belief first, where they are missing. Errors are rms over all logs, from 1.5 s
+after the switch on. Times are per update, of this process alone (CPU), beside the bare rollouts of the same steps.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from amhe_cli.assembly import LogSource
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.engine.rollout import RolloutEngine, Rollouts
+from amhe_cli.online.replay import ReplayProblem, replay
+from amhe_cli.replay_assembly import open_replay
+from amhe_cli.run_assembly import RunOptions, open_run
+from amhe_cli.run_files import recorder_of
+
+PROJECT = Path(__file__).resolve().parent.parent
+#: What is compared: name, settings.
+ROWS = (
+    ("linearised, 8 x 1 (default)", ()),
+    ("linearised, 16 x 1", ("mhe.samples=16",)),
+    ("logrank, 32 x 1", ("mhe.method=logrank", "mhe.iterations=1")),
+    ("logrank, 32 x 4", ("mhe.method=logrank",)),
+    ("logrank, 8 x 1", ("mhe.method=logrank", "mhe.samples=8", "mhe.iterations=1")),
+)
+#: From so long after a switch on estimates count [s].
+SETTLED = 1.5
+
+
+class Stopwatch:
+    """An engine that tells the time of its rollouts."""
+
+    def __init__(self, engine: RolloutEngine) -> None:
+        self._engine, self.spent = engine, 0.0
+
+    def rollout(self, *arguments: FloatArray) -> Rollouts:
+        """See `RolloutEngine.rollout`."""
+        begun = time.process_time()
+        result = self._engine.rollout(*arguments)  # type: ignore[arg-type]
+        self.spent += time.process_time() - begun
+        return result
+
+
+def main() -> None:
+    """Make the logs, replay them, print."""
+    arguments = _arguments()
+    logs = [_log(arguments.logs, task, seed) for task in ("t3", "t4") for seed in range(arguments.seeds)]
+    table = Table(
+        "update", "rollouts", "mass %", "friction %", "mass * friction %", "held by 90 %", "ms", "/ bare"
+    )
+    for name, settings in ROWS[: arguments.rows]:
+        found = [_replayed(log, settings) for log in logs]
+        errors = np.concatenate([errors for errors, *_ in found])
+        held = np.concatenate([held for _, held, *_ in found]).mean(axis=0)
+        rms = 100.0 * np.sqrt((errors**2).mean(axis=0))
+        rollouts, ms, ratio = np.mean([f[2:] for f in found], axis=0)
+        table.add_row(
+            name, f"{rollouts:.0f}", *(f"{e:.1f}" for e in rms), f"{100 * held[0]:.0f}, {100 * held[2]:.0f} %",
+            f"{ms:.0f}", f"{ratio:.2f}x",
+        )  # fmt: skip
+        print(name, flush=True)
+    Console().print(table)
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--rows", type=int, default=len(ROWS), help="only the first rows")
+    parser.add_argument("--logs", type=Path, default=PROJECT / "amhe-out" / "benchmarks" / "online_logs")
+    return parser.parse_args()
+
+
+def _log(folder: Path, task: str, seed: int) -> Path:
+    path = folder / f"{task}-{seed}.mcap"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        run = open_run(RunOptions(task, "true", seed=seed))
+        with recorder_of(run, path) as recorder:
+            for cycle in run.episode.cycles():
+                recorder.write(cycle)
+    return path
+
+
+def _replayed(log: Path, settings: tuple[str, ...]) -> tuple[FloatArray, FloatArray, float, float, float]:
+    """Relative errors (n, 3) and whether intervals held (n, 3), rollouts, CPU time [ms], and that over bare."""
+    source = LogSource((log,), {}, None, None, None)
+    problem = open_replay(source, None, None, 0, 1, settings, None)
+    watch = Stopwatch(problem.engine)
+    problem.estimator._engine = watch  # type: ignore[assignment]
+    begun = time.process_time()
+    estimates = list(replay(problem.estimator, problem.windows, problem.begun))
+    spent = time.process_time() - begun
+    truth = np.array([problem.truth[name] for name in problem.system.space.names]).T
+    late = _settled(problem, truth)
+    theta = np.array([e.theta for e in estimates])
+    inside = np.array([(e.lower < t) & (t < e.upper) for e, t in zip(estimates, truth, strict=True)])
+    ratio = theta / truth
+    product = ratio[:, 0] * ratio[:, 2]
+    errors = np.stack((ratio[:, 0], ratio[:, 2], product), axis=1) - 1.0
+    rollouts = float(np.mean([e.rollouts for e in estimates if e.rollouts]))
+    return errors[late], inside[late], rollouts, 1e3 * spent / len(estimates), spent / watch.spent
+
+
+def _settled(problem: ReplayProblem, truth: FloatArray) -> np.ndarray:
+    """Estimates that are late enough after the switch, shape (n,)."""
+    times = problem.begun + np.array([w.stop * w.trajectory.dt for w in problem.windows])
+    switch = int(np.flatnonzero(np.any(np.diff(truth, axis=0) != 0.0, axis=1))[0])
+    return times > times[switch + 1] + SETTLED
+
+
+if __name__ == "__main__":
+    main()
