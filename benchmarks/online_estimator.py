@@ -1,10 +1,10 @@
-"""Accuracy and time of the online estimator after a switch: the linearised update against the paper's log-rank one.
+"""Accuracy and time of the online estimator after a switch: the linearised update against the paper's.
 
-    python benchmarks/online_estimator.py --seeds 2                the table of docs/benchmarks.md
-    python benchmarks/online_estimator.py --logs FOLDER            on logs that are there: FOLDER/t3-0.mcap, ...
+    python benchmarks/online_estimator.py --seeds 2         the table of docs/benchmarks.md
+    python benchmarks/online_estimator.py --logs FOLDER     of logs that are there: FOLDER/t3-0.mcap, ...
 
-Makes logs of t3 and t4 under the true belief first, where they are missing. Errors are rms over all logs, from 1.5 s
-after the switch on. Times are per update, of this process alone (CPU), beside the bare rollouts of the same steps.
+Makes logs of t3 and t4 under the true belief first, where they are missing. Errors are rms over all logs,
+from 1.5 s after the switch on. Times are of this process (CPU) per update, beside its bare rollouts.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def main() -> None:
         rms = 100.0 * np.sqrt((errors**2).mean(axis=0))
         rollouts, ms, ratio = np.mean([f[2:] for f in found], axis=0)
         table.add_row(
-            name, f"{rollouts:.0f}", *(f"{e:.1f}" for e in rms), f"{100 * held[0]:.0f}, {100 * held[2]:.0f} %",
-            f"{ms:.0f}", f"{ratio:.2f}x",
+            name, f"{rollouts:.0f}", *(f"{e:.1f}" for e in rms),
+            f"{100 * held[0]:.0f}, {100 * held[2]:.0f} %", f"{ms:.0f}", f"{ratio:.2f}x",
         )  # fmt: skip
         print(name, flush=True)
     Console().print(table)
@@ -96,7 +96,7 @@ def _log(folder: Path, task: str, seed: int) -> Path:
 
 
 def _replayed(log: Path, settings: tuple[str, ...]) -> tuple[FloatArray, FloatArray, float, float, float]:
-    """Relative errors (n, 3) and whether intervals held (n, 3), rollouts, CPU time [ms], and that over bare."""
+    """Relative errors (n, 3), whether intervals held (n, 3), rollouts, CPU time [ms], that over bare."""
     source = LogSource((log,), {}, None, None, None)
     problem = open_replay(source, None, None, 0, 1, settings, None)
     watch = Stopwatch(problem.engine)
