@@ -96,14 +96,18 @@ class Run:
     first_belief: dict[str, float]
 
 
-def open_run(options: RunOptions) -> Run:
+def open_run(options: RunOptions, task: Task | None = None) -> Run:
     """Set everything up.
+
+    Args:
+        options: As given.
+        task: In place of the one that the options name.
 
     Raises:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
     """
-    task = find_task(options.task)
-    system = _system(options, task)
+    task = task or find_task(options.task)
+    system = system_for(options, task)
     settings = system.settings.control
     seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
@@ -120,7 +124,8 @@ def open_run(options: RunOptions) -> Run:
     return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief.at(0.0))
 
 
-def _system(options: RunOptions, task: Task) -> System:
+def system_for(options: RunOptions, task: Task) -> System:
+    """`go1_push` with the task's box and the user's settings."""
     settings = overrides.gathered(options.config, os.environ, options.assignments)
     return load_system(find_system(SYSTEM), overrides.merged(measured(task), settings), warn=False)
 
@@ -152,7 +157,7 @@ def _belief(options: RunOptions, task: Task, system: System, plant: Plant) -> Be
 def estimator_of(options: RunOptions) -> MovingHorizon:
     """The estimator of an adaptive run; also in another process, which has nothing but the options."""
     task = find_task(options.task)
-    system = _system(options, task)
+    system = system_for(options, task)
     threads = 1 if options.realtime else options.threads
     engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
     rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])

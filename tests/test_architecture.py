@@ -27,6 +27,7 @@ FLOORS = (
     "assembly",
     "run_assembly",
     "run_files",
+    "probing",
     "cli",
 )
 
