@@ -16,8 +16,8 @@ from amhe_cli.matching import MatchingCost
 from amhe_cli.online.arrival import in_z
 from amhe_cli.system.system import System
 
-#: Gauss-Newton steps from the belief to where a log points.
-STEPS = 3
+#: Gauss-Newton steps from the belief to where a log points: at most so many, until one is this small [sd].
+MOST_STEPS, SETTLED = 10, 0.5
 
 
 def information_at(
@@ -62,10 +62,12 @@ def information_where_it_points(
     What a log tells is to be asked where its truth is; a belief may be far from it.
     """
     space = system.space
-    z = np.zeros(len(space))
-    for _ in range(STEPS):
+    z, hessian = np.zeros(len(space)), space.prior_precision
+    for _ in range(MOST_STEPS):
         found = information_at(system, windows, engine, z, rng)
         hessian = found.matrix.sum(axis=0) + space.prior_precision
-        gradient = found.score.sum(axis=0) + space.prior_precision @ z
-        z = space.clip(z - np.linalg.solve(hessian, gradient))
-    return information_at(system, windows, engine, z, rng).matrix.sum(axis=0)
+        step = -np.linalg.solve(hessian, found.score.sum(axis=0) + space.prior_precision @ z)
+        z = space.clip(z + step)
+        if step @ hessian @ step < SETTLED**2:
+            break
+    return hessian - space.prior_precision
