@@ -5,12 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.run import TASKS
 from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.probing.design import Accuracy
+
+#: The log that is written.
+LOG = "probe.mcap"
 
 
 @click.command(cls=options.Command, short_help="Design and record the motion that tells most.")
@@ -83,7 +90,7 @@ def probe(
     from amhe_cli.probing.probe import ProbeOptions, achieved
     from amhe_cli.report.folder import filling, reserve
     from amhe_cli.report.probe_table import print_achieved, print_plan
-    from amhe_cli.report.provenance import run_provenance
+    from amhe_cli.report.provenance import provenance
     from amhe_cli.report.record import plain
 
     session.hush_mujoco()
@@ -95,7 +102,7 @@ def probe(
     inputs = [path for path in (belief, plant) if path]
     about = {
         "system": opened.system.name, "task": opened.task, "target": target, "seed": seed, "out": str(folder),
-        "provenance": run_provenance(session.command_line, seed, opened.system.folder, inputs),
+        "provenance": provenance(session.command_line, seed, "probe", opened.system.folder, inputs, ()),
     }  # fmt: skip
     record = plain(session.record(**about, **plan_record(plan)))
     if not session.json:
@@ -105,14 +112,17 @@ def probe(
         _write(scratch / "plan.json", record)
         if not plan_only:
             with stopping(session) as stopped:
-                ending = opened.run(plan, scratch / "probe.mcap", stopped, say)
+                ending = opened.run(plan, scratch / LOG, stopped, say)
             session.interrupted, error = ending.interrupted, ending.error
-            whole = not (ending.interrupted or ending.error)
-            say("asking the log what it tells")
-            known = {"expected": plan.expected, "plain": plan.plain}
-            known |= {"achieved": achieved(opened.system, scratch / "probe.mcap", asked)} if whole else {}
+            known: dict[str, Accuracy | None] = {"expected": plan.expected, "plain": plan.plain}
+            if not session.interrupted and error is None:
+                say("asking the log what it tells")
+                try:
+                    known["achieved"] = achieved(opened.system, scratch / LOG, asked)
+                except KeyboardInterrupt:  # it must not cost the log
+                    session.interrupted = True
             record = plain(session.record(**about, **(plan_record(plan) | known_record(known))))
-            record |= {"interrupted": ending.interrupted, "error": None if error is None else str(error)}
+            record |= {"interrupted": session.interrupted, "error": None if error is None else str(error)}
             _write(scratch / "result.json", record)
     if session.json:
         session.print_json(record)

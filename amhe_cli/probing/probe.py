@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from amhe_cli.assembly import LogSource, trajectories
+from amhe_cli.core.errors import AmheError, EstimationError
 from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.clips import ClipPool, whole
@@ -19,6 +21,8 @@ from amhe_cli.probing.information import information_where_it_points
 from amhe_cli.probing.plan import Plan
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
 
 #: Told how far a design is.
 Say = Callable[[str], None]
@@ -106,9 +110,14 @@ def tiles(system: System, log: Trajectory) -> list[Window]:
 
 
 def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | None:
-    """How well the parameters are known from a log and the prior; None where nothing moves in it."""
-    windows = tiles(system, read(system, path))
-    if not windows:
+    """How well the parameters are known from a log and the prior; None where it cannot be said."""
+    try:
+        windows = tiles(system, read(system, path))
+        if not windows:
+            raise EstimationError("nothing moves in it")
+        engine, rng = engine_of(system, options.threads), options.rng(9)
+        found = information_where_it_points(system, windows, engine, rng)
+    except AmheError as error:  # the log is worth more than our word on it
+        logger.warning(f"what the log tells cannot be said: {error}")
         return None
-    found = information_where_it_points(system, windows, engine_of(system, options.threads), options.rng(9))
     return accuracy(system.space, found[None])

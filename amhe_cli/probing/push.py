@@ -19,7 +19,7 @@ from amhe_cli.probing.plan import Plan, parts_of
 from amhe_cli.probing.primitives import APPROACH, LIBRARY, STEADY, Primitive
 from amhe_cli.probing.probe import ProbeOptions, Say, believing, engine_of, read
 from amhe_cli.probing.pushing import ProbeTask, probe_task
-from amhe_cli.probing.rehearsal import REHEARSED, rehearsed_information
+from amhe_cli.probing.rehearsal import rehearsal_of, rehearsed_information
 from amhe_cli.run_assembly import Run, RunOptions, open_run, system_for
 from amhe_cli.run_files import recorder_of
 from amhe_cli.system.system import System
@@ -45,19 +45,21 @@ class PushProbe:
     def design(self, say: Say) -> Plan:
         """See `Probe`."""
         room = self._options.seconds - APPROACH.seconds
-        seconds = np.array([primitive.seconds for primitive in LIBRARY])
-        if room < seconds.min() - 1e-9:
+        library = [primitive for primitive in LIBRARY if primitive.seconds <= room + 1e-9]
+        if not library:
+            shortest = APPROACH.seconds + min(primitive.seconds for primitive in LIBRARY)
             raise ConfigError(
                 f"--for {self._options.seconds:g}: too short; the approach and the shortest push take "
-                f"{APPROACH.seconds + seconds.min():g} s"
+                f"{shortest:g} s"
             )
+        seconds = np.array([primitive.seconds for primitive in library])
         draws = ensemble(self.system.space, self.system.settings.probe.pairs, self._options.rng(0))
-        found = np.stack([self._rehearsed(i, z, len(draws), say) for i, z in enumerate(draws)])
+        found = np.stack([self._rehearsed(library, i, z, len(draws), say) for i, z in enumerate(draws)])
         space = self.system.space
         counts = best_counts(found, seconds, space.prior_precision, room)
-        sequence = [LIBRARY[i] for i in spread_out(counts)]
+        sequence = [library[i] for i in spread_out(counts)]
         total = np.einsum("n,enij->eij", counts.astype(float), found)
-        steady = found[:, LIBRARY.index(STEADY)] * float(counts @ seconds) / STEADY.seconds
+        steady = found[:, library.index(STEADY)] * float(counts @ seconds) / STEADY.seconds
         return Plan(
             parts_of([(p.name, p.title, p.seconds) for p in (APPROACH, *sequence)]),
             accuracy(space, total),
@@ -72,20 +74,22 @@ class PushProbe:
         task = self._probe(sequence, Believed(self._task.box.mass, self._task.box.floor_friction))
         return self._record(self._open(task, self._options.seed, "baseline"), path, stopped, say)
 
-    def _rehearsed(self, number: int, z: FloatArray, count: int, say: Say) -> FloatArray:
+    def _rehearsed(
+        self, library: list[Primitive], number: int, z: FloatArray, count: int, say: Say
+    ) -> FloatArray:
         """Information of every primitive (n, d, d) if z (d,) were true and believed."""
         say(f"rehearsing, draw {number + 1} of {count}")
         named = dict(zip(self.system.space.names, self.system.space.theta_of(z), strict=True))
         box = Believed(float(named["box_mass"]), float(named["floor_friction"]))
         seed = int(self._options.rng(1 + number).integers(2**31))
-        run = self._open(self._probe(REHEARSED, box), seed, "true")
+        run = self._open(self._probe(rehearsal_of(library), box), seed, "true")
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rehearsal.mcap"
             self._record(run, path, lambda: False, lambda text: None)
             log = read(self.system, path)
         truth = self.system.space.z_of(np.array([run.first_truth[name] for name in self.system.space.names]))
         engine, rng = engine_of(self.system, self._options.threads), self._options.rng(5 + number)
-        return rehearsed_information(self.system, log, engine, truth, rng)
+        return rehearsed_information(self.system, library, log, engine, truth, rng)
 
     def _probe(self, sequence: tuple[Primitive, ...], box: Believed) -> ProbeTask:
         prior = dict(zip(self._own.space.names, map(float, self._own.space.nominal), strict=True))
@@ -106,8 +110,8 @@ class PushProbe:
         history = History(run.task)
         with recorder_of(run, path) as recorder:
             ending = drive(
-                run.episode, recorder, history, stopped, lambda _, row: say(f"{row['time']:.1f} s")
+                run.episode, recorder, history, stopped, lambda _, row: say(f"pushing, {row['time']:.1f} s")
             )
         if run.judge.fell and ending.error is None:
-            return Ending(error=SimulationError("the robot fell"))
+            return Ending(error=SimulationError("the robot fell; the log up to there is kept"))
         return ending

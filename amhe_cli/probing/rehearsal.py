@@ -10,30 +10,41 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.probing.information import information_at
-from amhe_cli.probing.primitives import LIBRARY, STEADY, Primitive, Score
+from amhe_cli.probing.primitives import STEADY, Primitive, Score
 from amhe_cli.system.system import System
 
-#: Everything once; before that the robot gets going, since a plain push is not all starting.
-REHEARSED: tuple[Primitive, ...] = (STEADY, *LIBRARY)
-#: Parts of a rehearsal that are not asked: the approach and the getting going.
-_SKIPPED = 2
+#: Before anything is asked of a rehearsal the robot gets going: a plain push is not all starting.
+_LEAD = (STEADY,)
+#: Parts that are not asked: the approach and the lead.
+_SKIPPED = 1 + len(_LEAD)
 #: Length of the windows, about that of the clips of `amhe identify` [s].
 WINDOW = 0.5
 
 
+def rehearsal_of(library: Sequence[Primitive]) -> tuple[Primitive, ...]:
+    """The sequence to rehearse: each primitive once."""
+    return (*_LEAD, *library)
+
+
 def rehearsed_information(
-    system: System, log: Trajectory, engine: RolloutEngine, z: FloatArray, rng: np.random.Generator
+    system: System,
+    library: Sequence[Primitive],
+    log: Trajectory,
+    engine: RolloutEngine,
+    z: FloatArray,
+    rng: np.random.Generator,
 ) -> FloatArray:
-    """Information of each primitive of the library on z, shape (n, d, d); zero for those that did not end.
+    """Information of each of n primitives on z, shape (n, d, d); zero for those that did not end.
 
     Args:
         system: Its space says what z is.
-        log: Of the score of `REHEARSED`.
+        library: The primitives.
+        log: Of their `rehearsal_of`.
         engine: For the rollouts of the system's model.
         z: The rehearsal's true parameters, shape (d,).
         rng: Draws the samples.
     """
-    score = Score(REHEARSED)
+    score = Score(rehearsal_of(library))
     parts = list(zip(score.parts, score.starts, strict=True))[_SKIPPED:]
     cut = [windows_of(log, start, part.seconds) for part, start in parts]
     whose = np.repeat(np.arange(len(cut)), [len(windows) for windows in cut])

@@ -12,17 +12,8 @@ from amhe_cli.logs import read_metadata, survey
 from tests.conftest import MODELS, PENDULUM_TRUTH
 
 #: Little work: the plans need not be good.
-QUICK = [
-    "-q",
-    "--threads",
-    "1",
-    "--set",
-    "control.samples=5",
-    "--set",
-    "control.horizon=8",
-    "--set",
-    "probe.pairs=0",
-]
+QUICK = ["-q", "--threads", "1", "--config", "quick.yaml"]
+QUICK_SETTINGS = "control: {samples: 5, horizon: 6, substeps: 1}\nprobe: {pairs: 0}\n"
 PENDULUM = [
     "probe",
     "--system",
@@ -80,10 +71,11 @@ def test_a_plan_is_written_alone_and_expects_more_than_plain_motion_would_tell(c
 
 def test_the_probes_log_identifies_another_pendulum() -> None:
     plant = other_pendulum(Path("other.xml"))
-    assert run([*PENDULUM, "--for", "5", "--plant", str(plant), "-o", "probe"]) == 0
+    assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
     assert names("probe") == ["plan.json", "probe.mcap", "result.json"]
     assert "truth" not in read_metadata(Path("probe/probe.mcap"))
-    assert run(["identify", "probe/probe.mcap", "-o", "found", "-q", "--threads", "1"]) == 0
+    less = ["-q", "--threads", "1", "--set", "identify.profile_points=0"]
+    assert run(["identify", "probe/probe.mcap", "-o", "found", *less]) == 0
     found = {row["name"]: row for row in json.loads(Path("found/result.json").read_text())["parameters"]}
     for name, truth in PENDULUM_TRUTH.items():
         assert found[name]["estimate"] == pytest.approx(truth, rel=0.1)
@@ -92,6 +84,7 @@ def test_the_probes_log_identifies_another_pendulum() -> None:
 
 
 def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:
+    Path("quick.yaml").write_text(QUICK_SETTINGS)
     assert run(["probe", "--for", "2", "-o", "probe", "--json", *QUICK]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result == json.loads(Path("probe/result.json").read_text())
@@ -125,3 +118,12 @@ def test_a_belief_about_another_system_is_refused(capsys, tmp_path_factory: pyte
 def test_a_plant_without_the_systems_joints_is_refused(capsys) -> None:
     plant = str(MODELS / "cube_toss" / "scene.xml")
     assert f"--plant {plant}" in refused(capsys, "--system", "pendulum", "--plant", plant)
+
+
+def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
+    Path("quick.yaml").write_text(QUICK_SETTINGS)
+    monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+    assert run(["probe", "--for", "2", "-o", "probe", *QUICK]) == 1
+    assert "the robot fell" in capsys.readouterr().err
+    assert names("probe") == ["plan.json", "probe.mcap", "result.json"]
+    assert json.loads(Path("probe/result.json").read_text())["error"].startswith("the robot fell")
