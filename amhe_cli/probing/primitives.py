@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import accumulate
 
-#: The walking push keeps to this speed [m/s], and this far beside the box's middle [m].
-FASTEST, WIDEST_OFFSET = 0.3, 0.12
+#: The walking push keeps to this speed [m/s], and this far beside the box's middle [m]; the trot still does
+#: it when it is held (docs/probing.md).
+FASTEST, WIDEST_OFFSET = 0.5, 0.12
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +52,17 @@ APPROACH = Primitive("approach", "walk up to the box", (Phase(1.0, 0.2),))
 #: What an equally long plain push is made of.
 STEADY = Primitive("steady", "push on at one speed", (Phase(1.0, 0.2),))
 
+_WAVER = (Phase(0.25, 0.5), Phase(0.25, 0.0)) * 4
+
 LIBRARY = (
     STEADY,
-    Primitive("fast", "push on faster", (Phase(1.0, 0.3),)),
-    Primitive("waver", "push slowly and fast by turns", (Phase(0.25, 0.3), Phase(0.25, 0.1)) * 4),
-    Primitive("pulse", "push fast, stand, twice", (Phase(0.5, 0.3), Phase(0.5, 0.0)) * 2),
-    Primitive("stop", "push, then let the box come to rest", (Phase(1.0, 0.3), Phase(0.5, 0.0))),
-    Primitive("release", "back off and meet the box again", (Phase(0.6, -0.2), Phase(1.4, 0.3))),
-    Primitive("left", "push fast, left of the middle", (Phase(2.0, 0.3, 0.12),)),
-    Primitive("right", "push fast, right of the middle", (Phase(2.0, 0.3, -0.12),)),
+    Primitive("fast", "push on faster", (Phase(1.0, 0.4),)),
+    Primitive("waver", "a surge in every stride", _WAVER),
+    Primitive("pulse", "push fast, stand, twice", (Phase(0.5, 0.4), Phase(0.5, 0.0)) * 2),
+    Primitive("stop", "push, then let the box come to rest", (Phase(1.0, 0.4), Phase(0.5, 0.0))),
+    Primitive("release", "back off and meet the box again", (Phase(0.6, -0.2), Phase(1.4, 0.4))),
+    Primitive("left", "surges left of the middle", tuple(replace(p, offset=0.12) for p in _WAVER)),
+    Primitive("right", "surges right of the middle", tuple(replace(p, offset=-0.12) for p in _WAVER)),
 )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -113,6 +114,11 @@ def test_a_belief_about_another_system_is_refused(capsys, tmp_path_factory: pyte
         "- {name: load_mass, unit: kg, scale: log, estimate: 0.4}\ncovariance: [[0.01]]\n"
     )
     assert "pendulum" in refused(capsys, "--belief", str(belief))
+
+
+def test_a_robot_on_legs_of_ones_own_is_refused(capsys, tmp_path_factory: pytest.TempPathFactory) -> None:
+    own = shutil.copytree(MODELS / "go1_push", tmp_path_factory.mktemp("own") / "my_go1")
+    assert "controller" in refused(capsys, "--system", str(own))
 
 
 def test_a_plant_without_the_systems_joints_is_refused(capsys) -> None:
