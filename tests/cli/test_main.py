@@ -129,7 +129,7 @@ def test_an_unknown_option_names_the_nearest(capsys) -> None:
 
 @pytest.mark.parametrize("command", sorted(entry.amhe.commands))
 def test_a_path_that_does_not_exist_is_a_usage_error(command, capsys, tmp_path) -> None:
-    option = ["--task", "t1", "--belief"] if command == "run" else []
+    option = {"run": ["--task", "t1", "--belief"], "probe": ["--belief"]}.get(command, [])
     assert entry.run([command, *option, str(tmp_path / "nothing.mcap")]) == 2
     assert "does not exist" in capsys.readouterr().err
 
