@@ -108,13 +108,17 @@ class Run:
     first_belief: dict[str, float]
 
 
-def open_run(options: RunOptions) -> Run:
+def open_run(options: RunOptions, task: Task | None = None) -> Run:
     """Set everything up.
+
+    Args:
+        options: As given.
+        task: In place of the one that the options name.
 
     Raises:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
     """
-    task = find_task(options.task)
+    task = task or find_task(options.task)
     system = system_of(options, task)
     settings = system.settings.control
     seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's

@@ -35,6 +35,7 @@ FLOORS = (
     "go1_assembly",
     "run_files",
     "eval_assembly",
+    "probing",
     "cli",
 )
 

@@ -22,6 +22,7 @@ from amhe_cli.cli.identify import identify
 from amhe_cli.cli.init import init
 from amhe_cli.cli.inspect import inspect
 from amhe_cli.cli.mhe_replay import mhe_replay
+from amhe_cli.cli.probe import probe
 from amhe_cli.cli.run import run as run_task
 from amhe_cli.cli.session import FAILED, INTERRUPTED, TERMINATED, UNREADABLE, USAGE, Session, Terminated
 
@@ -32,7 +33,7 @@ def amhe() -> None:
     """Physical parameters of robots and what they push, from their logs, with honest uncertainty."""
 
 
-for _command in (init, inspect, identify, mhe_replay, run_task, evaluate, emulate):
+for _command in (init, inspect, probe, identify, mhe_replay, run_task, evaluate, emulate):
     amhe.add_command(_command)
 
 

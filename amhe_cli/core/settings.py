@@ -193,6 +193,15 @@ class ControlSettings(_Group):
     """Noise of the calves' knots [rad]."""
 
 
+class ProbeSettings(_Group):
+    """The design of `amhe probe`."""
+
+    pairs: Annotated[int, Field(ge=0)] = 1
+    """Pairs of draws of the belief, beside its mean, that the information is averaged over."""
+    candidates: Annotated[int, Field(ge=1)] = 12
+    """Random multisines to choose from, where actuators are driven as they are."""
+
+
 class Settings(_Group):
     """All settings."""
 
@@ -202,4 +211,5 @@ class Settings(_Group):
     identify: IdentifySettings = IdentifySettings()
     mhe: MheSettings = MheSettings()
     control: ControlSettings = ControlSettings()
+    probe: ProbeSettings = ProbeSettings()
     go1: Go1Settings = Go1Settings()

@@ -1,0 +1,153 @@
+"""`amhe probe`: design an excitation that makes the parameters visible, and record it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from amhe_cli.cli import options
+from amhe_cli.cli.run import TASKS
+from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.probing.design import Accuracy
+
+#: The log that is written.
+LOG = "probe.mcap"
+
+
+@click.command(cls=options.Command, short_help="Design and record the motion that tells most.")
+@click.option(
+    "--system",
+    metavar="NAME|DIR",
+    help="A bundled system or your own system folder.  [default: go1_push]",
+)
+@click.option(
+    "--target", type=click.Choice(["sim"]), default="sim", show_default=True, help="What is probed."
+)
+@click.option(
+    "--task",
+    type=click.Choice(TASKS),
+    default="t1",
+    show_default=True,
+    help="Whose box and floor go1_push is probed with, as they are before anything changes.",
+)
+@click.option(
+    "--for",
+    "seconds",
+    type=options.Number(min=0, min_open=True, max=600),
+    default=10.0,
+    show_default=True,
+    metavar="S",
+    help="The longest that the probe may take [s].",
+)
+@click.option(
+    "--belief",
+    type=options.EXISTING_FILE,
+    metavar="FILE",
+    help="A belief.yaml to design with, and to walk with, instead of the system's own prior.",
+)
+@click.option(
+    "--plant",
+    type=options.EXISTING_FILE,
+    metavar="XML",
+    help="MJCF of what is probed in simulation, instead of the system's own model: another Go1, or another "
+    "model with the same joints and actuators.",
+)
+@click.option("--plan-only", is_flag=True, help="Write plan.json and stop before anything moves.")
+@options.work
+@options.tuning
+@options.out
+@options.common
+@click.pass_obj
+def probe(
+    session: Session,
+    system: str | None,
+    target: str,
+    task: str,
+    seconds: float,
+    belief: Path | None,
+    plant: Path | None,
+    plan_only: bool,
+    seed: int,
+    threads: int,
+    assignments: tuple[str, ...],
+    config: Path | None,
+    out: Path | None,
+    force: bool,
+) -> None:
+    """Find the motion that tells most about the parameters, say how well they will be known, and record it.
+
+    Writes plan.json, probe.mcap and result.json; the log goes into `amhe identify` as it is.
+    """
+    from amhe_cli.cli.stopping import stopping
+    from amhe_cli.probing.assembly import open_probe
+    from amhe_cli.probing.plan import known_record, plan_record
+    from amhe_cli.probing.probe import ProbeOptions, achieved
+    from amhe_cli.report.folder import filling, reserve
+    from amhe_cli.report.probe_table import print_achieved, print_plan
+    from amhe_cli.report.provenance import provenance
+    from amhe_cli.report.record import plain
+
+    session.hush_mujoco()
+    asked = ProbeOptions(system, task, seconds, belief, plant, seed, threads, assignments, config)
+    opened = open_probe(asked)
+    folder = reserve(out, "probe", force)
+    say = _progress(session)
+    plan = opened.design(say)
+    inputs = [path for path in (belief, plant) if path]
+    about = {
+        "system": opened.system.name, "task": opened.task, "target": target, "seed": seed, "out": str(folder),
+        "provenance": provenance(session.command_line, seed, "probe", opened.system.folder, inputs, ()),
+    }  # fmt: skip
+    record = plain(session.record(**about, **plan_record(plan)))
+    if not session.json:
+        print_plan(record, session.console())
+    error = None
+    with filling(folder) as scratch:
+        _write(scratch / "plan.json", record)
+        if not plan_only:
+            with stopping(session) as stopped:
+                ending = opened.run(plan, scratch / LOG, stopped, say)
+            session.interrupted, error = ending.interrupted, ending.error
+            known: dict[str, Accuracy | None] = {"expected": plan.expected, "plain": plan.plain}
+            if not session.interrupted and error is None:
+                say("asking the log what it tells")
+                try:
+                    known["achieved"] = achieved(opened.system, scratch / LOG, asked)
+                except KeyboardInterrupt:  # it must not cost the log
+                    session.interrupted = True
+            record = plain(session.record(**about, **(plan_record(plan) | known_record(known))))
+            record |= {"interrupted": session.interrupted, "error": None if error is None else str(error)}
+            _write(scratch / "result.json", record)
+    if session.json:
+        session.print_json(record)
+    elif not plan_only:
+        print_achieved(record, folder, session.console())
+    if error:
+        raise error
+
+
+def _write(path: Path, record: object) -> None:
+    import json
+
+    path.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def _progress(session: Session) -> Callable[[str], None]:
+    """Say how far it is on stderr, now and then."""
+    from amhe_cli.cli.progress import PLAIN_PERIOD
+
+    last = float("-inf")
+
+    def say(text: str) -> None:
+        nonlocal last
+        if not session.quiet and time.monotonic() - last >= PLAIN_PERIOD:
+            last = time.monotonic()
+            session.say("", text)
+
+    return say

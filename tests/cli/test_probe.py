@@ -1,0 +1,136 @@
+"""`amhe probe` from the outside: files, the chain to `amhe identify`, what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.cli.main import run
+from amhe_cli.logs import read_metadata, survey
+from tests.conftest import MODELS, PENDULUM_TRUTH
+
+#: Little work: the plans need not be good.
+QUICK = ["-q", "--threads", "1", "--config", "quick.yaml"]
+QUICK_SETTINGS = "control: {samples: 5, horizon: 6, substeps: 1}\nprobe: {pairs: 0}\n"
+PENDULUM = [
+    "probe",
+    "--system",
+    "pendulum",
+    "--for",
+    "3",
+    "-q",
+    "--threads",
+    "1",
+    "--set",
+    "probe.candidates=4",
+]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands write below the folder that they are run in."""
+    monkeypatch.chdir(tmp_path)
+
+
+def names(folder: str | Path) -> list[str]:
+    return sorted(path.name for path in Path(folder).iterdir())
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    """The one line that a command line is refused with; nothing is written."""
+    assert run(["probe", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert len(err.splitlines()) == 1
+    assert names(".") == []
+    return err
+
+
+def other_pendulum(path: Path) -> Path:
+    """A pendulum with other parameters than the system's."""
+    text = (MODELS / "pendulum" / "scene.xml").read_text()
+    t = PENDULUM_TRUTH
+    old = 'damping="0.02" frictionloss="0.02" armature="0.004"'
+    new = f'damping="{t["damping"]}" frictionloss="{t["friction_loss"]}" armature="{t["armature"]}"'
+    assert old in text and 'mass="0.4"' in text
+    path.write_text(text.replace(old, new).replace('mass="0.4"', f'mass="{t["load_mass"]}"'))
+    return path
+
+
+def test_a_plan_is_written_alone_and_expects_more_than_plain_motion_would_tell(capsys) -> None:
+    assert run([*PENDULUM, "--plan-only", "-o", "plan"]) == 0
+    assert names("plan") == ["plan.json"]
+    plan = json.loads(Path("plan/plan.json").read_text())
+    assert plan["system"] == "pendulum"
+    assert sum(part["seconds"] for part in plan["sequence"]) == plan["probe_seconds"] == 3.0
+    for row in plan["parameters"]:
+        assert 0.0 < row["expected_sd"] < row["prior_sd"]
+    assert "load_mass" in capsys.readouterr().out
+
+
+def test_the_probes_log_identifies_another_pendulum() -> None:
+    plant = other_pendulum(Path("other.xml"))
+    assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
+    assert names("probe") == ["plan.json", "probe.mcap", "result.json"]
+    assert "truth" not in read_metadata(Path("probe/probe.mcap"))
+    less = ["-q", "--threads", "1", "--set", "identify.profile_points=0"]
+    assert run(["identify", "probe/probe.mcap", "-o", "found", *less]) == 0
+    found = {row["name"]: row for row in json.loads(Path("found/result.json").read_text())["parameters"]}
+    for name, truth in PENDULUM_TRUTH.items():
+        assert found[name]["estimate"] == pytest.approx(truth, rel=0.1)
+    told = {r["name"]: r for r in json.loads(Path("probe/result.json").read_text())["parameters"]}
+    for name, row in found.items():
+        assert 0.4 < told[name]["achieved_sd"] / (row["sd"] / row["estimate"]) < 2.5, "as identify has it"
+
+
+def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:
+    Path("quick.yaml").write_text(QUICK_SETTINGS)
+    assert run(["probe", "--for", "2", "-o", "probe", "--json", *QUICK]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result == json.loads(Path("probe/result.json").read_text())
+    assert {"schema_version", "command", "version", "seconds", "warnings"} <= set(result)
+    assert result["sequence"][0]["name"] == "approach"
+    assert result["probe_seconds"] == 2.0
+    assert {row["name"] for row in result["parameters"]} >= {"box_mass", "floor_friction"}
+    said = read_metadata(Path("probe/probe.mcap"))
+    assert (said["system"], said["task"]) == ("go1_push", "t1")
+    assert json.loads(said["truth"])["box_mass"] == pytest.approx(4.0)
+    topics = {topic.name for topic in survey(Path("probe/probe.mcap")).topics}
+    assert {"/joint_states", "/joint_commands", "/odom", "/box/odom", "/amhe/plan"} <= topics
+
+
+def test_what_cannot_be_probed_is_said_in_one_line(capsys) -> None:
+    assert "2 s" in refused(capsys, "--for", "1.5")
+    assert "t9" in refused(capsys, "--task", "t9")
+    assert "nothing to drive" in refused(capsys, "--system", "cube_toss")
+    assert "1 s" in refused(capsys, "--system", "pendulum", "--for", "0.2")
+
+
+def test_a_belief_about_another_system_is_refused(capsys, tmp_path_factory: pytest.TempPathFactory) -> None:
+    belief = tmp_path_factory.mktemp("belief") / "belief.yaml"
+    belief.write_text(
+        "schema_version: 1\nsystem: pendulum\nparameters:\n"
+        "- {name: load_mass, unit: kg, scale: log, estimate: 0.4}\ncovariance: [[0.01]]\n"
+    )
+    assert "pendulum" in refused(capsys, "--belief", str(belief))
+
+
+def test_a_robot_on_legs_of_ones_own_is_refused(capsys, tmp_path_factory: pytest.TempPathFactory) -> None:
+    own = shutil.copytree(MODELS / "go1_push", tmp_path_factory.mktemp("own") / "my_go1")
+    assert "controller" in refused(capsys, "--system", str(own))
+
+
+def test_a_plant_without_the_systems_joints_is_refused(capsys) -> None:
+    plant = str(MODELS / "cube_toss" / "scene.xml")
+    assert f"--plant {plant}" in refused(capsys, "--system", "pendulum", "--plant", plant)
+
+
+def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
+    Path("quick.yaml").write_text(QUICK_SETTINGS)
+    monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+    assert run(["probe", "--for", "2", "-o", "probe", *QUICK]) == 1
+    assert "the robot fell" in capsys.readouterr().err
+    assert names("probe") == ["plan.json", "probe.mcap", "result.json"]
+    assert json.loads(Path("probe/result.json").read_text())["error"].startswith("the robot fell")
