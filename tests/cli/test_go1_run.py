@@ -102,7 +102,7 @@ def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        ([*ROBOT[:-1], "true"], "--mode baseline"),
+        ([*ROBOT[:-1], "true"], "adaptive or baseline"),
         ([*ROBOT, "--plant", "robot.xml"], "--plant is the robot of a simulation"),
         ([*ROBOT, "--video", "--set", "go1.arm=operator"], "--video films a simulated plant"),
         ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.arm=auto"], "for the emulator"),
