@@ -29,12 +29,12 @@ class MotionCapture:
     def connect(self) -> None:
         """See `PoseSource`."""
         try:
-            import motioncapture
+            import motioncapture  # pyright: ignore[reportMissingImports]
         except ImportError:
             raise PoseError("--pose motioncapture needs: pip install 'amhe[mocap]'") from None
         mock = {"rigid_bodies": self._host, "frequency": "100"}
         settings = mock if self._kind == "mock" else {"hostname": self._host}
-        self._client = motioncapture.connect(self._kind, settings)
+        self._client = motioncapture.connect(self._kind, settings)  # pyright: ignore[reportAttributeAccessIssue]
         if self._client is None:
             raise PoseError(
                 f"this build of motioncapture knows no {self._kind!r}; there is: {', '.join(KINDS)}"

@@ -30,10 +30,10 @@ class Ros2:
     def connect(self) -> None:
         """See `PoseSource`."""
         try:
-            from cyclonedds.core import Policy, Qos
-            from cyclonedds.domain import DomainParticipant
-            from cyclonedds.sub import DataReader
-            from cyclonedds.topic import Topic
+            from cyclonedds.core import Policy, Qos  # pyright: ignore[reportMissingImports]
+            from cyclonedds.domain import DomainParticipant  # pyright: ignore[reportMissingImports]
+            from cyclonedds.sub import DataReader  # pyright: ignore[reportMissingImports]
+            from cyclonedds.topic import Topic  # pyright: ignore[reportMissingImports]
         except ImportError:
             raise PoseError("--pose ros2 needs the package cyclonedds: pip install 'amhe[mocap]'") from None
         participant = DomainParticipant(self._domain)
@@ -66,8 +66,8 @@ class Ros2:
 
 def message_types() -> tuple[Any, Any]:
     """PoseStamped and Odometry as DDS knows them."""
-    from cyclonedds.idl import IdlStruct
-    from cyclonedds.idl.types import array, float64, int32, uint32
+    from cyclonedds.idl import IdlStruct  # pyright: ignore[reportMissingImports]
+    from cyclonedds.idl.types import array, float64, int32, uint32  # pyright: ignore[reportMissingImports]
 
     def struct(name: str, **fields: Any) -> Any:
         package, message = name.split("/")
