@@ -73,7 +73,7 @@ def main() -> None:
             f"{100 * held[0]:.0f}, {100 * held[2]:.0f} %", f"{ms:.0f}", f"{ratio:.2f}x",
         )  # fmt: skip
         print(name, flush=True)
-    Console().print(table)
+    Console(width=110).print(table)
 
 
 def _arguments() -> argparse.Namespace:
