@@ -102,7 +102,7 @@ def remote(address: str) -> Iterator[Executor]:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except ValueError as error:
         raise ConfigError(f"--cluster {address}: {error}; write tcp://HOST:8786") from None
-    except OSError:
+    except (OSError, AssertionError):  # the latter: dask's own thread did not start in 10 s on a busy machine
         raise AmheError(
             f"no scheduler answers at {address} within {PATIENCE:g} s: start one with `dask scheduler`, "
             f"and workers with `dask worker {address} --nthreads 1`"
