@@ -172,7 +172,7 @@ def belief_source(options: RunOptions, task: Task, system: System, plant: Plant 
             raise ConfigError("--mode true believes the plant's own parameters; leave out --belief")
         return FixedBelief(lambda: plant.parameters)
     start = _start_belief(options, task, system)
-    fixed = dict(zip(start.names, map(float, start.estimate), strict=True))
+    fixed = system.space.named(start.estimate)
     if options.mode != "adaptive":
         return FixedBelief(lambda: fixed)
     settings, mhe = system.settings, system.settings.mhe

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -140,14 +139,6 @@ def _write(path: Path, record: object) -> None:
 
 def _progress(session: Session) -> Callable[[str], None]:
     """Say how far it is on stderr, now and then."""
-    from amhe_cli.cli.progress import PLAIN_PERIOD
+    from amhe_cli.cli.progress import now_and_then
 
-    last = float("-inf")
-
-    def say(text: str) -> None:
-        nonlocal last
-        if not session.quiet and time.monotonic() - last >= PLAIN_PERIOD:
-            last = time.monotonic()
-            session.say("", text)
-
-    return say
+    return (lambda text: None) if session.quiet else now_and_then(session, str)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias, TypeVar
 
 from amhe_cli.cli.session import Session
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 #: Called after each iteration with its record and the total expected.
 OnIteration: TypeAlias = "Callable[[Iteration, int], None]"
+
+T = TypeVar("T")
 
 #: Seconds between lines where stderr is no terminal.
 PLAIN_PERIOD = 5.0
@@ -75,3 +77,21 @@ def _lines(session: Session) -> OnIteration:
 
 def _state(iteration: Iteration) -> str:
     return f"cost {iteration.cost:.4g}, sigma {iteration.sigma:.2g}"
+
+
+def now_and_then(session: Session, state: Callable[[T], str]) -> Callable[[T], None]:
+    """Say how far something is where stderr is no terminal, every PLAIN_PERIOD at most.
+
+    Args:
+        session: Whose stderr it is.
+        state: What is said of the newest item.
+    """
+    last = float("-inf")
+
+    def show(item: T) -> None:
+        nonlocal last
+        if time.monotonic() - last >= PLAIN_PERIOD:
+            last = time.monotonic()
+            session.say("", state(item))
+
+    return show

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeAlias
 
-from amhe_cli.cli.progress import PLAIN_PERIOD
+from amhe_cli.cli.progress import now_and_then
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ def replay_progress(session: Session, total: int) -> Iterator[OnEstimate]:
         with _bar(console, total) as on_estimate:
             yield on_estimate
     else:
-        yield _lines(session)
+        yield now_and_then(session, _state)
 
 
 @contextmanager
@@ -43,18 +42,6 @@ def _bar(console: Console, total: int) -> Iterator[OnEstimate]:
     with Progress(*columns, console=console, transient=True) as bars:
         task = bars.add_task("", total=total, state="")
         yield lambda estimate: bars.update(task, advance=1, state=_state(estimate))
-
-
-def _lines(session: Session) -> OnEstimate:
-    last = float("-inf")
-
-    def show(estimate: Estimate) -> None:
-        nonlocal last
-        if time.monotonic() - last >= PLAIN_PERIOD:
-            last = time.monotonic()
-            session.say("", _state(estimate))
-
-    return show
 
 
 def _state(estimate: Estimate) -> str:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TypeAlias
 
-from amhe_cli.cli.progress import PLAIN_PERIOD
+from amhe_cli.cli.progress import now_and_then
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -27,7 +26,7 @@ def run_progress(session: Session, title: str) -> Iterator[OnRow]:
         with _bar(console, title) as on_row:
             yield on_row
     else:
-        yield _lines(session)
+        yield now_and_then(session, _state)
 
 
 @contextmanager
@@ -49,18 +48,6 @@ def _bar(console: Console, title: str) -> Iterator[OnRow]:
             bars.update(task, total=far, completed=far - row["to_goal"], state=_state(row))
 
         yield show
-
-
-def _lines(session: Session) -> OnRow:
-    last = float("-inf")
-
-    def show(row: Mapping[str, float]) -> None:
-        nonlocal last
-        if time.monotonic() - last >= PLAIN_PERIOD:
-            last = time.monotonic()
-            session.say("", _state(row))
-
-    return show
 
 
 def _state(row: Mapping[str, float]) -> str:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import FloatArray, sealed
 
@@ -78,7 +79,7 @@ class ParameterSpace:
     @cached_property
     def drift(self) -> FloatArray:
         """Sd of z that drift brings in a second, shape (d,)."""
-        return sealed([p.drift / p.prior_sd if p.log else p.drift for p in self.parameters])
+        return sealed(self.in_z([p.drift for p in self.parameters]))
 
     @cached_property
     def prior_covariance(self) -> FloatArray:
@@ -112,9 +113,23 @@ class ParameterSpace:
         phi = self.phi_of(self.nominal) + np.asarray(z) * self.prior_sd
         return np.where(self.log, np.exp(np.where(self.log, phi, 0.0)), phi)
 
+    def in_z(self, share: ArrayLike) -> FloatArray:
+        """A share of each parameter's value, or of a linear one's prior sd, in z, shape (d,)."""
+        return np.where(self.log, np.asarray(share) / self.prior_sd, share)
+
+    def named(self, theta: FloatArray) -> dict[str, float]:
+        """Parameters theta (d,) by name."""
+        return dict(zip(self.names, map(float, theta), strict=True))
+
     def clip(self, z: FloatArray) -> FloatArray:
         """The nearest z within the bounds."""
         return np.clip(z, *self.bounds)
+
+    def gaussian_of(self, belief: Belief) -> tuple[FloatArray, FloatArray]:
+        """Mean z (d,) and covariance (d, d) of a belief; what it does not know has its prior."""
+        known = self.with_prior(belief)
+        scale = known.prior_sd / self.prior_sd
+        return self.z_of(known.nominal), known.prior_covariance * np.outer(scale, scale)
 
     def with_prior(self, belief: Belief) -> ParameterSpace:
         """The same parameters with a belief's estimate and covariance as their prior.
@@ -187,7 +202,4 @@ def belief_of(
 
 def completed(belief: Belief, space: ParameterSpace, system: str) -> Belief:
     """A belief over all parameters of a space: what it does not know has its prior."""
-    known = space.with_prior(belief)
-    scale = known.prior_sd / space.prior_sd
-    covariance = known.prior_covariance * np.outer(scale, scale)
-    return belief_of(system, space, space.z_of(known.nominal), covariance, dict(belief.provenance))
+    return belief_of(system, space, *space.gaussian_of(belief), dict(belief.provenance))

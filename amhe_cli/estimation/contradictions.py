@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.cpu import CpuEngine
@@ -23,12 +23,11 @@ from amhe_cli.estimation.posterior import Posterior, by_kind, disagreement, post
 from amhe_cli.estimation.problem import Problem
 from amhe_cli.estimation.study import Finding, Study, study_of, thinned
 from amhe_cli.matching import MatchingCost
-from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
 #: A next step of this many sd is a search cut short; residuals of this many noise sd are a wrong model.
-UNSETTLED, MISFIT = 3.0, 3.0
+UNSETTLED, MISFIT = 2.0, 3.0
 HALVES = "the first and second half of the logs"
 #: Iterations that each half gets to find its own estimate, and the clips that it must have.
 REFITS, FEWEST_CLIPS = 3, 3
@@ -72,11 +71,8 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
     if not _both(late):
         return None
     means, variances = [], []
-    system = _quick(problem.system)
     for side in (late, ~late):
-        rows = np.flatnonzero(side)
-        only = thinned(problem, rows) if system is problem.system else tuple(problem.tiles[i] for i in rows)
-        part = replace(problem, system=system, only=only)
+        part = _part(problem, np.flatnonzero(side))
         state = search.restart(part, finding.z)
         for _ in range(REFITS):
             state = search.advance(part, state)
@@ -86,13 +82,17 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
     return means[0] - means[1], np.sqrt(variances[0] + variances[1])
 
 
-def _quick(system: System) -> System:
-    """Where fitting first states is dear, halves are compared without: their errors are alike in both."""
-    settings = system.settings
+def _part(problem: Problem, rows: IntArray) -> Problem:
+    """The tiles of these rows; thinned, or all of them without first states where to fit those is dear.
+
+    Errors of the recorded first states are alike in both halves.
+    """
+    settings = problem.settings
     if settings.identify.first_state == "always":
-        return system
+        return replace(problem, only=thinned(problem, rows))
     quick = settings.identify.model_copy(update={"first_state": "never"})
-    return replace(system, settings=settings.model_copy(update={"identify": quick}))
+    system = replace(problem.system, settings=settings.model_copy(update={"identify": quick}))
+    return replace(problem, system=system, only=tuple(problem.tiles[i] for i in rows))
 
 
 def _both(side: BoolArray) -> bool:

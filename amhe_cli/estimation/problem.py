@@ -13,7 +13,7 @@ from amhe_cli.core.settings import Settings
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.estimation.clips import ClipPool
-from amhe_cli.estimation.shape import WIDEST
+from amhe_cli.estimation.shape import sampling_width
 from amhe_cli.matching import MatchingCost
 from amhe_cli.system.system import System
 
@@ -101,7 +101,7 @@ class Problem:
     def rough(self) -> bool:
         """Whether residuals jitter under steps of half a percent, as behind chaotic contact."""
         d = len(self.system.space)
-        steps = np.diag(_steps(self, 0.005) * self.active)
+        steps = np.diag(self.system.space.in_z(0.005) * self.active)
         candidates = self.system.space.clip(np.concatenate((np.zeros((1, d)), steps, -steps)))
         residuals = self.cost(self.tiles[:: max(1, len(self.tiles) // 8)]).residuals(candidates)
         centre, plus, minus = np.split(residuals.flat, [1, d + 1])
@@ -116,9 +116,4 @@ def spread_floor(problem: Problem) -> FloatArray:
     On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
     ones they are exact, and large steps are not.
     """
-    return np.minimum(_steps(problem, problem.settings.identify.step if problem.rough else 1e-4), WIDEST)
-
-
-def _steps(problem: Problem, share: float) -> FloatArray:
-    space = problem.system.space
-    return np.where(space.log, share / space.prior_sd, share)
+    return sampling_width(problem.system.space, problem.settings.identify.step if problem.rough else 1e-4)

@@ -10,9 +10,15 @@ from __future__ import annotations
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.parameters import ParameterSpace
 
 #: Widest sampling sd along any direction, in prior sd.
 WIDEST = 0.5
+
+
+def sampling_width(space: ParameterSpace, share: float) -> FloatArray:
+    """Sampling sd of z, shape (d,): a share of each parameter, or of a linear one's prior sd."""
+    return np.minimum(space.in_z(share), WIDEST)
 
 
 def diagonal(sd: float, active: BoolArray) -> FloatArray:

@@ -38,6 +38,7 @@ class Buffer:
     def __init__(self, signals: tuple[Signal, ...], window: float, dt: float, bridge: float) -> None:
         self._signals = {signal.name: signal for signal in signals}
         self._steps, self._dt, self._bridge = round(window / dt), dt, bridge
+        self._joints, self._command = _order(self._signals["joints"]), _order(self._signals["command"])
         self._kept: dict[str, deque[tuple[FloatArray, FloatArray]]] = {}
 
     def append(self, samples: Samples) -> None:
@@ -74,13 +75,12 @@ class Buffer:
     def _quantities(self, samples: Samples) -> Iterator[tuple[str, FloatArray, FloatArray]]:
         """Every series of the signals: key, times (n,), values (n, k) in the signal's own column order."""
         joints, command = self._signals["joints"], self._signals["command"]
-        own, sent = _order(joints), _order(command)
-        yield joints.key("position"), samples.sensor_times, samples.joints[:, own]
-        yield joints.key("velocity"), samples.sensor_times, samples.joint_rates[:, own]
+        yield joints.key("position"), samples.sensor_times, samples.joints[:, self._joints]
+        yield joints.key("velocity"), samples.sensor_times, samples.joint_rates[:, self._joints]
         for name, body in samples.bodies.items():
             for quantity in self._signals[name].quantities:
                 yield self._signals[name].key(quantity), samples.pose_times, getattr(body, _FIELDS[quantity])
-        yield command.key(command.quantities[0]), samples.command_times, samples.commands[:, sent]
+        yield command.key(command.quantities[0]), samples.command_times, samples.commands[:, self._command]
 
 
 def _order(signal: Signal) -> list[int]:

@@ -42,11 +42,6 @@ class Arrival:
         return replace(self, covariance=self.covariance * np.outer(wider, wider))
 
 
-def in_z(space: ParameterSpace, share: FloatArray | float) -> FloatArray:
-    """A share of each parameter's value, or of a linear one's prior sd, in z, shape (d,)."""
-    return np.where(space.log, share / space.prior_sd, share)
-
-
 def arrival_of(space: ParameterSpace, belief: Belief | None, least_sd: float) -> Arrival:
     """Where a live estimation starts: a belief with a floor under its sd, so that it can still move.
 
@@ -57,10 +52,7 @@ def arrival_of(space: ParameterSpace, belief: Belief | None, least_sd: float) ->
     """
     if belief is None:
         return Arrival(np.zeros(len(space)), np.array(space.prior_covariance))
-    known = space.with_prior(belief)
-    scale = known.prior_sd / space.prior_sd
-    start = Arrival(space.z_of(known.nominal), known.prior_covariance * np.outer(scale, scale))
-    return start.floored(in_z(space, least_sd))
+    return Arrival(*space.gaussian_of(belief)).floored(space.in_z(least_sd))
 
 
 def check_weights(space: ParameterSpace, settings: MheSettings) -> None:

@@ -15,7 +15,7 @@ from amhe_cli.core.statistics import Z90
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.matching import MatchingCost
-from amhe_cli.online.arrival import arrival_of, in_z
+from amhe_cli.online.arrival import arrival_of
 from amhe_cli.online.linearised import linearised_update
 from amhe_cli.online.logrank import logrank_update
 from amhe_cli.online.update import Noise, Outcome, Task, Update
@@ -123,7 +123,7 @@ class MovingHorizon:
         self._usual = capped if self._seen == 1 else (1.0 - _SHARE) * usual + _SHARE * capped
         self._arrival, self._noise = outcome.arrival, outcome.noise
         if self._seen > _WARM and outcome.before > self._settings.jump * usual:
-            self._arrival = self._arrival.widened(in_z(self._system.space, self._settings.jump_sd) ** 2)
+            self._arrival = self._arrival.widened(self._system.space.in_z(self._settings.jump_sd) ** 2)
             return "jump"
         return "updated"
 

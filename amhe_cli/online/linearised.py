@@ -14,9 +14,9 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.statistics import pseudo_huber_weight
 from amhe_cli.estimation.linearised import Linearisation, channel_times, linearise, split
-from amhe_cli.estimation.shape import WIDEST, bounded
+from amhe_cli.estimation.shape import bounded, sampling_width
 from amhe_cli.matching import MatchingCost
-from amhe_cli.online.arrival import Arrival, in_z
+from amhe_cli.online.arrival import Arrival
 from amhe_cli.online.update import Noise, Outcome, Task, rms
 
 
@@ -45,7 +45,7 @@ def linearised_update(task: Task) -> Outcome:
 def _shape(task: Task) -> FloatArray:
     """Samples in the shape of the belief, no narrower than the jitter of contacts allows."""
     space = task.cost.system.space
-    floor = np.minimum(in_z(space, task.settings.step), WIDEST)
+    floor = sampling_width(space, task.settings.step)
     return bounded(task.arrival.covariance, floor, np.ones(len(space), dtype=bool))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.statistics import log_rank_weights
-from amhe_cli.online.arrival import Arrival, in_z
+from amhe_cli.online.arrival import Arrival
 from amhe_cli.online.update import Outcome, Task, excitation, rms
 
 
@@ -19,8 +19,8 @@ def logrank_update(task: Task) -> Outcome:
     cost, setting, space = task.cost, task.settings, task.cost.system.space
     weight, counts = np.array(setting.weights(space.names)), cost.clips.counts
     mean = arrived = task.arrival.z  # line 24
-    sigma = in_z(space, setting.sigma)
-    floor = in_z(space, setting.sigma_floor)
+    sigma = space.in_z(setting.sigma)
+    floor = space.in_z(setting.sigma_floor)
     rollouts = diverged = done = 0
     before = after = excited = np.nan
     for _ in range(setting.iteration_count):  # line 25

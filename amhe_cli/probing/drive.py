@@ -54,7 +54,7 @@ class DriveProbe:
         self._engine = engine_of(own, options.threads)
         self._model = Playback(own, self._engine, own.model.opt.timestep)
         self._plant = self._model if options.plant is None else _other(options, folder, settings)
-        self._truth = dict(zip(own.space.names, map(float, own.space.nominal), strict=True))
+        self._truth = own.space.named(own.space.nominal)
 
     def design(self, say: Say) -> Plan:
         """See `Probe`."""

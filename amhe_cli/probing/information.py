@@ -7,13 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.estimation.linearised import Information, information, linearise
-from amhe_cli.estimation.shape import WIDEST
+from amhe_cli.estimation.shape import sampling_width
 from amhe_cli.matching import MatchingCost
-from amhe_cli.online.arrival import in_z
 from amhe_cli.system.system import System
 
 #: Gauss-Newton steps from the belief to where a log points: at most so many, until one is this small [sd].
@@ -35,11 +33,6 @@ def information_at(
     first = np.zeros((len(windows), cost.nx if setting.first_state == "always" else 0))
     shape = np.diag(sampling_width(system.space, setting.step))
     return information(linearise(cost, z, first, shape, 0, rng))
-
-
-def sampling_width(space: ParameterSpace, share: float) -> FloatArray:
-    """Sampling sd of z, shape (d,): a share of each parameter."""
-    return np.minimum(in_z(space, share), WIDEST)
 
 
 def _noise_scale(cost: MatchingCost, z: FloatArray) -> dict[str, float]:

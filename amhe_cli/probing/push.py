@@ -92,7 +92,7 @@ class PushProbe:
         return rehearsed_information(self.system, library, log, engine, truth, rng)
 
     def _probe(self, sequence: tuple[Primitive, ...], box: Believed) -> ProbeTask:
-        prior = dict(zip(self._own.space.names, map(float, self._own.space.nominal), strict=True))
+        prior = self._own.space.named(self._own.space.nominal)
         return probe_task(self._task, sequence, box, Believed(prior["box_mass"], prior["floor_friction"]))
 
     def _open(self, task: ProbeTask, seed: int, mode: str) -> Run:

@@ -11,7 +11,7 @@ from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.trajectory import Series, Trajectory
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.online.arrival import arrival_of, in_z
+from amhe_cli.online.arrival import arrival_of
 from amhe_cli.online.horizon import Estimate, MovingHorizon
 from amhe_cli.online.replay import replay, windows
 from amhe_cli.system.system import System
@@ -119,6 +119,6 @@ def test_a_loaded_belief_can_still_move(cart) -> None:
     belief = belief_of("cart", space, space.z_of(np.array([1.0, 4.0])), 1e-8 * np.eye(2), {})
     start = arrival_of(space, belief, 0.2)
     assert space.theta_of(start.z) == pytest.approx([1.0, 4.0])
-    assert start.sd == pytest.approx(in_z(space, 0.2))
+    assert start.sd == pytest.approx(space.in_z(0.2))
     wide = arrival_of(space, None, 0.2)
     assert wide.sd == pytest.approx([1.0, 1.0]), "the prior is not narrowed"
