@@ -119,7 +119,9 @@ def neutral_feet(gait: Gait) -> FloatArray:
     return feet + np.array([0.0, 0.0, FOOT_RADIUS - gait.height])
 
 
-def walk(gait: Gait, time: ArrayLike, twist: ArrayLike, push: ArrayLike = (0.0, 0.0)) -> Reference:
+def walk(
+    gait: Gait, time: ArrayLike, twist: ArrayLike, push: ArrayLike = (0.0, 0.0), left: ArrayLike = 0.0
+) -> Reference:
     """Trot, trot in place, or stand, as the gait says and the twist commands.
 
     Args:
@@ -127,11 +129,13 @@ def walk(gait: Gait, time: ArrayLike, twist: ArrayLike, push: ArrayLike = (0.0, 
         time: Instants [s], shape (...).
         twist: Velocity of the trunk in its own frame: ahead, left [m/s], yaw rate [rad/s], shape (..., 3).
         push: Force on what is in front, ahead and left in the trunk's frame [N], shape (..., 2).
+        left: How far left of neutral each foot steps [m], shape (4,) or ().
     """
     phase = phases(gait, time)
     twist, push = np.asarray(twist, dtype=np.float64), np.asarray(push, dtype=np.float64)
     steps, velocity = _steps(gait, phase, twist)
     feet = neutral_feet(gait) + steps
+    feet[..., 1] += left
     forces = ground_forces(feet, _loads(gait, phase), push, PUSH_HEIGHT)
     return reference(gait, feet, velocity, forces, phase < gait.duty)
 

@@ -46,6 +46,8 @@ class SweepShape:
         kick_leash: The same in the kick, and on the way back [m].
         kick: Speed over the last `kick_length` [m] of the reach [m/s]: the box slides on by itself.
         margin: Nearer to the edge of the three feet's triangle than this, the trunk first comes back [m].
+        kick_time: The kick is given up after this time [s]: a stretched leg that stalls sinks to the floor,
+            and the trunk falls after it.
         longest: The sweep is given up after this time [s].
         return_speed: With which the foot comes back when all is done [m/s].
         touching: Distance from foot to box below which the box is to move [m].
@@ -66,6 +68,7 @@ class SweepShape:
     kick_leash: float = 0.02
     kick: float = 0.15
     kick_length: float = 0.08
+    kick_time: float = 0.8
     margin: float = 0.03
     longest: float = 12.0
     return_speed: float = 0.1
@@ -141,6 +144,7 @@ class Sweeping:
     _stance: Plane | None = None
     _start: float = 0.0
     _over: bool = False
+    _kick: float = np.inf
     _y: float = 0.0
     _time: float = 0.0
 
@@ -205,14 +209,16 @@ class Sweeping:
     ) -> tuple[float, float]:
         """Speed of the foot to the right [m/s], negative on its way back, and force on the box [N]."""
         s = self.shape
-        self._over |= y < -s.reach or commanded == 0.0 or begun > s.longest
+        kicking = y < s.kick_length - s.reach
+        self._kick = min(self._kick, begun) if kicking else self._kick
+        self._over |= y < -s.reach or commanded == 0.0 or begun > min(s.longest, self._kick + s.kick_time)
         if self._over:
             return -float(np.clip(self._start - y, 0.0, s.return_speed)), 0.0
         if support_margin(self.gait, self.tripod, trunk) < s.margin:
             return 0.0, 0.0
         if y - face >= s.touching:
             return commanded, 0.0
-        return s.kick if y < s.kick_length - s.reach else commanded, resistance
+        return s.kick if kicking else commanded, resistance
 
     def running_cost(self, state: State) -> dict[str, float]:
         """See `behaviour.Behaviour`."""

@@ -16,11 +16,12 @@ from amhe_cli.control.objective import (
     yaw_of,
 )
 from amhe_cli.control.steering import Helm
+from amhe_cli.control.stepping import Stepping
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.go1.state import Body, State
 
 #: Noise of the channels: speed ahead and left [m/s], yaw rate [rad/s], push [N].
-CHANNEL_SIGMA = sealed([0.06, 0.04, 0.15, 10.0])
+CHANNEL_SIGMA = sealed([0.06, 0.02, 0.15, 10.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,7 @@ class WalkMove:
         height: Of the trunk that is wanted [m].
         reference: What is wanted.
         command: Ahead, left [m/s], yaw rate [rad/s], push [N]; shape (4,).
+        left: How far left of neutral each foot steps [m], shape (4,).
     """
 
     gait: Gait
@@ -59,12 +61,13 @@ class WalkMove:
     height: float
     reference: Reference
     command: FloatArray
+    left: FloatArray
 
     def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
         """See `behaviour.Move`."""
         push = np.zeros((len(commands), 1, 2))
         push[:, 0, 0] = np.maximum(commands[:, 3], 0.0)
-        return walk(self.gait, times[None], commands[:, None, :3], push).targets
+        return walk(self.gait, times[None], commands[:, None, :3], push, self.left).targets
 
     def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
         """See `behaviour.Move`."""
@@ -81,6 +84,7 @@ class Walking:
         gait: Of the legs.
         weights: Of the cost.
         gains: Of the bare reference.
+        stepping: Against drifting aside.
         height: Of the trunk that is wanted [m].
     """
 
@@ -88,6 +92,7 @@ class Walking:
     gait: Gait = field(default_factory=Gait)
     weights: PushWeights = field(default_factory=PushWeights)
     gains: WalkGains = WalkGains()
+    stepping: Stepping = field(default_factory=Stepping)
     height: float = 0.28
 
     @property
@@ -112,7 +117,10 @@ class Walking:
         """See `behaviour.Behaviour`."""
         at = self.helm.reference(state)
         at = replace(at, speed=at.speed * min(1.0, state.time / self.gains.start_time))
-        return WalkMove(self.gait, self.weights, self.height, at, self._command(state, at, resistance))
+        command = self._command(state, at, resistance)
+        drift = _leftward(state.trunk) - command[1]
+        left = self.stepping.update(state.time, drift, self.standing(np.array(state.time)))
+        return WalkMove(self.gait, self.weights, self.height, at, command, left)
 
     def running_cost(self, state: State) -> dict[str, float]:
         """See `behaviour.Behaviour`."""
@@ -127,3 +135,9 @@ class Walking:
         turn = at.turn + g.yaw * wrapped(at.yaw - yaw_of(state.trunk.orientation))
         push = at.pushing * resistance * np.clip(at.speed / g.full_push, 0.0, 1.0)
         return np.array([at.speed, sideways, np.clip(turn, -g.yaw_limit, g.yaw_limit), push])
+
+
+def _leftward(trunk: Body) -> float:
+    """Speed to the left of its own heading [m/s]."""
+    yaw = float(yaw_of(trunk.orientation))
+    return float(trunk.velocity[1] * np.cos(yaw) - trunk.velocity[0] * np.sin(yaw))
