@@ -136,8 +136,11 @@ class MheSettings(_Group):
     """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing."""
     jump: Annotated[float, Field(gt=1)] = 1.8
     """A window that the belief misses by this many times its usual residual tells of a jump."""
-    jump_sd: _Positive = 0.15
-    """What a jump adds to each sd, as a share of the parameter."""
+    jump_sd: _Positive = 0.3
+    """What a jump adds to each sd, as a share of the parameter, before its window is learnt from."""
+    information: Annotated[float, Field(gt=0, le=1)] = 1.0
+    """Share of a window's information that linearised counts; less than all where first states are taken as
+    recorded: their errors bend a whole window one way, which no residual's noise tells."""
     budget: _Positive | None = None
     """Most time that one live update may take [s]; None: the update period."""
     latency: Annotated[float, Field(ge=0)] = 0.1

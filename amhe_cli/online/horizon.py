@@ -15,7 +15,7 @@ from amhe_cli.core.statistics import Z90
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.matching import MatchingCost
-from amhe_cli.online.arrival import arrival_of
+from amhe_cli.online.arrival import Arrival, arrival_of
 from amhe_cli.online.linearised import linearised_update
 from amhe_cli.online.logrank import logrank_update
 from amhe_cli.online.update import Noise, Outcome, Task, Update
@@ -109,7 +109,9 @@ class MovingHorizon:
         cost = MatchingCost(self._system, [window], self._engine, self._system.settings.cost)
         share = min(1.0, elapsed / window.duration)
         late = _never if budget is None else (lambda: time.perf_counter() - begun > budget)
-        outcome = self._update(Task(cost, self._arrival, self._noise, share, setting, self._rng, late))
+        outcome = self._update(
+            Task(cost, self._arrival, self._surprised, self._noise, share, setting, self._rng, late)
+        )
         return self._estimate(at, self._judge(outcome), outcome, begun)
 
     def _judge(self, outcome: Outcome) -> Mark:
@@ -118,14 +120,28 @@ class MovingHorizon:
             return "diverged"
         if outcome.excitation < self._settings.excitation:
             return "still"
-        usual, self._seen = self._usual, self._seen + 1
-        capped = min(outcome.before, self._settings.jump * usual) if self._seen > 1 else outcome.before
-        self._usual = capped if self._seen == 1 else (1.0 - _SHARE) * usual + _SHARE * capped
+        mark: Mark = "jump" if self._jumped(outcome.before) else "updated"
         self._arrival, self._noise = outcome.arrival, outcome.noise
-        if self._seen > _WARM and outcome.before > self._settings.jump * usual:
-            self._arrival = self._arrival.widened(self._system.space.in_z(self._settings.jump_sd) ** 2)
-            return "jump"
-        return "updated"
+        self._remember(outcome.before)
+        return mark
+
+    def _jumped(self, misfit: float) -> bool:
+        return self._seen >= _WARM and misfit > self._settings.jump * self._usual
+
+    def _surprised(self, misfit: float) -> Arrival:
+        """The belief before a window, in whose light the window is seen."""
+        if not self._jumped(misfit):
+            return self._arrival
+        return self._arrival.widened(self._system.space.in_z(self._settings.jump_sd) ** 2)
+
+    def _remember(self, misfit: float) -> None:
+        """What is usual; a jump is not."""
+        if self._seen == 0:
+            self._usual = misfit
+        else:
+            capped = min(misfit, self._settings.jump * self._usual)
+            self._usual = (1.0 - _SHARE) * self._usual + _SHARE * capped
+        self._seen += 1
 
     def _estimate(self, at: float, mark: Mark, outcome: Outcome | None, begun: float) -> Estimate:
         space, arrival = self._system.space, self._arrival

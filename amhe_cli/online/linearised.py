@@ -35,8 +35,9 @@ def linearised_update(task: Task) -> Outcome:
             break
         if done == 1:
             before = rms(slopes.residual[0], counts)
+            arrival = task.surprised(before)
             excited = rms(shape.T @ slopes.gain[0, : moved.z.size], counts)
-        found = _step(task, slopes, moved.z)
+        found = _step(task, arrival, slopes, moved.z)
         noise, after = found.noise, rms(found.fitted, counts)
         moved = Arrival(cost.system.space.clip(moved.z + found.step), found.covariance)
     return Outcome(moved, noise, before, after, excited, rollouts, diverged, done)
@@ -59,14 +60,12 @@ class _Found:
     noise: Noise
 
 
-def _step(task: Task, slopes: Linearisation, z: FloatArray) -> _Found:
+def _step(task: Task, arrival: Arrival, slopes: Linearisation, z: FloatArray) -> _Found:
     """Gauss-Newton step from z (d,), the errors of the first state fitted along and eliminated."""
     cost, start, d = task.cost, slopes.residual[0], z.size
     gz, gx = slopes.gain[0, :d], slopes.gain[0, d:]
-    precision = np.linalg.inv(task.arrival.covariance) + np.diag(
-        task.settings.weights(cost.system.space.names)
-    )
-    straight = 1.0 / (1.0 + slopes.bend[0])
+    precision = np.linalg.inv(arrival.covariance) + np.diag(task.settings.weights(cost.system.space.names))
+    straight, share = 1.0 / (1.0 + slopes.bend[0]), task.share * task.settings.information
     step, noise, fitted = np.zeros(d), task.noise, start
     hessian = precision
     for _ in range(2):  # first with the noise of earlier windows: what the belief misses is no noise
@@ -76,8 +75,8 @@ def _step(task: Task, slopes: Linearisation, z: FloatArray) -> _Found:
             wx @ gx.T + np.eye(len(gx)), np.column_stack((wx @ start, wx @ gz.T))
         )
         score = wz @ start - wz @ gx.T @ ridge[:, 0]
-        hessian = task.share * (wz @ gz.T - wz @ gx.T @ ridge[:, 1:]) + precision
-        step = -np.linalg.solve(hessian, task.share * score + precision @ (z - task.arrival.z))
+        hessian = share * (wz @ gz.T - wz @ gx.T @ ridge[:, 1:]) + precision
+        step = -np.linalg.solve(hessian, share * score + precision @ (z - arrival.z))
         fitted = start + step @ gz - (ridge[:, 0] + ridge[:, 1:] @ step) @ gx
         noise = _heard(task.noise, cost, fitted)
     covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)

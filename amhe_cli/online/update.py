@@ -51,6 +51,7 @@ class Task:
     Args:
         cost: Matching cost on the one window.
         arrival: Belief before it.
+        surprised: The same, once it is known by what rms residual it misses the window: wider after a jump.
         noise: Of the windows before it.
         share: Of the window that is new: overlapping windows say the rest again.
         settings: Of the estimator.
@@ -60,6 +61,7 @@ class Task:
 
     cost: MatchingCost
     arrival: Arrival
+    surprised: Callable[[float], Arrival]
     noise: Noise
     share: float
     settings: MheSettings
