@@ -48,13 +48,18 @@ class WireOptions:
     keys: int = -1
 
 
-def open_go1_run(options: RunOptions, wire: WireOptions) -> Run:
+def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = None) -> Run:
     """Set everything up; nothing is sent yet.
+
+    Args:
+        options: As given.
+        wire: To the robot.
+        task: In place of the one that the options name.
 
     Raises:
         ConfigError: What `open_run` refuses, and what only a simulation can do.
     """
-    task = find_task(options.task)
+    task = task or find_task(options.task)
     _refuse(options)
     system = system_of(options, task)
     settings, period = system.settings.go1, system.settings.control.period
