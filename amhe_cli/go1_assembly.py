@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -14,9 +15,11 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.link import Link
+from amhe_cli.live.belief import SharedBelief
 from amhe_cli.live.episode import Episode
 from amhe_cli.live.evaluation import Judge
 from amhe_cli.live.go1_target import Go1Target
+from amhe_cli.online.horizon import Estimate
 from amhe_cli.poses import natnet, udp
 from amhe_cli.poses.feed import KINDS, FeedOptions, PoseFeed
 from amhe_cli.run_assembly import Run, RunOptions, belief_source, controller_for, system_of
@@ -66,17 +69,20 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     if settings.arm == "auto" and not _on_loopback(wire.host):
         raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
     clock = Clock(wire.slow)
-    target = Go1Target(
-        Link(wire.host, wire.port, settings, clock, wire.keys),
-        PoseFeed(_feed(wire, settings)), settings, clock, period, _box_centre(task),
-    )  # fmt: skip
+    feed = PoseFeed(_feed(wire, settings))
+    link = Link(wire.host, wire.port, settings, clock, wire.keys)
+    target = Go1Target(link, feed, settings, clock, period, _box_centre(task))
     behaviour = task.behaviour()
     samples = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(3)[2])
     controller = controller_for(task, behaviour, system, options.threads, samples)
     judge = Judge(task, behaviour, period, options.duration)
-    belief = belief_source(options, task, system, None)
+    belief = SharedBelief(belief_source(options, task, system, None), partial(_publish, feed))
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
     return Run(options, task, system, episode, target, None, judge, {}, belief.at(0.0))
+
+
+def _publish(feed: PoseFeed, estimate: Estimate) -> None:
+    feed.publish(estimate.belief.names, estimate.theta, estimate.sd)
 
 
 def _refuse(options: RunOptions) -> None:
