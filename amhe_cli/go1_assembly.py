@@ -18,6 +18,7 @@ from amhe_cli.go1_link.link import Link
 from amhe_cli.live.belief import SharedBelief
 from amhe_cli.live.episode import Episode
 from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.go1_calibration import Calibration
 from amhe_cli.live.go1_target import Go1Target
 from amhe_cli.online.horizon import Estimate
 from amhe_cli.poses import natnet, udp
@@ -79,6 +80,18 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     belief = SharedBelief(belief_source(options, task, system, None), partial(_publish, feed))
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
     return Run(options, task, system, episode, target, None, judge, {}, belief.at(0.0))
+
+
+def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
+    """Robot, motion capture and the task's box; nothing is sent yet.
+
+    Raises:
+        ConfigError: A wrong setting or pose source.
+    """
+    task = find_task(options.task)
+    settings, clock = system_of(options, task).settings.go1, Clock(wire.slow)
+    link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
+    return Calibration(link, feed, settings, clock, task.box)
 
 
 def _publish(feed: PoseFeed, estimate: Estimate) -> None:

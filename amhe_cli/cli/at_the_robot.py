@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 POSES = ("natnet", "motioncapture", "ros2", "udp")
 _PORT = options.WholeNumber(1, 65535)
 
-wire_options = options.stacked(
+reach_options = options.stacked(
     click.option("--host", metavar="ADDRESS", help="go1: of the robot.  [default: 192.168.123.10]"),
     click.option("--port", type=_PORT, metavar="N", help="go1: of the robot.  [default: 8007]"),
     click.option("--pose", type=click.Choice(POSES), help="go1: kind of motion capture.  [default: natnet]"),
@@ -33,13 +33,16 @@ wire_options = options.stacked(
     click.option(
         "--pose-port", type=_PORT, metavar="N", help="go1: likewise.  [default: natnet 1510, udp 1512]"
     ),
-    click.option("--dry-run", is_flag=True, help="go1: check robot, poses and box; send nothing that moves."),
     click.option(
         "--slow",
         type=options.Number(min=1, max=100),
         metavar="X",
         help="go1: the emulator runs X times slower than the clock.  [default: 1]",
     ),
+)
+wire_options = options.stacked(
+    reach_options,
+    click.option("--dry-run", is_flag=True, help="go1: check robot, poses and box; send nothing that moves."),
 )
 
 
@@ -76,7 +79,7 @@ def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
 
 def dry_run(session: Session, run: Run) -> None:
     """Check everything and say what was found; nothing moves."""
-    with run.target as target:  # type: ignore[union-attr]
+    with closing(run.episode.belief), run.target as target:  # type: ignore[union-attr]
         found = target.check()
     if session.json:
         session.print_json(session.record(checks=found))
