@@ -5,6 +5,7 @@ from __future__ import annotations
 import ipaddress
 import socket
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -14,9 +15,12 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.link import Link
+from amhe_cli.live.belief import SharedBelief
 from amhe_cli.live.episode import Episode
 from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.go1_calibration import Calibration
 from amhe_cli.live.go1_target import Go1Target
+from amhe_cli.online.horizon import Estimate
 from amhe_cli.poses import natnet, udp
 from amhe_cli.poses.feed import KINDS, FeedOptions, PoseFeed
 from amhe_cli.run_assembly import Run, RunOptions, belief_source, controller_for, system_of
@@ -48,30 +52,50 @@ class WireOptions:
     keys: int = -1
 
 
-def open_go1_run(options: RunOptions, wire: WireOptions) -> Run:
+def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = None) -> Run:
     """Set everything up; nothing is sent yet.
+
+    Args:
+        options: As given.
+        wire: To the robot.
+        task: In place of the one that the options name.
 
     Raises:
         ConfigError: What `open_run` refuses, and what only a simulation can do.
     """
-    task = find_task(options.task)
+    task = task or find_task(options.task)
     _refuse(options)
     system = system_of(options, task)
     settings, period = system.settings.go1, system.settings.control.period
     if settings.arm == "auto" and not _on_loopback(wire.host):
         raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
     clock = Clock(wire.slow)
-    target = Go1Target(
-        Link(wire.host, wire.port, settings, clock, wire.keys),
-        PoseFeed(_feed(wire, settings)), settings, clock, period, _box_centre(task),
-    )  # fmt: skip
+    feed = PoseFeed(_feed(wire, settings))
+    link = Link(wire.host, wire.port, settings, clock, wire.keys)
+    target = Go1Target(link, feed, settings, clock, period, _box_centre(task))
     behaviour = task.behaviour()
     samples = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(3)[2])
     controller = controller_for(task, behaviour, system, options.threads, samples)
     judge = Judge(task, behaviour, period, options.duration)
-    belief = belief_source(options, task, system, None)
+    belief = SharedBelief(belief_source(options, task, system, None), partial(_publish, feed))
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
     return Run(options, task, system, episode, target, None, judge, {}, belief.at(0.0))
+
+
+def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
+    """Robot, motion capture and the task's box; nothing is sent yet.
+
+    Raises:
+        ConfigError: A wrong setting or pose source.
+    """
+    task = find_task(options.task)
+    settings, clock = system_of(options, task).settings.go1, Clock(wire.slow)
+    link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
+    return Calibration(link, feed, settings, clock, task.box)
+
+
+def _publish(feed: PoseFeed, estimate: Estimate) -> None:
+    feed.publish(estimate.belief.names, estimate.theta, estimate.sd)
 
 
 def _refuse(options: RunOptions) -> None:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, closing, contextmanager
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,6 +13,7 @@ from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
+    from amhe_cli.go1_assembly import WireOptions
     from amhe_cli.live.history import History
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.run_assembly import Run, RunOptions
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 POSES = ("natnet", "motioncapture", "ros2", "udp")
 _PORT = options.WholeNumber(1, 65535)
 
-wire_options = options.stacked(
+reach_options = options.stacked(
     click.option("--host", metavar="ADDRESS", help="go1: of the robot.  [default: 192.168.123.10]"),
     click.option("--port", type=_PORT, metavar="N", help="go1: of the robot.  [default: 8007]"),
     click.option("--pose", type=click.Choice(POSES), help="go1: kind of motion capture.  [default: natnet]"),
@@ -32,13 +33,16 @@ wire_options = options.stacked(
     click.option(
         "--pose-port", type=_PORT, metavar="N", help="go1: likewise.  [default: natnet 1510, udp 1512]"
     ),
-    click.option("--dry-run", is_flag=True, help="go1: check robot, poses and box; send nothing that moves."),
     click.option(
         "--slow",
         type=options.Number(min=1, max=100),
         metavar="X",
         help="go1: the emulator runs X times slower than the clock.  [default: 1]",
     ),
+)
+wire_options = options.stacked(
+    reach_options,
+    click.option("--dry-run", is_flag=True, help="go1: check robot, poses and box; send nothing that moves."),
 )
 
 
@@ -48,22 +52,34 @@ def opened(asked: RunOptions, wire: Mapping[str, Any]) -> Run | None:
     Raises:
         ConfigError: Options that do not go together.
     """
+    from amhe_cli.go1_assembly import open_go1_run
+
+    reached = wire_of(asked.target, wire)
+    return open_go1_run(asked, reached) if reached else None
+
+
+def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
+    """How the robot is reached; None: it is simulated.
+
+    Raises:
+        ConfigError: Options that do not go together.
+    """
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.go1_assembly import WireOptions, open_go1_run
+    from amhe_cli.go1_assembly import WireOptions
 
     given = {name: value for name, value in wire.items() if value}
-    if asked.target != "go1":
+    if target != "go1":
         if given:
             name = next(iter(given)).replace("_", "-")
             raise ConfigError(f"--{name} is of a real robot: give --target go1 too")
         return None
     given.pop("dry_run", None)
-    return open_go1_run(asked, WireOptions(**given, keys=_terminal()))
+    return WireOptions(**given, keys=_terminal())
 
 
 def dry_run(session: Session, run: Run) -> None:
     """Check everything and say what was found; nothing moves."""
-    with run.target as target:  # type: ignore[union-attr]
+    with closing(run.episode.belief), run.target as target:  # type: ignore[union-attr]
         found = target.check()
     if session.json:
         session.print_json(session.record(checks=found))
@@ -92,6 +108,20 @@ def ready(target: Any, session: Session) -> Iterator[None]:
                 raise KeyboardInterrupt from None
             raise
         yield
+
+
+def attendant(
+    session: Session, link: dict[str, Any]
+) -> Callable[[Any, Recorder, History], AbstractContextManager[None]]:
+    """As `ready`, for a run that is recorded; what `link_record` tells in the end goes into `link`."""
+
+    @contextmanager
+    def attend(target: Any, recorder: Recorder, history: History) -> Iterator[None]:
+        with ready(target, session):
+            yield
+        link.update(link_record(target, recorder, history))
+
+    return attend
 
 
 def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, Any]:

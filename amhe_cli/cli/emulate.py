@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isfinite
+
 import click
 
 from amhe_cli.cli import options
@@ -9,6 +11,27 @@ from amhe_cli.cli.run import TASKS
 from amhe_cli.cli.session import Session
 
 MOCAP = ("natnet", "udp", "none")
+
+
+class _Offset(click.ParamType):
+    """Six numbers: x, y, z [m], then a rotation vector [rad]."""
+
+    name = "X,Y,Z,RX,RY,RZ"
+
+    def convert(
+        self, value: str, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
+        """Of the text."""
+        try:
+            numbers = tuple(map(float, value.split(",")))
+        except ValueError:
+            numbers = ()
+        if len(numbers) != 6 or not all(map(isfinite, numbers)):
+            self.fail(f"{value!r} is not six numbers {self.name} [m, rad]", param, ctx)
+        return numbers
+
+
+OFFSET = _Offset()
 
 
 @click.command(cls=options.Command, short_help="A Go1 and its motion capture, emulated on this computer.")
@@ -44,6 +67,12 @@ MOCAP = ("natnet", "udp", "none")
     metavar="X",
     help="Time goes X times slower than the clock; give `amhe run` the same.",
 )
+@click.option(
+    "--trunk-offset", type=OFFSET, metavar=OFFSET.name, help="Trunk in its rigid body.  [default: none]"
+)
+@click.option(
+    "--box-offset", type=OFFSET, metavar=OFFSET.name, help="Box in its rigid body.  [default: none]"
+)
 @click.option("--seed", type=options.WholeNumber(min=0), default=0, show_default=True, metavar="N")
 @options.common
 @click.pass_obj
@@ -57,6 +86,8 @@ def emulate(
     fault: str,
     slow: float,
     seed: int,
+    trunk_offset: tuple[float, ...] | None,
+    box_offset: tuple[float, ...] | None,
 ) -> None:
     """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
 
@@ -68,11 +99,13 @@ def emulate(
     from amhe_cli.emulator.emulator import Emulator, EmulatorOptions
     from amhe_cli.emulator.faults import parse_faults
     from amhe_cli.poses import natnet, udp
+    from amhe_cli.poses.calibration import NO_OFFSET
 
     session.hush_mujoco()
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)
     emulated = EmulatorOptions(
-        find_task(task), host, port, mocap, pose_port, parse_faults(fault), slow, seed  # type: ignore[arg-type]
+        find_task(task), host, port, mocap, pose_port, parse_faults(fault), slow, seed,  # type: ignore[arg-type]
+        offsets=(trunk_offset or NO_OFFSET, box_offset or NO_OFFSET),  # type: ignore[arg-type]
     )  # fmt: skip
     with stopping(session) as stopped, Emulator(emulated) as emulator:
         robot, cameras = emulator.address, emulator.mocap_address

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.run import TASKS
 from amhe_cli.cli.session import Session
 
@@ -26,8 +26,9 @@ LOG = "probe.mcap"
     help="A bundled system or your own system folder.  [default: go1_push]",
 )
 @click.option(
-    "--target", type=click.Choice(["sim"]), default="sim", show_default=True, help="What is probed."
+    "--target", type=click.Choice(["sim", "go1"]), default="sim", show_default=True, help="What is probed."
 )
+@at_the_robot.wire_options
 @click.option(
     "--task",
     type=click.Choice(TASKS),
@@ -78,15 +79,18 @@ def probe(
     config: Path | None,
     out: Path | None,
     force: bool,
+    **wire: Any,
 ) -> None:
     """Find the motion that tells most about the parameters, say how well they will be known, and record it.
 
-    Writes plan.json, probe.mcap and result.json; the log goes into `amhe identify` as it is.
+    Writes plan.json, probe.mcap and result.json; the log goes into `amhe identify` as it is. On a real robot
+    (--target go1: read docs/go1.md first) it is all planned before anything is sent.
     """
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.probing.assembly import open_probe
+    from amhe_cli.probing.assembly import open_probe, robot_to_probe
     from amhe_cli.probing.plan import known_record, plan_record
     from amhe_cli.probing.probe import ProbeOptions, achieved
+    from amhe_cli.probing.robot import Robot
     from amhe_cli.report.folder import filling, reserve
     from amhe_cli.report.probe_table import print_achieved, print_plan
     from amhe_cli.report.provenance import provenance
@@ -94,7 +98,13 @@ def probe(
 
     session.hush_mujoco()
     asked = ProbeOptions(system, task, seconds, belief, plant, seed, threads, assignments, config)
-    opened = open_probe(asked)
+    link: dict[str, Any] = {}
+    reached = at_the_robot.wire_of(target, wire)
+    attend = at_the_robot.attendant(session, link)
+    robot = Robot(reached, attend) if reached else None
+    if robot and wire["dry_run"]:
+        return at_the_robot.dry_run(session, robot_to_probe(asked, robot))
+    opened = open_probe(asked, robot)
     folder = reserve(out, "probe", force)
     say = _progress(session)
     plan = opened.design(say)
@@ -120,12 +130,12 @@ def probe(
                     known["achieved"] = achieved(opened.system, scratch / LOG, asked)
                 except KeyboardInterrupt:  # it must not cost the log
                     session.interrupted = True
-            record = plain(session.record(**about, **(plan_record(plan) | known_record(known))))
+            record = plain(session.record(**about, **(plan_record(plan) | known_record(known)), **link))
             record |= {"interrupted": session.interrupted, "error": None if error is None else str(error)}
             _write(scratch / "result.json", record)
     if session.json:
         session.print_json(record)
-    elif not plan_only:
+    elif (folder / LOG).exists():
         print_achieved(record, folder, session.console())
     if error:
         raise error

@@ -66,8 +66,8 @@ class Go1Settings(_Group):
     """Fastest joint while standing up [rad/s]."""
     sit_time: _Positive = 2.5
     """[s]."""
-    hold_time: Annotated[float, Field(ge=0)] = 0.3
-    """Standing still between a lost plan or pose and sitting down [s]."""
+    hold_time: Annotated[float, Field(ge=0)] = 0.1
+    """Standing still between a lost plan or pose and sitting down [s]; two feet may be in the air."""
     damp_time: Annotated[float, Field(ge=0.3)] = 1.5
     """Motors are damped at least so long before the sender ends [s]."""
     connect_time: _Positive = 3.0

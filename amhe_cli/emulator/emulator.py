@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.control.tasks import Task
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import exp, multiply, rotate
 from amhe_cli.emulator.body import STEP, Body
 from amhe_cli.emulator.faults import Faults
@@ -19,6 +18,7 @@ from amhe_cli.go1.state import Measurements
 from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.command import Command
 from amhe_cli.poses import udp
+from amhe_cli.poses.calibration import NO_OFFSET, Offset, Pose, rigid_body
 
 #: An emulator that is so far behind the clock [s] lets the time go: it then is slower than it says.
 _BEHIND = 0.1
@@ -41,6 +41,7 @@ class EmulatorOptions:
         slow: How many times slower than the wall clock.
         seed: Of the sensors' noise.
         bodies: Names of trunk and box.
+        offsets: Of both in their rigid bodies, as `go1.trunk_offset` and `go1.box_offset`.
     """
 
     task: Task
@@ -52,6 +53,7 @@ class EmulatorOptions:
     slow: float = 1.0
     seed: int = 0
     bodies: tuple[str, str] = ("go1", "box")
+    offsets: tuple[Offset, Offset] = (NO_OFFSET, NO_OFFSET)
 
 
 class Emulator:
@@ -155,6 +157,7 @@ class _Cameras:
 
 class _NatNetCameras(_Cameras):
     def __init__(self, options: EmulatorOptions) -> None:
+        self._offsets = options.offsets
         self._motive = Motive(options.host, options.mocap_port, options.bodies)
         self.address = self._motive.address
 
@@ -162,7 +165,7 @@ class _NatNetCameras(_Cameras):
         self._motive.serve(now)
 
     def show(self, measured: Measurements, faults: Faults, now: float) -> None:
-        self._motive.stream([Seen(*pose) for pose in _seen(measured, faults)], now)
+        self._motive.stream([Seen(*pose) for pose in _seen(measured, faults, self._offsets)], now)
 
     def close(self) -> None:
         self._motive.close()
@@ -170,11 +173,14 @@ class _NatNetCameras(_Cameras):
 
 class _UdpCameras(_Cameras):
     def __init__(self, options: EmulatorOptions) -> None:
+        self._offsets = options.offsets
         self._socket = bound(options.host, 0)
         self._to, self._names = (options.host, options.mocap_port), options.bodies
 
     def show(self, measured: Measurements, faults: Faults, now: float) -> None:
-        for name, (position, orientation) in zip(self._names, _seen(measured, faults), strict=True):
+        for name, (position, orientation) in zip(
+            self._names, _seen(measured, faults, self._offsets), strict=True
+        ):
             message = udp.datagram(name, now, position, orientation)
             try:
                 self._socket.sendto(message, self._to)
@@ -190,12 +196,13 @@ def _cameras(options: EmulatorOptions) -> _Cameras:
     return kinds[options.mocap](options) if options.mocap in kinds else _Cameras()
 
 
-def _seen(measured: Measurements, faults: Faults) -> list[tuple[FloatArray, FloatArray]]:
+def _seen(measured: Measurements, faults: Faults, offsets: tuple[Offset, Offset]) -> list[Pose]:
     """Poses of what is named trunk and box, in the cameras' frame."""
     poses = [
         (measured.trunk_position[-1], measured.trunk_orientation[-1]),
         (measured.box_position[-1], measured.box_orientation[-1]),
     ]
+    poses = [rigid_body(pose, offset) for pose, offset in zip(poses, offsets, strict=True)]
     if faults.swap:
         poses.reverse()
     if faults.yup:

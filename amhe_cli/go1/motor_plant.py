@@ -6,13 +6,17 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.rotations import exp, multiply, rotate
 from amhe_cli.go1.legs import JOINTS, LEGS
 from amhe_cli.go1.model import layout
 from amhe_cli.go1.plant import Plant, SensorNoise
 
 #: Height of the trunk from which a robot with folded legs is put down [m].
-_DROP = 0.16
-_FOLDED = np.tile([0.0, 1.25, -2.75], 4)
+_DROP = 0.07
+#: Damping of motors while it sinks [N m s/rad], and how long that takes [s].
+_LIMP, _SETTLING = 0.3, 1.0
+#: As a robot lies: knees apart, the belly on the floor [rad].
+_FOLDED = np.array([-0.34, 1.19, -2.81, 0.34, 1.19, -2.81] * 2)
 
 
 class MotorPlant(Plant):
@@ -37,14 +41,24 @@ class MotorPlant(Plant):
         self._leg_of[[model.joint(name).bodyid[0] for name in JOINTS]] = np.repeat(np.arange(len(LEGS)), 3)
 
     def lie_down(self) -> None:
-        """Put the robot on its belly, legs folded, and let it come to rest."""
+        """Put the robot on its belly, legs folded, let it come to rest, and put it back at its start."""
         pose = np.array(self._data.qpos)
         pose[self._at.trunk][2] = _DROP
         pose[self._at.joints] = _FOLDED
         self._data.qpos[:] = pose
-        self.drive(_NONE, _NONE, _NONE, _NONE + 1.0)
-        for _ in range(round(0.8 / self.model.opt.timestep)):
+        start = np.array(self._data.qpos[self._at.trunk])
+        self.drive(_NONE, _NONE, _NONE, _NONE + _LIMP)
+        for _ in range(round(_SETTLING / self.model.opt.timestep)):
             mujoco.mj_step(self.model, self._data)
+        self._face(start)
+
+    def _face(self, start: FloatArray) -> None:
+        """Turn and move the robot over the floor to the place and the heading of a pose (7,)."""
+        place, turn = self._data.qpos[self._at.trunk][:3], self._data.qpos[self._at.trunk][3:]
+        back = exp(np.array([0.0, 0.0, _heading(start[3:]) - _heading(turn)]))
+        self._data.qpos[self._at.trunk] = (*start[:2], place[2], *multiply(back, turn))
+        self._data.qvel[:] = 0.0
+        mujoco.mj_forward(self.model, self._data)
 
     def drive(self, position: FloatArray, torque: FloatArray, kp: FloatArray, kd: FloatArray) -> None:
         """Set the motors, each (12,): torque + kp (position - q) - kd dq, within the torque limits."""
@@ -73,3 +87,9 @@ class MotorPlant(Plant):
 
 
 _NONE = np.zeros(12)
+
+
+def _heading(orientation: FloatArray) -> float:
+    """Angle [rad] of x ahead over the floor, of a unit quaternion (4,)."""
+    ahead = rotate(orientation, np.array([1.0, 0.0, 0.0]))
+    return float(np.arctan2(ahead[1], ahead[0]))

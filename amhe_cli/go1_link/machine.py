@@ -27,6 +27,8 @@ FOLDED = sealed(np.tile([0.0, 1.2, -2.6], 4))
 _FIRST_PLAN = 2.0
 #: From what is in force, targets are blended into the first plan, and into every other one, for so long [s].
 _FIRST_BLEND, _BLEND = 0.2, 0.02
+#: A robot that walked puts its feet down in this time before it sits down [s].
+_LANDING = 0.2
 _AT_REST = sealed(np.zeros(12))
 
 
@@ -175,6 +177,11 @@ class Machine:
     def _stand_time(self) -> float:
         return self._fold_time + travel_time(FOLDED, HOME, self.settings.stand_speed)
 
+    @property
+    def _landing(self) -> float:
+        """Time in which all feet come to the floor [s]: a walking robot has two in the air."""
+        return min(_LANDING, 0.2 * self.settings.sit_time)
+
     def _targets(self, now: float, inbox: Inbox) -> FloatArray:
         """Joint targets of this tick, not yet clipped."""
         elapsed = now - self._since
@@ -186,8 +193,12 @@ class Machine:
                 return eased(FOLDED, HOME, (elapsed - self._fold_time) / rising)
             case Phase.RUN if inbox.plan is not None:
                 return self._played(now, inbox.plan)
+            case Phase.SIT if elapsed < self._landing:
+                return eased(self._from, HOME, elapsed / self._landing)
             case Phase.SIT:
-                return eased(self._from, FOLDED, elapsed / self.settings.sit_time)
+                return eased(
+                    HOME, FOLDED, (elapsed - self._landing) / (self.settings.sit_time - self._landing)
+                )
         return self._from
 
     def _played(self, now: float, plan: Targets) -> FloatArray:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from amhe_cli.live.buffer import Buffer
-from amhe_cli.live.episode import Cycle, News
+from amhe_cli.live.episode import BeliefSource, Cycle, News
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.workers import Worker
+from amhe_cli.online.horizon import Estimate
 
 
 class FixedBelief:
@@ -76,3 +77,31 @@ class AdaptiveBelief:
     def close(self) -> None:
         """See `BeliefSource`."""
         self._worker.close()
+
+
+class SharedBelief:
+    """A source whose estimates somebody else hears of too.
+
+    Args:
+        source: The source.
+        tell: Called with each new estimate.
+    """
+
+    def __init__(self, source: BeliefSource, tell: Callable[[Estimate], None]) -> None:
+        self._source, self._tell = source, tell
+
+    def at(self, time: float) -> dict[str, float]:
+        """See `BeliefSource`."""
+        return self._source.at(time)
+
+    def saw(self, cycle: Cycle) -> tuple[News, ...]:
+        """See `BeliefSource`."""
+        news = self._source.saw(cycle)
+        for one in news:
+            if one.estimate is not None:
+                self._tell(one.estimate)
+        return news
+
+    def close(self) -> None:
+        """See `BeliefSource`."""
+        self._source.close()

@@ -110,15 +110,15 @@ class Episode:
             SimulationError: The plant diverged.
         """
         estimator = StateEstimator()
-        plan: Plan | None = None
         news: tuple[News, ...] = ()
         while True:
-            measured = self.target.exchange(plan)
+            measured = self.target.measure()
             begun = time.perf_counter()
             estimate = estimator.update(measured, self.behaviour.standing(measured.robot_times))
             played = self.target.in_force(estimate.time)
             belief = self.belief.at(estimate.time)
             plan = self.controller.plan(estimate, played, self._theta(belief), resistance(belief))
+            self.target.play(plan)  # before anything else takes time
             plan_ms = 1e3 * (time.perf_counter() - begun)
             truth = self.target.truth
             over = self.judge.watch(truth or estimate)

@@ -61,6 +61,7 @@ class Go1Target:
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []
         self._poses: list[tuple[float, _Pose, _Pose]] = []
+        self._playing = False
         self.misses = 0
 
     def __enter__(self) -> Go1Target:
@@ -146,32 +147,31 @@ class Go1Target:
         """See `Target`."""
         return self._plan.at(at)
 
-    def exchange(self, plan: Plan | None) -> Measurements:
+    def measure(self) -> Measurements:
         """See `Target`.
 
         Raises:
             StoppedError: A trip ended the run.
             LinkError, PoseError: A process of ours has died.
         """
-        if plan is not None:
-            self._play(plan)
         self._sleep_to_the_next_period()
         self._collect()
         self._check_phase()
-        while plan is None and not (self._robot and self._poses):  # the first estimate needs both
+        while not (self._playing or (self._robot and self._poses)):  # the first estimate needs both
             self._sleep_to_the_next_period()
             self._collect()
             self._check_phase()
         return self._measured()
 
-    def _play(self, plan: Plan) -> None:
+    def play(self, plan: Plan) -> None:
+        """See `Target`."""
         # what is in force until then comes first, so that targets are handed over without a step
         before = self._plan.at(plan.start - 0.5 * self._period)
         lead = 0.5e-3 * self.report.contact.get("round_trip_ms", 0.0)
         start = self._start + plan.start - plan.period - lead
         targets = Targets(start, plan.period, np.vstack((before, plan.targets)))
         self._link.play(targets, min(self._newest.values()))
-        self._plan = plan
+        self._plan, self._playing = plan, True
 
     def _sleep_to_the_next_period(self) -> None:
         elapsed = self._clock.now() - self._start

@@ -22,6 +22,12 @@ from amhe_cli.online import messages as estimates
 
 #: Topics whose content is not a matter of the seed alone.
 WALL_CLOCK = ("/amhe/timing", "/diagnostics")
+#: Of all that is written.
+_TYPES = (
+    "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "nav_msgs/msg/Path",
+    "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage", "diagnostic_msgs/msg/DiagnosticArray",
+    messages.PLAN, messages.TIMING, estimates.ESTIMATE,
+)  # fmt: skip
 #: Between two messages of what changes seldom, and of what never does [s].
 _SELDOM, _NEVER = 0.1, 1.0
 _PATH_POINTS = 49
@@ -55,6 +61,7 @@ class Recorder:
         self._log.__enter__()
         messages.define(self._log)
         estimates.define(self._log)
+        self._log.prepare(_TYPES)  # a robot that has begun does not wait
         for name, text in self._attachments.items():
             self._log.attach(name, "application/yaml", text.encode())
         return self

@@ -35,12 +35,16 @@ class Target(Protocol):
         """Joint targets that are played at a time [s], shape (12,)."""
         ...
 
-    def exchange(self, plan: Plan | None) -> Measurements:
-        """Hand over the newest plan, and wait for the next period's measurements.
+    def play(self, plan: Plan) -> None:
+        """Hand over the newest plan, at once.
 
-        A plan takes effect one period after the measurements that it was made from; until then the one
-        before is played. None at the very start.
+        It takes effect one period after the measurements that it was made from; until then the one before
+        is played.
         """
+        ...
+
+    def measure(self) -> Measurements:
+        """Wait for the next period's measurements."""
         ...
 
 
@@ -56,7 +60,7 @@ class SimTarget:
 
     def __init__(self, plant: Plant, period: float, stand: FloatArray, realtime: bool = False) -> None:
         self._plant, self._period, self._realtime = plant, period, realtime
-        self._plan = Plan(0.0, period, np.asarray(stand)[None])
+        self._plan = self._next = Plan(0.0, period, np.asarray(stand)[None])
         self._begun: float | None = None
         self.misses = 0
 
@@ -79,18 +83,21 @@ class SimTarget:
         """See `Target`."""
         return self._plan.at(at)
 
-    def exchange(self, plan: Plan | None) -> Measurements:
+    def play(self, plan: Plan) -> None:
+        """See `Target`."""
+        self._next = plan
+
+    def measure(self) -> Measurements:
         """See `Target`.
 
         Raises:
             SimulationError: The plant diverged.
         """
-        parts = [self._play() for _ in range(self._periods_gone())]
-        if plan is not None:
-            self._plan = plan
+        parts = [self._advance() for _ in range(self._periods_gone())]
+        self._plan = self._next
         return merged(parts)
 
-    def _play(self) -> Measurements:
+    def _advance(self) -> Measurements:
         return self._plant.advance(self._plan.at(self._plant.time), self._period)
 
     def _periods_gone(self) -> int:

@@ -150,14 +150,12 @@ def _serve(pipe: Connection, factory: Factory) -> None:
     """The process: windows in, estimates out, until the pipe ends. None says that it is ready."""
     os.nice(_NICE)
     estimator = factory()
-    pipe.send(None)
-    while True:
-        try:
+    with suppress(EOFError, OSError):  # nobody wants to know any more
+        pipe.send(None)
+        while True:
             window, at, budget = pipe.recv()
-        except EOFError:
-            return
-        try:
-            answer = estimator.update(window, at, budget)
-        except Exception as error:  # one bad window must not end the estimator
-            answer = f"{type(error).__name__}: {error}"
-        pipe.send(answer)
+            try:
+                answer = estimator.update(window, at, budget)
+            except Exception as error:  # one bad window must not end the estimator
+                answer = f"{type(error).__name__}: {error}"
+            pipe.send(answer)

@@ -67,6 +67,12 @@ class LogWriter:
         """Make a type known that ROS does not have; `definition` is the text of its .msg file."""
         self._store.register(get_types_from_msg(definition, msgtype))
 
+    def prepare(self, msgtypes: Iterable[str]) -> None:
+        """Do now what the first message of each type would take long for."""
+        for msgtype in msgtypes:
+            self._store.get_msgdef(msgtype)
+            self._schema(msgtype)
+
     def message(self, msgtype: str, **fields: Any) -> Any:
         """An instance of a message type."""
         return self._store.types[msgtype](**fields)
@@ -94,12 +100,15 @@ class LogWriter:
         self._mcap.add_attachment(0, 0, name, media_type, data)
 
     def _channel(self, topic: str, msgtype: str) -> tuple[int, str]:
+        channel = self._mcap.register_channel(topic, "cdr", self._schema(msgtype))
+        self._channels[topic] = channel, msgtype
+        return self._channels[topic]
+
+    def _schema(self, msgtype: str) -> int:
         if msgtype not in self._schemas:
             text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
             self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", text.encode())
-        channel = self._mcap.register_channel(topic, "cdr", self._schemas[msgtype])
-        self._channels[topic] = channel, msgtype
-        return self._channels[topic]
+        return self._schemas[msgtype]
 
     # -- the common ones ------------------------------------------------------------------------------
 

@@ -22,7 +22,7 @@ from amhe_cli.go1_link.clock import Clock, ClockMap
 from amhe_cli.poses.motioncapture import MotionCapture
 from amhe_cli.poses.natnet import NatNet
 from amhe_cli.poses.ros2 import Ros2
-from amhe_cli.poses.source import PoseError, PoseSource, Sighting
+from amhe_cli.poses.source import EstimateSink, PoseError, PoseSource, Sighting
 from amhe_cli.poses.udp import UdpPoses
 
 KINDS = ("natnet", "motioncapture", "ros2", "udp")
@@ -139,6 +139,12 @@ class PoseFeed:
         """
         return [pose for message in self._messages() if (pose := _pose(message)) is not None]
 
+    def publish(self, names: Sequence[str], values: FloatArray, sd: FloatArray) -> None:
+        """Let those behind the source know estimates of parameters, where it can; values, sd (d,)."""
+        if self._child is not None:
+            told = {"names": list(names), "values": values.tolist(), "sd": sd.tolist()}
+            self._child.channel.send(json.dumps(told).encode())
+
     def _messages(self) -> list[dict[str, Any]]:
         if self._child is None:
             raise PoseError("the pose source is not open")
@@ -200,8 +206,9 @@ def main() -> None:
         while channel.open:
             for seen in source.wait(_WAIT):
                 sender.pass_on(seen)
-            for _ in channel.received():
-                pass
+            for message in channel.received():
+                if isinstance(source, EstimateSink):
+                    source.publish(**json.loads(message))
     except PoseError as error:
         sender.say({"error": str(error)})
     finally:

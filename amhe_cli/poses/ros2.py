@@ -1,4 +1,4 @@
-"""PoseStamped or Odometry of ROS 2 over DDS (package `cyclonedds`), without a ROS install.
+"""PoseStamped or Odometry of ROS 2 over DDS (package `cyclonedds`), without a ROS install; estimates back.
 
 The bodies' names are their topics, such as /mocap/go1/pose. The ROS side must use a DDS middleware
 (CycloneDDS, Fast DDS) in the same domain.
@@ -7,12 +7,15 @@ The bodies' names are their topics, such as /mocap/go1/pose. The ROS side must u
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Sequence
 from typing import Any
 
+from amhe_cli.poses.ros2_messages import headed, joint_state_type, pose_types
 from amhe_cli.poses.source import PoseError, Sighting, sighting
 
 _STEP = 0.001
+#: Where estimates are published: the topic that logs have too.
+ESTIMATES = "/amhe/params"
 
 
 class Ros2:
@@ -26,12 +29,14 @@ class Ros2:
     def __init__(self, topics: list[str], domain: int) -> None:
         self._topics, self._domain = topics, domain
         self._readers: list[tuple[str, Any]] = []
+        self._writer: Any = None
 
     def connect(self) -> None:
         """See `PoseSource`."""
         try:
             from cyclonedds.core import Policy, Qos  # pyright: ignore[reportMissingImports]
             from cyclonedds.domain import DomainParticipant  # pyright: ignore[reportMissingImports]
+            from cyclonedds.pub import DataWriter  # pyright: ignore[reportMissingImports]
             from cyclonedds.sub import DataReader  # pyright: ignore[reportMissingImports]
             from cyclonedds.topic import Topic  # pyright: ignore[reportMissingImports]
         except ImportError:
@@ -40,9 +45,16 @@ class Ros2:
         # best effort matches both kinds of publishers; only the newest counts
         qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(10))
         for name in self._topics:
-            for kind in message_types():
+            for kind in pose_types():
                 topic = Topic(participant, f"rt/{name.lstrip('/')}", kind, qos=qos)
                 self._readers.append((name, DataReader(participant, topic, qos=qos)))
+        # reliable and kept for who comes later: matches every subscriber
+        kept = Qos(
+            Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal, Policy.History.KeepLast(1)
+        )
+        self._estimate = joint_state_type()
+        topic = Topic(participant, f"rt{ESTIMATES}", self._estimate, qos=kept)
+        self._writer = DataWriter(participant, topic, qos=kept)
 
     def wait(self, seconds: float) -> list[Sighting]:
         """See `PoseSource`."""
@@ -59,40 +71,15 @@ class Ros2:
             time.sleep(_STEP)
         return []
 
+    def publish(self, names: Sequence[str], values: Sequence[float], sd: Sequence[float]) -> None:
+        """See `source.EstimateSink`: a JointState, values as `position` and their sd as `effort`."""
+        numbers = {"position": list(values), "velocity": [], "effort": list(sd)}
+        self._writer.write(headed(self._estimate, time.time(), name=list(names), **numbers))
+
     def close(self) -> None:
         """See `PoseSource`."""
         self._readers.clear()
-
-
-def message_types() -> tuple[Any, Any]:
-    """PoseStamped and Odometry as DDS knows them."""
-    from cyclonedds.idl import IdlStruct  # pyright: ignore[reportMissingImports]
-    from cyclonedds.idl.types import array, float64, int32, uint32  # pyright: ignore[reportMissingImports]
-
-    def struct(name: str, **fields: Any) -> Any:
-        package, message = name.split("/")
-        made = type(
-            message + "_",
-            (IdlStruct,),
-            {"__annotations__": fields},
-            typename=f"{package}::msg::dds_::{message}_",
-        )
-        return dataclass(made)
-
-    stamp = struct("builtin_interfaces/Time", sec=int32, nanosec=uint32)
-    header = struct("std_msgs/Header", stamp=stamp, frame_id=str)
-    point = struct("geometry_msgs/Point", x=float64, y=float64, z=float64)
-    turn = struct("geometry_msgs/Quaternion", x=float64, y=float64, z=float64, w=float64)
-    pose = struct("geometry_msgs/Pose", position=point, orientation=turn)
-    vector = struct("geometry_msgs/Vector3", x=float64, y=float64, z=float64)
-    twist = struct("geometry_msgs/Twist", linear=vector, angular=vector)
-    spread = array[float64, 36]
-    posed = struct("geometry_msgs/PoseWithCovariance", pose=pose, covariance=spread)
-    twisted = struct("geometry_msgs/TwistWithCovariance", twist=twist, covariance=spread)
-    return (
-        struct("geometry_msgs/PoseStamped", header=header, pose=pose),
-        struct("nav_msgs/Odometry", header=header, child_frame_id=str, pose=posed, twist=twisted),
-    )
+        self._writer = None
 
 
 def _read(name: str, told: Any) -> Sighting | None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
@@ -51,6 +52,15 @@ class PoseSource(Protocol):
 
     def close(self) -> None:
         """Let go."""
+        ...
+
+
+@runtime_checkable
+class EstimateSink(Protocol):
+    """A source by which estimates go back, to whoever listens."""
+
+    def publish(self, names: Sequence[str], values: Sequence[float], sd: Sequence[float]) -> None:
+        """Tell the newest estimates of parameters, and their sd, in the parameters' own units."""
         ...
 
 

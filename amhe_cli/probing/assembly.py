@@ -5,21 +5,40 @@ from __future__ import annotations
 import os
 
 from amhe_cli.assembly import DEFAULT_SYSTEM
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.go1.model import SYSTEM
 from amhe_cli.probing.drive import DriveProbe
+from amhe_cli.probing.primitives import STEADY
 from amhe_cli.probing.probe import Probe, ProbeOptions
 from amhe_cli.probing.push import PushProbe
+from amhe_cli.probing.robot import Robot
+from amhe_cli.run_assembly import Run
 from amhe_cli.system import overrides
 from amhe_cli.system.load import find_system
 
 
-def open_probe(options: ProbeOptions) -> Probe:
+def open_probe(options: ProbeOptions, robot: Robot | None = None) -> Probe:
     """A walking robot behind its box, or actuators that are driven as they are.
+
+    Args:
+        options: As given.
+        robot: To probe in place of a simulation.
 
     Raises:
         ConfigError: Unknown system or task, nothing to drive, a belief, plant or setting that does not suit.
     """
     folder = find_system(options.system or DEFAULT_SYSTEM)
     if folder.resolve() == find_system(SYSTEM).resolve():
-        return PushProbe(options)
+        return PushProbe(options, robot)
+    if robot:
+        raise ConfigError(f"--target go1 pushes boxes: leave out --system {options.system}")
     return DriveProbe(options, folder, overrides.gathered(options.config, os.environ, options.assignments))
+
+
+def robot_to_probe(options: ProbeOptions, robot: Robot) -> Run:
+    """The robot behind the box that it is to probe, for checks; nothing is sent yet.
+
+    Raises:
+        ConfigError: See `open_probe`.
+    """
+    return PushProbe(options, robot).on_robot((STEADY,), robot)

@@ -111,6 +111,9 @@ def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
         ([*ROBOT, "--set", "go1.trips.tilt=-1"], "go1.trips.tilt"),
         (["run", "--task", "t1", "--pose-port", "5"], "--pose-port is of a real robot"),
         (["run", "--task", "t1", "--dry-run"], "--dry-run is of a real robot"),
+        (["probe", "--slow", "2"], "--slow is of a real robot"),
+        (["probe", "--target", "go1", "--plant", "robot.xml"], "--plant is the robot of a simulation"),
+        (["probe", "--target", "go1", "--system", "pendulum"], "leave out --system pendulum"),
         (["emulate", "--fault", "los=1"], "did you mean 'loss'"),
     ],
 )
@@ -133,3 +136,40 @@ def test_a_robot_that_is_not_there_is_one_line(capfd) -> None:
     assert f"nothing answers from 127.0.0.1:{port}" in err
     assert len(err.splitlines()) == 1
     assert list(Path().glob("*/*/log.mcap")) == []
+
+
+@pytest.mark.slow
+def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys) -> None:
+    pytest.importorskip("natnet")
+    few = ["--for", "2", "--set", "probe.pairs=0", "--set", "control.substeps=1"]
+    with emulating("--slow", "2") as emulated:
+        probe = ["probe", *at(emulated)[1:], *few]
+        for option in ("--mode", "baseline"):
+            probe.remove(option)
+        assert run([*probe, "--dry-run"]) == 0
+        assert "nothing has moved" in capsys.readouterr().out
+        assert list(Path().iterdir()) == []
+        assert run([*probe, "-o", "out"]) == 0, capsys.readouterr().err
+    record = json.loads(Path("out/result.json").read_text())
+    assert (record["target"], record["error"], record["link"]["trip"]) == ("go1", None, "")
+    assert record["link"]["packets"]["packets"] > 500
+    said = read_metadata(Path("out/probe.mcap"))
+    assert said["target"] == "go1"
+    assert "truth" not in said
+    log = survey(Path("out/probe.mcap"))
+    assert not log.problems
+    assert log.duration == pytest.approx(2.0, abs=0.3)
+
+
+def test_a_probe_without_its_robot_keeps_its_plan(capfd) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        port = str(deaf.getsockname()[1])
+        where = ["--host", "127.0.0.1", "--port", port, "--pose", "udp", "--pose-port", port]
+        few = ["--for", "2", "--set", "probe.pairs=0", "--set", "control.substeps=1", "-o", "out"]
+        probe = ["probe", "--target", "go1", *where, *few, "--set", "go1.connect_time=0.3", *QUICK]
+        assert run(probe) == 1
+    err = capfd.readouterr().err
+    assert f"nothing answers from 127.0.0.1:{port}" in err
+    assert len(err.splitlines()) == 1
+    assert sorted(path.name for path in Path("out").iterdir()) == ["plan.json", "result.json"]

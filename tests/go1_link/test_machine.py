@@ -169,7 +169,7 @@ def test_lost_plans_or_poses_hold_then_sit(trip: str) -> None:
     CHANGES[trip](robot)
     robot.until(Phase.PAUSE)
     held = robot.until(Phase.SIT)
-    assert len(held) * TICK == pytest.approx(0.3, abs=0.01)
+    assert len(held) * TICK == pytest.approx(0.1, abs=0.01)
     np.testing.assert_allclose([command.position for command in held[:-1]], [HOME + 0.1] * (len(held) - 1))
     told = robot.until(Phase.DAMP)
     assert np.abs(np.diff([command.position for command in told[:-1]], axis=0)).max() < 0.003

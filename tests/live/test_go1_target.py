@@ -13,6 +13,7 @@ from amhe_cli.control.controller import Plan
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.core.rotations import exp
 from amhe_cli.go1.legs import HOME
+from amhe_cli.go1.state import Measurements
 from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.link import Link, StoppedError
 from amhe_cli.go1_link.remote import Remote
@@ -41,6 +42,11 @@ def a_target(puppet: Puppet, settings: Go1Settings = SETTINGS, **stage) -> Itera
         )  # fmt: skip
         with target:
             yield target, cameras
+
+
+def exchange(target: Go1Target, plan: Plan) -> Measurements:
+    target.play(plan)
+    return target.measure()
 
 
 @pytest.fixture
@@ -76,10 +82,10 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
         target.check()
         told: list[str] = []
         target.begin(told.append)
-        seen = [target.exchange(None)]
+        seen = [target.measure()]
         for _ in range(30):
             start = seen[-1].time + PERIOD
-            seen.append(target.exchange(Plan(start, PERIOD, np.tile(HOME + 0.05, (16, 1)))))
+            seen.append(exchange(target, Plan(start, PERIOD, np.tile(HOME + 0.05, (16, 1)))))
             np.testing.assert_allclose(target.in_force(seen[-1].time), HOME + 0.05)
     times = np.array([measured.time for measured in seen])
     np.testing.assert_allclose(times / PERIOD, np.round(times / PERIOD), atol=1e-9)
@@ -104,7 +110,7 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
     with a_target(puppet) as (target, cameras):
         target.check()
         target.begin(lambda text: None)
-        measured = target.exchange(None)
+        measured = target.measure()
         if lost == "poses":
             cameras.silent = True
             said = "no pose of trunk or box"
@@ -114,5 +120,5 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
         with pytest.raises(StoppedError, match=said):
             for _ in range(200):
                 plan = Plan(measured.time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
-                measured = target.exchange(plan)
+                measured = exchange(target, plan)
         puppet.wait(damps)

@@ -69,12 +69,17 @@ def plan_from(measured: Measurements, value: float, rows: int = 5) -> Plan:
     return Plan(measured.time + PERIOD, PERIOD, targets)
 
 
+def exchange(target: SimTarget, plan: Plan) -> Measurements:
+    target.play(plan)
+    return target.measure()
+
+
 def test_a_plan_takes_effect_one_period_after_its_measurements() -> None:
     plant = Player()
     target = SimTarget(plant, PERIOD, STAND)  # type: ignore[arg-type]
-    measured = target.exchange(None)
+    measured = target.measure()
     for value in (10.0, 20.0, 30.0):
-        measured = target.exchange(plan_from(measured, value))
+        measured = exchange(target, plan_from(measured, value))
     assert [value for _, value in plant.played] == [-1.0, -1.0, 10.0, 20.0]
     assert measured.time == pytest.approx(4 * PERIOD)
     assert target.misses == 0
@@ -83,19 +88,19 @@ def test_a_plan_takes_effect_one_period_after_its_measurements() -> None:
 def test_what_is_in_force_while_a_plan_is_made_is_played_meanwhile() -> None:
     plant = Player()
     target = SimTarget(plant, PERIOD, STAND)  # type: ignore[arg-type]
-    measured = target.exchange(None)
+    measured = target.measure()
     for value in (10.0, 20.0, 30.0):
         said = float(target.in_force(measured.time)[0])
-        measured = target.exchange(plan_from(measured, value))
+        measured = exchange(target, plan_from(measured, value))
         assert plant.played[-1] == (pytest.approx(measured.time - PERIOD), said)
 
 
 def test_without_a_new_plan_the_old_one_goes_on_and_its_end_is_held() -> None:
     plant = Player()
     target = SimTarget(plant, PERIOD, STAND)  # type: ignore[arg-type]
-    target.exchange(plan_from(target.exchange(None), 10.0, rows=3))
+    exchange(target, plan_from(target.measure(), 10.0, rows=3))
     for _ in range(5):
-        target.exchange(None)
+        target.measure()
     assert [value for _, value in plant.played[2:]] == [10.0, 11.0, 12.0, 12.0, 12.0]
 
 
@@ -110,17 +115,17 @@ def test_lock_step_does_not_look_at_the_clock(clock: Clock) -> None:
     target = SimTarget(Player(), PERIOD, STAND)  # type: ignore[arg-type]
     for _ in range(3):
         clock.now += 1.0
-        target.exchange(None)
+        target.measure()
     assert (target.misses, clock.slept) == (0, 0.0)
 
 
 def test_who_is_fast_enough_waits_for_the_clock(clock: Clock) -> None:
     plant = Player()
     target = SimTarget(plant, PERIOD, STAND, realtime=True)  # type: ignore[arg-type]
-    measured = target.exchange(None)
+    measured = target.measure()
     for _ in range(10):
         clock.now += 0.7 * PERIOD
-        measured = target.exchange(plan_from(measured, 1.0))
+        measured = exchange(target, plan_from(measured, 1.0))
         assert clock.now - 100.0 == pytest.approx(measured.time)
     assert target.misses == 0
     assert measured.time == pytest.approx(11 * PERIOD)
@@ -131,11 +136,11 @@ def test_who_is_slow_finds_that_time_has_gone_on(clock: Clock) -> None:
     """2.5 periods of thought: two begin without a new plan, played by the old one; all are measured."""
     plant = Player()
     target = SimTarget(plant, PERIOD, STAND, realtime=True)  # type: ignore[arg-type]
-    measured = target.exchange(plan_from(target.exchange(None), 10.0))
+    measured = exchange(target, plan_from(target.measure(), 10.0))
     start = measured.time
     plan = plan_from(measured, 20.0)
     clock.now += 2.5 * PERIOD
-    measured = target.exchange(plan)
+    measured = exchange(target, plan)
     assert target.misses == 2
     assert measured.time == pytest.approx(start + 3 * PERIOD)
     assert clock.now - 100.0 == pytest.approx(measured.time)
@@ -144,7 +149,7 @@ def test_who_is_slow_finds_that_time_has_gone_on(clock: Clock) -> None:
     )
     np.testing.assert_allclose(measured.pose_times, start + PERIOD * np.array([1.0, 2.0, 3.0]))
     assert [value for _, value in plant.played[-3:]] == [10.0, 11.0, 12.0]
-    target.exchange(None)
+    target.measure()
     assert plant.played[-1][1] == 22.0, "the late plan is played from where it should be by now"
     assert target.misses == 2, "one late plan is counted once"
 
@@ -153,7 +158,7 @@ def test_by_the_real_clock_time_is_kept() -> None:
     target = SimTarget(Player(), PERIOD, STAND, realtime=True)  # type: ignore[arg-type]
     begun = time.monotonic()
     for _ in range(4):
-        target.exchange(None)
+        target.measure()
     assert time.monotonic() - begun >= 4 * PERIOD - 1e-3
 
 
@@ -172,7 +177,7 @@ def test_merged_measurements_are_those_of_one_longer_wait() -> None:
 def test_a_simulated_target_knows_the_truth() -> None:
     plant = Plant(plant_model(), [], np.random.default_rng(0))
     target = SimTarget(plant, PERIOD, HOME)
-    measured = target.exchange(None)
+    measured = target.measure()
     assert target.truth.time == measured.time
     np.testing.assert_array_equal(target.truth.joints, plant.state.joints)
     assert target.parameters == plant.parameters

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from amhe_cli.go1_link.clock import Clock, ClockMap
 from amhe_cli.poses import udp
 from amhe_cli.poses.feed import FeedOptions, PoseFeed
-from amhe_cli.poses.ros2 import Ros2, message_types
+from amhe_cli.poses.ros2 import ESTIMATES, Ros2
+from amhe_cli.poses.ros2_messages import headed, joint_state_type, pose_types
 from amhe_cli.poses.source import PoseError
 
 CLOCK = Clock()
@@ -110,17 +111,12 @@ def test_ros2_poses_and_odometry_come_through() -> None:
     domain = 77
     source = Ros2(["/go1/pose", "/box/odom"], domain)
     source.connect()
-    stamped, odometry = message_types()
+    stamped, odometry = pose_types()
     participant = DomainParticipant(domain)
     writers = [
         DataWriter(participant, Topic(participant, f"rt/{name}", kind))
         for name, kind in (("go1/pose", stamped), ("box/odom", odometry))
     ]
-
-    def made(kind, **more):
-        hints = kind.__annotations__
-        header = hints["header"](hints["header"].__annotations__["stamp"](12, 500_000_000), "world")
-        return kind(header=header, **more)
 
     pose = stamped.__annotations__["pose"]
     point, turn = pose.__annotations__["position"], pose.__annotations__["orientation"]
@@ -131,8 +127,9 @@ def test_ros2_poses_and_odometry_come_through() -> None:
     still = twisted(twist(vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)), [0.0] * 36)
     seen, end = {}, time.monotonic() + 10.0
     while len(seen) < 2 and time.monotonic() < end:
-        writers[0].write(made(stamped, pose=here))
-        writers[1].write(made(odometry, child_frame_id="box", pose=posed(here, [0.0] * 36), twist=still))
+        writers[0].write(headed(stamped, 12.5, pose=here))
+        spread = posed(here, [0.0] * 36)
+        writers[1].write(headed(odometry, 12.5, child_frame_id="box", pose=spread, twist=still))
         seen |= {one.body: one for one in source.wait(0.1)}
     source.close()
     assert set(seen) == {"/go1/pose", "/box/odom"}
@@ -140,6 +137,41 @@ def test_ros2_poses_and_odometry_come_through() -> None:
         np.testing.assert_allclose(one.position, [1.0, 2.0, 0.3])
         np.testing.assert_allclose(one.orientation, [0.8, 0.0, 0.0, 0.6])
         assert one.stamp == 12.5
+
+
+def test_estimates_go_back_to_ros2_even_to_who_comes_late() -> None:
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+
+    names, values, sd = ["box_mass", "floor_friction"], np.array([3.9, 0.41]), np.array([0.2, 0.03])
+    begun = time.time()
+    with PoseFeed(FeedOptions("ros2", "78", 0, ("/go1/pose", "/box/odom"), 1.0)) as feed:
+        feed.publish(names, 2.0 * values, sd)
+        feed.publish(names, values, sd)
+        listener = DomainParticipant(78)
+        kept = Qos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
+        reader = DataReader(listener, Topic(listener, f"rt{ESTIMATES}", joint_state_type(), qos=kept), kept)
+        told, end = [], time.monotonic() + 15.0
+        while not (told and told[-1].position[0] == 3.9) and time.monotonic() < end:
+            told += reader.take(10)
+            time.sleep(0.01)
+    assert told, "nothing came"
+    assert list(told[-1].name) == names
+    np.testing.assert_array_equal(told[-1].position, values)
+    np.testing.assert_array_equal(told[-1].effort, sd)
+    assert not told[-1].velocity
+    stamp = told[-1].header.stamp
+    assert begun - 1.0 < stamp.sec + 1e-9 * stamp.nanosec < time.time() + 1.0
+
+
+def test_a_source_that_tells_nobody_takes_estimates_without_harm() -> None:
+    port = free_port()
+    with sending(port, *BODIES), PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 3.0)) as feed:
+        feed.publish(["box_mass"], np.array([3.9]), np.array([0.2]))
+        assert set(feed.first()) == set(BODIES)
 
 
 @settings(deadline=None, max_examples=50)

@@ -1,0 +1,110 @@
+"""`amhe calibrate`: where the rigid bodies of motion capture are on the robot and on the box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from amhe_cli.cli import at_the_robot, options
+from amhe_cli.cli.run import TASKS
+from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.live.go1_calibration import Offsets
+
+#: The file of settings that is written.
+SETTINGS = "offsets.yaml"
+
+
+@click.command(cls=options.Command, short_help="Offsets of the rigid bodies on a real robot and its box.")
+@click.option(
+    "--task",
+    type=click.Choice(TASKS),
+    default="t1",
+    show_default=True,
+    help="Whose box it is, and where it is put down.",
+)
+@at_the_robot.reach_options
+@click.option(
+    "--for",
+    "seconds",
+    type=options.Number(min=0.5, max=60),
+    default=2.0,
+    show_default=True,
+    metavar="S",
+    help="How long each body is looked at [s].",
+)
+@click.option("--yes", is_flag=True, help="Robot and box are in place: ask nothing.")
+@options.tuning
+@options.out
+@options.common
+@click.pass_obj
+def calibrate(
+    session: Session,
+    task: str,
+    seconds: float,
+    yes: bool,
+    assignments: tuple[str, ...],
+    config: Path | None,
+    out: Path | None,
+    force: bool,
+    **wire: Any,
+) -> None:
+    """Find go1.trunk_offset and go1.box_offset from robot and box that you put where it says.
+
+    Writes offsets.yaml, for --config of `amhe run` and `amhe probe`, and result.json. The robot must be in
+    low-level mode (docs/go1.md); its joints and its IMU tell how it lies. Nothing moves.
+    """
+    import json
+
+    from amhe_cli.go1_assembly import open_calibration
+    from amhe_cli.report.folder import filling, reserve
+    from amhe_cli.run_assembly import RunOptions
+
+    session.hush_mujoco()
+    reached = at_the_robot.wire_of("go1", wire)
+    assert reached is not None
+    asked = RunOptions(task, target="go1", assignments=assignments, config=config)
+    calibration = open_calibration(asked, reached)
+    folder = reserve(out, "calibrate", force)
+    with calibration:
+        found = calibration.offsets(_asking(session, yes), seconds)
+    text = _settings(found)
+    record = session.record(
+        task=task, trunk_offset=found.trunk, box_offset=found.box, trunk_height_m=found.height,
+        trunk_tilt_rad=found.tilt, out=str(folder),
+    )  # fmt: skip
+    with filling(folder) as scratch:
+        (scratch / SETTINGS).write_text(text, encoding="utf-8")
+        (scratch / "result.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
+    if session.json:
+        return session.print_json(record)
+    print(text, end="")
+    print(f"next: amhe run --task {task} --target go1 --dry-run --config {folder / SETTINGS}")
+
+
+def _asking(session: Session, ready: bool) -> Callable[[str], None]:
+    """Tell the operator what to do, and wait for Enter; where everything is ready, only tell."""
+    from amhe_cli.core.errors import ConfigError
+
+    def ask(text: str) -> None:
+        session.say("", text if ready else f"{text}; then press Enter")
+        if not ready:
+            try:
+                input()
+            except EOFError:
+                raise ConfigError("nobody is there to press Enter; give --yes once all is in place") from None
+
+    return ask
+
+
+def _settings(found: Offsets) -> str:
+    """As YAML, to 0.1 mm and 0.01 degrees."""
+    rows = [
+        f"  {name}: [{', '.join(f'{value:.4f}' for value in offset)}]\n"
+        for name, offset in (("trunk_offset", found.trunk), ("box_offset", found.box))
+    ]
+    return "# place [m] and rotation vector [rad] in the rigid body's frame\ngo1:\n" + "".join(rows)

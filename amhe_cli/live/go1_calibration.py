@@ -1,0 +1,141 @@
+"""Calibration of the two rigid bodies: robot and box are put where they should be, and looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.go1.model import Box
+from amhe_cli.go1.resting import trunk_height
+from amhe_cli.go1_link.clock import Clock
+from amhe_cli.go1_link.link import Link
+from amhe_cli.poses.calibration import Offset, Pose, average, check_pivot, offset_of
+from amhe_cli.poses.feed import PoseFeed
+from amhe_cli.poses.frame import up
+from amhe_cli.poses.source import PoseError
+
+#: Length, width and height of a Go1's trunk, hips and head included [m].
+_TRUNK = np.array([0.6, 0.3, 0.12])
+#: A robot that lies on level ground leans no more than this [rad], and is so high at most [m].
+_LEVEL, _LYING = float(np.deg2rad(5.0)), 0.15
+_STEP, _FEWEST = 0.02, 20
+
+#: Asks the operator to do something, and comes back when it is done.
+Ask = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Offsets:
+    """What was found.
+
+    Args:
+        trunk, box: As `go1.trunk_offset` and `go1.box_offset`: place [m], rotation vector [rad].
+        height: Of the trunk's centre over the floor while it lay there [m].
+        tilt: How far it leant [rad].
+    """
+
+    trunk: Offset
+    box: Offset
+    height: float
+    tilt: float
+
+
+class Calibration:
+    """Use it as a context manager; nothing moves.
+
+    Args:
+        link: To the robot, whose joints and IMU tell how it lies.
+        feed: Of poses.
+        settings: Of the robot.
+        clock: Ours.
+        box: As it is to be put down.
+    """
+
+    def __init__(self, link: Link, feed: PoseFeed, settings: Go1Settings, clock: Clock, box: Box) -> None:
+        self._link, self._feed, self._settings, self._clock, self._box = link, feed, settings, clock, box
+
+    def __enter__(self) -> Calibration:
+        self._feed.__enter__()
+        self._link.__enter__()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._link.__exit__(None, None, None)
+        self._feed.__exit__(None, None, None)
+
+    def offsets(self, ask: Ask, seconds: float) -> Offsets:
+        """Guide the operator through it.
+
+        Args:
+            ask: See `Ask`.
+            seconds: That each body is looked at.
+
+        Raises:
+            LinkError: The robot does not answer as it should.
+            PoseError: Poses do not come, or cannot be true.
+        """
+        self._link.connect()
+        self._feed.first()
+        s = self._settings
+        ask(
+            "let the robot lie on the level floor, legs folded, the middle of its trunk over the origin of "
+            "motion capture, its head along the x axis"
+        )
+        seen = self._look(s.trunk, seconds)
+        trunk, tilt = self._lying()
+        check_pivot(seen, trunk, _TRUNK, s.trunk)
+        x, y = self._box.position
+        ask(
+            f"put the box down with its centre at x = {x:.2f} m, y = {y:.2f} m of motion capture, its faces "
+            f"along the axes{_turned(self._box.yaw)}"
+        )
+        box, there = self._look(s.box, seconds), _standing(self._box)
+        check_pivot(box, there, np.array(self._box.size), s.box)
+        return Offsets(offset_of(seen, trunk), offset_of(box, there), float(trunk[0][2]), tilt)
+
+    def _look(self, body: str, seconds: float) -> Pose:
+        self._feed.poses()  # what came while the operator was busy is old
+        begun, seen = self._clock.now(), []
+        while self._clock.now() - begun < seconds:
+            self._clock.sleep_until(self._clock.now() + _STEP)
+            self._link.samples()
+            seen += [(pose.position, pose.orientation) for pose in self._feed.poses() if pose.body == body]
+        if len(seen) < _FEWEST:
+            raise PoseError(f"{len(seen)} poses of {body!r} in {seconds:g} s: its markers are not seen well")
+        return average(seen, body)
+
+    def _lying(self) -> tuple[Pose, float]:
+        """Pose of the trunk over the origin, headed along x, by joints and IMU; and how far it leans."""
+        robot = self._link.report.robot
+        imu = level_heading(robot["quaternion"])
+        tilt = float(np.arccos(np.clip(up(imu)[2], -1.0, 1.0)))
+        if tilt > _LEVEL:
+            raise PoseError(
+                f"by its IMU the trunk leans {np.rad2deg(tilt):.0f} degrees: put the robot on its belly, on "
+                "level ground"
+            )
+        height = trunk_height(imu, np.array(robot["joints"]))
+        if height > _LYING:
+            raise PoseError(f"by its joints the trunk is {height:.2f} m over the floor: let the robot lie")
+        return (np.array([0.0, 0.0, height]), imu), tilt
+
+
+def level_heading(orientation: Sequence[float]) -> FloatArray:
+    """An orientation (4,) turned about the vertical until it heads along x."""
+    w, x, y, z = orientation
+    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+    return multiply(exp(np.array([0.0, 0.0, -heading])), np.array(orientation))
+
+
+def _standing(box: Box) -> Pose:
+    place = np.array([*box.position, 0.5 * box.size[2]])
+    return place, exp(np.array([0.0, 0.0, box.yaw]))
+
+
+def _turned(yaw: float) -> str:
+    return f", turned by {np.rad2deg(yaw):.0f} degrees" if yaw else ""

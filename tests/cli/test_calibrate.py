@@ -1,0 +1,102 @@
+"""`amhe calibrate` from the outside, on an emulated robot whose rigid bodies are off."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amhe_cli.cli.main import run
+from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.poses.calibration import offset_of
+from tests.emulator.emulating import Emulated, emulating
+
+ROOT = Path(__file__).parents[2]
+TRUNK = (0.03, -0.012, -0.045, 0.02, -0.035, 0.3)
+BOX = (-0.05, 0.02, -0.15, 0.0, 0.01, -1.2)
+
+
+def at(emulated: Emulated) -> list[str]:
+    here = ["--host", "127.0.0.1", "--port", str(emulated.port)]
+    eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port), "--slow", "2"]
+    return [*here, *eyes, "--set", "go1.connect_time=5"]
+
+
+def off(name: str, offset: tuple[float, ...]) -> list[str]:
+    return [f"--{name}-offset", ",".join(map(str, offset))]
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.slow
+def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
+        assert run(["calibrate", "--yes", "-o", "out", *at(emulated)]) == 0, capsys.readouterr().err
+        said = capsys.readouterr()
+        check = ["run", "--task", "t1", "--target", "go1", "--dry-run", *at(emulated)]
+        assert run(check) == 1, "without the offsets it is refused"
+        assert run([*check, "--config", "out/offsets.yaml"]) == 0
+    assert "its head along the x axis" in said.err
+    assert said.out.startswith(Path("out/offsets.yaml").read_text())
+    found = json.loads(Path("out/result.json").read_text())
+    for name, true in (("trunk_offset", TRUNK), ("box_offset", BOX)):
+        np.testing.assert_allclose(found[name][:3], true[:3], atol=0.002, err_msg=name)
+        wrong = multiply(exp(-np.array(found[name][3:])), exp(np.array(true[3:])))
+        assert 2.0 * np.arccos(min(1.0, abs(wrong[0]))) < np.deg2rad(0.3), name
+    assert sorted(path.name for path in Path("out").iterdir()) == ["offsets.yaml", "result.json"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--fault", "yup=1"], "up axis z"),
+        (["--fault", "swap=1"], "check its name"),
+        (["--fault", "high=1"], "high-level mode"),
+    ],
+)
+def test_what_cannot_be_is_refused(capfd, more: list[str], said: str) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "2", *more) as emulated:
+        assert run(["calibrate", "--yes", *at(emulated)]) == 1
+    err = capfd.readouterr().err
+    assert said in err
+    assert sum("error:" in line for line in err.splitlines()) == 1
+    assert list(Path().glob("*/*/*")) == []
+
+
+@pytest.mark.slow
+def test_the_operator_is_waited_for() -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "2") as emulated:
+        command = [sys.executable, "-m", "amhe_cli", "calibrate", "-o", "out", *at(emulated)]
+        pressed = subprocess.run(
+            command, input="\n\n", text=True, capture_output=True, timeout=120, env={"PYTHONPATH": str(ROOT)}
+        )
+        nobody = subprocess.run(
+            [*command, "--force"], input="", text=True, capture_output=True, timeout=120,
+            env={"PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
+    assert pressed.returncode == 0, pressed.stderr
+    assert pressed.stderr.count("then press Enter") == 2
+    assert nobody.returncode == 2
+    assert "give --yes" in nobody.stderr
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "a,b,c,d,e,f", "0,0,0,0,0,nan"])
+def test_an_offset_that_is_none_is_refused(capsys, text: str) -> None:
+    assert run(["emulate", "--box-offset", text]) == 2
+    assert "six numbers" in capsys.readouterr().err
+
+
+def test_no_offset_is_found_where_there_is_none() -> None:
+    pose = (np.array([1.0, 2.0, 0.3]), exp(np.array([0.1, 0.2, 0.3])))
+    np.testing.assert_allclose(offset_of(pose, pose), np.zeros(6), atol=1e-12)
