@@ -135,7 +135,7 @@ def walk(
     twist, push = np.asarray(twist, dtype=np.float64), np.asarray(push, dtype=np.float64)
     steps, velocity = _steps(gait, phase, twist)
     feet = neutral_feet(gait) + steps
-    feet[..., 1] += left
+    feet[..., 1] += np.asarray(left, dtype=np.float64)
     forces = ground_forces(feet, _loads(gait, phase), push, PUSH_HEIGHT)
     return reference(gait, feet, velocity, forces, phase < gait.duty)
 
