@@ -2,7 +2,7 @@
 
     python benchmarks/probing.py --seeds 15
 
-Seeds that have a result are not run again: stop it, and go on later. `--report` only prints the table.
+What has a file is not done again: stop it, and go on later. `--report` only prints the table.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ import numpy as np
 from amhe_cli.assembly import LogSource, identify_problem
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.probing.motions import APPROACH, STEADY
 from amhe_cli.probing.plan import Plan, parts_of
-from amhe_cli.probing.primitives import APPROACH, STEADY
 from amhe_cli.probing.probe import ProbeOptions, achieved
 from amhe_cli.probing.push import PushProbe
 from amhe_cli.report.belief_file import belief_text
@@ -31,6 +31,11 @@ PROJECT = Path(__file__).resolve().parent.parent
 #: Half of what is true of T1's box, with the spread of the system's own prior.
 BELIEVED = {"box_mass": 2.0, "box_inertia_scale": 1.0, "floor_friction": 0.3}
 TRUTH = {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
+#: What is looked at: products of parameters to these powers.
+POWERS = {name: row for name, row in zip(TRUTH, np.eye(3), strict=True)} | {
+    "m mu": np.array([1.0, 0.0, 1.0]),
+    "m / mu": np.array([1.0, 0.0, -1.0]),
+}
 
 
 def main() -> None:
@@ -43,54 +48,61 @@ def main() -> None:
     parser.add_argument("--report", action="store_true")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for seed in range(0 if arguments.report else arguments.seeds):
-        file = arguments.out / f"{seed}.json"
-        if not file.exists():
-            file.write_text(json.dumps(run(seed, arguments), indent=2))
-            print(f"seed {seed}: done", flush=True)
-    print(table([json.loads(path.read_text()) for path in sorted(arguments.out.glob("*.json"))]))
-
-
-def run(seed: int, arguments: argparse.Namespace) -> dict[str, object]:
-    """One seed: the probe and the straight push, each run and identified from."""
     belief = arguments.out / "belief.yaml"
     belief.write_text(belief_text(_belief()))
-    options = ProbeOptions(
-        seconds=arguments.seconds, belief=belief, seed=seed, threads=arguments.threads or 1
-    )
+    for seed in range(0 if arguments.report else arguments.seeds):
+        run(seed, arguments, belief)
+    print(table(arguments.out))
+
+
+def run(seed: int, arguments: argparse.Namespace, belief: Path) -> None:
+    """One seed: the probe and the straight push, each run, asked, and identified from."""
+    threads = arguments.threads or 1
+    options = ProbeOptions(seconds=arguments.seconds, belief=belief, seed=seed, threads=threads)
     probe = PushProbe(options)
-    plan = probe.design(lambda text: None)
-    result: dict[str, object] = {"sequence": [part.name for part in plan.parts]}
-    for name, own in (("probe", plan), ("straight", straight(plan))):
-        log = arguments.out / f"{seed}-{name}.mcap"
-        ending = probe.run(own, log, lambda: False, lambda text: None)
-        known = achieved(probe.system, log, options)
-        expected = plan.expected if name == "probe" else plan.plain
-        result[name] = {
-            "error": ending.error and str(ending.error),
-            "expected_sd": plain(expected.sd),
-            "achieved_sd": None if known is None else plain(known.sd),
-            "identified": identified(log, belief, seed, options.threads),
-        }
-    return result
+    plan: Plan | None = None
+    for motion in ("probe", "straight"):
+        log, told, found = (
+            arguments.out / f"{seed}-{motion}.{end}" for end in ("mcap", "json", "found.json")
+        )
+        if not told.exists():
+            plan = plan or probe.design(lambda text: None)
+            own = plan if motion == "probe" else straight(plan)
+            ending = probe.run(own, log, lambda: False, lambda text: None)
+            known = achieved(probe.system, log, options)
+            expected = plan.expected if motion == "probe" else plan.plain
+            record = {
+                "motion": own.parts[-1].name,
+                "error": ending.error and str(ending.error),
+                "expected": expected.covariance,
+                "achieved": None if known is None else known.covariance,
+            }
+            told.write_text(json.dumps(plain(record), indent=2))
+            print(f"seed {seed}, {motion}: run", flush=True)
+        if not found.exists():
+            found.write_text(json.dumps(identified(log, belief, seed, threads), indent=2))
+            print(f"seed {seed}, {motion}: identified", flush=True)
 
 
 def straight(plan: Plan) -> Plan:
     """An equally long push at one speed."""
-    count = round((plan.seconds - APPROACH.seconds) / STEADY.seconds)
-    parts = [(part.name, part.title, part.seconds) for part in (APPROACH, *[STEADY] * count)]
-    return replace(plan, parts=parts_of(parts))
+    room = plan.seconds - APPROACH.seconds
+    return replace(
+        plan,
+        parts=parts_of([(m.name, m.title, s) for m, s in ((APPROACH, APPROACH.seconds), (STEADY, room))]),
+    )
 
 
-def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, dict[str, float]]:
-    """Estimate, sd and 90 % interval of each parameter."""
+def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, object]:
+    """Estimate, 90 % interval and covariance of log(parameters)."""
     problem = identify_problem(LogSource((log,), {}, None, None, None), [], None, [], None, belief)
     options = IdentifyOptions(seed=seed, threads=threads, prior=problem.prior)
     result = identify(problem.system, problem.training, None, options)
-    return {
-        p.name: plain({"estimate": p.estimate, "sd": p.sd, "lower": p.lower, "upper": p.upper})
+    rows = {
+        p.name: {"estimate": p.estimate, "sd": p.sd, "lower": p.lower, "upper": p.upper}
         for p in result.parameters
     }
+    return plain({"parameters": rows, "covariance": result.belief.covariance})
 
 
 def _belief() -> Belief:
@@ -100,26 +112,36 @@ def _belief() -> Belief:
     return Belief("go1_push", names, ("kg", "-", "-"), (True,) * 3, estimate, np.diag(sd**2))
 
 
-def table(results: list[dict]) -> str:
-    """Median errors, coverage and sd of both motions, in Markdown."""
+def table(out: Path) -> str:
+    """Median errors, coverage and sd of both motions over the seeds that have both files, in Markdown."""
     lines = [
-        "| motion | parameter | expected sd | achieved sd | identify: sd | median error | 90 % holds |",
+        "| motion | known | expected sd | achieved sd | identify: sd | median error | 90 % holds |",
         "|---|---|---|---|---|---|---|",
     ]
     for motion in ("probe", "straight"):
-        for i, (name, truth) in enumerate(TRUTH.items()):
-            rows = [result[motion] for result in results]
-            found = [row["identified"][name] for row in rows]
-            errors = [abs(f["estimate"] / truth - 1.0) for f in found]
-            held = sum(f["lower"] <= truth <= f["upper"] for f in found)
-            expected = np.median([row["expected_sd"][i] for row in rows])
-            reached = np.median([row["achieved_sd"][i] for row in rows if row["achieved_sd"]])
-            own = np.median([f["sd"] / f["estimate"] for f in found])
-            lines.append(
-                f"| {motion} | {name} | {expected:.1%} | {reached:.1%} | {own:.1%} | {np.median(errors):.1%} "
-                f"| {held} of {len(found)} |"
-            )
+        found = [json.loads(path.read_text()) for path in sorted(out.glob(f"*-{motion}.found.json"))]
+        told = [json.loads(path.read_text()) for path in sorted(out.glob(f"*-{motion}.json"))]
+        for name, powers in POWERS.items():
+            expected, reached = (_sd([t[key] for t in told], powers) for key in ("expected", "achieved"))
+            own = _sd([f["covariance"] for f in found], powers)
+            lines.append(f"| {motion} | {name} | {expected} | {reached} | {own} | {_errors(found, name)} |")
+        lines.append(f"| {motion} | runs | {len(told)} | {len(told)} | {len(found)} | | |")
     return "\n".join(lines)
+
+
+def _sd(covariances: list, powers: np.ndarray) -> str:
+    """Median over the seeds of the sd of log of a product of parameters to these powers."""
+    sds = [np.sqrt(powers @ np.array(one) @ powers) for one in covariances if one is not None]
+    return f"{np.median(sds):.1%}" if sds else "-"
+
+
+def _errors(found: list, name: str) -> str:
+    if name not in TRUTH or not found:
+        return "|"
+    rows, truth = [one["parameters"][name] for one in found], TRUTH[name]
+    error = np.median([abs(row["estimate"] / truth - 1.0) for row in rows])
+    held = sum(row["lower"] <= truth <= row["upper"] for row in rows)
+    return f"{error:.1%} | {held} of {len(rows)}"
 
 
 if __name__ == "__main__":
