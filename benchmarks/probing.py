@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -20,6 +20,7 @@ import numpy as np
 from amhe_cli.assembly import LogSource, identify_problem
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.probing.design import accuracy
 from amhe_cli.probing.motions import APPROACH, STEADY
 from amhe_cli.probing.plan import Plan, parts_of
 from amhe_cli.probing.probe import ProbeOptions, achieved
@@ -50,47 +51,56 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     belief = arguments.out / "belief.yaml"
     belief.write_text(belief_text(_belief()))
-    for seed in range(0 if arguments.report else arguments.seeds):
-        run(seed, arguments, belief)
+    for which in () if arguments.report else ("probe", "straight"):
+        for seed in range(arguments.seeds):
+            run(which, seed, arguments, belief)
     print(table(arguments.out))
 
 
-def run(seed: int, arguments: argparse.Namespace, belief: Path) -> None:
-    """One seed: the probe and the straight push, each run, asked, and identified from."""
+def run(which: str, seed: int, arguments: argparse.Namespace, belief: Path) -> None:
+    """The probe or the straight push of one seed: designed, run, asked, identified from; a file for each."""
     threads = arguments.threads or 1
     options = ProbeOptions(seconds=arguments.seconds, belief=belief, seed=seed, threads=threads)
     probe = PushProbe(options)
-    plan: Plan | None = None
-    for motion in ("probe", "straight"):
-        log, told, found = (
-            arguments.out / f"{seed}-{motion}.{end}" for end in ("mcap", "json", "found.json")
-        )
-        if not told.exists():
-            plan = plan or probe.design(lambda text: None)
-            own = plan if motion == "probe" else straight(plan)
-            ending = probe.run(own, log, lambda: False, lambda text: None)
-            known = achieved(probe.system, log, options)
-            expected = plan.expected if motion == "probe" else plan.plain
-            record = {
-                "motion": own.parts[-1].name,
-                "error": ending.error and str(ending.error),
-                "expected": expected.covariance,
-                "achieved": None if known is None else known.covariance,
-            }
-            told.write_text(json.dumps(plain(record), indent=2))
-            print(f"seed {seed}, {motion}: run", flush=True)
-        if not found.exists():
-            found.write_text(json.dumps(identified(log, belief, seed, threads), indent=2))
-            print(f"seed {seed}, {motion}: identified", flush=True)
-
-
-def straight(plan: Plan) -> Plan:
-    """An equally long push at one speed."""
-    room = plan.seconds - APPROACH.seconds
-    return replace(
-        plan,
-        parts=parts_of([(m.name, m.title, s) for m, s in ((APPROACH, APPROACH.seconds), (STEADY, room))]),
+    log = arguments.out / f"{seed}-{which}.mcap"
+    if which == "probe":
+        plan = _kept(arguments.out / f"{seed}.plan.json", lambda: designed(probe))
+    _kept(
+        log.with_suffix(".told.json"),
+        lambda: told(probe, plan["motion"] if which == "probe" else STEADY.name, log, options),
     )
+    _kept(log.with_suffix(".found.json"), lambda: identified(log, belief, seed, threads))
+
+
+def _kept(file: Path, make: Callable[[], dict]) -> dict:
+    """What is in a file, made before where there is none."""
+    if not file.exists():
+        text = json.dumps(plain(make()), indent=2)
+        file.write_text(text)
+        print(file.name, flush=True)
+    return json.loads(file.read_text())
+
+
+def designed(probe: PushProbe) -> dict[str, object]:
+    """The chosen motion, and the covariances that are expected of it and of the straight push."""
+    plan = probe.design(lambda text: None)
+    return {
+        "motion": plan.parts[-1].name,
+        "probe": plan.expected.covariance,
+        "straight": plan.plain.covariance,
+    }
+
+
+def told(probe: PushProbe, name: str, log: Path, options: ProbeOptions) -> dict[str, object]:
+    """Push; the covariance that the log is worth."""
+    nothing = accuracy(probe.system.space, np.zeros((1, len(TRUTH), len(TRUTH))))
+    parts = [(APPROACH.name, "", APPROACH.seconds), (name, "", options.seconds - APPROACH.seconds)]
+    ending = probe.run(Plan(parts_of(parts), nothing, nothing, ""), log, lambda: False, lambda text: None)
+    known = achieved(probe.system, log, options)
+    return {
+        "error": ending.error and str(ending.error),
+        "achieved": None if known is None else known.covariance,
+    }
 
 
 def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, object]:
@@ -102,7 +112,7 @@ def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, ob
         p.name: {"estimate": p.estimate, "sd": p.sd, "lower": p.lower, "upper": p.upper}
         for p in result.parameters
     }
-    return plain({"parameters": rows, "covariance": result.belief.covariance})
+    return {"parameters": rows, "covariance": result.belief.covariance}
 
 
 def _belief() -> Belief:
@@ -113,20 +123,30 @@ def _belief() -> Belief:
 
 
 def table(out: Path) -> str:
-    """Median errors, coverage and sd of both motions over the seeds that have both files, in Markdown."""
+    """Median errors, coverage and sd of both motions over the seeds that are there, in Markdown."""
     lines = [
-        "| motion | known | expected sd | achieved sd | identify: sd | median error | 90 % holds |",
-        "|---|---|---|---|---|---|---|",
+        "| motion | seeds | known | expected sd | achieved sd | identify: sd | median error | 90 % holds |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    for motion in ("probe", "straight"):
-        found = [json.loads(path.read_text()) for path in sorted(out.glob(f"*-{motion}.found.json"))]
-        told = [json.loads(path.read_text()) for path in sorted(out.glob(f"*-{motion}.json"))]
+    plans = _all(out, "*.plan.json")
+    for which in ("probe", "straight"):
+        told, found = (_all(out, f"*-{which}.{end}.json") for end in ("told", "found"))
         for name, powers in POWERS.items():
-            expected, reached = (_sd([t[key] for t in told], powers) for key in ("expected", "achieved"))
-            own = _sd([f["covariance"] for f in found], powers)
-            lines.append(f"| {motion} | {name} | {expected} | {reached} | {own} | {_errors(found, name)} |")
-        lines.append(f"| {motion} | runs | {len(told)} | {len(told)} | {len(found)} | | |")
+            sds = [
+                _sd([one[key] for one in many], powers)
+                for many, key in ((plans, which), (told, "achieved"), (found, "covariance"))
+            ]
+            lines.append(f"| {which} | {len(found)} | {name} | {' | '.join(sds)} | {_errors(found, name)} |")
+    motions = [plan["motion"] for plan in plans]
+    lines += [
+        "",
+        "Chosen: " + ", ".join(f"{name} {motions.count(name)}" for name in dict.fromkeys(motions)) + ".",
+    ]
     return "\n".join(lines)
+
+
+def _all(out: Path, pattern: str) -> list[dict]:
+    return [json.loads(path.read_text()) for path in sorted(out.glob(pattern))]
 
 
 def _sd(covariances: list, powers: np.ndarray) -> str:
@@ -137,7 +157,7 @@ def _sd(covariances: list, powers: np.ndarray) -> str:
 
 def _errors(found: list, name: str) -> str:
     if name not in TRUTH or not found:
-        return "|"
+        return "- | -"
     rows, truth = [one["parameters"][name] for one in found], TRUTH[name]
     error = np.median([abs(row["estimate"] / truth - 1.0) for row in rows])
     held = sum(row["lower"] <= truth <= row["upper"] for row in rows)
