@@ -61,7 +61,6 @@ MOTIONS = (
     STEADY,
     Motion("surge", "a surge in every stride", _surges(None, 1)),
     Motion("sides", "surges left and right of the middle by turns", _surges(0.12, 4) + _surges(-0.12, 4)),
-    Motion("stop", "push, then let the box come to rest", (Phase(1.0, 0.4), Phase(0.5, 0.0))),
     Motion("release", "back off and meet the box again", (Phase(0.6, -0.2), Phase(1.4, 0.4))),
 )
 
