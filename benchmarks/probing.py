@@ -2,7 +2,7 @@
 
     python benchmarks/probing.py --seeds 15
 
-Seeds that have a result are not run again: stop it, and go on later. `--report` only prints the table.
+What has a file is not done again: stop it, and go on later. `--report` only prints the table.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -20,8 +20,9 @@ import numpy as np
 from amhe_cli.assembly import LogSource, identify_problem
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.probing.design import accuracy
+from amhe_cli.probing.motions import APPROACH, STEADY
 from amhe_cli.probing.plan import Plan, parts_of
-from amhe_cli.probing.primitives import APPROACH, STEADY
 from amhe_cli.probing.probe import ProbeOptions, achieved
 from amhe_cli.probing.push import PushProbe
 from amhe_cli.report.belief_file import belief_text
@@ -31,6 +32,11 @@ PROJECT = Path(__file__).resolve().parent.parent
 #: Half of what is true of T1's box, with the spread of the system's own prior.
 BELIEVED = {"box_mass": 2.0, "box_inertia_scale": 1.0, "floor_friction": 0.3}
 TRUTH = {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
+#: What is looked at: products of parameters to these powers.
+POWERS = {name: row for name, row in zip(TRUTH, np.eye(3), strict=True)} | {
+    "m mu": np.array([1.0, 0.0, 1.0]),
+    "m / mu": np.array([1.0, 0.0, -1.0]),
+}
 
 
 def main() -> None:
@@ -43,54 +49,70 @@ def main() -> None:
     parser.add_argument("--report", action="store_true")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    for seed in range(0 if arguments.report else arguments.seeds):
-        file = arguments.out / f"{seed}.json"
-        if not file.exists():
-            file.write_text(json.dumps(run(seed, arguments), indent=2))
-            print(f"seed {seed}: done", flush=True)
-    print(table([json.loads(path.read_text()) for path in sorted(arguments.out.glob("*.json"))]))
-
-
-def run(seed: int, arguments: argparse.Namespace) -> dict[str, object]:
-    """One seed: the probe and the straight push, each run and identified from."""
     belief = arguments.out / "belief.yaml"
     belief.write_text(belief_text(_belief()))
-    options = ProbeOptions(
-        seconds=arguments.seconds, belief=belief, seed=seed, threads=arguments.threads or 1
-    )
+    for which in () if arguments.report else ("probe", "straight"):
+        for seed in range(arguments.seeds):
+            run(which, seed, arguments, belief)
+    print(table(arguments.out))
+
+
+def run(which: str, seed: int, arguments: argparse.Namespace, belief: Path) -> None:
+    """The probe or the straight push of one seed: designed, run, asked, identified from; a file for each."""
+    threads = arguments.threads or 1
+    options = ProbeOptions(seconds=arguments.seconds, belief=belief, seed=seed, threads=threads)
     probe = PushProbe(options)
+    log = arguments.out / f"{seed}-{which}.mcap"
+    if which == "probe":
+        plan = _kept(arguments.out / f"{seed}.plan.json", lambda: designed(probe))
+    _kept(
+        log.with_suffix(".told.json"),
+        lambda: told(probe, plan["motion"] if which == "probe" else STEADY.name, log, options),
+    )
+    _kept(log.with_suffix(".found.json"), lambda: identified(log, belief, seed, threads))
+
+
+def _kept(file: Path, make: Callable[[], dict]) -> dict:
+    """What is in a file, made before where there is none."""
+    if not file.exists():
+        text = json.dumps(plain(make()), indent=2)
+        file.write_text(text)
+        print(file.name, flush=True)
+    return json.loads(file.read_text())
+
+
+def designed(probe: PushProbe) -> dict[str, object]:
+    """The chosen motion, and the covariances that are expected of it and of the straight push."""
     plan = probe.design(lambda text: None)
-    result: dict[str, object] = {"sequence": [part.name for part in plan.parts]}
-    for name, own in (("probe", plan), ("straight", straight(plan))):
-        log = arguments.out / f"{seed}-{name}.mcap"
-        ending = probe.run(own, log, lambda: False, lambda text: None)
-        known = achieved(probe.system, log, options)
-        expected = plan.expected if name == "probe" else plan.plain
-        result[name] = {
-            "error": ending.error and str(ending.error),
-            "expected_sd": plain(expected.sd),
-            "achieved_sd": None if known is None else plain(known.sd),
-            "identified": identified(log, belief, seed, options.threads),
-        }
-    return result
+    return {
+        "motion": plan.parts[-1].name,
+        "probe": plan.expected.covariance,
+        "straight": plan.plain.covariance,
+    }
 
 
-def straight(plan: Plan) -> Plan:
-    """An equally long push at one speed."""
-    count = round((plan.seconds - APPROACH.seconds) / STEADY.seconds)
-    parts = [(part.name, part.title, part.seconds) for part in (APPROACH, *[STEADY] * count)]
-    return replace(plan, parts=parts_of(parts))
+def told(probe: PushProbe, name: str, log: Path, options: ProbeOptions) -> dict[str, object]:
+    """Push; the covariance that the log is worth."""
+    nothing = accuracy(probe.system.space, np.zeros((1, len(TRUTH), len(TRUTH))))
+    parts = [(APPROACH.name, "", APPROACH.seconds), (name, "", options.seconds - APPROACH.seconds)]
+    ending = probe.run(Plan(parts_of(parts), nothing, nothing, ""), log, lambda: False, lambda text: None)
+    known = achieved(probe.system, log, options)
+    return {
+        "error": ending.error and str(ending.error),
+        "achieved": None if known is None else known.covariance,
+    }
 
 
-def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, dict[str, float]]:
-    """Estimate, sd and 90 % interval of each parameter."""
+def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, object]:
+    """Estimate, 90 % interval and covariance of log(parameters)."""
     problem = identify_problem(LogSource((log,), {}, None, None, None), [], None, [], None, belief)
     options = IdentifyOptions(seed=seed, threads=threads, prior=problem.prior)
     result = identify(problem.system, problem.training, None, options)
-    return {
-        p.name: plain({"estimate": p.estimate, "sd": p.sd, "lower": p.lower, "upper": p.upper})
+    rows = {
+        p.name: {"estimate": p.estimate, "sd": p.sd, "lower": p.lower, "upper": p.upper}
         for p in result.parameters
     }
+    return {"parameters": rows, "covariance": result.belief.covariance}
 
 
 def _belief() -> Belief:
@@ -100,26 +122,46 @@ def _belief() -> Belief:
     return Belief("go1_push", names, ("kg", "-", "-"), (True,) * 3, estimate, np.diag(sd**2))
 
 
-def table(results: list[dict]) -> str:
-    """Median errors, coverage and sd of both motions, in Markdown."""
+def table(out: Path) -> str:
+    """Median errors, coverage and sd of both motions over the seeds that are there, in Markdown."""
     lines = [
-        "| motion | parameter | expected sd | achieved sd | identify: sd | median error | 90 % holds |",
-        "|---|---|---|---|---|---|---|",
+        "| motion | seeds | known | expected sd | achieved sd | identify: sd | median error | 90 % holds |",
+        "|---|---|---|---|---|---|---|---|",
     ]
-    for motion in ("probe", "straight"):
-        for i, (name, truth) in enumerate(TRUTH.items()):
-            rows = [result[motion] for result in results]
-            found = [row["identified"][name] for row in rows]
-            errors = [abs(f["estimate"] / truth - 1.0) for f in found]
-            held = sum(f["lower"] <= truth <= f["upper"] for f in found)
-            expected = np.median([row["expected_sd"][i] for row in rows])
-            reached = np.median([row["achieved_sd"][i] for row in rows if row["achieved_sd"]])
-            own = np.median([f["sd"] / f["estimate"] for f in found])
-            lines.append(
-                f"| {motion} | {name} | {expected:.1%} | {reached:.1%} | {own:.1%} | {np.median(errors):.1%} "
-                f"| {held} of {len(found)} |"
-            )
+    plans = _all(out, "*.plan.json")
+    for which in ("probe", "straight"):
+        told, found = (_all(out, f"*-{which}.{end}.json") for end in ("told", "found"))
+        for name, powers in POWERS.items():
+            sds = [
+                _sd([one[key] for one in many], powers)
+                for many, key in ((plans, which), (told, "achieved"), (found, "covariance"))
+            ]
+            lines.append(f"| {which} | {len(found)} | {name} | {' | '.join(sds)} | {_errors(found, name)} |")
+    motions = [plan["motion"] for plan in plans]
+    lines += [
+        "",
+        "Chosen: " + ", ".join(f"{name} {motions.count(name)}" for name in dict.fromkeys(motions)) + ".",
+    ]
     return "\n".join(lines)
+
+
+def _all(out: Path, pattern: str) -> list[dict]:
+    return [json.loads(path.read_text()) for path in sorted(out.glob(pattern))]
+
+
+def _sd(covariances: list, powers: np.ndarray) -> str:
+    """Median over the seeds of the sd of log of a product of parameters to these powers."""
+    sds = [np.sqrt(powers @ np.array(one) @ powers) for one in covariances if one is not None]
+    return f"{np.median(sds):.1%}" if sds else "-"
+
+
+def _errors(found: list, name: str) -> str:
+    if name not in TRUTH or not found:
+        return "- | -"
+    rows, truth = [one["parameters"][name] for one in found], TRUTH[name]
+    error = np.median([abs(row["estimate"] / truth - 1.0) for row in rows])
+    held = sum(row["lower"] <= truth <= row["upper"] for row in rows)
+    return f"{error:.1%} | {held} of {len(rows)}"
 
 
 if __name__ == "__main__":

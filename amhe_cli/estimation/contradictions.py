@@ -18,7 +18,7 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.variants import contact_variants
 from amhe_cli.estimation import search
 from amhe_cli.estimation.identifiability import NOTED, SURPRISE, share, size
-from amhe_cli.estimation.linearised import information
+from amhe_cli.estimation.linearised import Information, information, objective
 from amhe_cli.estimation.posterior import Posterior, by_kind, disagreement, posterior
 from amhe_cli.estimation.problem import Problem
 from amhe_cli.estimation.study import Finding, Study, study_of, thinned
@@ -107,8 +107,13 @@ def _later_logs(tiles: Sequence[Window]) -> BoolArray:
 
 
 def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, FloatArray]:
-    """Where the estimate would move if unmeasured details of contact were others."""
-    system = problem.system
+    """Where the estimate would move if unmeasured details of contact were others.
+
+    A detail that the log itself speaks against, even with another estimate and other first states, is taken
+    only as far as the log allows: to where the misfit would have risen by SURPRISE squared.
+    """
+    system, prior = problem.system, problem.system.space.prior_precision
+    least = _misfit(study, study.slopes.cost, study.found, study.posterior.step)
     shifts = {}
     for name, model in contact_variants(system.model).items():
         engine = CpuEngine(model, system.edits, system.input_spec, problem.threads, system.senses)
@@ -116,9 +121,27 @@ def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, Flo
         residuals = cost.residuals(finding.z[None])
         both = study.slopes.completed & residuals.completed[0]
         moved = information(replace(study.slopes, residual=residuals.flat[0], completed=both))
-        there = posterior(finding.z, moved, study.weight * both, system.space.prior_precision)
-        shifts[name] = there.step - study.posterior.step
+        there = posterior(finding.z, moved, study.weight * both, prior)
+        rise = _misfit(study, cost, moved, there.step) - least
+        share = allowed(rise)
+        told = name if share == 1.0 else f"{name}, as far as the log allows it,"
+        shifts[told] = share * (there.step - study.posterior.step)
     return shifts
+
+
+def allowed(rise: float) -> float:
+    """Share of a change of the model that raises the misfit by no more than SURPRISE squared.
+
+    Misfit rises with the square of the change; where all of the change raises it by less, it is 1.
+    """
+    return SURPRISE / float(np.sqrt(max(rise, SURPRISE**2)))
+
+
+def _misfit(study: Study, cost: MatchingCost, found: Information, step: FloatArray) -> float:
+    """Weighted squared residuals a step (d,) from the estimate, first states moved along."""
+    z, first = cost.system.space.clip(study.z + step)[None], found.first(step[None])
+    residuals = cost.residuals(z, first if first.shape[2] else None)
+    return float(objective(cost, residuals, first, study.found.times, study.weight)[0])
 
 
 def systematic(

@@ -8,7 +8,7 @@ from amhe_cli.assembly import DEFAULT_SYSTEM
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.go1.model import SYSTEM
 from amhe_cli.probing.drive import DriveProbe
-from amhe_cli.probing.primitives import STEADY
+from amhe_cli.probing.motions import STEADY
 from amhe_cli.probing.probe import Probe, ProbeOptions
 from amhe_cli.probing.push import PushProbe
 from amhe_cli.probing.robot import Robot
@@ -41,4 +41,4 @@ def robot_to_probe(options: ProbeOptions, robot: Robot) -> Run:
     Raises:
         ConfigError: See `open_probe`.
     """
-    return PushProbe(options, robot).on_robot((STEADY,), robot)
+    return PushProbe(options, robot).on_robot(STEADY, options.seconds, robot)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
-from amhe_cli.estimation.linearised import Information, information, linearise
+from amhe_cli.estimation.linearised import Information, Linearisation, information, linearise
+from amhe_cli.estimation.search import noise_scale
 from amhe_cli.estimation.shape import sampling_width
 from amhe_cli.matching import MatchingCost
 from amhe_cli.system.system import System
@@ -19,32 +21,41 @@ MOST_STEPS, SETTLED = 10, 0.5
 
 
 def information_at(
-    system: System, windows: Sequence[Window], engine: RolloutEngine, z: FloatArray, rng: np.random.Generator
+    system: System,
+    windows: Sequence[Window],
+    engine: RolloutEngine,
+    z: FloatArray,
+    rng: np.random.Generator,
+    *,
+    recorded: bool = False,
 ) -> Information:
     """Information of each window on z (d,): `matrix` has shape (c, d, d).
 
-    First states are fitted along where the system's settings always fit them, else taken as recorded: those
-    of a robot would take a hundred rollouts a window. The noise is what the residuals show, their
+    First states are fitted along, as `amhe identify` does in the end: where they are taken as recorded, what
+    their errors do to a surge counts as noise of the surge. The noise is what the residuals then show, their
     autocorrelation included; the samples are as wide as the jitter of contacts asks for.
+
+    Args:
+        recorded: Take first states as recorded all the same where the system's settings do not always fit
+            them: for a robot a fifteenth of the rollouts.
     """
-    plain = MatchingCost(system, windows, engine, system.settings.cost)
-    cost = MatchingCost(system, windows, engine, system.settings.cost, _noise_scale(plain, z))
     setting = system.settings.identify
-    first = np.zeros((len(windows), cost.nx if setting.first_state == "always" else 0))
+    cost = MatchingCost(system, windows, engine, system.settings.cost)
+    fitted = setting.first_state == "always" or (setting.first_state == "polish" and not recorded)
+    first = np.zeros((len(windows), cost.nx if fitted else 0))
     shape = np.diag(sampling_width(system.space, setting.step))
-    return information(linearise(cost, z, first, shape, 0, rng))
+    found = linearise(cost, z, first, shape, 0, rng)
+    return information(rescaled(found, noise_scale(cost, information(found), {})))
 
 
-def _noise_scale(cost: MatchingCost, z: FloatArray) -> dict[str, float]:
-    """Residual sd over declared noise sd of each channel in the middling window."""
-    found = cost.residuals(z[None])
-    scale = {}
-    for observed, values in zip(cost.clips.observed, found.values, strict=True):
-        counts = np.maximum(observed.mask.sum(axis=1) * observed.width, 1)
-        squares = (values[0] ** 2).sum(axis=(1, 2)) / counts
-        kept = squares[found.completed[0]]
-        scale[observed.channel.key] = float(np.sqrt(np.median(kept))) if kept.size else 1.0
-    return scale
+def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
+    """A linearisation in units of another noise: its declared sd times a factor for each channel."""
+    cost = found.cost
+    sizes = [o.mask.shape[1] * o.width for o in cost.clips.observed]
+    factor = np.repeat([scale[o.channel.key] for o in cost.clips.observed], sizes)
+    return replace(
+        found, residual=found.residual / factor, gain=found.gain / factor, bend=found.bend / factor**2
+    )
 
 
 def information_where_it_points(
@@ -52,15 +63,16 @@ def information_where_it_points(
 ) -> FloatArray:
     """Information (d, d) of all windows together, at the estimate that a few steps from the belief reach.
 
-    What a log tells is to be asked where its truth is; a belief may be far from it.
+    What a log tells is to be asked where its truth is; a belief may be far from it. The steps take first
+    states as recorded, which is good enough to get there.
     """
     space = system.space
-    z, hessian = np.zeros(len(space)), space.prior_precision
+    z = np.zeros(len(space))
     for _ in range(MOST_STEPS):
-        found = information_at(system, windows, engine, z, rng)
+        found = information_at(system, windows, engine, z, rng, recorded=True)
         hessian = found.matrix.sum(axis=0) + space.prior_precision
         step = -np.linalg.solve(hessian, found.score.sum(axis=0) + space.prior_precision @ z)
         z = space.clip(z + step)
         if step @ hessian @ step < SETTLED**2:
             break
-    return hessian - space.prior_precision
+    return information_at(system, windows, engine, z, rng).matrix.sum(axis=0)

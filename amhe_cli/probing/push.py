@@ -1,4 +1,4 @@
-"""Probing a box with a walking Go1: primitives rehearsed in simulation, the best sequence, its run."""
+"""Probing a box with a walking Go1: motions rehearsed in simulation, the best of them, its run."""
 
 from __future__ import annotations
 
@@ -16,16 +16,19 @@ from amhe_cli.core.errors import AmheError, ConfigError, SimulationError
 from amhe_cli.go1_assembly import open_go1_run
 from amhe_cli.live.drive import Ending, drive
 from amhe_cli.live.history import History
-from amhe_cli.probing.design import accuracy, best_counts, ensemble, spread_out
+from amhe_cli.probing.design import accuracy, criterion, ensemble
+from amhe_cli.probing.information import information_at
+from amhe_cli.probing.motions import APPROACH, MOTIONS, STEADY, Motion
 from amhe_cli.probing.plan import Plan, parts_of
-from amhe_cli.probing.primitives import APPROACH, LIBRARY, STEADY, Primitive
-from amhe_cli.probing.probe import ProbeOptions, Say, believing, engine_of, read
+from amhe_cli.probing.probe import ProbeOptions, Say, believing, engine_of, read, tiles
 from amhe_cli.probing.pushing import ProbeTask, probe_task
-from amhe_cli.probing.rehearsal import rehearsal_of, rehearsed_information
 from amhe_cli.probing.robot import Attend, Robot
 from amhe_cli.run_assembly import Run, RunOptions, open_run, system_of
 from amhe_cli.run_files import recorder_of
 from amhe_cli.system.system import System
+
+#: The least time that is a push, and what is rehearsed of one, after the approach [s].
+_SHORTEST, _REHEARSED = 1.0, 3.0
 
 
 def _nobody(*_: object) -> AbstractContextManager[None]:
@@ -50,80 +53,81 @@ class PushProbe:
         self._own = system_of(run, self._task)
         self.system: System = believing(self._own, options.belief)
         if robot:  # what it refuses is refused before the rehearsals
-            self.on_robot((STEADY,), robot)
+            self.on_robot(STEADY, options.seconds, robot)
 
     def design(self, say: Say) -> Plan:
         """See `Probe`."""
-        room = self._options.seconds - APPROACH.seconds
-        library = [primitive for primitive in LIBRARY if primitive.seconds <= room + 1e-9]
-        if not library:
-            shortest = APPROACH.seconds + min(primitive.seconds for primitive in LIBRARY)
+        options, space = self._options, self.system.space
+        room = options.seconds - APPROACH.seconds
+        if room < _SHORTEST:
             raise ConfigError(
-                f"--for {self._options.seconds:g}: too short; the approach and the shortest push take "
-                f"{shortest:g} s"
+                f"--for {options.seconds:g}: too short; the approach and the shortest push take "
+                f"{APPROACH.seconds + _SHORTEST:g} s"
             )
-        seconds = np.array([primitive.seconds for primitive in library])
-        draws = ensemble(self.system.space, self.system.settings.probe.pairs, self._options.rng(0))
-        found = np.stack([self._rehearsed(library, i, z, len(draws), say) for i, z in enumerate(draws)])
-        space = self.system.space
-        counts = best_counts(found, seconds, space.prior_precision, room)
-        sequence = [library[i] for i in spread_out(counts)]
-        total = np.einsum("n,enij->eij", counts.astype(float), found)
-        steady = found[:, library.index(STEADY)] * float(counts @ seconds) / STEADY.seconds
+        draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
+        found = []
+        for number, motion in enumerate(MOTIONS):
+            say(f"rehearsing {motion.name}, {number + 1} of {len(MOTIONS)}")
+            found.append(np.stack([self._told(motion, i, z) for i, z in enumerate(draws)]) * room)
+        best = int(np.argmax([criterion(told, space.prior_precision) for told in found]))
+        chosen = MOTIONS[best]
         return Plan(
-            parts_of([(p.name, p.title, p.seconds) for p in (APPROACH, *sequence)]),
-            accuracy(space, total),
-            accuracy(space, steady),
+            parts_of([(m.name, m.title, s) for m, s in ((APPROACH, APPROACH.seconds), (chosen, room))]),
+            accuracy(space, found[best]),
+            accuracy(space, found[MOTIONS.index(STEADY)]),
             "straight push",
         )
 
     def run(self, plan: Plan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """See `Probe`: closed-loop on the task's own box, or the robot's, under the belief."""
-        known = {primitive.name: primitive for primitive in LIBRARY}
-        sequence = tuple(known[part.name] for part in plan.parts[1:])
+        motion = next(motion for motion in MOTIONS if motion.name == plan.parts[-1].name)
         if not self._robot:
-            run = self._open(self._as_it_is(sequence), self._options.seed, "baseline")
-            return self._record(run, path, stopped, say)
-        run = self.on_robot(sequence, self._robot)
+            task = self._as_it_is(motion, plan.seconds)
+            return self._record(self._open(task, self._options.seed, "baseline"), path, stopped, say)
+        run = self.on_robot(motion, plan.seconds, self._robot)
         try:
             return self._record(run, path, stopped, say, self._robot.attend)
         except AmheError as error:  # it never came to run: the plan is worth keeping
             path.unlink()
             return Ending(error=error)
 
-    def on_robot(self, sequence: tuple[Primitive, ...], robot: Robot) -> Run:
-        """A sequence on the robot; nothing is sent yet.
+    def on_robot(self, motion: Motion, seconds: float, robot: Robot) -> Run:
+        """A motion on the robot; nothing is sent yet.
 
         Raises:
             ConfigError: What the wire's options or the settings do not allow.
         """
-        task, own = self._as_it_is(sequence), self._options
+        task, own = self._as_it_is(motion, seconds), self._options
         options = replace(self._run_options(task, own.seed, "baseline"), target="go1", belief=own.belief)
         return open_go1_run(replace(options, plant=own.plant), robot.wire, task)
 
-    def _rehearsed(
-        self, library: list[Primitive], number: int, z: FloatArray, count: int, say: Say
-    ) -> FloatArray:
-        """Information of every primitive (n, d, d) if z (d,) were true and believed."""
-        say(f"rehearsing, draw {number + 1} of {count}")
-        named = dict(zip(self.system.space.names, self.system.space.theta_of(z), strict=True))
-        box = Believed(float(named["box_mass"]), float(named["floor_friction"]))
-        seed = int(self._options.rng(1 + number).integers(2**31))
-        run = self._open(self._probe(rehearsal_of(library), box), seed, "true")
+    def _told(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:
+        """Information of a second of a motion (d, d), if z (d,) were true and believed; none if it fell."""
+        system, options = self.system, self._options
+        named = system.space.named(system.space.theta_of(z))
+        box = Believed(named["box_mass"], named["floor_friction"])
+        seconds = min(options.seconds, APPROACH.seconds + _REHEARSED)
+        seed = int(options.rng(1 + number).integers(2**31))
+        run = self._open(self._probe(motion, seconds, box), seed, "true")
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rehearsal.mcap"
-            self._record(run, path, lambda: False, lambda text: None)
-            log = read(self.system, path)
-        truth = self.system.space.z_of(np.array([run.first_truth[name] for name in self.system.space.names]))
-        engine, rng = engine_of(self.system, self._options.threads), self._options.rng(5 + number)
-        return rehearsed_information(self.system, library, log, engine, truth, rng)
+            ending = self._record(run, path, lambda: False, lambda text: None)
+            log = read(system, path)
+        windows = [w for w in tiles(system, log) if w.start * log.dt >= APPROACH.seconds]
+        if ending.error is not None or not windows:
+            return np.zeros((z.size, z.size))
+        truth = system.space.z_of(np.array([run.first_truth[name] for name in system.space.names]))
+        engine, rng = engine_of(system, options.threads), options.rng(5 + number)
+        told = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
+        return told / sum(window.duration for window in windows)
 
-    def _probe(self, sequence: tuple[Primitive, ...], box: Believed) -> ProbeTask:
+    def _probe(self, motion: Motion, seconds: float, box: Believed) -> ProbeTask:
         prior = self._own.space.named(self._own.space.nominal)
-        return probe_task(self._task, sequence, box, Believed(prior["box_mass"], prior["floor_friction"]))
+        believed = Believed(prior["box_mass"], prior["floor_friction"])
+        return probe_task(self._task, motion, seconds, box, believed)
 
-    def _as_it_is(self, sequence: tuple[Primitive, ...]) -> ProbeTask:
-        return self._probe(sequence, Believed(self._task.box.mass, self._task.box.floor_friction))
+    def _as_it_is(self, motion: Motion, seconds: float) -> ProbeTask:
+        return self._probe(motion, seconds, Believed(self._task.box.mass, self._task.box.floor_friction))
 
     def _run_options(self, task: ProbeTask, seed: int, mode: str) -> RunOptions:
         own = self._options

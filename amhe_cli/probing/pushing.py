@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from amhe_cli.control.objective import Reference, yaw_of
@@ -12,7 +11,7 @@ from amhe_cli.control.tasks import SPEED, TAPER, Believed, Task
 from amhe_cli.control.walking import Walking
 from amhe_cli.go1.model import Box
 from amhe_cli.go1.state import State
-from amhe_cli.probing.primitives import FASTEST, WIDEST_OFFSET, Primitive, Score
+from amhe_cli.probing.motions import APPROACH, FASTEST, WIDEST_OFFSET, Motion, Score
 
 #: The box is in front of the robot, on a line that no probe comes to the end of [m].
 _PLACE, _LENGTH = Box().position, 100.0
@@ -53,15 +52,15 @@ class ProbeTask(Task):
     """A task's box and floor, pushed by a score; for the rest see `Task`.
 
     Args:
-        sequence: What is done after the approach.
+        motion: What is done after the approach, for the task's nominal time.
     """
 
-    sequence: tuple[Primitive, ...] = ()
+    motion: Motion = APPROACH
 
     @property
     def score(self) -> Score:
         """With the approach."""
-        return Score(self.sequence)
+        return Score(self.motion, self.nominal_time)
 
     def behaviour(self) -> Walking:
         """See `Task.behaviour`."""
@@ -69,18 +68,18 @@ class ProbeTask(Task):
         return Walking(ScoreHelm(self.score, self.path, 0.5 * depth, 0.5 * width))
 
 
-def probe_task(task: Task, sequence: Sequence[Primitive], box: Believed, believed: Believed) -> ProbeTask:
+def probe_task(task: Task, motion: Motion, seconds: float, box: Believed, believed: Believed) -> ProbeTask:
     """A task as it is before anything changes, as something to probe.
 
     Args:
         task: Gives box and floor.
-        sequence: Of primitives.
+        motion: How to push.
+        seconds: How long, the approach included [s].
         box: The plant's numbers.
         believed: What the controller plans with where there is no other belief.
     """
     placed = replace(task.box, position=_PLACE, yaw=0.0, mass=box.box_mass, floor_friction=box.floor_friction)
-    score = Score(sequence)
     return ProbeTask(
-        task.name, f"probing the box of {task.name}", placed, Path(_PLACE, 0.0, _LENGTH), score.seconds,
-        baseline=believed, sequence=tuple(sequence),
+        task.name, f"probing the box of {task.name}", placed, Path(_PLACE, 0.0, _LENGTH), seconds,
+        baseline=believed, motion=motion,
     )  # fmt: skip

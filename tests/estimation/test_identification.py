@@ -114,8 +114,8 @@ def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):
     assert "mass reaches the model but no measurement" in caplog.text
 
 
-def fall(system) -> Trajectory:
-    """A cube that falls flat and slides."""
+def fall(system, noise: float = 1e-4) -> Trajectory:
+    """A cube that falls flat and slides, measured with this noise [SI]."""
     from amhe_cli.engine.cpu import CpuEngine
 
     steps = 300
@@ -133,7 +133,7 @@ def fall(system) -> Trajectory:
     }
     noisy = np.random.default_rng(0)
     series = {
-        f"cube.{k}": Series(v + noisy.normal(0, 1e-4, v.shape), yes, yes, tuple("wxyz"[: v.shape[1]]))
+        f"cube.{k}": Series(v + noisy.normal(0, noise, v.shape), yes, yes, tuple("wxyz"[: v.shape[1]]))
         for k, v in parts.items()
     }
     return Trajectory(system.model.opt.timestep, series, "fall")

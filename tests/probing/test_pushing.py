@@ -7,14 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from amhe_cli.control.gait import Gait
 from amhe_cli.control.objective import BUMPER
 from amhe_cli.control.path import Path
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Body, State
-from amhe_cli.probing.primitives import FASTEST, LIBRARY, WIDEST_OFFSET, Phase, Primitive, Score
+from amhe_cli.probing.motions import FASTEST, MOTIONS, WIDEST_OFFSET, Motion, Phase, Score
 from amhe_cli.probing.pushing import ScoreHelm
 
-TRY = Primitive("try", "", (Phase(1.0, 0.25), Phase(0.5, -0.1), Phase(2.0, 0.2, 0.1)))
+TRY = Motion("try", "", (Phase(1.0, 0.25), Phase(0.5, -0.1), Phase(2.0, 0.2, 0.1)))
 
 
 def state(time: float, gap: float = 0.0, box_yaw: float = 0.0) -> State:
@@ -26,16 +27,20 @@ def state(time: float, gap: float = 0.0, box_yaw: float = 0.0) -> State:
     return State(time, trunk, box, HOME, np.zeros(12))
 
 
-def helm(*sequence: Primitive) -> ScoreHelm:
-    return ScoreHelm(Score(sequence), Path((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
+def helm(motion: Motion) -> ScoreHelm:
+    return ScoreHelm(Score(motion, 9.0), Path((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
 
 
-def test_a_score_plays_its_parts_one_after_the_other_behind_the_approach() -> None:
-    score = Score([TRY, TRY])
-    assert score.seconds == pytest.approx(8.0)
-    assert score.starts == pytest.approx([0.0, 1.0, 4.5])
-    speeds = [score.at(t).speed for t in (0.5, 1.0, 2.1, 2.6, 4.6, 99.0)]
-    assert speeds == [0.2, 0.25, -0.1, 0.2, 0.25, 0.2]
+def test_a_score_repeats_its_motion_behind_the_approach() -> None:
+    score = Score(TRY, 9.0)
+    speeds = [score.at(t).speed for t in (0.5, 1.0, 2.1, 2.6, 4.6, 5.6, 99.0)]
+    assert speeds == [0.2, 0.25, -0.1, 0.2, 0.25, -0.1, 0.25]
+    assert score.at(1.0 + 1000 * 3.5).speed == 0.25, "to the instant, however long"
+
+
+def test_surges_keep_step_with_the_trot() -> None:
+    surge = next(motion for motion in MOTIONS if motion.name == "surge")
+    assert surge.seconds == pytest.approx(Gait().period)
 
 
 def test_the_helm_commands_the_scores_speed_and_place_of_the_push() -> None:
@@ -59,9 +64,9 @@ def test_a_lost_face_is_found_again_first() -> None:
     assert reference.speed <= 0.0
 
 
-def test_the_library_and_any_other_score_stay_within_the_limits() -> None:
-    for phase in (phase for primitive in LIBRARY for phase in primitive.phases):
+def test_the_motions_and_any_other_stay_within_the_limits() -> None:
+    for phase in (phase for motion in MOTIONS for phase in motion.phases):
         assert abs(phase.speed) <= FASTEST
         assert abs(phase.offset or 0.0) <= WIDEST_OFFSET
-    wild = helm(Primitive("wild", "", (Phase(5.0, 2.0, 1.0),))).reference(state(2.0))
+    wild = helm(Motion("wild", "", (Phase(5.0, 2.0, 1.0),))).reference(state(2.0))
     assert (wild.speed, wild.offset) == (FASTEST, WIDEST_OFFSET)

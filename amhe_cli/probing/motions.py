@@ -1,0 +1,86 @@
+"""Ways to push a box that may tell of it: speeds and places of the push, over and over."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import accumulate
+
+#: The walking push keeps to this speed [m/s], and this far beside the box's middle [m]; the trot still does
+#: it when it is held (docs/probing.md).
+FASTEST, WIDEST_OFFSET = 0.5, 0.12
+
+
+@dataclass(frozen=True, slots=True)
+class Phase:
+    """One command for some time.
+
+    Args:
+        seconds: How long [s].
+        speed: Of the robot ahead [m/s]; below zero it backs off.
+        offset: Where to push, left of the box's middle [m]; None: wherever steers the box along its line.
+    """
+
+    seconds: float
+    speed: float
+    offset: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """One way to push, repeated for as long as there is time.
+
+    Args:
+        name: A word.
+        title: In words.
+        phases: Of one turn, one after the other.
+    """
+
+    name: str
+    title: str
+    phases: tuple[Phase, ...]
+
+    @property
+    def seconds(self) -> float:
+        """How long one turn takes [s]."""
+        return sum(phase.seconds for phase in self.phases)
+
+
+#: Until the bumper meets the box; tells nothing, and comes before everything else.
+APPROACH = Motion("approach", "walk up to the box", (Phase(1.0, 0.2),))
+#: The plain push.
+STEADY = Motion("steady", "push on at one speed", (Phase(1.0, 0.2),))
+
+
+def _surges(offset: float | None, count: int) -> tuple[Phase, ...]:
+    """The trot's stride is 0.5 s: one surge in the first half of each."""
+    return (Phase(0.25, 0.4, offset), Phase(0.25, 0.1, offset)) * count
+
+
+MOTIONS = (
+    STEADY,
+    Motion("surge", "a surge in every stride", _surges(None, 1)),
+    Motion("sides", "surges left and right of the middle by turns", _surges(0.12, 4) + _surges(-0.12, 4)),
+    Motion("release", "back off and meet the box again", (Phase(0.6, -0.2), Phase(1.4, 0.4))),
+)
+
+
+class Score:
+    """What is commanded when: the approach, then a motion over and over.
+
+    Args:
+        motion: After the approach.
+        seconds: How long all of it takes [s].
+    """
+
+    def __init__(self, motion: Motion, seconds: float) -> None:
+        self.motion, self.seconds = motion, seconds
+        self._ends = list(accumulate(phase.seconds for phase in motion.phases))
+
+    def at(self, time: float) -> Phase:
+        """What is commanded at a time [s]."""
+        since = time - APPROACH.seconds + 1e-9
+        if since < 0.0:
+            return APPROACH.phases[0]
+        turn = since % self.motion.seconds
+        return self.motion.phases[min(bisect_right(self._ends, turn), len(self._ends) - 1)]
