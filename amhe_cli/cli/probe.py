@@ -58,6 +58,13 @@ LOG = "probe.mcap"
     help="MJCF of what is probed in simulation, instead of the system's own model: another Go1, or another "
     "model with the same joints and actuators.",
 )
+@click.option(
+    "--box",
+    nargs=2,
+    type=options.Number(min=0, min_open=True, max=100),
+    metavar="KG MU",
+    help="Mass and friction of the box that is probed in simulation, instead of the task's.",
+)
 @click.option("--plan-only", is_flag=True, help="Write plan.json and stop before anything moves.")
 @options.work
 @options.tuning
@@ -72,6 +79,7 @@ def probe(
     seconds: float,
     belief: Path | None,
     plant: Path | None,
+    box: tuple[float, float] | None,
     plan_only: bool,
     seed: int,
     threads: int,
@@ -97,7 +105,7 @@ def probe(
     from amhe_cli.report.record import plain
 
     session.hush_mujoco()
-    asked = ProbeOptions(system, task, seconds, belief, plant, seed, threads, assignments, config)
+    asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, assignments, config)
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)

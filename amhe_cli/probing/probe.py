@@ -38,6 +38,7 @@ class ProbeOptions:
         seconds: The longest that the probe may take [s].
         belief: File of a belief to design with, in place of the system's prior.
         plant: Model that is probed in place of the system's own.
+        box: Mass [kg] and friction of the box that is probed in simulation; None: the task's.
         seed: Of every random draw.
         threads: Of the rollouts; the outcome does not depend on it.
         assignments, config: Settings, as everywhere.
@@ -48,6 +49,7 @@ class ProbeOptions:
     seconds: float = 10.0
     belief: Path | None = None
     plant: Path | None = None
+    box: tuple[float, float] | None = None
     seed: int = 0
     threads: int = 1
     assignments: tuple[str, ...] = ()

@@ -52,6 +52,8 @@ class PushProbe:
         run = RunOptions(options.task, assignments=options.assignments, config=options.config)
         self._own = system_of(run, self._task)
         self.system: System = believing(self._own, options.belief)
+        if robot and options.box:
+            raise ConfigError("--box: the box of a real robot is as it is; leave it out")
         if robot:  # what it refuses is refused before the rehearsals
             self.on_robot(STEADY, options.seconds, robot)
 
@@ -127,7 +129,8 @@ class PushProbe:
         return probe_task(self._task, motion, seconds, box, believed)
 
     def _as_it_is(self, motion: Motion, seconds: float) -> ProbeTask:
-        return self._probe(motion, seconds, Believed(self._task.box.mass, self._task.box.floor_friction))
+        own = self._options.box or (self._task.box.mass, self._task.box.floor_friction)
+        return self._probe(motion, seconds, Believed(*own))
 
     def _run_options(self, task: ProbeTask, seed: int, mode: str) -> RunOptions:
         own = self._options

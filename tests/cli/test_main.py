@@ -127,7 +127,7 @@ def test_an_unknown_option_names_the_nearest(capsys) -> None:
     assert "--seed" in err
 
 
-@pytest.mark.parametrize("command", sorted(set(entry.amhe.commands) - {"emulate"}))  # which takes no path
+@pytest.mark.parametrize("command", sorted(set(entry.amhe.commands) - {"emulate", "calibrate"}))  # no paths
 def test_a_path_that_does_not_exist_is_a_usage_error(command, capsys, tmp_path) -> None:
     task = ["--task", "t1", "--belief"]
     option = {"run": task, "eval": ["--report"], "probe": ["--belief"]}.get(command, [])
