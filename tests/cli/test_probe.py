@@ -87,7 +87,7 @@ def test_the_probes_log_identifies_another_pendulum() -> None:
 
 def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:
     Path("quick.yaml").write_text(QUICK_SETTINGS)
-    assert run(["probe", "--for", "2", "-o", "probe", "--json", *QUICK]) == 0
+    assert run(["probe", "--for", "2", "--box", "3.5", "0.5", "-o", "probe", "--json", *QUICK]) == 0
     result = json.loads(capsys.readouterr().out)
     assert result == json.loads(Path("probe/result.json").read_text())
     assert {"schema_version", "command", "version", "seconds", "warnings"} <= set(result)
@@ -96,7 +96,8 @@ def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:
     assert {row["name"] for row in result["parameters"]} >= {"box_mass", "floor_friction"}
     said = read_metadata(Path("probe/probe.mcap"))
     assert (said["system"], said["task"]) == ("go1_push", "t1")
-    assert json.loads(said["truth"])["box_mass"] == pytest.approx(4.0)
+    truth = json.loads(said["truth"])
+    assert (truth["box_mass"], truth["floor_friction"]) == pytest.approx((3.5, 0.5)), "not those of t1"
     topics = {topic.name for topic in survey(Path("probe/probe.mcap")).topics}
     assert {"/joint_states", "/joint_commands", "/odom", "/box/odom", "/amhe/plan"} <= topics
 
@@ -106,6 +107,7 @@ def test_what_cannot_be_probed_is_said_in_one_line(capsys) -> None:
     assert "t9" in refused(capsys, "--task", "t9")
     assert "nothing to drive" in refused(capsys, "--system", "cube_toss")
     assert "1 s" in refused(capsys, "--system", "pendulum", "--for", "0.2")
+    assert "--box" in refused(capsys, "--system", "pendulum", "--box", "2", "0.3")
 
 
 def test_a_belief_about_another_system_is_refused(capsys, tmp_path_factory: pytest.TempPathFactory) -> None:
