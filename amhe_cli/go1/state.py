@@ -59,6 +59,7 @@ class Measurements:
         pose_times: Of the poses [s], shape (n,).
         trunk_position, box_position: In the world [m], shape (n, 3).
         trunk_orientation, box_orientation: Unit quaternions w, x, y, z, shape (n, 4).
+        targets: Joint targets that were followed at `robot_times` [rad], shape (m, 12); None: those planned.
     """
 
     time: float
@@ -72,6 +73,7 @@ class Measurements:
     trunk_orientation: FloatArray
     box_position: FloatArray
     box_orientation: FloatArray
+    targets: FloatArray | None = None
 
 
 def state_of(at: Layout, time: float, qpos: FloatArray, qvel: FloatArray) -> State:
@@ -105,8 +107,9 @@ def merged(parts: list[Measurements]) -> Measurements:
     """Measurements one after the other as one."""
     if len(parts) == 1:
         return parts[0]
-    arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in _SAMPLED)
-    return Measurements(parts[-1].time, *arrays)
+    sampled = {name: [getattr(part, name) for part in parts] for name in _SAMPLED}
+    joined = {name: np.concatenate(each) for name, each in sampled.items() if each[0] is not None}
+    return Measurements(parts[-1].time, **joined)
 
 
 _SAMPLED = tuple(field.name for field in fields(Measurements))[1:]

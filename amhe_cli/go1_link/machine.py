@@ -70,12 +70,14 @@ class Machine:
         phase: Present one.
         trip: Name of the first trip; '' if there was none.
         reason: Why it tripped, in words.
+        commanded: The newest joint targets that a robot was sent [rad], shape (12,).
     """
 
     settings: Go1Settings
     phase: Phase = Phase.CONNECT
     trip: str = ""
     reason: str = ""
+    commanded: FloatArray = field(default_factory=lambda: HOME)
     _since: float = 0.0
     _from: FloatArray = field(default_factory=lambda: _AT_REST)
     _sent: FloatArray | None = None
@@ -217,7 +219,7 @@ class Machine:
         s = self.settings
         gain = min(1.0, (now - self._since) / s.gain_time) if self.phase == Phase.HOLD else 1.0
         self._sent = wanted if np.isfinite(wanted).all() else state.joints
-        targets = allowed(self._sent, state.joints, s.kp, s.torque_share)
+        targets = self.commanded = allowed(self._sent, state.joints, s.kp, s.torque_share)
         return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.full(12, s.kd))
 
     def _count_power(self, state: RobotState) -> None:

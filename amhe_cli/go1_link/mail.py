@@ -14,11 +14,12 @@ from amhe_cli.go1_link.motion import Targets
 STAND, ARM, FINISH, STOP = b"S", b"A", b"F", b"X"
 _PLAN, _SAMPLE, _REPORT = b"P", b"s", b"r"
 
-#: One state of the robot, on our clock, and the phase it was received in.
+#: One state of the robot, on our clock, the phase it was received in, and the joint targets sent by then.
 SAMPLE: Any = np.dtype(
     [
         ("time", "f8"), ("phase", "u1"), ("quaternion", "f8", 4), ("gyro", "f8", 3),
         ("accelerometer", "f8", 3), ("joints", "f8", 12), ("joint_rates", "f8", 12),
+        ("targets", "f8", 12),
     ]
 )  # fmt: skip
 _HEADER = np.dtype([("start", "f8"), ("period", "f8"), ("pose_time", "f8")])

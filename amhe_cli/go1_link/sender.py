@@ -125,7 +125,7 @@ class Sender:
         if self._machine.phase == Phase.CONNECT:
             self._contact.see(read, arrival)
         if read.tick % _PASS_ON == 0:
-            self._channel.send(mail.sample_message(_sample(time, self._machine.phase, read)))
+            self._channel.send(mail.sample_message(_sample(time, self._machine, read)))
 
     def _read_channel(self) -> None:
         for message in self._channel.received():
@@ -199,10 +199,11 @@ _ORDERS: dict[bytes, Callable[[Inbox], None]] = {
 }  # fmt: skip
 
 
-def _sample(time: float, phase: Phase, read: RobotState) -> Any:
+def _sample(time: float, machine: Machine, read: RobotState) -> Any:
     return np.array(
         (
-            time, int(phase), read.quaternion, read.gyro, read.accelerometer, read.joints, read.joint_rates
+            time, int(machine.phase), read.quaternion, read.gyro, read.accelerometer, read.joints,
+            read.joint_rates, machine.commanded,
         ),
         dtype=mail.SAMPLE,
     )  # fmt: skip

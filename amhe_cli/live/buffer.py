@@ -46,7 +46,10 @@ class Buffer:
         for key, times, values in self._quantities(samples):
             if times.size:
                 self._kept.setdefault(key, deque()).append((times, values))
-        oldest = float(samples.command_times[-1]) - self._steps * self._dt - _BEFORE
+        newest = max(
+            (float(times[-1]) for _, times, _ in self._quantities(samples) if times.size), default=0.0
+        )
+        oldest = newest - self._steps * self._dt - _BEFORE
         for chunks in self._kept.values():
             while len(chunks) > 1 and chunks[1][0][0] <= oldest:
                 chunks.popleft()

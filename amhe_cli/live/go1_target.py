@@ -28,6 +28,8 @@ from amhe_cli.poses.frame import World, check_axes, check_place, offset_pose, ti
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
 _STEP = 0.01
+#: What the robot's own samples hold, and how many numbers each.
+_OF_THE_ROBOT = {"joints": 12, "joint_rates": 12, "gyro": 3, "accelerometer": 3, "targets": 12}
 #: Who sent one of these knows why the run ends.
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _Pose = tuple[FloatArray, FloatArray]
@@ -217,7 +219,7 @@ class Go1Target:
         self._robot, self._poses = [], []
         columns = {
             name: np.array([sample[name] for sample in robot]).reshape(len(robot), width)
-            for name, width in (("joints", 12), ("joint_rates", 12), ("gyro", 3), ("accelerometer", 3))
+            for name, width in _OF_THE_ROBOT.items()
         }
         pairs = {"trunk": [pose[1] for pose in poses], "box": [pose[2] for pose in poses]}
         seen = {

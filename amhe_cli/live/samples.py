@@ -23,7 +23,7 @@ class Samples:
         gyro, accelerometer: Of the trunk in its own frame [rad/s], [m/s^2], shape (m, 3).
         pose_times: Of the poses [s], shape (n,).
         bodies: 'trunk' and 'box': measured poses with the state estimator's twists, n of them each.
-        command_times: When joint targets took effect [s], shape (c,).
+        command_times: Since when joint targets were followed [s], shape (c,).
         commands: The targets [rad], shape (c, 12).
     """
 
@@ -36,6 +36,10 @@ class Samples:
     bodies: dict[str, Body]
     command_times: FloatArray
     commands: FloatArray
+
+
+#: The least between two joint targets that were sent [s].
+_FOLLOWED = 0.004
 
 
 class Sampler:
@@ -53,6 +57,7 @@ class Sampler:
     def __init__(self, period: float, sample_period: float = 0.01) -> None:
         self._period, self._sample_period = period, sample_period
         self._last: Cycle | None = None
+        self._told = -np.inf
         self._in_force: Plan | None = None
 
     def take(self, cycle: Cycle) -> Samples:
@@ -98,6 +103,21 @@ class Sampler:
         return bodies
 
     def _commands(self, cycle: Cycle) -> tuple[FloatArray, FloatArray]:
+        """Joint targets since when they were followed: those that were sent, where the target tells."""
+        times, commands = self._planned(cycle) if cycle.measured.targets is None else self._sent(cycle)
+        newer = times > self._told
+        self._told = float(np.max(times, initial=self._told))
+        return times[newer], commands[newer]
+
+    def _sent(self, cycle: Cycle) -> tuple[FloatArray, FloatArray]:
+        """A plan that is late begins late, a new one is blended into, and the motors' torque is limited."""
+        times, targets = cycle.measured.robot_times, cycle.measured.targets
+        if self._last is None or targets is None or not times.size:
+            return np.array([cycle.estimate.time]), cycle.played[None]
+        rows = _thinned(times, _FOLLOWED)
+        return times[rows], targets[rows]
+
+    def _planned(self, cycle: Cycle) -> tuple[FloatArray, FloatArray]:
         """Joint targets when they took effect; also those of periods that had no new plan."""
         now, last = cycle.estimate.time, self._last
         if last is None:

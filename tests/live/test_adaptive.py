@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
@@ -94,6 +95,22 @@ def test_the_buffer_holds_what_the_log_holds(adaptive: tuple[Path, list[Cycle]])
             # a sample halfway between two steps may count for either
             assert live.sampled[ours].sum() == pytest.approx(logged.sampled[theirs].sum(), abs=1), key
             np.testing.assert_allclose(live.values[ours], logged.values[theirs], atol=1e-9, err_msg=key)
+
+
+def test_targets_that_a_robot_was_sent_are_taken_in_place_of_those_planned(
+    adaptive: tuple[Path, list[Cycle]],
+) -> None:
+    """A late plan begins late: what was sent is what the model must be driven with."""
+    sampler, times, taken = Sampler(0.02), [], []
+    for cycle in adaptive[1][:10]:
+        count = cycle.measured.robot_times.size
+        ramp = np.tile(cycle.measured.robot_times[:, None], (1, 12))
+        samples = sampler.take(replace(cycle, measured=replace(cycle.measured, targets=ramp)))
+        times, taken = [*times, *samples.command_times], [*taken, *samples.commands[:, 0]]
+        assert samples.commands.shape == (samples.command_times.size, 12) and count
+    assert len(times) > 40, "every 4 ms, not every 20 ms"
+    assert (np.diff(times) > 0.0).all()
+    np.testing.assert_allclose(taken[1:], times[1:], atol=1e-6)
 
 
 # -- a process of its own --------------------------------------------------------------------------------

@@ -93,6 +93,9 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
     robot = np.concatenate([measured.robot_times for measured in seen])
     assert (np.diff(robot) > 0).all()
     assert np.median(np.diff(robot)) == pytest.approx(0.002, abs=2e-4)
+    followed = np.concatenate([measured.targets for measured in seen])
+    np.testing.assert_allclose(followed[-1], HOME + 0.05, atol=1e-4)
+    assert np.ptp(followed, axis=0).min() > 0.01, "it stood first, and was blended into the plan"
     poses = np.concatenate([measured.pose_times for measured in seen])
     places = np.concatenate([measured.trunk_position for measured in seen])
     boxes = np.concatenate([measured.box_position for measured in seen])
