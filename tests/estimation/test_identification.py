@@ -1,6 +1,8 @@
 """SPI recovers the truth, says what it cannot know, and can be cut short and resumed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -242,3 +244,21 @@ def test_a_rescue_gives_back_nothing_worse(pendulum, swing):
     after = replace(search.start(problem), z=z)
     state = cma.advance(problem, cma.start(problem, 2, after))
     np.testing.assert_array_equal(state.z, z)
+
+
+@pytest.mark.parametrize(
+    ("initial", "found", "rescued"),
+    [
+        (1.30, 1.38, False),  # the prior was right: a search cannot beat it, and scatters
+        (1.3, 1.7, True),
+        (60.0, 59.5, True),
+        (60.0, 1.2, False),
+        (60.0, 30.0, False),  # bad, and on its way
+    ],
+)
+def test_another_search_is_for_bad_fits(monkeypatch, initial: float, found: float, rescued: bool) -> None:
+    from amhe_cli.estimation import identification
+
+    held_out = SimpleNamespace(cost=found, initial_cost=initial)
+    monkeypatch.setattr(identification, "validate", lambda *_: held_out)
+    assert identification._needs_rescue(*(Any,) * 3) is rescued
