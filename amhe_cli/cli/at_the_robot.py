@@ -28,7 +28,8 @@ reach_options = options.stacked(
     click.option(
         "--pose-host",
         metavar="ADDRESS",
-        help="go1: of motion capture; motioncapture: KIND:ADDRESS; udp: to listen on; ros2: domain.",
+        help="go1: of motion capture; motioncapture: KIND:ADDRESS; udp: to listen on; ros2: domain.  "
+        "[default: natnet 192.168.123.100, udp 127.0.0.1, ros2 0]",
     ),
     click.option(
         "--pose-port", type=_PORT, metavar="N", help="go1: likewise.  [default: natnet 1510, udp 1512]"

@@ -65,7 +65,7 @@ OFFSET = _Offset()
     default=1.0,
     show_default=True,
     metavar="X",
-    help="Time goes X times slower than the clock; give `amhe run` the same.",
+    help="Time goes X times slower than the clock; give the other command the same.",
 )
 @click.option(
     "--trunk-offset", type=OFFSET, metavar=OFFSET.name, help="Trunk in its rigid body.  [default: none]"

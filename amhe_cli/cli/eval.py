@@ -136,7 +136,7 @@ def evaluate(
     wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, assignments, config)
     study = study_of(wanted, session.command_line, now(), machine())
     cells = planned(wanted, study)
-    store = start(out or reserve(None, "eval", force), study, resume, force)
+    store = start(out or reserve(None, "eval", force), study, resume, force, cells)
     missing = store.missing(cells)
     if len(missing) < len(cells):
         session.say("", f"{len(cells) - len(missing)} of {len(cells)} cells are done already")

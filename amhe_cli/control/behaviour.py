@@ -53,7 +53,10 @@ class Behaviour(Protocol):
         ...
 
     def move(self, state: State, resistance: float) -> Move:
-        """From this state on, where the box's friction resists with so many newtons."""
+        """From this state on, where the box's friction resists with so many newtons.
+
+        To be asked once a cycle, in order: a behaviour remembers where feet and foot targets were.
+        """
         ...
 
     def running_cost(self, state: State) -> dict[str, float]:

@@ -149,27 +149,6 @@ def reference(
     return Reference(joints + torques / gait.kp, joints, feet, forces, contact)
 
 
-def command_jacobian(
-    gait: Gait, time: ArrayLike, twist: ArrayLike, push: ArrayLike = (0.0, 0.0)
-) -> FloatArray:
-    """How the joint targets follow the command, by finite differences in one sweep.
-
-    Args:
-        gait: The gait.
-        time: Instants [s], shape (T,).
-        twist: Command about which to differentiate, as in `walk`, shape (3,).
-        push: Force about which to differentiate [N], shape (2,).
-
-    Returns:
-        d targets / d (ahead, left, yaw rate, push ahead, push left), shape (T, 12, 5).
-    """
-    centre = np.concatenate((np.asarray(twist, dtype=np.float64), np.asarray(push, dtype=np.float64)))
-    step = np.array([1e-3, 1e-3, 1e-3, 1e-1, 1e-1])
-    commands = centre + np.concatenate((np.diag(step), -np.diag(step)))[:, None]  # (10, 1, 5)
-    targets = walk(gait, time, commands[..., :3], commands[..., 3:]).targets  # (10, T, 12)
-    return np.moveaxis((targets[:5] - targets[5:]) / (2.0 * step[:, None, None]), 0, -1)
-
-
 def _steps(gait: Gait, phase: FloatArray, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Feet relative to neutral [m], and their velocity [m/s], each (..., 4, 3), in the trunk's frame.
 

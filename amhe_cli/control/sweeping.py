@@ -121,7 +121,9 @@ class SweepMove:
 
 @dataclass(slots=True, eq=False)
 class Sweeping:
-    """The behaviour of T5; see `behaviour.Behaviour`. Remembers where the three feet were put.
+    """The behaviour of T5; see `behaviour.Behaviour`.
+
+    Remembers where the three feet were put, where the sweep and its kick began, and the foot's last target.
 
     Args:
         path: Of the box.

@@ -18,7 +18,8 @@ from amhe_cli.go1.state import Measurements
 from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.command import Command
 from amhe_cli.poses import udp
-from amhe_cli.poses.calibration import NO_OFFSET, Offset, Pose, rigid_body
+from amhe_cli.poses.calibration import NO_OFFSET, Offset, rigid_body
+from amhe_cli.poses.source import Pose
 
 #: An emulator that is so far behind the clock [s] lets the time go: it then is slower than it says.
 _BEHIND = 0.1

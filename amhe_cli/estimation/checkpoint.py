@@ -31,7 +31,7 @@ class Checkpoint:
     """
 
     def __init__(self, path: Path | None, problem: Problem, method: str) -> None:
-        self._path, self._problem = path, problem
+        self._path = path
         self._key = _fingerprint(problem, method)
 
     def save(self, state: search.State | cma.State) -> None:

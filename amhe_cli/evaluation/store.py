@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -89,8 +89,15 @@ def open_store(folder: Path) -> Store:
         raise ConfigError(f"{path}: cannot be read; start over in another folder") from None
 
 
-def start(folder: Path, study: Study, resume: bool, force: bool) -> Store:
+def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence[Cell] = ()) -> Store:
     """The store to write to: a fresh one, or one to go on with.
+
+    Args:
+        folder: Of the study.
+        study: What it is of.
+        resume: Go on with what the folder holds.
+        force: Write over what it holds.
+        cells: That are to be run.
 
     Raises:
         ConfigError: The folder holds something, or a study that this one must not be mixed with.
@@ -100,8 +107,10 @@ def start(folder: Path, study: Study, resume: bool, force: bool) -> Store:
     if folder.exists() and any(folder.iterdir()) and not force:
         if not resume:
             raise ConfigError(f"{folder}: is not empty; pass --resume to go on, or choose another folder")
-        before = open_store(folder).study
+        store = open_store(folder)
+        before = store.study
         _check(folder, before, study)
+        _check_beliefs(store, cells)
         commands = tuple(dict.fromkeys((*before.commands, *study.commands)))
         study = replace(before, commands=commands)
     try:
@@ -128,6 +137,17 @@ def _check(folder: Path, before: Study, now: Study) -> None:
         raise ConfigError(
             f"{folder}: holds cells of other --set, --config or --duration; give the same, or {go_on}"
         )
+
+
+def _check_beliefs(store: Store, cells: Sequence[Cell]) -> None:
+    """Refuse a second belief for a run that there is: tables would count its seed twice."""
+    known = {replace(one.cell, belief=None): one.cell.belief for one in store.results()}
+    for cell in cells:
+        if known.get(replace(cell, belief=None), cell.belief) != cell.belief:
+            raise ConfigError(
+                f"{store.folder}: holds {cell.title} with another --belief: give the same, or choose another "
+                "folder with -o"
+            )
 
 
 def write_whole(path: Path, text: str) -> None:

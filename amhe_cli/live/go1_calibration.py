@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from amhe_cli.control.objective import yaw_of
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.core.rotations import exp, multiply
@@ -14,15 +15,16 @@ from amhe_cli.go1.model import Box
 from amhe_cli.go1.resting import trunk_height
 from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.link import Link
-from amhe_cli.poses.calibration import Offset, Pose, average, check_pivot, offset_of
+from amhe_cli.poses.calibration import Offset, average, check_pivot, offset_of
 from amhe_cli.poses.feed import PoseFeed
 from amhe_cli.poses.frame import up
-from amhe_cli.poses.source import PoseError
+from amhe_cli.poses.source import Pose, PoseError
 
 #: Length, width and height of a Go1's trunk, hips and head included [m].
 _TRUNK = np.array([0.6, 0.3, 0.12])
 #: A robot that lies on level ground leans no more than this [rad], and is so high at most [m].
 _LEVEL, _LYING = float(np.deg2rad(5.0)), 0.15
+#: Between two looks [s], and the fewest poses that make an average.
 _STEP, _FEWEST = 0.02, 20
 
 #: Asks the operator to do something, and comes back when it is done.
@@ -127,9 +129,8 @@ class Calibration:
 
 def level_heading(orientation: Sequence[float]) -> FloatArray:
     """An orientation (4,) turned about the vertical until it heads along x."""
-    w, x, y, z = orientation
-    heading = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return multiply(exp(np.array([0.0, 0.0, -heading])), np.array(orientation))
+    turn = np.array(orientation)
+    return multiply(exp(np.array([0.0, 0.0, -float(yaw_of(turn))])), turn)
 
 
 def _standing(box: Box) -> Pose:

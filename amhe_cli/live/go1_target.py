@@ -24,6 +24,7 @@ from amhe_cli.go1_link.motion import Targets
 from amhe_cli.go1_link.phase import Phase
 from amhe_cli.poses.feed import PoseFeed, TimedPose
 from amhe_cli.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
+from amhe_cli.poses.source import Pose
 
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
@@ -32,7 +33,6 @@ _STEP = 0.01
 _OF_THE_ROBOT = {"joints": 12, "joint_rates": 12, "gyro": 3, "accelerometer": 3, "targets": 12}
 #: Who sent one of these knows why the run ends.
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-_Pose = tuple[FloatArray, FloatArray]
 
 
 class Go1Target:
@@ -62,7 +62,7 @@ class Go1Target:
         self._newest: dict[str, float] = {settings.trunk: -np.inf, settings.box: -np.inf}
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []
-        self._poses: list[tuple[float, _Pose, _Pose]] = []
+        self._poses: list[tuple[float, Pose, Pose]] = []
         self._playing = False
         self.misses = 0
 
@@ -209,7 +209,7 @@ class Go1Target:
                 return
         self._unpaired.append(pose)
 
-    def _offset(self, pose: TimedPose) -> _Pose:
+    def _offset(self, pose: TimedPose) -> Pose:
         s = self._settings
         offset = s.trunk_offset if pose.body == s.trunk else s.box_offset
         return offset_pose((pose.position, pose.orientation), offset)

@@ -21,8 +21,8 @@ from amhe_cli.online.logrank import logrank_update
 from amhe_cli.online.update import Noise, Outcome, Task, Update
 from amhe_cli.system.system import System
 
-#: What became of a window. 'gap': a signal was silent in it; 'still': it says nothing; 'diverged': no sample
-#: could be rolled out.
+#: What became of a window. 'gap': a signal was silent in it; 'still': it says nothing; 'diverged': the mean,
+#: or too many of the samples, could not be rolled out.
 Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 
 UPDATES: Mapping[str, Update] = {"linearised": linearised_update, "logrank": logrank_update}
@@ -92,7 +92,7 @@ class MovingHorizon:
         """Learn from the newest window.
 
         A window that says nothing leaves the belief where it is, and less sure. One that the belief misses by
-        far more than usual tells of a jump: the belief is widened, so that the next windows can move it.
+        far more than usual tells of a jump: the linearised update learns from it with a wider belief.
 
         Args:
             window: Its signals must be valid at its start; gaps inside are allowed for by their masks.

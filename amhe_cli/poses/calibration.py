@@ -8,9 +8,9 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import conjugate, difference, exp, log, multiply, normalised, rotate
-from amhe_cli.poses.source import PoseError
+from amhe_cli.poses.source import Pose, PoseError
 
-Pose = tuple[FloatArray, FloatArray]
+#: Place [m] and rotation vector [rad] of what it is on, in the rigid body's frame.
 Offset = tuple[float, float, float, float, float, float]
 NO_OFFSET: Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -8,16 +8,15 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import conjugate, exp, multiply, rotate
-from amhe_cli.poses.source import PoseError
+from amhe_cli.poses.source import Pose, PoseError
 
 #: IMU and cameras may differ by so much about the trunk's up [rad].
 _LEVEL = float(np.deg2rad(15.0))
 #: Height of a lying or standing trunk over the floor [m]: what is outside is not in metres, or not the trunk.
 _HEIGHTS = (0.03, 0.6)
-_Pose = tuple[FloatArray, FloatArray]
 
 
-def offset_pose(pose: _Pose, offset: tuple[float, ...]) -> _Pose:
+def offset_pose(pose: Pose, offset: tuple[float, ...]) -> Pose:
     """The pose of a body from that of its rigid body; offset: place [m] and rotation vector [rad] in it."""
     position, orientation = pose
     place, turn = np.array(offset[:3]), np.array(offset[3:])
@@ -42,14 +41,14 @@ class World:
         return World(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
     @staticmethod
-    def under(trunk: _Pose) -> World:
+    def under(trunk: Pose) -> World:
         """On the floor under the trunk, x along its heading."""
         position, orientation = trunk
         ahead = rotate(orientation, np.array([1.0, 0.0, 0.0]))
         yaw = float(np.arctan2(ahead[1], ahead[0]))
         return World(np.array([position[0], position[1], 0.0]), exp(np.array([0.0, 0.0, yaw])))
 
-    def seen(self, pose: _Pose) -> _Pose:
+    def seen(self, pose: Pose) -> Pose:
         """A pose of motion capture in the task's frame."""
         back = conjugate(self.turn)
         return rotate(back, pose[0] - self.origin), multiply(back, pose[1])
@@ -60,7 +59,7 @@ def up(orientation: FloatArray) -> FloatArray:
     return rotate(conjugate(orientation), np.array([0.0, 0.0, 1.0]))
 
 
-def check_axes(trunk: _Pose, imu: FloatArray) -> None:
+def check_axes(trunk: Pose, imu: FloatArray) -> None:
     """Refuse a frame that is not z upward in metres, by what the IMU says of the trunk.
 
     Args:
@@ -115,7 +114,7 @@ def check_place(box: FloatArray, wanted: FloatArray, tolerance: float) -> None:
         )
 
 
-def tilt_offset(trunk: _Pose, imu: FloatArray) -> FloatArray:
+def tilt_offset(trunk: Pose, imu: FloatArray) -> FloatArray:
     """Rotation vector [rad] that would make motion capture agree with the IMU about up, shape (3,)."""
     seen, told = up(trunk[1]), up(imu)
     axis, sine = np.cross(told, seen), float(np.linalg.norm(np.cross(told, seen)))

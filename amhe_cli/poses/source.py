@@ -11,6 +11,9 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
 
+#: A body's position [m], shape (3,), and its orientation, a unit quaternion w, x, y, z, shape (4,).
+Pose = tuple[FloatArray, FloatArray]
+
 
 class PoseError(AmheError):
     """Poses do not come, or cannot be trusted."""

@@ -70,11 +70,10 @@ class Score:
 
     Args:
         motion: After the approach.
-        seconds: How long all of it takes [s].
     """
 
-    def __init__(self, motion: Motion, seconds: float) -> None:
-        self.motion, self.seconds = motion, seconds
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
         self._ends = list(accumulate(phase.seconds for phase in motion.phases))
 
     def at(self, time: float) -> Phase:

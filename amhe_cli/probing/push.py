@@ -90,7 +90,7 @@ class PushProbe:
         try:
             return self._record(run, path, stopped, say, self._robot.attend)
         except AmheError as error:  # it never came to run: the plan is worth keeping
-            path.unlink()
+            path.unlink(missing_ok=True)
             return Ending(error=error)
 
     def on_robot(self, motion: Motion, seconds: float, robot: Robot) -> Run:

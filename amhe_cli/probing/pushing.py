@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from amhe_cli.control.objective import Reference, yaw_of
 from amhe_cli.control.path import Path
-from amhe_cli.control.steering import Helm, Steering
+from amhe_cli.control.steering import Helm
 from amhe_cli.control.tasks import SPEED, TAPER, Believed, Task
 from amhe_cli.control.walking import Walking
 from amhe_cli.go1.model import Box
@@ -39,7 +39,7 @@ class ScoreHelm(Helm):
             return at
         gap, _ = self.gap(state)
         speed = min(phase.speed, FASTEST)
-        at = replace(at, speed=speed, pushing=float(gap < Steering().touching and speed > 0.0))
+        at = replace(at, speed=speed, pushing=float(gap < self._steering.touching and speed > 0.0))
         if phase.offset is None:
             return at
         yaw = float(yaw_of(state.box.orientation))
@@ -60,7 +60,7 @@ class ProbeTask(Task):
     @property
     def score(self) -> Score:
         """With the approach."""
-        return Score(self.motion, self.nominal_time)
+        return Score(self.motion)
 
     def behaviour(self) -> Walking:
         """See `Task.behaviour`."""

@@ -107,7 +107,9 @@ def test_what_cannot_be_probed_is_said_in_one_line(capsys) -> None:
     assert "t9" in refused(capsys, "--task", "t9")
     assert "nothing to drive" in refused(capsys, "--system", "cube_toss")
     assert "1 s" in refused(capsys, "--system", "pendulum", "--for", "0.2")
-    assert "--box" in refused(capsys, "--system", "pendulum", "--box", "2", "0.3")
+    assert "--box: pendulum has none" in refused(capsys, "--system", "pendulum", "--box", "4", "0.6")
+    assert "--box: the box of a real" in refused(capsys, "--target", "go1", "--box", "4", "0.6")
+    assert "--box" in refused(capsys, "--box", "0", "0.6")
 
 
 def test_a_belief_about_another_system_is_refused(capsys, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -132,7 +134,9 @@ def test_a_plant_without_the_systems_joints_is_refused(capsys) -> None:
 def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
     Path("quick.yaml").write_text(QUICK_SETTINGS)
     monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
-    assert run(["probe", "--for", "2", "-o", "probe", *QUICK]) == 1
+    assert run(["probe", "--for", "2", "--box", "5", "0.5", "-o", "probe", *QUICK]) == 1
     assert "the robot fell" in capsys.readouterr().err
     assert names("probe") == ["plan.json", "probe.mcap", "result.json"]
     assert json.loads(Path("probe/result.json").read_text())["error"].startswith("the robot fell")
+    truth = json.loads(read_metadata(Path("probe/probe.mcap"))["truth"])
+    assert (truth["box_mass"], truth["floor_friction"]) == pytest.approx((5.0, 0.5)), "that of --box"

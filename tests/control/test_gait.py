@@ -11,7 +11,6 @@ import pytest
 from amhe_cli.control import balance
 from amhe_cli.control.gait import (
     Gait,
-    command_jacobian,
     contacts,
     mode_switches,
     neutral_feet,
@@ -89,16 +88,6 @@ def test_feet_in_the_air_carry_nothing() -> None:
     assert (reference.forces[~reference.contact] == 0.0).all()
     assert (reference.forces[..., 2] >= 0.0).all()
     np.testing.assert_allclose(reference.forces[..., 2].sum(axis=-1), balance.WEIGHT)
-
-
-def test_command_jacobian_predicts_a_small_change_of_the_command() -> None:
-    times = np.arange(0.0, 0.4, 0.02)
-    change = np.array([0.03, -0.02, 0.08, 4.0, -2.0])
-    predicted = command_jacobian(GAIT, times, AHEAD, (10.0, 0.0)) @ change
-    actual = walk(GAIT, times, AHEAD + change[:3], np.array([10.0, 0.0]) + change[3:]).targets
-    actual = actual - walk(GAIT, times, AHEAD, (10.0, 0.0)).targets
-    assert predicted.shape == (20, 12)
-    np.testing.assert_allclose(predicted, actual, atol=6e-3)
 
 
 def test_commands_and_times_broadcast() -> None:

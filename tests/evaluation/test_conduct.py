@@ -126,6 +126,17 @@ def test_cells_that_cannot_be_compared_are_not_mixed(tmp_path: Path, other: Stud
     assert start(tmp_path, other, resume=False, force=True).results() == []
 
 
+def test_a_seed_is_not_run_under_a_second_belief(tmp_path: Path) -> None:
+    first, second = (Cell("t4", "adaptive", 0, belief=text) for text in ("mass: 2", "mass: 3"))
+    run(start(tmp_path, STUDY, resume=False, force=False), [first])
+    known = (tmp_path / "study.json").read_text()
+    with pytest.raises(ConfigError, match="t4 adaptive, seed 0 with another --belief"):
+        start(tmp_path, STUDY, resume=True, force=False, cells=[second])
+    assert (tmp_path / "study.json").read_text() == known
+    for one in (first, replace(second, seed=2), replace(second, mode="true", belief=None)):
+        start(tmp_path, STUDY, resume=True, force=False, cells=[one])
+
+
 def test_a_study_remembers_its_commands_and_its_first_day(tmp_path: Path) -> None:
     start(tmp_path, STUDY, resume=True, force=False)
     later = replace(STUDY, commands=("amhe eval --ablate samples=4",), made="2027-01-01T00:00:00+00:00")

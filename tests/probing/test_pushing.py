@@ -28,11 +28,11 @@ def state(time: float, gap: float = 0.0, box_yaw: float = 0.0) -> State:
 
 
 def helm(motion: Motion) -> ScoreHelm:
-    return ScoreHelm(Score(motion, 9.0), Path((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
+    return ScoreHelm(Score(motion), Path((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
 
 
 def test_a_score_repeats_its_motion_behind_the_approach() -> None:
-    score = Score(TRY, 9.0)
+    score = Score(TRY)
     speeds = [score.at(t).speed for t in (0.5, 1.0, 2.1, 2.6, 4.6, 5.6, 99.0)]
     assert speeds == [0.2, 0.25, -0.1, 0.2, 0.25, -0.1, 0.25]
     assert score.at(1.0 + 1000 * 3.5).speed == 0.25, "to the instant, however long"
