@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.state import Body
 
 #: The bumper's front in the trunk's frame, ahead of its origin [m].
@@ -179,12 +180,6 @@ def bumper_from_box(trunk: Body, box: Body) -> tuple[FloatArray, FloatArray]:
     dy = trunk.position[..., 1] + BUMPER * np.sin(yaw) - box.position[..., 1]
     c, s = np.cos(box_yaw), np.sin(box_yaw)
     return c * dx + s * dy, c * dy - s * dx
-
-
-def yaw_of(q: FloatArray) -> FloatArray:
-    """Heading [rad] of unit quaternions (..., 4), shape (...)."""
-    w, x, y, z = (q[..., i] for i in range(4))
-    return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
 
 
 def tilt_squared(q: FloatArray) -> FloatArray:

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.control.objective import wrapped, yaw_of
+from amhe_cli.control.objective import wrapped
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.state import Body
 
 

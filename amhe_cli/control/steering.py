@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from amhe_cli.control.objective import Reference, bumper_from_box, wrapped, yaw_of
+from amhe_cli.control.objective import Reference, bumper_from_box, wrapped
 from amhe_cli.control.path import Path, Place
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.state import State
 
 

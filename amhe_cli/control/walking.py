@@ -13,11 +13,11 @@ from amhe_cli.control.objective import (
     bumper_from_box,
     push_terms,
     wrapped,
-    yaw_of,
 )
 from amhe_cli.control.steering import Helm
 from amhe_cli.control.stepping import Stepping
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.state import Body, State
 
 #: Noise of the channels: speed ahead and left [m/s], yaw rate [rad/s], push [N].

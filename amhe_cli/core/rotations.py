@@ -54,6 +54,12 @@ def log(q: FloatArray) -> FloatArray:
     return xyz * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
 
 
+def yaw_of(q: FloatArray) -> FloatArray:
+    """Heading [rad] of unit quaternions (..., 4), shape (...)."""
+    w, x, y, z = (q[..., i] for i in range(4))
+    return np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
+
+
 def exp(rotation: FloatArray) -> FloatArray:
     """Unit quaternions, shape (..., 4), of rotation vectors [rad] (..., 3)."""
     angle = np.linalg.norm(rotation, axis=-1, keepdims=True)

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.rotations import exp, multiply, rotate
+from amhe_cli.core.rotations import exp, multiply, yaw_of
 from amhe_cli.go1.legs import JOINTS, LEGS
 from amhe_cli.go1.model import layout
 from amhe_cli.go1.plant import Plant, SensorNoise
@@ -55,7 +55,7 @@ class MotorPlant(Plant):
     def _face(self, start: FloatArray) -> None:
         """Turn and move the robot over the floor to the place and the heading of a pose (7,)."""
         place, turn = self._data.qpos[self._at.trunk][:3], self._data.qpos[self._at.trunk][3:]
-        back = exp(np.array([0.0, 0.0, _heading(start[3:]) - _heading(turn)]))
+        back = exp(np.array([0.0, 0.0, yaw_of(start[3:]) - yaw_of(turn)]))
         self._data.qpos[self._at.trunk] = (*start[:2], place[2], *multiply(back, turn))
         self._data.qvel[:] = 0.0
         mujoco.mj_forward(self.model, self._data)
@@ -87,9 +87,3 @@ class MotorPlant(Plant):
 
 
 _NONE = np.zeros(12)
-
-
-def _heading(orientation: FloatArray) -> float:
-    """Angle [rad] of x ahead over the floor, of a unit quaternion (4,)."""
-    ahead = rotate(orientation, np.array([1.0, 0.0, 0.0]))
-    return float(np.arctan2(ahead[1], ahead[0]))

@@ -43,12 +43,11 @@ class Buffer:
 
     def append(self, samples: Samples) -> None:
         """Take in what one cycle brought; what is too old falls out."""
+        newest = 0.0
         for key, times, values in self._quantities(samples):
             if times.size:
                 self._kept.setdefault(key, deque()).append((times, values))
-        newest = max(
-            (float(times[-1]) for _, times, _ in self._quantities(samples) if times.size), default=0.0
-        )
+                newest = max(newest, float(times[-1]))
         oldest = newest - self._steps * self._dt - _BEFORE
         for chunks in self._kept.values():
             while len(chunks) > 1 and chunks[1][0][0] <= oldest:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.control.behaviour import Behaviour
-from amhe_cli.control.objective import yaw_of
 from amhe_cli.control.tasks import LONGEST, TAPER, Task
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.state import State
 
 #: The box has arrived when it was this near to the goal [m] for so long [s].

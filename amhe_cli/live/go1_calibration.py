@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.control.objective import yaw_of
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.go1_settings import Go1Settings
-from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.core.rotations import exp, multiply, yaw_of
 from amhe_cli.go1.model import Box
 from amhe_cli.go1.resting import trunk_height
 from amhe_cli.go1_link.clock import Clock

@@ -7,10 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from amhe_cli.control.objective import yaw_of
 from amhe_cli.control.tasks import Task
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.rotations import rotate
+from amhe_cli.core.rotations import rotate, yaw_of
 from amhe_cli.go1.legs import feet
 from amhe_cli.go1.state import State
 from amhe_cli.live.episode import Cycle

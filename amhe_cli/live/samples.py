@@ -104,24 +104,23 @@ class Sampler:
 
     def _commands(self, cycle: Cycle) -> tuple[FloatArray, FloatArray]:
         """Joint targets since when they were followed: those that were sent, where the target tells."""
-        times, commands = self._planned(cycle) if cycle.measured.targets is None else self._sent(cycle)
-        newer = times > self._told
-        self._told = float(np.max(times, initial=self._told))
-        return times[newer], commands[newer]
+        sent = cycle.measured.targets
+        if self._last is None:
+            self._told = cycle.estimate.time
+            return np.array([self._told]), cycle.played[None]
+        return self._planned(cycle, self._last) if sent is None else self._sent(cycle, sent)
 
-    def _sent(self, cycle: Cycle) -> tuple[FloatArray, FloatArray]:
+    def _sent(self, cycle: Cycle, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A plan that is late begins late, a new one is blended into, and the motors' torque is limited."""
-        times, targets = cycle.measured.robot_times, cycle.measured.targets
-        if self._last is None or targets is None or not times.size:
-            return np.array([cycle.estimate.time]), cycle.played[None]
+        times = cycle.measured.robot_times
         rows = _thinned(times, _FOLLOWED)
+        rows = rows[times[rows] > self._told]
+        self._told = float(np.max(times[rows], initial=self._told))
         return times[rows], targets[rows]
 
-    def _planned(self, cycle: Cycle) -> tuple[FloatArray, FloatArray]:
+    def _planned(self, cycle: Cycle, last: Cycle) -> tuple[FloatArray, FloatArray]:
         """Joint targets when they took effect; also those of periods that had no new plan."""
-        now, last = cycle.estimate.time, self._last
-        if last is None:
-            return np.array([now]), cycle.played[None]
+        now = cycle.estimate.time
         missed = np.arange(last.estimate.time + self._period, now - 1e-6, self._period)
         played = [last.played if self._in_force is None else self._in_force.at(float(t)) for t in missed]
         return np.append(missed, now), np.array([*played, cycle.played])

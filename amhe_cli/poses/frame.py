@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.rotations import conjugate, exp, multiply, rotate
+from amhe_cli.core.rotations import conjugate, exp, multiply, rotate, yaw_of
 from amhe_cli.poses.source import Pose, PoseError
 
 #: IMU and cameras may differ by so much about the trunk's up [rad].
@@ -44,9 +44,8 @@ class World:
     def under(trunk: Pose) -> World:
         """On the floor under the trunk, x along its heading."""
         position, orientation = trunk
-        ahead = rotate(orientation, np.array([1.0, 0.0, 0.0]))
-        yaw = float(np.arctan2(ahead[1], ahead[0]))
-        return World(np.array([position[0], position[1], 0.0]), exp(np.array([0.0, 0.0, yaw])))
+        level = np.array([0.0, 0.0, yaw_of(orientation)])
+        return World(np.array([position[0], position[1], 0.0]), exp(level))
 
     def seen(self, pose: Pose) -> Pose:
         """A pose of motion capture in the task's frame."""

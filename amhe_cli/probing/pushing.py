@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from amhe_cli.control.objective import Reference, yaw_of
+from amhe_cli.control.objective import Reference
 from amhe_cli.control.path import Path
 from amhe_cli.control.steering import Helm
 from amhe_cli.control.tasks import SPEED, TAPER, Believed, Task
 from amhe_cli.control.walking import Walking
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.model import Box
 from amhe_cli.go1.state import State
 from amhe_cli.probing.motions import APPROACH, FASTEST, WIDEST_OFFSET, Motion, Score

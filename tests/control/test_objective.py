@@ -20,10 +20,10 @@ from amhe_cli.control.objective import (
     sweep_terms,
     tilt_squared,
     wrapped,
-    yaw_of,
 )
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.state import Body
 
 FEW = settings(max_examples=25, deadline=None)

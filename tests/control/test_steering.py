@@ -10,10 +10,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.control.objective import BUMPER, Reference, wrapped, yaw_of
+from amhe_cli.control.objective import BUMPER, Reference, wrapped
 from amhe_cli.control.path import Path
 from amhe_cli.control.steering import Helm, Retreat, Steering
 from amhe_cli.core import rotations
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.model import Box, home, layout, plant_model
 from amhe_cli.go1.state import Body, State
