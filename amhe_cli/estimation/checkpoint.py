@@ -12,10 +12,11 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.estimation import cma, search
+from amhe_cli.estimation.linearised import FirstStates
 from amhe_cli.estimation.problem import Problem
 from amhe_cli.estimation.result import Iteration
 
-FORMAT = 1
+FORMAT = 2
 _STATES = {"linearised": search.State, "cmaes": cma.State}
 
 
@@ -96,6 +97,8 @@ def _plain(value: Any) -> Any:
         return {"array": value.tolist()}
     if isinstance(value, tuple) and value and isinstance(value[0], Iteration):
         return [asdict(i) for i in value]
+    if isinstance(value, FirstStates):
+        return {"mean": _plain(value.mean), "shape": _plain(value.shape)}
     if isinstance(value, dict):
         return {k: _plain(v) for k, v in value.items()}
     return value
@@ -104,6 +107,8 @@ def _plain(value: Any) -> Any:
 def _restore(kind: str, saved: dict[str, Any]) -> search.State | cma.State:
     values = {k: _array(v) for k, v in saved.items()}
     values["record"] = tuple(Iteration(**{**i, "theta": tuple(i["theta"])}) for i in saved["record"])
+    if values.get("first"):
+        values["first"] = FirstStates(**values["first"])
     return _STATES[kind](**values)
 
 

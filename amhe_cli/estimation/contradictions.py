@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.cpu import CpuEngine
@@ -21,7 +21,7 @@ from amhe_cli.estimation.identifiability import NOTED, SURPRISE, share, size
 from amhe_cli.estimation.linearised import Information, information, objective
 from amhe_cli.estimation.posterior import Posterior, by_kind, disagreement, posterior
 from amhe_cli.estimation.problem import Problem
-from amhe_cli.estimation.study import Finding, Study, study_of, thinned
+from amhe_cli.estimation.study import Finding, Study, study_of
 from amhe_cli.matching import MatchingCost
 
 logger = logging.getLogger(__name__)
@@ -30,7 +30,7 @@ logger = logging.getLogger(__name__)
 UNSETTLED, MISFIT = 2.0, 3.0
 HALVES = "the first and second half of the logs"
 #: Iterations that each half gets to find its own estimate, and the clips that it must have.
-REFITS, FEWEST_CLIPS = 3, 3
+REFITS, FEWEST_CLIPS = 2, 3
 
 
 def disagreements(
@@ -50,7 +50,7 @@ def disagreements(
         for i, one in enumerate(names)
         for other in names[i + 1 :]
     }
-    if with_halves and (parts := _halves(problem, finding)) is not None:
+    if with_halves and (parts := _halves(problem, finding, study)) is not None:
         compared[HALVES] = parts
     logs = _later_logs(problem.tiles)
     if _both(logs):
@@ -61,7 +61,7 @@ def disagreements(
     return compared
 
 
-def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray] | None:
+def _halves(problem: Problem, finding: Finding, study: Study) -> tuple[FloatArray, FloatArray] | None:
     """What the second half of the logs wants more than the first, and the sd of that, each (d,).
 
     Each half is searched by itself: where they differ much, the misfit of their compromise looks like
@@ -71,28 +71,15 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
     if not _both(late):
         return None
     means, variances = [], []
-    for side in (late, ~late):
-        part = _part(problem, np.flatnonzero(side))
-        state = search.restart(part, finding.z)
+    for rows in (np.flatnonzero(late), np.flatnonzero(~late)):
+        part = replace(problem, only=tuple(problem.tiles[i] for i in rows))
+        state = search.restart(part, finding.z, None)
         for _ in range(REFITS):
             state = search.advance(part, state)
         found = study_of(part, state).posterior
         means.append(state.z + found.step)
         variances.append(np.diag(found.data_covariance))
     return means[0] - means[1], np.sqrt(variances[0] + variances[1])
-
-
-def _part(problem: Problem, rows: IntArray) -> Problem:
-    """The tiles of these rows; thinned, or all of them without first states where to fit those is dear.
-
-    Errors of the recorded first states are alike in both halves.
-    """
-    settings = problem.settings
-    if settings.identify.first_state == "always":
-        return replace(problem, only=thinned(problem, rows))
-    quick = settings.identify.model_copy(update={"first_state": "never"})
-    system = replace(problem.system, settings=settings.model_copy(update={"identify": quick}))
-    return replace(problem, system=system, only=tuple(problem.tiles[i] for i in rows))
 
 
 def _both(side: BoolArray) -> bool:
@@ -118,9 +105,11 @@ def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, Flo
     for name, model in contact_variants(system.model).items():
         engine = CpuEngine(model, system.edits, system.input_spec, problem.threads, system.senses)
         cost = MatchingCost(system, problem.tiles, engine, problem.settings.cost, study.scale)
-        residuals = cost.residuals(finding.z[None])
-        both = study.slopes.completed & residuals.completed[0]
-        moved = information(replace(study.slopes, residual=residuals.flat[0], completed=both))
+        slopes, first = study.slopes, study.first.mean[None]
+        residuals = cost.residuals(finding.z[None], first if first.shape[2] else None)
+        both = slopes.completed & residuals.completed[0]
+        shifted = slopes.residual + residuals.flat[0] - slopes.centre
+        moved = information(replace(slopes, residual=shifted, completed=both))
         there = posterior(finding.z, moved, study.weight * both, prior)
         rise = _misfit(study, cost, moved, there.step) - least
         share = allowed(rise)

@@ -5,8 +5,11 @@ clip's first-state error e (in units of its sd) are rolled out, and the residual
 
     r(z + dz, e + de) ~ r + Gz dz + Gx de,        a priori e ~ N(0, I) and z ~ N(0, I),
 
-as ensemble Kalman smoothers do (Evensen, Raanes and Stordal 2019). e is then eliminated exactly: what
-the noise of the recorded first state leaves of a clip's information on z is
+as ensemble Kalman smoothers do (Evensen, Raanes and Stordal 2019). e is sampled as it is known: from its
+prior first, and from its posterior where a search has one already (posterior linearisation,
+Garcia-Fernandez et al. 2015), since a contact that is missed by a millimetre is on no straight line. Where
+contacts make the model rough, r is the mean over the samples, and it is r itself where it is smooth. e is
+then eliminated exactly: what the noise of the recorded first state leaves of a clip's information on z is
 
     M = Gz' W Gz - Gz' W Gx (Gx' W Gx + I)^-1 Gx' W Gz.
 
@@ -22,10 +25,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber, pseudo_huber_weight
 from amhe_cli.estimation.shape import coordinates
 from amhe_cli.matching import MatchingCost, Residuals
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstStates:
+    """What is known of the errors e of the recorded first states, in their sd.
+
+    Args:
+        mean: Shape (c, nx); nx = 0 takes the recorded states as exact.
+        shape: Samples are mean + shape w with w of unit variance, shape (c, nx, nx).
+    """
+
+    mean: FloatArray
+    shape: FloatArray
+
+    @staticmethod
+    def recorded(clips: int, nx: int) -> FirstStates:
+        """Nothing but what was recorded, and its noise."""
+        return FirstStates(np.zeros((clips, nx)), np.tile(np.eye(nx), (clips, 1, 1)))
+
+    def of(self, clips: IntArray) -> FirstStates:
+        """Those of some clips."""
+        return FirstStates(self.mean[clips], self.shape[clips])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,16 +58,18 @@ class Linearisation:
     """Residuals and their slopes at one place, for c clips.
 
     Args:
-        residual: Residuals at (z, first), shape (c, R).
+        residual: Residuals at (z, first), or their mean over the samples about it, shape (c, R).
+        centre: Residuals at (z, first) itself, shape (c, R).
         gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
         bend: Mean square of what is not linear in the samples, shape (c, R).
-        first: First-state errors there, shape (c, nx).
+        first: Mean first-state errors there, shape (c, nx).
         completed: Clips that could be linearised, shape (c,).
         rollouts, diverged: How many were run, and how many of them diverged.
     """
 
     cost: MatchingCost
     residual: FloatArray
+    centre: FloatArray
     gain: FloatArray
     bend: FloatArray
     first: FloatArray
@@ -60,6 +87,7 @@ class Information:
         score: Gradient of half its weighted squared residuals, shape (c, d).
         first_offset, first_gain: A step dz leaves the clip's best first-state error at
             offset + gain dz, shapes (c, nx) and (c, nx, d).
+        first_precision: Of that error, given z, shape (c, nx, nx).
         residual: Residuals with that first state at dz = 0, shape (c, R).
         times: Autocorrelation time of each channel's residuals, in samples.
         completed: Clips that count at all, shape (c,).
@@ -69,6 +97,7 @@ class Information:
     score: FloatArray
     first_offset: FloatArray
     first_gain: FloatArray
+    first_precision: FloatArray
     residual: FloatArray
     times: tuple[float, ...]
     completed: BoolArray
@@ -77,44 +106,58 @@ class Information:
         """Best first-state errors of every clip after steps dz (p, d): shape (p, c, nx)."""
         return self.first_offset + np.einsum("cxd,pd->pcx", self.first_gain, dz)
 
+    def first_states(self, dz: FloatArray) -> FirstStates:
+        """What is known of the first states after a step dz (d,)."""
+        root = np.linalg.cholesky(self.first_precision)
+        shape: FloatArray = np.linalg.inv(root).transpose(0, 2, 1).astype(np.float64)
+        return FirstStates(self.first(dz[None])[0], shape)
+
 
 def linearise(
     cost: MatchingCost,
     z: FloatArray,
-    first: FloatArray,
+    first: FirstStates,
     shape: FloatArray,
     samples: int,
     rng: np.random.Generator,
+    *,
+    averaged: bool = False,
 ) -> Linearisation:
     """Linearise the residuals of every clip about z and its first-state error.
 
     Args:
         cost: The matching cost on c clips.
         z: Where, shape (d,).
-        first: First-state errors there, in their sd, shape (c, nx); nx = 0 takes the recorded states as
-            exact.
+        first: What is known of the first-state errors.
         shape: Samples are z + shape w with w of unit variance, shape (d, d).
         samples: Candidates wanted; raised to two for each unknown of the regression.
         rng: Draws the directions.
+        averaged: Take the samples' mean for the residual, as a rough model wants, not the centre.
     """
-    d, nx = z.size, first.shape[1]
+    d, nx = z.size, first.mean.shape[1]
     directions = orthogonal_directions(d + nx, max(d + nx, samples // 2), rng)
     half = len(directions)
     signs = np.concatenate((directions, -directions, np.zeros((1, d + nx))))
     candidates = cost.system.space.clip(z + signs[:, :d] @ shape.T)
-    residuals = cost.residuals(candidates, first + signs[:, None, d:] if nx else None)
+    starts = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
+    residuals = cost.residuals(candidates, starts if nx else None)
     # a bound may have cut a step short: what was really tried is (plus - minus) / 2
     steps = coordinates(shape, 0.5 * (candidates[:half] - candidates[half:-1]))
     odd, even, pairs = _parity(residuals, half)
+    lift, bend = _bent(even, pairs)
+    if averaged:
+        bend = bend - lift**2
     gain = _regress(odd, pairs, np.concatenate((steps, directions[:, d:]), axis=1))
     gain[:, :d] = np.einsum("wd,cwr->cdr", np.linalg.pinv(shape, rcond=1e-9), gain[:, :d])
+    gain[:, d:] = np.linalg.inv(first.shape).transpose(0, 2, 1) @ gain[:, d:]
     completed = residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half)
     return Linearisation(
         cost=cost,
-        residual=residuals.flat[-1],
+        residual=residuals.flat[-1] + averaged * lift,
+        centre=residuals.flat[-1],
         gain=gain,
-        bend=np.einsum("ch,hcr->cr", pairs, even**2) / np.maximum(pairs.sum(axis=1), 1.0)[:, None],
-        first=first,
+        bend=bend,
+        first=first.mean,
         completed=completed,
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),
@@ -138,6 +181,12 @@ def _parity(residuals: Residuals, half: int) -> tuple[FloatArray, FloatArray, Fl
     plus, minus, centre = residuals.flat[:half], residuals.flat[half:-1], residuals.flat[-1]
     pairs = (residuals.completed[:half] & residuals.completed[half:-1] & residuals.completed[-1]).T
     return 0.5 * (plus - minus), 0.5 * (plus + minus) - centre, pairs.astype(float)
+
+
+def _bent(even: FloatArray, pairs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and mean square of the even response (half, c, R) over the pairs that completed, (c, R) each."""
+    count = np.maximum(pairs.sum(axis=1), 1.0)[:, None]
+    return np.einsum("ch,hcr->cr", pairs, even) / count, np.einsum("ch,hcr->cr", pairs, even**2) / count
 
 
 def _regress(odd: FloatArray, pairs: FloatArray, steps: FloatArray) -> FloatArray:
@@ -179,6 +228,7 @@ def information(
         score=np.einsum("cir,cr->ci", wz, start) - np.einsum("cij,ci->cj", xz, solved[..., 0]),
         first_offset=found.first - solved[..., 0],
         first_gain=np.negative(solved[..., 1:]),
+        first_precision=xx,
         residual=fitted,
         times=times,
         completed=found.completed,

@@ -12,6 +12,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import IdentifySettings
 from amhe_cli.core.trajectory import Window
 from amhe_cli.estimation.linearised import (
+    FirstStates,
     Information,
     Linearisation,
     information,
@@ -49,6 +50,7 @@ class State:
         record: One entry an iteration.
         settled: The last step was short, and the samples no wider than the posterior.
         trail: Where each step of polishing a rough cost ended, shape (k, d).
+        first: What is known of the tiles' first states; None: what was recorded.
     """
 
     stage: Stage
@@ -59,6 +61,7 @@ class State:
     record: tuple[Iteration, ...] = ()
     settled: bool = False
     trail: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    first: FirstStates | None = None
 
     @property
     def done(self) -> bool:
@@ -76,9 +79,9 @@ def total(problem: Problem, state: State) -> int:
     return problem.settings.identify.iterations
 
 
-def restart(problem: Problem, z: FloatArray) -> State:
-    """Polishing from z (d,), for a problem that is part of a solved one."""
-    return State("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
+def restart(problem: Problem, z: FloatArray, first: FirstStates | None) -> State:
+    """Polishing from z (d,) and its tiles' first states, for a problem that is part of a solved one."""
+    return State("polish", 0, z, diagonal(0.5 * WIDEST, problem.active), first=first)
 
 
 def advance(problem: Problem, state: State) -> State:
@@ -88,8 +91,9 @@ def advance(problem: Problem, state: State) -> State:
     rng = problem.rng(0, state.number)
     windows = problem.pool.draw(rng, problem.clip_count) if exploring else problem.tiles
     cost = problem.cost(windows, state.scale)
-    first = np.zeros((len(windows), cost.nx if _fits_first_states(setting.first_state, exploring) else 0))
-    slopes = linearise(cost, state.z, first, state.shape, setting.samples, rng)
+    nx = cost.nx if _fits_first_states(setting.first_state, exploring) else 0
+    first = state.first or FirstStates.recorded(len(windows), nx)
+    slopes = linearise(cost, state.z, first, state.shape, setting.samples, rng, averaged=problem.rough)
     found = information(slopes)
     taken = gauss_newton(problem, cost, state, found, windows)
     shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
@@ -109,6 +113,7 @@ def advance(problem: Problem, state: State) -> State:
         shape=shape,
         scale=noise_scale(cost, found, state.scale),
         record=(*state.record, _entry(problem, state, taken, slopes)),
+        first=None if exploring else found.first_states(taken.z - state.z),  # of the same clips next time
     )
 
 

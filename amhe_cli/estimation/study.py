@@ -7,10 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.trajectory import Window
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation import cma, search
-from amhe_cli.estimation.linearised import Information, Linearisation, information, linearise, objective
+from amhe_cli.estimation.linearised import (
+    FirstStates,
+    Information,
+    Linearisation,
+    information,
+    linearise,
+    objective,
+)
 from amhe_cli.estimation.posterior import Posterior, posterior
 from amhe_cli.estimation.problem import Problem, spread_floor
 from amhe_cli.estimation.shape import bounded, changed, diagonal, sampling_sd
@@ -24,7 +30,16 @@ TURNS, SMALL = 4, 0.05
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Study:
-    """The final linearisation on the tiles, and what it says."""
+    """The final linearisation on the tiles, and what it says.
+
+    Args:
+        slopes, found: Linearisation, and the information it is worth.
+        weight: How often each tile counts, shape (c,).
+        posterior: Of z.
+        shape, first: Of the samples.
+        scale: Channel -> residual sd over declared noise sd.
+        z: Where, shape (d,).
+    """
 
     slopes: Linearisation
     found: Information
@@ -33,6 +48,7 @@ class Study:
     shape: FloatArray
     scale: Mapping[str, float]
     z: FloatArray
+    first: FirstStates
 
     def cost_beside(self, z: FloatArray) -> FloatArray:
         """Mean cost of candidates z (p, d) near the estimate, first states fitted along, shape (p,)."""
@@ -49,42 +65,47 @@ def study_of(problem: Problem, finding: Finding) -> Study:
     prior = problem.system.space.prior_precision
     coverage = problem.coverage(problem.tiles)
     floor = spread_floor(problem)
-    shape = finding.shape if isinstance(finding, search.State) else diagonal(SMALL, problem.active)
-    scale = finding.scale
+    searched = isinstance(finding, search.State)
+    shape = finding.shape if searched else diagonal(SMALL, problem.active)
+    scale, first = finding.scale, finding.first if searched else None
+    # of a rough cost they are known by the search's own last steps, in this shape
+    known = problem.rough and first is not None
     for turn in range(TURNS):
-        slopes = _linearised(problem, finding, scale, shape, turn)
+        at = first or _recorded(problem)
+        slopes = _linearised(problem, finding, scale, shape, at, turn)
         found = information(slopes)
         weight = search.clip_weights(slopes.cost, found) * coverage
         study = Study(
-            slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z
+            slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z, at
         )
         wanted = bounded(4.0 * study.posterior.covariance, floor, problem.active)
-        known = turn > 0 or problem.rough  # of a rough cost: by the search's own last steps, in this shape
         if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
             break
-        shape, scale = wanted, search.noise_scale(slopes.cost, found, scale)
+        shape, scale, known = wanted, search.noise_scale(slopes.cost, found, scale), True
+        first = found.first_states(np.zeros_like(finding.z))
     return study
 
 
 def step_ratio(problem: Problem, finding: Finding, study: Study) -> FloatArray:
     """Posterior sd at the step over that at a doubled step, shape (d,): 1 where the model is linear."""
-    found = information(_linearised(problem, finding, study.scale, 2.0 * study.shape, TURNS))
+    found = information(_linearised(problem, finding, study.scale, 2.0 * study.shape, study.first, TURNS))
     doubled = posterior(finding.z, found, study.weight, problem.system.space.prior_precision)
     return np.where(problem.active, study.posterior.sd / doubled.sd, np.nan)
 
 
+def _recorded(problem: Problem) -> FirstStates:
+    fitted = problem.settings.identify.first_state != "never"
+    return FirstStates.recorded(len(problem.tiles), problem.cost(problem.tiles).nx if fitted else 0)
+
+
 def _linearised(
-    problem: Problem, finding: Finding, scale: Mapping[str, float], shape: FloatArray, place: int
+    problem: Problem,
+    finding: Finding,
+    scale: Mapping[str, float],
+    shape: FloatArray,
+    first: FirstStates,
+    place: int,
 ) -> Linearisation:
     cost = problem.cost(problem.tiles, scale)
-    first = np.zeros((len(problem.tiles), cost.nx if problem.settings.identify.first_state != "never" else 0))
     samples = problem.settings.identify.samples
-    return linearise(cost, finding.z, first, shape, samples, problem.rng(3, place))
-
-
-def thinned(problem: Problem, rows: IntArray) -> tuple[Window, ...]:
-    """The tiles of these rows, evenly thinned to what one iteration takes."""
-    most = problem.settings.clips.count
-    if len(rows) > most:
-        rows = rows[np.linspace(0, len(rows) - 1, most).round().astype(int)]
-    return tuple(problem.tiles[i] for i in rows)
+    return linearise(cost, finding.z, first, shape, samples, problem.rng(3, place), averaged=problem.rough)

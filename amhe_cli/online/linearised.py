@@ -13,7 +13,13 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.statistics import pseudo_huber_weight
-from amhe_cli.estimation.linearised import Linearisation, channel_times, linearise, split
+from amhe_cli.estimation.linearised import (
+    FirstStates,
+    Linearisation,
+    channel_times,
+    linearise,
+    split,
+)
 from amhe_cli.estimation.shape import bounded, sampling_width
 from amhe_cli.matching import MatchingCost
 from amhe_cli.online.arrival import Arrival
@@ -26,7 +32,8 @@ def linearised_update(task: Task) -> Outcome:
     moved, noise, done = arrival, task.noise, 0
     rollouts = diverged = 0
     before = after = excited = np.inf
-    shape, first = _shape(task), np.zeros((1, cost.nx if task.settings.first_state == "estimated" else 0))
+    nx = cost.nx if task.settings.first_state == "estimated" else 0
+    shape, first = _shape(task), FirstStates.recorded(1, nx)
     while done < task.settings.iteration_count and not (done and task.late()):
         slopes = linearise(cost, moved.z, first, shape, task.settings.sample_count, task.rng)
         rollouts, diverged, done = rollouts + slopes.rollouts, diverged + slopes.diverged, done + 1

@@ -10,7 +10,13 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
-from amhe_cli.estimation.linearised import Information, Linearisation, information, linearise
+from amhe_cli.estimation.linearised import (
+    FirstStates,
+    Information,
+    Linearisation,
+    information,
+    linearise,
+)
 from amhe_cli.estimation.search import noise_scale
 from amhe_cli.estimation.shape import sampling_width
 from amhe_cli.matching import MatchingCost
@@ -42,7 +48,7 @@ def information_at(
     setting = system.settings.identify
     cost = MatchingCost(system, windows, engine, system.settings.cost)
     fitted = setting.first_state == "always" or (setting.first_state == "polish" and not recorded)
-    first = np.zeros((len(windows), cost.nx if fitted else 0))
+    first = FirstStates.recorded(len(windows), cost.nx if fitted else 0)
     shape = np.diag(sampling_width(system.space, setting.step))
     found = linearise(cost, z, first, shape, 0, rng)
     return information(rescaled(found, noise_scale(cost, information(found), {})))
@@ -54,7 +60,11 @@ def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
     sizes = [o.mask.shape[1] * o.width for o in cost.clips.observed]
     factor = np.repeat([scale[o.channel.key] for o in cost.clips.observed], sizes)
     return replace(
-        found, residual=found.residual / factor, gain=found.gain / factor, bend=found.bend / factor**2
+        found,
+        residual=found.residual / factor,
+        centre=found.centre / factor,
+        gain=found.gain / factor,
+        bend=found.bend / factor**2,
     )
 
 

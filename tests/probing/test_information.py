@@ -10,7 +10,7 @@ import pytest
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.estimation.linearised import information, linearise
+from amhe_cli.estimation.linearised import FirstStates, information, linearise
 from amhe_cli.matching import MatchingCost
 from amhe_cli.probing.information import information_at, rescaled
 from amhe_cli.probing.probe import engine_of, read, tiles
@@ -39,7 +39,7 @@ def test_errors_of_first_states_are_no_noise_of_the_motion(asked: Asked) -> None
 def test_twice_the_noise_is_a_quarter_of_the_information(asked: Asked) -> None:
     system, windows, engine, z = asked
     cost = MatchingCost(system, windows, engine, system.settings.cost)
-    first, shape = np.zeros((len(windows), 0)), 0.01 * np.eye(z.size)
+    first, shape = FirstStates.recorded(len(windows), 0), 0.01 * np.eye(z.size)
     found = linearise(cost, z, first, shape, 0, np.random.default_rng(0))
     twice = rescaled(found, {o.channel.key: 2.0 for o in cost.clips.observed})
     np.testing.assert_allclose(twice.residual, 0.5 * found.residual)
