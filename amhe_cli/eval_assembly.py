@@ -35,8 +35,11 @@ from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 from amhe_cli.system.yaml_file import scalar
 
-#: Rooms and files that only ask and tell: a change of theirs changes no result.
-_ONLOOKERS = ("cli", "evaluation", "executors.py", "report")
+#: Rooms and files that only ask and tell, or are of another target: a change of theirs changes no result.
+_ONLOOKERS = (
+    "cli", "evaluation", "executors.py", "report",
+    "emulator", "go1_assembly.py", "go1_link", "poses", "probing",
+)  # fmt: skip
 #: Groups of settings whose keys `--ablate` takes without the group's name; the first that has one wins.
 _SHORT = ("mhe", "control")
 #: The paper's own symbols for its seven hyper-parameters.

@@ -120,6 +120,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     """
     task = task or find_task(options.task)
     system = system_of(options, task)
+    task = as_measured(task, system)
     settings = system.settings.control
     seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
@@ -137,6 +138,12 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
 def measured(task: Task) -> dict[str, Any]:
     """What the system file must be told of a task: the size of its box, where it is another one."""
     return {} if task.box.size == Box().size else {"boxes": {"box": list(task.box.size)}}
+
+
+def as_measured(task: Task, system: System) -> Task:
+    """The task with the box of the system: the user may have measured another one (`boxes.box`)."""
+    depth, width, height = (2.0 * float(half) for half in system.model.geom("box").size)
+    return replace(task, box=replace(task.box, size=(depth, width, height)))
 
 
 def controller_for(

@@ -136,6 +136,8 @@ class MheSettings(_Group):
     """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing."""
     jump: Annotated[float, Field(gt=1)] = 1.8
     """A window that the belief misses by this many times its usual residual tells of a jump."""
+    jump_windows: Annotated[int, Field(ge=1)] = 1
+    """So many in a row must: single ones may be a contact that was missed."""
     jump_sd: _Positive = 0.3
     """What a jump adds to each sd, as a share of the parameter, before its window is learnt from."""
     information: Annotated[float, Field(gt=0, le=1)] = 1.0

@@ -85,7 +85,7 @@ class MovingHorizon:
         self._update = UPDATES[self._settings.method]
         self._arrival = arrival_of(system.space, belief, self._settings.start_sd)
         self._noise = Noise()
-        self._usual, self._seen = np.nan, 0
+        self._usual, self._seen, self._row = np.nan, 0, 0
         self._last: float | None = None
 
     def update(self, window: Window, at: float, budget: float | None = None) -> Estimate:
@@ -122,11 +122,15 @@ class MovingHorizon:
             return "still"
         mark: Mark = "jump" if self._jumped(outcome.before) else "updated"
         self._arrival, self._noise = outcome.arrival, outcome.noise
+        self._row = self._row + 1 if self._missed(outcome.before) and mark == "updated" else 0
         self._remember(outcome.before)
         return mark
 
-    def _jumped(self, misfit: float) -> bool:
+    def _missed(self, misfit: float) -> bool:
         return self._seen >= _WARM and misfit > self._settings.jump * self._usual
+
+    def _jumped(self, misfit: float) -> bool:
+        return self._missed(misfit) and self._row + 1 >= self._settings.jump_windows
 
     def _surprised(self, misfit: float) -> Arrival:
         """The belief before a window, in whose light the window is seen."""

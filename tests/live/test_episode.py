@@ -16,7 +16,7 @@ from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.plant import Plant
 from amhe_cli.go1.state import State
 from amhe_cli.live.episode import Cycle, resistance
-from amhe_cli.run_assembly import Run, RunOptions, open_run
+from amhe_cli.run_assembly import Run, RunOptions, measured, open_run
 
 PERIOD = 0.02
 
@@ -182,3 +182,14 @@ def test_the_measures_are_of_the_true_states(task: str) -> None:
     assert found.cost == pytest.approx(by_hand)
     box = cycles[-1].truth.box.position[:2]
     assert found.goal_error_m == pytest.approx(float(np.hypot(*(box - run.task.path.goal))))
+
+
+def test_a_box_of_another_size_is_so_for_plant_estimator_and_log() -> None:
+    """`boxes.box` is what the user measured: whoever has a model of the box must have that one."""
+    edges = (0.4, 0.6, 0.2)
+    run = opened(assignments=[f"boxes.box={list(edges)}"])
+    assert run.plant is not None
+    for model in (run.plant.model, run.system.model):
+        np.testing.assert_allclose(2.0 * model.geom("box").size, edges)
+    assert run.task.box.size == pytest.approx(edges)
+    assert measured(run.task)["boxes"]["box"] == pytest.approx(edges), "and whoever reads the log"

@@ -55,6 +55,13 @@ def test_a_jump_is_seen_and_followed(cart, drive) -> None:
     assert np.mean([e.theta[0] for e in late]) == pytest.approx(3.5, rel=0.04)
 
 
+def test_a_jump_may_have_to_be_told_by_windows_in_a_row(cart, drive) -> None:
+    """Here the first one is enough to follow: the second is no surprise any more."""
+    log = drive(6.0, mass=lambda t: 2.0 if t < 4.0 else 3.5)
+    marks = [[e.mark for e in estimates(with_mhe(cart, jump_windows=count), log)] for count in (1, 2)]
+    assert [of.count("jump") for of in marks] == [1, 0]
+
+
 def test_at_rest_it_keeps_its_belief_and_grows_less_sure(cart, drive) -> None:
     found = estimates(cart, drive(6.0, force=lambda t: np.where(t < 3.0, swing_of(t), 0.0) * (t < 3.0)))
     still = [e for e in found if e.time > 5.5]
