@@ -71,7 +71,7 @@ class Emulator:
     def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:
         o, self._faults = options, options.faults
         self._clock, self._on_command = Clock(o.slow), on_command
-        self._port = RobotPort(o.host, o.port, o.faults)
+        self._port, self._offsets = RobotPort(o.host, o.port, o.faults), o.offsets
         self._cameras = _cameras(o)
         self._body = Body(o.task, np.random.default_rng(o.seed))
         self._driven_since: float | None = None
@@ -141,7 +141,7 @@ class Emulator:
             self._port.send(faults.told(state, driven), now)
         self._cameras.serve(now)
         if len(measured.pose_times) and driven < faults.mocap:
-            self._cameras.show(measured, faults, now)
+            self._cameras.show(_seen(measured, faults, self._offsets), now)
 
 
 class _Cameras:
@@ -151,22 +151,21 @@ class _Cameras:
 
     def serve(self, now: float) -> None: ...
 
-    def show(self, measured: Measurements, faults: Faults, now: float) -> None: ...
+    def show(self, poses: list[Pose], now: float) -> None: ...
 
     def close(self) -> None: ...
 
 
 class _NatNetCameras(_Cameras):
     def __init__(self, options: EmulatorOptions) -> None:
-        self._offsets = options.offsets
         self._motive = Motive(options.host, options.mocap_port, options.bodies)
         self.address = self._motive.address
 
     def serve(self, now: float) -> None:
         self._motive.serve(now)
 
-    def show(self, measured: Measurements, faults: Faults, now: float) -> None:
-        self._motive.stream([Seen(*pose) for pose in _seen(measured, faults, self._offsets)], now)
+    def show(self, poses: list[Pose], now: float) -> None:
+        self._motive.stream([Seen(*pose) for pose in poses], now)
 
     def close(self) -> None:
         self._motive.close()
@@ -174,14 +173,11 @@ class _NatNetCameras(_Cameras):
 
 class _UdpCameras(_Cameras):
     def __init__(self, options: EmulatorOptions) -> None:
-        self._offsets = options.offsets
         self._socket = bound(options.host, 0)
         self._to, self._names = (options.host, options.mocap_port), options.bodies
 
-    def show(self, measured: Measurements, faults: Faults, now: float) -> None:
-        for name, (position, orientation) in zip(
-            self._names, _seen(measured, faults, self._offsets), strict=True
-        ):
+    def show(self, poses: list[Pose], now: float) -> None:
+        for name, (position, orientation) in zip(self._names, poses, strict=True):
             message = udp.datagram(name, now, position, orientation)
             try:
                 self._socket.sendto(message, self._to)
