@@ -30,8 +30,9 @@ def open_probe(options: ProbeOptions, robot: Robot | None = None) -> Probe:
     folder = find_system(options.system or DEFAULT_SYSTEM)
     if folder.resolve() == find_system(SYSTEM).resolve():
         return PushProbe(options, robot)
-    if options.box:
-        raise ConfigError(f"--box: {options.system} has none")
+    for flag, value in (("--box", options.box), ("--task", options.task)):
+        if value:
+            raise ConfigError(f"{flag}: {options.system} has none; leave it out")
     if robot:
         raise ConfigError(f"--target go1 pushes boxes: leave out --system {options.system}")
     return DriveProbe(options, folder, overrides.gathered(options.config, os.environ, options.assignments))

@@ -34,7 +34,7 @@ class ProbeOptions:
 
     Args:
         system: Name or folder; None: `go1_push`.
-        task: Whose box and floor are probed, where the system has tasks.
+        task: Whose box and floor are probed, where the system has tasks; None: those of t1.
         seconds: The longest that the probe may take [s].
         belief: File of a belief to design with, in place of the system's prior.
         plant: Model that is probed in place of the system's own.
@@ -45,7 +45,7 @@ class ProbeOptions:
     """
 
     system: str | None = None
-    task: str = "t1"
+    task: str | None = None
     seconds: float = 10.0
     belief: Path | None = None
     plant: Path | None = None

@@ -47,9 +47,9 @@ class PushProbe:
     """
 
     def __init__(self, options: ProbeOptions, robot: Robot | None = None) -> None:
-        self._options, self._task, self._robot = options, find_task(options.task), robot
-        self.task = options.task
-        run = RunOptions(options.task, assignments=options.assignments, config=options.config)
+        self.task = options.task or "t1"
+        self._options, self._task, self._robot = options, find_task(self.task), robot
+        run = RunOptions(self.task, assignments=options.assignments, config=options.config)
         self._own = system_of(run, self._task)
         self.system: System = believing(self._own, options.belief)
         if robot and options.box:
@@ -71,6 +71,11 @@ class PushProbe:
         for number, motion in enumerate(MOTIONS):
             say(f"rehearsing {motion.name}, {number + 1} of {len(MOTIONS)}")
             found.append(np.stack([self._told(motion, i, z) for i, z in enumerate(draws)]) * room)
+        if not any(told.any() for told in found):
+            raise SimulationError(
+                "no rehearsal told anything: under this belief the robot falls, or the box never moves; "
+                "give another one with --belief"
+            )
         best = int(np.argmax([criterion(told, space.prior_precision) for told in found]))
         chosen = MOTIONS[best]
         return Plan(
@@ -99,9 +104,9 @@ class PushProbe:
         Raises:
             ConfigError: What the wire's options or the settings do not allow.
         """
-        task, own = self._as_it_is(motion, seconds), self._options
-        options = replace(self._run_options(task, own.seed, "baseline"), target="go1", belief=own.belief)
-        return open_go1_run(replace(options, plant=own.plant), robot.wire, task)
+        task = self._as_it_is(motion, seconds)
+        options = self._run_options(task, self._options.seed, "baseline")
+        return open_go1_run(replace(options, target="go1"), robot.wire, task)
 
     def _told(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:
         """Information of a second of a motion (d, d), if z (d,) were true and believed; none if it fell."""
@@ -133,17 +138,16 @@ class PushProbe:
         return self._probe(motion, seconds, Believed(*own))
 
     def _run_options(self, task: ProbeTask, seed: int, mode: str) -> RunOptions:
-        own = self._options
+        """With the user's belief and plant; a rehearsal, `true`, is of a draw by our own plant."""
+        own, real = self._options, mode != "true"
         return RunOptions(
-            own.task, mode, seed=seed, threads=own.threads, duration=task.nominal_time,
+            self.task, mode, seed=seed, threads=own.threads, duration=task.nominal_time,
+            belief=own.belief if real else None, plant=own.plant if real else None,
             assignments=own.assignments, config=own.config,
         )  # fmt: skip
 
     def _open(self, task: ProbeTask, seed: int, mode: str) -> Run:
-        options, own = self._run_options(task, seed, mode), self._options
-        if mode != "true":
-            options = replace(options, belief=own.belief, plant=own.plant)
-        return open_run(options, task)
+        return open_run(self._run_options(task, seed, mode), task)
 
     def _record(
         self, run: Run, path: Path, stopped: Callable[[], bool], say: Say, attend: Attend = _nobody

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from amhe_cli.cli.main import run
+from amhe_cli.live.drive import Ending
 from amhe_cli.logs import read_metadata, survey
+from amhe_cli.probing.push import PushProbe
 from tests.conftest import MODELS, PENDULUM_TRUTH
 
 #: Little work: the plans need not be good.
@@ -108,6 +111,7 @@ def test_what_cannot_be_probed_is_said_in_one_line(capsys) -> None:
     assert "nothing to drive" in refused(capsys, "--system", "cube_toss")
     assert "1 s" in refused(capsys, "--system", "pendulum", "--for", "0.2")
     assert "--box: pendulum has none" in refused(capsys, "--system", "pendulum", "--box", "4", "0.6")
+    assert "--task: pendulum has none" in refused(capsys, "--system", "pendulum", "--task", "t4")
     assert "--box: the box of a real" in refused(capsys, "--target", "go1", "--box", "4", "0.6")
     assert "--box" in refused(capsys, "--box", "0", "0.6")
 
@@ -133,10 +137,23 @@ def test_a_plant_without_the_systems_joints_is_refused(capsys) -> None:
 
 def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
     Path("quick.yaml").write_text(QUICK_SETTINGS)
-    monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+    rehearsed = PushProbe.run
+
+    def falls(*arguments: Any) -> Ending:
+        monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+        return rehearsed(*arguments)
+
+    monkeypatch.setattr(PushProbe, "run", falls)
     assert run(["probe", "--for", "2", "--box", "5", "0.5", "-o", "probe", *QUICK]) == 1
     assert "the robot fell" in capsys.readouterr().err
     assert names("probe") == ["plan.json", "probe.mcap", "result.json"]
     assert json.loads(Path("probe/result.json").read_text())["error"].startswith("the robot fell")
     truth = json.loads(read_metadata(Path("probe/probe.mcap"))["truth"])
     assert (truth["box_mass"], truth["floor_friction"]) == pytest.approx((5.0, 0.5)), "that of --box"
+
+
+def test_falls_in_every_rehearsal_are_said_before_anything_moves(monkeypatch, capsys) -> None:
+    Path("quick.yaml").write_text(QUICK_SETTINGS)
+    monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+    assert run(["probe", "--for", "2", "-o", "probe", *QUICK]) == 1
+    assert "no rehearsal told anything" in capsys.readouterr().err
