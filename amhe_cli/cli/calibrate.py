@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from amhe_cli.cli import at_the_robot, options
-from amhe_cli.cli.run import TASKS
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -20,23 +19,9 @@ SETTINGS = "offsets.yaml"
 
 
 @click.command(cls=options.Command, short_help="Offsets of the rigid bodies on a real robot and its box.")
-@click.option(
-    "--task",
-    type=click.Choice(TASKS),
-    default="t1",
-    show_default=True,
-    help="Whose box it is, and where it is put down.",
-)
+@options.task("Whose box it is, and where it is put down.")
 @at_the_robot.reach_options
-@click.option(
-    "--for",
-    "seconds",
-    type=options.Number(min=0.5, max=60),
-    default=2.0,
-    show_default=True,
-    metavar="S",
-    help="How long each body is looked at [s].",
-)
+@options.seconds("How long each body is looked at [s].", 2.0, min=0.5, max=60)
 @click.option("--yes", is_flag=True, help="Robot and box are in place: ask nothing.")
 @options.tuning
 @options.out

@@ -7,7 +7,6 @@ from math import isfinite
 import click
 
 from amhe_cli.cli import options
-from amhe_cli.cli.run import TASKS
 from amhe_cli.cli.session import Session
 
 MOCAP = ("natnet", "udp", "none")
@@ -35,9 +34,7 @@ OFFSET = _Offset()
 
 
 @click.command(cls=options.Command, short_help="A Go1 and its motion capture, emulated on this computer.")
-@click.option(
-    "--task", type=click.Choice(TASKS), default="t1", show_default=True, help="Whose box to put down."
-)
+@options.task("Whose box to put down.")
 @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="To listen on.")
 @click.option(
     "--port",

@@ -35,13 +35,13 @@ _ESTIMATOR = {
         "--window",
         type=options.Number(min=0, min_open=True),
         metavar="S",
-        help="Time that one update looks back.  [default: 0.5]",
+        help="Time that one update looks back.  [default: 0.5; of go1_push 0.4]",
     ),
     "update_period": click.option(
         "--update-period",
         type=options.Number(min=0, min_open=True),
         metavar="S",
-        help="Time between two updates.  [default: 0.2]",
+        help="Time between two updates.  [default: 0.2; of go1_push 0.1]",
     ),
     "samples": click.option(
         "--samples",
@@ -83,6 +83,9 @@ def estimator(function: options.F) -> options.F:
                 chosen += [f"mhe.{name}.{key}={number!r}" for key, number in value.items()]
             elif value is not None:
                 chosen.append(f"mhe.{name}={value}")
+        if chosen and values.get("mode", "adaptive") != "adaptive":
+            flag = chosen[0].removeprefix("mhe.").partition("=")[0].partition(".")[0].replace("_", "-")
+            raise click.UsageError(f"--{flag} is of the online estimator, and that of --mode adaptive only")
         return function(*args, assignments=(*assignments, *chosen), **values)
 
     for option in reversed(_ESTIMATOR.values()):

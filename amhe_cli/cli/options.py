@@ -111,11 +111,35 @@ common = stacked(
     click.version_option(__version__, message="amhe %(version)s"),
 )
 
-system = click.option(
-    "--system",
-    metavar="NAME|DIR",
-    help="A bundled system or your own system folder.  [default: named by the log, else go1_push]",
-)
+#: Those of control/tasks.py, which --help need not load.
+TASKS = ("t1", "t2", "t3", "t4", "t5", "hw1", "hw2")
+
+
+def task(about: str, default: str | None = "t1") -> Callable[[F], F]:
+    """Whose box and floor."""
+    return click.option(
+        "--task", type=click.Choice(TASKS), default=default, show_default=bool(default), help=about
+    )
+
+
+def seconds(about: str, default: float, **bounds: Any) -> Callable[[F], F]:
+    """How long something goes on [s]."""
+    kind = Number(**bounds)
+    return click.option(
+        "--for", "seconds", type=kind, default=default, show_default=True, metavar="S", help=about
+    )
+
+
+def system_or(default: str) -> Callable[[F], F]:
+    """The system, and which it is where the user does not say."""
+    return click.option(
+        "--system",
+        metavar="NAME|DIR",
+        help=f"A bundled system or your own system folder.  [default: {default}]",
+    )
+
+
+system = system_or("named by the log, else go1_push")
 
 msg_path = click.option(
     "--msg-path",

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from amhe_cli.cli import at_the_robot, options
-from amhe_cli.cli.run import TASKS
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -20,31 +19,15 @@ LOG = "probe.mcap"
 
 
 @click.command(cls=options.Command, short_help="Design and record the motion that tells most.")
-@click.option(
-    "--system",
-    metavar="NAME|DIR",
-    help="A bundled system or your own system folder.  [default: go1_push]",
-)
+@options.system_or("go1_push")
 @click.option(
     "--target", type=click.Choice(["sim", "go1"]), default="sim", show_default=True, help="What is probed."
 )
 @at_the_robot.wire_options
-@click.option(
-    "--task",
-    type=click.Choice(TASKS),
-    default="t1",
-    show_default=True,
-    help="Whose box and floor go1_push is probed with, as they are before anything changes.",
+@options.task(
+    "Whose box and floor go1_push is probed with, as they are before anything changes.  [default: t1]", None
 )
-@click.option(
-    "--for",
-    "seconds",
-    type=options.Number(min=0, min_open=True, max=600),
-    default=10.0,
-    show_default=True,
-    metavar="S",
-    help="The longest that the probe may take [s].",
-)
+@options.seconds("The longest that the probe may take [s].", 10.0, min=0, min_open=True, max=600)
 @click.option(
     "--belief",
     type=options.EXISTING_FILE,
@@ -75,7 +58,7 @@ def probe(
     session: Session,
     system: str | None,
     target: str,
-    task: str,
+    task: str | None,
     seconds: float,
     belief: Path | None,
     plant: Path | None,

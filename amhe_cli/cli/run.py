@@ -12,17 +12,16 @@ from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.session import Session
 
-#: Those of control/tasks.py and run_assembly.py, which --help need not load.
-TASKS = ("t1", "t2", "t3", "t4", "t5", "hw1", "hw2")
 _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
     "t5: with one front leg; hw1, hw2: load and turf, as on hardware."
 )
+#: Those of run_assembly.py, which --help need not load.
 MODES = ("true", "baseline", "stale", "adaptive")
 
 
 @click.command(cls=options.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
-@click.option("--task", type=click.Choice(TASKS), required=True, help=_TASKS)
+@click.option("--task", type=click.Choice(options.TASKS), required=True, help=_TASKS)
 @click.option(
     "--target",
     type=click.Choice(["sim", "go1"]),

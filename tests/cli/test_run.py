@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from amhe_cli.cli import options
 from amhe_cli.cli import run as command
 from amhe_cli.cli.main import run
 from amhe_cli.control.tasks import TASKS
@@ -59,7 +60,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_choices_of_the_options_are_those_of_the_library() -> None:
-    assert tuple(TASKS) == command.TASKS
+    assert tuple(TASKS) == options.TASKS
     assert MODES == command.MODES
 
 
@@ -173,6 +174,11 @@ def test_a_fault_of_the_page_costs_no_log(monkeypatch) -> None:
     monkeypatch.setattr("amhe_cli.report.run.run_page", broken)
     assert run(["run", "--task", "t1", "-o", "out", *QUICK]) == 1
     assert names("out") == ["log.mcap", "result.json"]
+
+
+def test_options_of_the_estimator_are_refused_where_there_is_none(capsys) -> None:
+    assert run(["run", "--task", "t1", "--mode", "true", "--prior-weight", "box_mass=1"]) == 2
+    assert "--prior-weight is of the online estimator" in capsys.readouterr().err
 
 
 def test_without_an_encoder_a_film_is_refused_before_the_run(monkeypatch, capsys) -> None:
