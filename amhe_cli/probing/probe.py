@@ -55,9 +55,9 @@ class ProbeOptions:
     assignments: tuple[str, ...] = ()
     config: Path | None = None
 
-    def rng(self, place: int) -> np.random.Generator:
+    def rng(self, *place: int) -> np.random.Generator:
         """A generator of its own for each use."""
-        return np.random.default_rng([self.seed, place])
+        return np.random.default_rng([self.seed, *place])
 
 
 class Probe(Protocol):

@@ -114,7 +114,7 @@ class PushProbe:
         named = system.space.named(system.space.theta_of(z))
         box = Believed(named["box_mass"], named["floor_friction"])
         seconds = min(options.seconds, APPROACH.seconds + _REHEARSED)
-        seed = int(options.rng(1 + number).integers(2**31))
+        seed = int(options.rng(1, number).integers(2**31))
         run = self._open(self._probe(motion, seconds, box), seed, "true")
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rehearsal.mcap"
@@ -124,7 +124,7 @@ class PushProbe:
         if ending.error is not None or not windows:
             return np.zeros((z.size, z.size))
         truth = system.space.z_of(np.array([run.first_truth[name] for name in system.space.names]))
-        engine, rng = engine_of(system, options.threads), options.rng(5 + number)
+        engine, rng = engine_of(system, options.threads), options.rng(2, number)
         told = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
         return told / sum(window.duration for window in windows)
 
