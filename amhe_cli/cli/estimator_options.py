@@ -80,12 +80,13 @@ def estimator(function: options.F) -> options.F:
         for name in _ESTIMATOR:
             value = values.pop(name)
             if isinstance(value, dict):
-                chosen += [f"mhe.{name}.{key}={number!r}" for key, number in value.items()]
-            elif value is not None:
-                chosen.append(f"mhe.{name}={value}")
-        if chosen and values.get("mode", "adaptive") != "adaptive":
-            flag = chosen[0].removeprefix("mhe.").partition("=")[0].partition(".")[0].replace("_", "-")
-            raise click.UsageError(f"--{flag} is of the online estimator, and that of --mode adaptive only")
+                told = [f"mhe.{name}.{key}={number!r}" for key, number in value.items()]
+            else:
+                told = [] if value is None else [f"mhe.{name}={value}"]
+            if told and values.get("mode", "adaptive") != "adaptive":
+                flag = f"--{name.replace('_', '-')}"
+                raise click.UsageError(f"{flag} is for the online estimator, which only --mode adaptive runs")
+            chosen += told
         return function(*args, assignments=(*assignments, *chosen), **values)
 
     for option in reversed(_ESTIMATOR.values()):

@@ -94,7 +94,7 @@ def _fingerprint(problem: Problem, method: str) -> str:
 
 def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
-        return {"array": value.tolist()}
+        return {"array": value.ravel().tolist(), "shape": value.shape}
     if isinstance(value, tuple) and value and isinstance(value[0], Iteration):
         return [asdict(i) for i in value]
     if isinstance(value, FirstStates):
@@ -113,8 +113,8 @@ def _restore(kind: str, saved: dict[str, Any]) -> search.State | cma.State:
 
 
 def _array(value: Any) -> Any:
-    if isinstance(value, dict):
-        return (
-            np.array(value["array"]) if set(value) == {"array"} else {k: _array(v) for k, v in value.items()}
-        )
-    return value
+    if not isinstance(value, dict):
+        return value
+    if set(value) == {"array", "shape"}:
+        return np.array(value["array"]).reshape(value["shape"])
+    return {k: _array(v) for k, v in value.items()}

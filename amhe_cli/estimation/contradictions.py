@@ -50,7 +50,7 @@ def disagreements(
         for i, one in enumerate(names)
         for other in names[i + 1 :]
     }
-    if with_halves and (parts := _halves(problem, finding, study)) is not None:
+    if with_halves and (parts := _halves(problem, finding)) is not None:
         compared[HALVES] = parts
     logs = _later_logs(problem.tiles)
     if _both(logs):
@@ -61,11 +61,11 @@ def disagreements(
     return compared
 
 
-def _halves(problem: Problem, finding: Finding, study: Study) -> tuple[FloatArray, FloatArray] | None:
+def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray] | None:
     """What the second half of the logs wants more than the first, and the sd of that, each (d,).
 
-    Each half is searched by itself: where they differ much, the misfit of their compromise looks like
-    noise, and would hide that they do.
+    Each half is searched by itself, from the recorded first states: where they differ much, the misfit of
+    their compromise looks like noise, and would hide that they do. So would first states fitted to it.
     """
     late = np.array([w.start + 0.5 * w.length > 0.5 * (w.trajectory.steps - 1) for w in problem.tiles])
     if not _both(late):
@@ -73,7 +73,7 @@ def _halves(problem: Problem, finding: Finding, study: Study) -> tuple[FloatArra
     means, variances = [], []
     for rows in (np.flatnonzero(late), np.flatnonzero(~late)):
         part = replace(problem, only=tuple(problem.tiles[i] for i in rows))
-        state = search.restart(part, finding.z, None)
+        state = search.restart(part, finding.z)
         for _ in range(REFITS):
             state = search.advance(part, state)
         found = study_of(part, state).posterior

@@ -25,7 +25,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber, pseudo_huber_weight
 from amhe_cli.estimation.shape import coordinates
 from amhe_cli.matching import MatchingCost, Residuals
@@ -47,10 +47,6 @@ class FirstStates:
     def recorded(clips: int, nx: int) -> FirstStates:
         """Nothing but what was recorded, and its noise."""
         return FirstStates(np.zeros((clips, nx)), np.tile(np.eye(nx), (clips, 1, 1)))
-
-    def of(self, clips: IntArray) -> FirstStates:
-        """Those of some clips."""
-        return FirstStates(self.mean[clips], self.shape[clips])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,12 +140,14 @@ def linearise(
     # a bound may have cut a step short: what was really tried is (plus - minus) / 2
     steps = coordinates(shape, 0.5 * (candidates[:half] - candidates[half:-1]))
     odd, even, pairs = _parity(residuals, half)
-    lift, bend = _bent(even, pairs)
-    if averaged:
-        bend = bend - lift**2
     gain = _regress(odd, pairs, np.concatenate((steps, directions[:, d:]), axis=1))
     gain[:, :d] = np.einsum("wd,cwr->cdr", np.linalg.pinv(shape, rcond=1e-9), gain[:, :d])
     gain[:, d:] = np.linalg.inv(first.shape).transpose(0, 2, 1) @ gain[:, d:]
+    # and a pair is lopsided: what the slope makes of its middle is no bend
+    middle = 0.5 * (candidates[:half] + candidates[half:-1]) - z
+    lift, bend = _bent(even - np.einsum("hd,cdr->hcr", middle, gain[:, :d]), pairs)
+    if averaged:
+        bend = bend - lift**2
     completed = residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half)
     return Linearisation(
         cost=cost,

@@ -79,9 +79,9 @@ def total(problem: Problem, state: State) -> int:
     return problem.settings.identify.iterations
 
 
-def restart(problem: Problem, z: FloatArray, first: FirstStates | None) -> State:
-    """Polishing from z (d,) and its tiles' first states, for a problem that is part of a solved one."""
-    return State("polish", 0, z, diagonal(0.5 * WIDEST, problem.active), first=first)
+def restart(problem: Problem, z: FloatArray) -> State:
+    """Polishing from z (d,), for a problem that is part of a solved one."""
+    return State("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
 
 
 def advance(problem: Problem, state: State) -> State:
@@ -103,17 +103,18 @@ def advance(problem: Problem, state: State) -> State:
         trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
     settled = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
     stage = _next_stage(state, number, settled, setting)
+    z = _averaged(trail) if stage == "done" and len(trail) else taken.z
     return replace(
         state,
         stage=stage,
         number=number,
-        z=_averaged(trail) if stage == "done" and len(trail) else taken.z,
+        z=z,
         trail=trail,
         settled=settled,
         shape=shape,
         scale=noise_scale(cost, found, state.scale),
         record=(*state.record, _entry(problem, state, taken, slopes)),
-        first=None if exploring else found.first_states(taken.z - state.z),  # of the same clips next time
+        first=None if exploring else found.first_states(z - state.z),  # of the same clips next time
     )
 
 

@@ -105,6 +105,7 @@ class MovingHorizon:
         self._last = at
         self._arrival = self._arrival.widened(space.drift**2 * elapsed)
         if not usable(self._system, window):
+            self._row = 0
             return self._estimate(at, "gap", None, begun)
         cost = MatchingCost(self._system, [window], self._engine, self._system.settings.cost)
         share = min(1.0, elapsed / window.duration)
@@ -116,15 +117,17 @@ class MovingHorizon:
 
     def _judge(self, outcome: Outcome) -> Mark:
         """Take the outcome in, or leave it."""
+        jumped, row = self._jumped(outcome.before), self._row + 1
+        self._row = 0
         if not np.isfinite(outcome.before + outcome.after):
             return "diverged"
         if outcome.excitation < self._settings.excitation:
             return "still"
-        mark: Mark = "jump" if self._jumped(outcome.before) else "updated"
+        if self._missed(outcome.before) and not jumped:
+            self._row = row
         self._arrival, self._noise = outcome.arrival, outcome.noise
-        self._row = self._row + 1 if self._missed(outcome.before) and mark == "updated" else 0
         self._remember(outcome.before)
-        return mark
+        return "jump" if jumped else "updated"
 
     def _missed(self, misfit: float) -> bool:
         return self._seen >= _WARM and misfit > self._settings.jump * self._usual

@@ -27,15 +27,23 @@ def open_probe(options: ProbeOptions, robot: Robot | None = None) -> Probe:
     Raises:
         ConfigError: Unknown system or task, nothing to drive, a belief, plant or setting that does not suit.
     """
+    if _walks(options, robot):
+        return PushProbe(options, robot)
+    folder = find_system(options.system or DEFAULT_SYSTEM)
+    return DriveProbe(options, folder, overrides.gathered(options.config, os.environ, options.assignments))
+
+
+def _walks(options: ProbeOptions, robot: Robot | None) -> bool:
+    """Whether it is the Go1 that probes; for another system, refuse what it has not."""
     folder = find_system(options.system or DEFAULT_SYSTEM)
     if folder.resolve() == find_system(SYSTEM).resolve():
-        return PushProbe(options, robot)
+        return True
     for flag, value in (("--box", options.box), ("--task", options.task)):
         if value:
             raise ConfigError(f"{flag}: {options.system} has none; leave it out")
     if robot:
         raise ConfigError(f"--target go1 pushes boxes: leave out --system {options.system}")
-    return DriveProbe(options, folder, overrides.gathered(options.config, os.environ, options.assignments))
+    return False
 
 
 def robot_to_probe(options: ProbeOptions, robot: Robot) -> Run:
@@ -44,4 +52,5 @@ def robot_to_probe(options: ProbeOptions, robot: Robot) -> Run:
     Raises:
         ConfigError: See `open_probe`.
     """
+    _walks(options, robot)
     return PushProbe(options, robot).on_robot(STEADY, options.seconds, robot)

@@ -112,6 +112,8 @@ def test_what_cannot_be_probed_is_said_in_one_line(capsys) -> None:
     assert "1 s" in refused(capsys, "--system", "pendulum", "--for", "0.2")
     assert "--box: pendulum has none" in refused(capsys, "--system", "pendulum", "--box", "4", "0.6")
     assert "--task: pendulum has none" in refused(capsys, "--system", "pendulum", "--task", "t4")
+    dry = ("--target", "go1", "--dry-run", "--host", "127.0.0.1")
+    assert "leave out --system" in refused(capsys, "--system", "pendulum", *dry)
     assert "--box: the box of a real" in refused(capsys, "--target", "go1", "--box", "4", "0.6")
     assert "--box" in refused(capsys, "--box", "0", "0.6")
 

@@ -178,7 +178,7 @@ def test_a_fault_of_the_page_costs_no_log(monkeypatch) -> None:
 
 def test_options_of_the_estimator_are_refused_where_there_is_none(capsys) -> None:
     assert run(["run", "--task", "t1", "--mode", "true", "--prior-weight", "box_mass=1"]) == 2
-    assert "--prior-weight is of the online estimator" in capsys.readouterr().err
+    assert "--prior-weight is for the online estimator" in capsys.readouterr().err
 
 
 def test_without_an_encoder_a_film_is_refused_before_the_run(monkeypatch, capsys) -> None:

@@ -34,7 +34,7 @@ def shifted(noise: float) -> dict[str, np.ndarray]:
     )
     z = np.zeros(len(system.space))
     z[0] = system.space.z_of(np.array([0.3, *system.space.nominal[1:]]))[0]
-    state = search.restart(problem, z, None)
+    state = search.restart(problem, z)
     return shifts_of(problem, state, study_of(problem, state))
 
 

@@ -74,6 +74,16 @@ def test_a_checkpoint_resumes_to_the_bit(pendulum, swing, tmp_path, method):
     assert whole.iterations == resumed.iterations
 
 
+def test_a_finished_search_without_first_states_is_gone_on_with(pendulum, swing, tmp_path):
+    """Nothing is known of them, and nothing is what must come back."""
+    settings = pendulum.settings
+    never = settings.identify.model_copy(update={"first_state": "never"})
+    system = replace(pendulum, settings=settings.model_copy(update={"identify": never}))
+    options = IdentifyOptions(checkpoint=tmp_path / "search.json")
+    first, again = (identify(system, [swing(3.0)], None, options) for _ in range(2))
+    np.testing.assert_array_equal(first.belief.covariance, again.belief.covariance)
+
+
 def test_a_checkpoint_of_another_problem_is_refused(pendulum, swing, tmp_path):
     file = tmp_path / "search.json"
     identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file, max_time=1e-9))

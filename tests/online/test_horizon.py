@@ -14,6 +14,7 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.online.arrival import arrival_of
 from amhe_cli.online.horizon import Estimate, MovingHorizon
 from amhe_cli.online.replay import replay, windows
+from amhe_cli.online.update import Outcome, Task
 from amhe_cli.system.system import System
 
 
@@ -60,6 +61,32 @@ def test_a_jump_may_have_to_be_told_by_windows_in_a_row(cart, drive) -> None:
     log = drive(6.0, mass=lambda t: 2.0 if t < 4.0 else 3.5)
     marks = [[e.mark for e in estimates(with_mhe(cart, jump_windows=count), log)] for count in (1, 2)]
     assert [of.count("jump") for of in marks] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("misfits", "jumps"),
+    [
+        ([1, 1, 1, 1, 3, 1, 3, 1], []),  # single ones
+        ([1, 1, 1, 1, 3, 3, 1, 1], [5]),
+        ([1, 1, 1, 1, 3, 3, 3, 3], [5, 7]),  # the next needs two of its own
+        ([1, 1, 1, 1, 3, -1, 3, 1], []),  # a window that says nothing breaks the row
+    ],
+)
+def test_jumps_are_told_by_windows_in_a_row(cart, drive, misfits: list[float], jumps: list[int]) -> None:
+    system = with_mhe(cart, jump_windows=2, jump=1.8)
+    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    estimator = MovingHorizon(system, engine, np.random.default_rng(0))
+    told = iter(misfits)
+
+    def update(task: Task) -> Outcome:
+        misfit = next(told)
+        task.surprised(abs(misfit))
+        return Outcome(task.arrival, task.noise, abs(misfit), 1.0, float(misfit > 0), 9, 0, 1)
+
+    estimator._update = update
+    (window, *_) = windows(system, drive(2.0))
+    marks = [estimator.update(window, 0.2 * i).mark for i in range(len(misfits))]
+    assert [i for i, mark in enumerate(marks) if mark == "jump"] == jumps
 
 
 def test_at_rest_it_keeps_its_belief_and_grows_less_sure(cart, drive) -> None:
