@@ -51,4 +51,4 @@ def _panel(axes: Axes, ablation: Ablation) -> None:
     axes.set_xlim(-0.4, len(at) - 0.6)
     n = sorted({group.n for group in ablation.groups})
     seeds = f"n = {n[0]}" if len(n) == 1 else f"n = {n[0]} to {n[-1]}"
-    axes.set_title(f"{ablation.path} ({ablation.task} {ablation.mode}, {seeds})", fontsize=8.5)
+    axes.set_title(f"{ablation.path}\n{ablation.task} {ablation.mode}, {seeds}", fontsize=8.5)
