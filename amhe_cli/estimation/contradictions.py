@@ -105,7 +105,7 @@ def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, Flo
     for name, model in contact_variants(system.model).items():
         engine = CpuEngine(model, system.edits, system.input_spec, problem.threads, system.senses)
         cost = MatchingCost(system, problem.tiles, engine, problem.settings.cost, study.scale)
-        slopes, first = study.slopes, study.first.mean[None]
+        slopes, first = study.slopes, study.slopes.first.mean[None]
         residuals = cost.residuals(finding.z[None], first if first.shape[2] else None)
         both = slopes.completed & residuals.completed[0]
         shifted = slopes.residual + residuals.flat[0] - slopes.centre

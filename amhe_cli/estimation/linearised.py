@@ -58,7 +58,7 @@ class Linearisation:
         centre: Residuals at (z, first) itself, shape (c, R).
         gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
         bend: Mean square of what is not linear in the samples, shape (c, R).
-        first: Mean first-state errors there, shape (c, nx).
+        first: What was known of the first-state errors, and sampled.
         completed: Clips that could be linearised, shape (c,).
         rollouts, diverged: How many were run, and how many of them diverged.
     """
@@ -68,7 +68,7 @@ class Linearisation:
     centre: FloatArray
     gain: FloatArray
     bend: FloatArray
-    first: FloatArray
+    first: FirstStates
     completed: BoolArray
     rollouts: int
     diverged: int
@@ -155,7 +155,7 @@ def linearise(
         centre=residuals.flat[-1],
         gain=gain,
         bend=bend,
-        first=first.mean,
+        first=first,
         completed=completed,
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),
@@ -207,7 +207,8 @@ def information(
         straight: Take the samples' bend for nothing: what narrower samples would find.
     """
     cost, start = found.cost, found.residual
-    nx = found.first.shape[1]
+    mean = found.first.mean
+    nx = mean.shape[1]
     gz, gx = found.gain[:, : found.gain.shape[1] - nx], found.gain[:, found.gain.shape[1] - nx :]
     heard = _expand(cost, channels or [True] * len(cost.clips.observed)) * found.completed[:, None]
     heard = heard if straight else heard / (1.0 + found.bend)
@@ -217,14 +218,14 @@ def information(
         wx, wz = gx * weight[:, None], gz * weight[:, None]
         xx = wx @ gx.transpose(0, 2, 1) + np.eye(nx)
         xz = wx @ gz.transpose(0, 2, 1)
-        gradient = np.einsum("cir,cr->ci", wx, start) + found.first
+        gradient = np.einsum("cir,cr->ci", wx, start) + mean
         solved = np.linalg.solve(xx, np.concatenate((gradient[..., None], xz), axis=2))
         fitted = start - np.einsum("ci,cir->cr", solved[..., 0], gx)
         times = channel_times(cost, fitted, found.completed)
     return Information(
         matrix=wz @ gz.transpose(0, 2, 1) - xz.transpose(0, 2, 1) @ solved[..., 1:],
         score=np.einsum("cir,cr->ci", wz, start) - np.einsum("cij,ci->cj", xz, solved[..., 0]),
-        first_offset=found.first - solved[..., 0],
+        first_offset=mean - solved[..., 0],
         first_gain=np.negative(solved[..., 1:]),
         first_precision=xx,
         residual=fitted,

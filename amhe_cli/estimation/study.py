@@ -36,7 +36,7 @@ class Study:
         slopes, found: Linearisation, and the information it is worth.
         weight: How often each tile counts, shape (c,).
         posterior: Of z.
-        shape, first: Of the samples.
+        shape: Of the samples of z.
         scale: Channel -> residual sd over declared noise sd.
         z: Where, shape (d,).
     """
@@ -48,7 +48,6 @@ class Study:
     shape: FloatArray
     scale: Mapping[str, float]
     z: FloatArray
-    first: FirstStates
 
     def cost_beside(self, z: FloatArray) -> FloatArray:
         """Mean cost of candidates z (p, d) near the estimate, first states fitted along, shape (p,)."""
@@ -71,12 +70,11 @@ def study_of(problem: Problem, finding: Finding) -> Study:
     # of a rough cost they are known by the search's own last steps, in this shape
     known = problem.rough and first is not None
     for turn in range(TURNS):
-        at = first or _recorded(problem)
-        slopes = _linearised(problem, finding, scale, shape, at, turn)
+        slopes = _linearised(problem, finding, scale, shape, first, turn)
         found = information(slopes)
         weight = search.clip_weights(slopes.cost, found) * coverage
         study = Study(
-            slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z, at
+            slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z
         )
         wanted = bounded(4.0 * study.posterior.covariance, floor, problem.active)
         if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
@@ -88,14 +86,10 @@ def study_of(problem: Problem, finding: Finding) -> Study:
 
 def step_ratio(problem: Problem, finding: Finding, study: Study) -> FloatArray:
     """Posterior sd at the step over that at a doubled step, shape (d,): 1 where the model is linear."""
-    found = information(_linearised(problem, finding, study.scale, 2.0 * study.shape, study.first, TURNS))
+    first = study.slopes.first
+    found = information(_linearised(problem, finding, study.scale, 2.0 * study.shape, first, TURNS))
     doubled = posterior(finding.z, found, study.weight, problem.system.space.prior_precision)
     return np.where(problem.active, study.posterior.sd / doubled.sd, np.nan)
-
-
-def _recorded(problem: Problem) -> FirstStates:
-    fitted = problem.settings.identify.first_state != "never"
-    return FirstStates.recorded(len(problem.tiles), problem.cost(problem.tiles).nx if fitted else 0)
 
 
 def _linearised(
@@ -103,9 +97,11 @@ def _linearised(
     finding: Finding,
     scale: Mapping[str, float],
     shape: FloatArray,
-    first: FirstStates,
+    first: FirstStates | None,
     place: int,
 ) -> Linearisation:
     cost = problem.cost(problem.tiles, scale)
+    fitted = problem.settings.identify.first_state != "never"
+    at = first or FirstStates.recorded(len(problem.tiles), cost.nx if fitted else 0)
     samples = problem.settings.identify.samples
-    return linearise(cost, finding.z, first, shape, samples, problem.rng(3, place), averaged=problem.rough)
+    return linearise(cost, finding.z, at, shape, samples, problem.rng(3, place), averaged=problem.rough)
