@@ -3,7 +3,7 @@
     python benchmarks/control_cycle.py            the table of docs/benchmarks.md
     python benchmarks/control_cycle.py --realtime --seconds 20    cycle times against the wall clock
 
-Every row is an episode of T1, pushing; each cycle is timed, and right after it the bare rollout of as many
+Every row is an episode of T1, pushing; each cycle is timed, and right after it the bare rollouts of the same
 simulations and steps by the same engine.
 """
 
@@ -35,26 +35,27 @@ SKIPPED, MEASURED = 100, 60
 
 
 class Spy:
-    """An engine that remembers its longest call, to repeat it bare."""
+    """An engine that remembers a cycle's calls, prediction and samples, to repeat them bare."""
 
     def __init__(self, engine: RolloutEngine) -> None:
         self._engine = engine
-        self.call: tuple[FloatArray, ...] = ()
+        self._calls: list[tuple[FloatArray, ...]] = []
 
     def rollout(self, *arguments: FloatArray) -> Rollouts:
         """See `RolloutEngine.rollout`."""
-        if not self.call or arguments[3].size >= self.call[3].size:
-            self.call = arguments
+        self._calls.append(arguments)
         return self._engine.rollout(*arguments)  # type: ignore[arg-type]
 
     def bare(self) -> float:
-        """Time of the rollouts alone [ms]."""
+        """Time of the rollouts alone [ms], of the cycle that has just ended."""
         batch = self._engine._batch  # type: ignore[attr-defined]
-        _, qpos, qvel, inputs, _ = self.call
         begun = time.perf_counter()
-        batch.reset()
-        batch.bind("qpos")[:], batch.bind("qvel")[:] = qpos, qvel
-        batch.rollout(inputs.shape[1], control=inputs, record=["qpos", "qvel"])
+        for _, qpos, qvel, inputs, _ in self._calls:
+            ids = np.arange(len(inputs))
+            batch.reset()
+            batch.bind("qpos")[ids], batch.bind("qvel")[ids] = qpos, qvel
+            batch.rollout(inputs.shape[1], control=inputs, record=["qpos", "qvel"], ids=ids)
+        self._calls.clear()
         return 1e3 * (time.perf_counter() - begun)
 
 

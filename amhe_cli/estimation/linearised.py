@@ -102,11 +102,16 @@ class Information:
         """Best first-state errors of every clip after steps dz (p, d): shape (p, c, nx)."""
         return self.first_offset + np.einsum("cxd,pd->pcx", self.first_gain, dz)
 
-    def first_states(self, dz: FloatArray) -> FirstStates:
-        """What is known of the first states after a step dz (d,)."""
-        root = np.linalg.cholesky(self.first_precision)
-        shape: FloatArray = np.linalg.inv(root).transpose(0, 2, 1).astype(np.float64)
-        return FirstStates(self.first(dz[None])[0], shape)
+    def first_states(self, dz: FloatArray, narrowest: float) -> FirstStates:
+        """What is known of the first states after a step dz (d,).
+
+        Args:
+            dz: The step.
+            narrowest: Smallest sampling sd along any direction, in sd of the recorded state.
+        """
+        values, vectors = np.linalg.eigh(self.first_precision)
+        sd = np.maximum(1.0 / np.sqrt(values), narrowest)
+        return FirstStates(self.first(dz[None])[0], vectors * sd[:, None, :])
 
 
 def linearise(

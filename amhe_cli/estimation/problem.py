@@ -117,3 +117,11 @@ def spread_floor(problem: Problem) -> FloatArray:
     ones they are exact, and large steps are not.
     """
     return sampling_width(problem.system.space, problem.settings.identify.step if problem.rough else 1e-4)
+
+
+def first_floor(problem: Problem) -> float:
+    """Smallest sampling sd of a first state along any direction, in its recorded sd.
+
+    On rough costs slopes from narrower samples are jitter, and would count as knowledge of the first state.
+    """
+    return 0.7 if problem.rough else 0.0

@@ -20,7 +20,7 @@ from amhe_cli.estimation.linearised import (
     objective,
     split,
 )
-from amhe_cli.estimation.problem import Problem, spread_floor
+from amhe_cli.estimation.problem import Problem, first_floor, spread_floor
 from amhe_cli.estimation.result import Iteration
 from amhe_cli.estimation.shape import WIDEST, adapted, bounded, changed, coordinates, diagonal, sampling_sd
 from amhe_cli.matching import MatchingCost, quadratic_prior
@@ -114,7 +114,8 @@ def advance(problem: Problem, state: State) -> State:
         shape=shape,
         scale=noise_scale(cost, found, state.scale),
         record=(*state.record, _entry(problem, state, taken, slopes)),
-        first=None if exploring else found.first_states(z - state.z),  # of the same clips next time
+        # the tiles are the same next time; random clips are not
+        first=None if exploring else found.first_states(z - state.z, first_floor(problem)),
     )
 
 

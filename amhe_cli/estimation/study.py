@@ -18,7 +18,7 @@ from amhe_cli.estimation.linearised import (
     objective,
 )
 from amhe_cli.estimation.posterior import Posterior, posterior
-from amhe_cli.estimation.problem import Problem, spread_floor
+from amhe_cli.estimation.problem import Problem, first_floor, spread_floor
 from amhe_cli.estimation.shape import bounded, changed, diagonal, sampling_sd
 
 #: What a search ends with.
@@ -80,7 +80,7 @@ def study_of(problem: Problem, finding: Finding) -> Study:
         if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
             break
         shape, scale, known = wanted, search.noise_scale(slopes.cost, found, scale), True
-        first = found.first_states(np.zeros_like(finding.z))
+        first = found.first_states(np.zeros_like(finding.z), first_floor(problem))
     return study
 
 

@@ -43,12 +43,21 @@ def test_what_is_known_of_first_states_is_their_posterior(cost: MatchingCost) ->
     """Its mean moves with z, and none is wider than the prior."""
     found = information(about(cost, FirstStates.recorded(len(cost.clips.windows), cost.nx)))
     step = np.array([0.1, 0.0, -0.2, 0.0])
-    known = found.first_states(step)
+    known = found.first_states(step, 0.0)
     covariance = known.shape @ known.shape.transpose(0, 2, 1)
     ones = np.broadcast_to(np.eye(cost.nx), covariance.shape)
     np.testing.assert_allclose(covariance @ found.first_precision, ones, atol=1e-8)
     np.testing.assert_allclose(known.mean, found.first(step[None])[0])
     assert np.linalg.eigvalsh(covariance).max() <= 1.0 + 1e-9
+
+
+def test_samples_of_first_states_are_no_narrower_than_asked(cost: MatchingCost) -> None:
+    found = information(about(cost, FirstStates.recorded(len(cost.clips.windows), cost.nx)))
+    free, held = (found.first_states(np.zeros(4), floor) for floor in (0.0, 0.7))
+    sd = [np.linalg.svd(known.shape, compute_uv=False) for known in (free, held)]
+    assert sd[0].min() < 0.6
+    np.testing.assert_allclose(sd[1], np.maximum(sd[0], 0.7))
+    np.testing.assert_array_equal(held.mean, free.mean)
 
 
 def test_the_mean_of_the_samples_takes_their_common_bend_out(cost: MatchingCost) -> None:
