@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -71,18 +72,20 @@ class Emulator:
     def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:
         o, self._faults = options, options.faults
         self._clock, self._on_command = Clock(o.slow), on_command
-        self._port, self._offsets = RobotPort(o.host, o.port, o.faults), o.offsets
-        self._cameras = _cameras(o)
-        self._body = Body(o.task, np.random.default_rng(o.seed))
+        self._offsets = o.offsets
         self._driven_since: float | None = None
         self.lag = 0.0
+        with ExitStack() as opening:  # a port is given back where a later step fails
+            self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults)))
+            self._cameras = opening.enter_context(closing(_cameras(o)))
+            self._body = Body(o.task, np.random.default_rng(o.seed))
+            self._opened = opening.pop_all()
 
     def __enter__(self) -> Emulator:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._port.close()
-        self._cameras.close()
+        self._opened.close()
 
     @property
     def address(self) -> tuple[str, int]:

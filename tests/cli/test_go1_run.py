@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import signal
 import socket
@@ -126,12 +127,15 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments: list[str], 
     assert [path.name for path in Path().iterdir()] == ["robot.xml"]
 
 
-def test_a_robot_that_is_not_there_is_one_line(capfd) -> None:
+@pytest.mark.parametrize("mode", ["baseline", pytest.param("adaptive", marks=pytest.mark.slow)])
+def test_a_robot_that_is_not_there_is_one_line_and_leaves_no_process(capfd, mode: str) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
         deaf.bind(("127.0.0.1", 0))
         port = str(deaf.getsockname()[1])
         where = ["--host", "127.0.0.1", "--port", port, "--pose", "udp", "--pose-port", port]
-        assert run([*ROBOT, *where, "--set", "go1.connect_time=0.3", *QUICK]) == 1
+        asked = [*ROBOT[:-1], mode, *where, "--set", "go1.connect_time=0.3", *QUICK]
+        assert run(asked) == 1
+    assert multiprocessing.active_children() == []  # the estimator's, that is
     err = capfd.readouterr().err
     assert f"nothing answers from 127.0.0.1:{port}" in err
     assert len(err.splitlines()) == 1
