@@ -43,6 +43,8 @@ from amhe_cli.go1_link.state import RobotState
 
 #: The trips keep their defaults; only standing up and sitting down are in a hurry.
 SETTINGS = {"gain_time": 0.3, "stand_speed": 3.0, "sit_time": 1.0, "damp_time": 0.3, "arm": "auto"}
+#: So many packets with the same targets are a rest, not the turn of a sway.
+_AT_REST = 4
 TABLES = ("codec", "trips", "jitter", "fuzz")
 
 
@@ -195,30 +197,31 @@ def a_robot() -> Iterator[Robot]:
         robot.close()
 
 
-def _reaction(fault: Callable[[Robot], None], test: Callable[[list[Command]], bool]) -> float:
-    """From a fault to the first packet that passes a test [s]."""
+def _reaction(fault: Callable[[Robot], None], test: Callable[[list[Command], int], bool]) -> float:
+    """From a fault to the first packet that passes a test [s]; the test looks at all packets and an index."""
     with a_robot() as robot:
         time.sleep(0.5)
         first = len(robot.heard)
         begun = Clock().now()
         fault(robot)
         while Clock().now() - begun < 10.0:
-            told = [one for _, one in robot.heard[first:]]
-            for index in range(len(told)):
-                if test(told[: index + 1]):
-                    return robot.heard[first + index][0] - begun
+            told = [one for _, one in robot.heard]
+            for index in range(first, len(told)):
+                if test(told, index):
+                    return robot.heard[index][0] - begun
             time.sleep(0.05)
     raise RuntimeError("no reaction")
 
 
-def damps(told: list[Command]) -> bool:
-    """The last of some packets only damps."""
-    return told[-1].kp.max() == 0.0 and told[-1].kd.min() > 0.0
+def damps(told: list[Command], index: int) -> bool:
+    """A packet only damps."""
+    return told[index].kp.max() == 0.0 and told[index].kd.min() > 0.0
 
 
-def holds(told: list[Command]) -> bool:
-    """Targets, which sway while plans are played, have come to rest."""
-    return len(told) > 5 and all(np.array_equal(one.position, told[-1].position) for one in told[-5:-1])
+def holds(told: list[Command], index: int) -> bool:
+    """Targets, which sway while plans are played, rest: a packet repeats the one before, and the next do."""
+    rest = told[index - 1 : index + _AT_REST]
+    return len(rest) > _AT_REST and all(np.array_equal(one.position, rest[0].position) for one in rest)
 
 
 def program(port: int, plan: bool) -> None:

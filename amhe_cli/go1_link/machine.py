@@ -97,8 +97,10 @@ class Machine:
         if inbox.state is not None:
             self._count_power(inbox.state)
             self._go_on(now, inbox, inbox.state)
-            wanted = self._targets(now, inbox)
+            phase, wanted = self.phase, self._targets(now, inbox)
             self._guard(now, inbox, inbox.state)
+            if self.phase != phase:  # a plan that has been lost is not followed for one packet more
+                wanted = self._targets(now, inbox)
             if self._drives:
                 return self._servo(now, inbox.state, wanted)
         elif inbox.stop or inbox.finish:

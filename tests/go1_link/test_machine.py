@@ -32,6 +32,7 @@ class Robot:
         self.joints, self.tick = np.array(FOLDED), 0
         self.change: dict = {}
         self.silent = self.no_plans = self.no_poses = False
+        self.plan: Targets | None = None
         self.offset = 0.1
         self.told: list[Command] = []
 
@@ -45,10 +46,8 @@ class Robot:
             box.state, box.state_time = replace(state, **self.change), self.now
         if self.machine.phase == Phase.RUN:
             if not self.no_plans:
-                box.plan, box.plan_time = (
-                    Targets(self.now, 0.02, np.tile(HOME + self.offset, (16, 1))),
-                    self.now,
-                )
+                standing = Targets(self.now, 0.02, np.tile(HOME + self.offset, (16, 1)))
+                box.plan, box.plan_time = self.plan or standing, self.now
             if not self.no_poses:
                 box.pose_time = self.now
         told = self.machine.step(self.now, box)
@@ -173,6 +172,21 @@ def test_lost_plans_or_poses_hold_then_sit(trip: str) -> None:
     np.testing.assert_allclose([command.position for command in held[:-1]], [HOME + 0.1] * (len(held) - 1))
     told = robot.until(Phase.DAMP)
     assert np.abs(np.diff([command.position for command in told[:-1]], axis=0)).max() < 0.003
+
+
+@pytest.mark.parametrize(("trip", "age"), [("plan_lost", 0.09), ("pose_lost", 0.19)])
+def test_the_first_packet_after_the_threshold_holds_the_targets_of_the_one_before(
+    trip: str, age: float
+) -> None:
+    robot = running()
+    sway = np.linspace(0.0, 0.5, 101)[:, None]  # it moves all the time: what rests is held
+    robot.inbox.plan = robot.plan = Targets(robot.now, 0.02, HOME + 0.1 + sway)
+    CHANGES[trip](robot)
+    since, told = robot.now, robot.until(Phase.PAUSE)
+    assert age < robot.now - since <= age + TICK + 1e-9
+    targets = [command.position for command in told]
+    assert (np.abs(targets[-2] - targets[-3]) > 1e-5).all()
+    np.testing.assert_array_equal(targets[-1], targets[-2])
 
 
 def test_a_worse_fault_while_sitting_damps_at_once() -> None:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import socket
 import subprocess
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -26,6 +26,10 @@ from amhe_cli.poses.feed import FeedOptions, PoseFeed
 from tests.poses.streaming import free_port
 
 SETTINGS, CLOCK = Go1Settings(), Clock()
+
+
+def open_files() -> int:
+    return len(list(Path("/dev/fd").iterdir()))
 
 
 def taken(port: int) -> bool:
@@ -106,14 +110,14 @@ def test_a_step_that_fails_leaves_nothing_behind(
         processes.allowed = ("poses", "sender").index(step)
     options = FeedOptions("udp", "127.0.0.1", port, (SETTINGS.trunk, SETTINGS.box), 2.0)
     link, feed = Link("127.0.0.1", free_port(), SETTINGS, CLOCK), PoseFeed(options)
-    files = len(os.listdir("/dev/fd"))
+    files = open_files()
     # its traceback keeps all that was made: no collector may help
     with pytest.raises((BlockingIOError, ValueError), match="no more processes|no signals") as raised:
         what(link, feed).__enter__()
     assert len(processes.started) == {"poses": 0, "sender": 1, "signals": 2}[step]
     assert all(process.poll() is not None for process in processes.started), "a process lives on"
     assert not taken(port)
-    assert len(os.listdir("/dev/fd")) == files, raised.value
+    assert open_files() == files, raised.value
 
 
 @pytest.mark.parametrize("step", ["cameras", "body"])
