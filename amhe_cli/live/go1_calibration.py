@@ -110,7 +110,10 @@ class Calibration:
             self._link.samples()
             seen += [(pose.position, pose.orientation) for pose in self._feed.poses() if pose.body == body]
         if len(seen) < _FEWEST:
-            raise PoseError(f"{len(seen)} poses of {body!r} in {seconds:g} s: its markers are not seen well")
+            raise PoseError(
+                f"{len(seen)} poses of {body!r} came in {seconds:g} s, and {_FEWEST} are needed: look longer "
+                "(--for), or see that its markers are in view"
+            )
         return average(seen, body)
 
     def _lying(self) -> tuple[Pose, float]:
