@@ -222,7 +222,7 @@ class Machine:
         gain = min(1.0, (now - self._since) / s.gain_time) if self.phase == Phase.HOLD else 1.0
         self._sent = wanted if np.isfinite(wanted).all() else state.joints
         targets = self.commanded = allowed(self._sent, state.joints, s.kp, s.torque_share)
-        return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.full(12, s.kd))
+        return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4))
 
     def _count_power(self, state: RobotState) -> None:
         """Once for each state, as the vendor's own protection does it."""

@@ -10,11 +10,12 @@ import pytest
 
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1.legs import HOME, TORQUE_LIMIT
+from amhe_cli.go1.model import layout, planner_model
 from amhe_cli.go1_link import wire
 from amhe_cli.go1_link.command import Command
 from amhe_cli.go1_link.limits import HIGHEST, LOWEST, allowed
 from amhe_cli.go1_link.machine import Inbox, Machine
-from amhe_cli.go1_link.motion import Targets
+from amhe_cli.go1_link.motion import Sent, Targets
 from amhe_cli.go1_link.phase import Phase
 from amhe_cli.go1_link.remote import Remote
 from amhe_cli.go1_link.trips import TRIPS
@@ -250,6 +251,24 @@ def test_targets_stay_within_joints_and_torques() -> None:
         assert (targets >= LOWEST - 1e-12).all()
         assert (targets <= HIGHEST + 1e-12).all()
         assert (np.abs(60.0 * (targets - joints)) <= 0.7 * TORQUE_LIMIT + 1e-9).all()
+
+
+def test_the_gains_are_those_of_the_planners_model() -> None:
+    """Of other gains an identification makes another box, and the planner another motion."""
+    model, told = planner_model(), running().step()
+    at = layout(model)
+    np.testing.assert_allclose(told.kp, model.actuator_gainprm[at.servos, 0])
+    servos = -model.actuator_biasprm[at.servos, 2]
+    np.testing.assert_allclose(told.kd, servos + model.dof_damping[at.joints_v])
+
+
+def test_what_was_sent_by_a_time() -> None:
+    sent, rows = Sent(HOME), np.arange(3.0)[:, None] + HOME
+    for time, row in zip((1.0, 1.002, 1.004), rows, strict=True):
+        sent.add(time, row)
+    times = (0.5, 1.0019, 1.0021, 1.0021, 9.0)
+    for time, expected in zip(times, (HOME, rows[0], rows[1], rows[1], rows[2]), strict=True):
+        np.testing.assert_array_equal(sent.by(time), expected)
 
 
 def test_plans_are_smooth_and_not_late_on_average() -> None:
