@@ -5,8 +5,8 @@
     python benchmarks/go1_link.py --seconds 10 jitter
 
 Reactions are measured where it counts: from the fault to the first packet that damps, or holds, at the
-emulated robot's socket. The jitter is that of the sender itself, while the planner of T1 runs in the program
-and the emulator beside it.
+emulated robot's socket. The jitter is that of the sender itself, while the planner of T1 runs in the program,
+its estimator in a process beside it (mode adaptive), and the emulator in a third.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -225,8 +226,8 @@ def holds(told: list[Command], index: int) -> bool:
 
 
 def program(port: int, plan: bool) -> None:
-    """Stand up, and play plans that sway a little; with a planner that works for nobody."""
-    stop, poses = threading.Event(), [True]
+    """Stand up, and play plans that sway a little; with planner and estimator that work for nobody."""
+    stop, poses, work = threading.Event(), [True], Counter[str]()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     signal.signal(signal.SIGINT, lambda *_: stop.set())
     signal.signal(signal.SIGUSR1, lambda *_: poses.__setitem__(0, False))
@@ -239,7 +240,7 @@ def program(port: int, plan: bool) -> None:
         link.arm()
         _wait(link, Phase.RUN)
         if plan:
-            threading.Thread(target=_plan, args=(stop,), daemon=True).start()
+            threading.Thread(target=_plan, args=(stop, work), daemon=True).start()
         print("running", flush=True)
         pose_time = clock.now()
         while not stop.wait(0.02) and link.report.phase == Phase.RUN:
@@ -248,7 +249,7 @@ def program(port: int, plan: bool) -> None:
             sway = 0.02 * np.sin(6.0 * (now + 0.02 * np.arange(16)))
             link.play(Targets(now, 0.02, HOME + sway[:, None]), pose_time)
             link.samples()
-    print(link.report.intervals)
+    print(link.report.intervals | work)
 
 
 def _wait(link: Link, phase: Phase) -> None:
@@ -256,13 +257,17 @@ def _wait(link: Link, phase: Phase) -> None:
         time.sleep(0.005)
 
 
-def _plan(stop: threading.Event) -> None:
+def _plan(stop: threading.Event, work: Counter[str]) -> None:
+    """T1 by the clock, again and again; counts what planner and estimator did."""
     from amhe_cli.run_assembly import RunOptions, open_run
 
     while not stop.is_set():
-        for _ in open_run(RunOptions("t1", threads=1)).episode.cycles():
-            if stop.is_set():
-                return
+        episode = open_run(RunOptions("t1", "adaptive", threads=1, realtime=True)).episode
+        with contextlib.closing(episode.belief):
+            for cycle in episode.cycles():
+                work.update(plans=1, updates=sum(news.estimate is not None for news in cycle.news))
+                if stop.is_set():
+                    return
 
 
 # -- jitter ------------------------------------------------------------------------------------------------
@@ -275,11 +280,12 @@ def jitter(seconds: float) -> Table:
     time.sleep(seconds)
     words = robot.close().strip().splitlines()[-1]
     arrivals = np.diff([when for when, _ in robot.heard])
-    load = os.getloadavg()[0]
-    table = Table(
-        "at", "p50 ms", "p99 ms", "p99.9 ms", "max ms", title=f"load {load:.1f}, {os.cpu_count()} cores"
-    )
     sent = eval(words)  # a dictionary of numbers that we printed ourselves
+    title = (
+        f"{len(arrivals)} packets, {sent['plans']} plans, {sent['updates']} updates of the belief; "
+        f"load {os.getloadavg()[0]:.1f}, {os.cpu_count()} cores"
+    )
+    table = Table("at", "p50 ms", "p99 ms", "p99.9 ms", "max ms", title=title)
     table.add_row("sender", *(str(sent[name]) for name in ("p50_ms", "p99_ms", "p999_ms", "max_ms")))
     shares = (0.5, 0.99, 0.999, 1.0)
     table.add_row("robot's socket", *(f"{1e3 * np.quantile(arrivals, share):.2f}" for share in shares))

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from amhe_cli.cli import at_the_robot
@@ -67,6 +69,36 @@ def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys
     assert topics[0] - topics[1] == {("/amhe/truth", "sensor_msgs/msg/JointState")}
     assert topics[1] <= topics[0]
     assert run(["inspect", "out/log.mcap"]) == 0
+
+
+@pytest.mark.slow
+def test_its_log_is_identified_and_replayed_with_no_options(capsys) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "4") as emulated:
+        assert run([*at(emulated, slow=4), "--duration", "4", "-o", "out"]) == 0, capsys.readouterr().err
+    found = {}
+    for command in ("identify", "mhe-replay"):
+        assert run([command, "out/log.mcap"]) == 0, capsys.readouterr().err
+        (record,) = Path("amhe-out").glob(f"{command}-*/result.json")
+        parameters = json.loads(record.read_text())["parameters"]
+        found[command] = {one["name"]: one["estimate"] for one in parameters}
+    # of so short a push only the product is known well: mu m of the emulator's box, 0.6 x 4 kg
+    for command, box in found.items():
+        product = box["box_mass"] * box["floor_friction"]
+        assert product == pytest.approx(2.4, rel=0.15), (command, box)
+
+
+@pytest.mark.slow
+def test_a_box_that_was_measured_is_emulated_and_expected(capsys) -> None:
+    pytest.importorskip("natnet")
+    measured = ["--set", "boxes.box=[0.6,0.5,0.4]", "--set", "go1.box=crate"]
+    with emulating("--slow", "2", *measured, "--box-offset", "0,0,-0.2,0,0,0") as emulated:
+        offset = ["--set", "go1.box_offset=[0,0,-0.2,0,0,0]"]
+        assert run([*at(emulated), *measured, *offset, "--dry-run", "--json"]) == 0, capsys.readouterr().err
+    found = json.loads(capsys.readouterr().out)["checks"]["box"]
+    place = np.array(re.findall(r"-?\d+\.\d+", found), dtype=float)
+    # its near face is where that of the task's box is, and it stands on the floor
+    np.testing.assert_allclose(place, [0.75, 0.0, 0.2], atol=0.02)
 
 
 @pytest.mark.slow
