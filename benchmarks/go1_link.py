@@ -22,6 +22,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
@@ -258,11 +259,15 @@ def _wait(link: Link, phase: Phase) -> None:
 
 
 def _plan(stop: threading.Event, work: Counter[str]) -> None:
-    """T1 by the clock, again and again; counts what planner and estimator did."""
-    from amhe_cli.run_assembly import RunOptions, open_run
+    """T1 again and again, as fast as it goes, the estimator in its own process; counts what both did."""
+    from amhe_cli.run_assembly import RunOptions, belief_source, open_run
 
+    # by the clock, so that the estimator has a process; on a busy computer it is slow, and does not hang
+    asked = RunOptions("t1", "adaptive", threads=1, realtime=True)
     while not stop.is_set():
-        episode = open_run(RunOptions("t1", "adaptive", threads=1, realtime=True)).episode
+        run = open_run(RunOptions("t1", threads=1))
+        believed = belief_source(asked, run.task, run.system, None, slow=10.0)
+        episode = replace(run.episode, belief=believed)
         with contextlib.closing(episode.belief):
             for cycle in episode.cycles():
                 work.update(plans=1, updates=sum(news.estimate is not None for news in cycle.news))
