@@ -203,6 +203,8 @@ def _reaction(fault: Callable[[Robot], None], test: Callable[[list[Command], int
     """From a fault to the first packet that passes a test [s]; the test looks at all packets and an index."""
     with a_robot() as robot:
         time.sleep(0.5)
+        while _rests([one for _, one in robot.heard[-_AT_REST - 1 :]]):  # no plan has come yet
+            time.sleep(0.01)
         first = len(robot.heard)
         begun = Clock().now()
         fault(robot)
@@ -223,7 +225,11 @@ def damps(told: list[Command], index: int) -> bool:
 def holds(told: list[Command], index: int) -> bool:
     """Targets, which sway while plans are played, rest: a packet repeats the one before, and the next do."""
     rest = told[index - 1 : index + _AT_REST]
-    return len(rest) > _AT_REST and all(np.array_equal(one.position, rest[0].position) for one in rest)
+    return len(rest) > _AT_REST and _rests(rest)
+
+
+def _rests(told: list[Command]) -> bool:
+    return all(np.array_equal(one.position, told[0].position) for one in told)
 
 
 def program(port: int, plan: bool) -> None:
