@@ -120,7 +120,8 @@ class Sampler:
         values = np.vstack((self._followed[1], targets))
         self._followed = times[-1:], values[-1:]
         known = np.max(times, initial=self._told) - 0.5 * _FOLLOWED
-        stamps = self._told + _FOLLOWED * np.arange(1, int((known - self._told) / _FOLLOWED + 1e-6) + 1)
+        count = int((known - self._told) / _FOLLOWED + 1e-6)
+        stamps = self._told + _FOLLOWED * np.arange(1, count + 1, dtype=np.float64)
         if not stamps.size:
             return stamps, np.empty((0, 12))
         self._told = float(stamps[-1])
