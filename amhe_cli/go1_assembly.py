@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from amhe_cli.control.tasks import Task, find_task
+from amhe_cli.control.tasks import Task
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.go1_settings import Go1Settings
@@ -26,10 +26,9 @@ from amhe_cli.poses.feed import KINDS, FeedOptions, PoseFeed
 from amhe_cli.run_assembly import (
     Run,
     RunOptions,
-    as_measured,
     belief_source,
     controller_for,
-    system_of,
+    task_and_system,
 )
 
 #: The robot's own address and port, as it leaves the factory.
@@ -70,10 +69,8 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     Raises:
         ConfigError: What `open_run` refuses, and what only a simulation can do.
     """
-    task = task or find_task(options.task)
     _refuse(options)
-    system = system_of(options, task)
-    task = as_measured(task, system)
+    task, system = task_and_system(options, task)
     settings, period = system.settings.go1, system.settings.control.period
     if settings.arm == "auto" and not _on_loopback(wire.host):
         raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
@@ -85,7 +82,8 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     samples = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(3)[2])
     controller = controller_for(task, behaviour, system, options.threads, samples)
     judge = Judge(task, behaviour, period, options.duration)
-    belief = SharedBelief(belief_source(options, task, system, None), partial(_publish, feed))
+    believed = belief_source(options, task, system, None, wire.slow)
+    belief = SharedBelief(believed, partial(_publish, feed))
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
     return Run(options, task, system, episode, target, None, judge, {}, belief.at(0.0))
 
@@ -96,11 +94,10 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
     Raises:
         ConfigError: A wrong setting or pose source.
     """
-    task = find_task(options.task)
-    system, clock = system_of(options, task), Clock(wire.slow)
-    settings = system.settings.go1
+    task, system = task_and_system(options)
+    settings, clock = system.settings.go1, Clock(wire.slow)
     link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
-    return Calibration(link, feed, settings, clock, as_measured(task, system).box)
+    return Calibration(link, feed, settings, clock, task.box)
 
 
 def _publish(feed: PoseFeed, estimate: Estimate) -> None:

@@ -29,7 +29,7 @@ from amhe_cli.live.evaluation import Judge
 from amhe_cli.live.go1_target import Go1Target
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.target import SimTarget
-from amhe_cli.live.workers import InProcess, InStep
+from amhe_cli.live.workers import PATIENCE, InProcess, InStep
 from amhe_cli.online.arrival import check_weights
 from amhe_cli.online.horizon import MovingHorizon
 from amhe_cli.report.belief_file import read_belief
@@ -118,9 +118,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     Raises:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
     """
-    task = task or find_task(options.task)
-    system = system_of(options, task)
-    task = as_measured(task, system)
+    task, system = task_and_system(options, task)
     settings = system.settings.control
     seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
@@ -141,9 +139,26 @@ def measured(task: Task) -> dict[str, Any]:
 
 
 def as_measured(task: Task, system: System) -> Task:
-    """The task with the box of the system: the user may have measured another one (`boxes.box`)."""
+    """The task with the box of the system: the user may have measured another one (`boxes.box`).
+
+    Its near face stays where the task has it, or a deep box would reach into the robot; the path, which
+    begins at the centre of the box, goes with it.
+    """
     depth, width, height = (2.0 * float(half) for half in system.model.geom("box").size)
-    return replace(task, box=replace(task.box, size=(depth, width, height)))
+    box = replace(task.box, size=(depth, width, height))
+    if box == task.box:
+        return task
+    further = 0.5 * (_extent(box, task.path.heading) - _extent(task.box, task.path.heading))
+    (x, y), (u, v) = box.position, (np.cos(task.path.heading), np.sin(task.path.heading))
+    place = (float(x + further * u), float(y + further * v))
+    return replace(task, box=replace(box, position=place), path=replace(task.path, start=place))
+
+
+def _extent(box: Box, heading: float) -> float:
+    """Of a box along a direction over the floor [m]."""
+    depth, width, _ = box.size
+    turn = heading - box.yaw
+    return float(abs(np.cos(turn)) * depth + abs(np.sin(turn)) * width)
 
 
 def controller_for(
@@ -156,6 +171,21 @@ def controller_for(
     return Controller(behaviour, engine, layout(planner), settings, samples)
 
 
+def task_and_system(options: RunOptions, task: Task | None = None) -> tuple[Task, System]:
+    """What is done, with the box as it was measured, and `go1_push` with that box and the user's settings.
+
+    Args:
+        options: As given.
+        task: In place of the one that the options name.
+
+    Raises:
+        ConfigError: Unknown task, or a setting is wrong.
+    """
+    task = task or find_task(options.task)
+    system = system_of(options, task)
+    return as_measured(task, system), system
+
+
 def system_of(options: RunOptions, task: Task) -> System:
     """`go1_push` with the task's box and the user's settings.
 
@@ -166,8 +196,17 @@ def system_of(options: RunOptions, task: Task) -> System:
     return load_system(find_system(SYSTEM), overrides.merged(measured(task), settings), warn=False)
 
 
-def belief_source(options: RunOptions, task: Task, system: System, plant: Plant | None) -> BeliefSource:
+def belief_source(
+    options: RunOptions, task: Task, system: System, plant: Plant | None, slow: float = 1.0
+) -> BeliefSource:
     """Whom the controller believes: the plant, where there is one, or fixed parameters.
+
+    Args:
+        options: As given.
+        task: That is done.
+        system: What is estimated.
+        plant: Behind a simulated target.
+        slow: How many seconds of the wall clock one of the run's takes: the estimator has that much longer.
 
     Raises:
         ConfigError: Unknown mode, or a belief that does not suit.
@@ -186,8 +225,8 @@ def belief_source(options: RunOptions, task: Task, system: System, plant: Plant 
     check_weights(system.space, mhe)
     buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
     factory = partial(estimator_of, options)
-    budget = mhe.budget or mhe.update_period
-    worker = InProcess(factory, budget) if options.live else InStep(factory, mhe.latency)
+    budget = slow * (mhe.budget or mhe.update_period)
+    worker = InProcess(factory, budget, slow * PATIENCE) if options.live else InStep(factory, mhe.latency)
     return AdaptiveBelief(fixed, buffer, Sampler(settings.control.period), worker, mhe.update_period)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import isfinite
+from pathlib import Path
 
 import click
 
@@ -65,12 +66,19 @@ OFFSET = _Offset()
     help="Time goes X times slower than the clock; give the other command the same.",
 )
 @click.option(
-    "--trunk-offset", type=OFFSET, metavar=OFFSET.name, help="Trunk in its rigid body.  [default: none]"
+    "--trunk-offset",
+    type=OFFSET,
+    metavar=OFFSET.name,
+    help="Trunk in its rigid body.  [default: go1.trunk_offset]",
 )
 @click.option(
-    "--box-offset", type=OFFSET, metavar=OFFSET.name, help="Box in its rigid body.  [default: none]"
+    "--box-offset",
+    type=OFFSET,
+    metavar=OFFSET.name,
+    help="Box in its rigid body.  [default: go1.box_offset]",
 )
 @click.option("--seed", type=options.WholeNumber(min=0), default=0, show_default=True, metavar="N")
+@options.tuning
 @options.common
 @click.pass_obj
 def emulate(
@@ -85,29 +93,37 @@ def emulate(
     seed: int,
     trunk_offset: tuple[float, ...] | None,
     box_offset: tuple[float, ...] | None,
+    assignments: tuple[str, ...],
+    config: Path | None,
 ) -> None:
     """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
 
     It speaks the robot's own UDP protocol, with MuJoCo physics behind it, and streams the poses of "go1" and
-    "box" as motion capture does. Try `amhe run --target go1 --host 127.0.0.1` on it.
+    "box" as motion capture does. Try `amhe run --target go1 --host 127.0.0.1` on it. Of the settings that
+    `amhe run` takes, boxes.box makes the box another one, and go1.trunk, go1.box, go1.trunk_offset and
+    go1.box_offset the rigid bodies: the same --config suits both.
     """
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.control.tasks import find_task
     from amhe_cli.emulator.emulator import Emulator, EmulatorOptions
     from amhe_cli.emulator.faults import parse_faults
+    from amhe_cli.go1_link.priority import ROBOT, take_priority
     from amhe_cli.poses import natnet, udp
-    from amhe_cli.poses.calibration import NO_OFFSET
+    from amhe_cli.run_assembly import RunOptions, task_and_system
 
     session.hush_mujoco()
+    asked = RunOptions(task, target="go1", assignments=assignments, config=config)
+    measured, system = task_and_system(asked)
+    s = system.settings.go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)
     emulated = EmulatorOptions(
-        find_task(task), host, port, mocap, pose_port, parse_faults(fault), slow, seed,  # type: ignore[arg-type]
-        offsets=(trunk_offset or NO_OFFSET, box_offset or NO_OFFSET),  # type: ignore[arg-type]
+        measured, host, port, mocap, pose_port, parse_faults(fault), slow, seed,  # type: ignore[arg-type]
+        (s.trunk, s.box), (trunk_offset or s.trunk_offset, box_offset or s.box_offset),  # type: ignore[arg-type]
     )  # fmt: skip
     with stopping(session) as stopped, Emulator(emulated) as emulator:
         robot, cameras = emulator.address, emulator.mocap_address
         seen = f", motion capture on {cameras[0]}:{cameras[1]}" if cameras else ""
         session.say("", f"a Go1 before the box of {task} on {robot[0]}:{robot[1]}{seen}; Ctrl-C ends")
+        take_priority(ROBOT)  # a robot does not wait for whoever plans on the same computer
         emulator.serve(stopped)
         accepted, rejected = emulator.counts
         lag = f"; this computer was {emulator.lag:.1f} s too slow" if emulator.lag > 0.05 else ""

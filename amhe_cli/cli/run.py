@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +108,8 @@ def run(
         task, mode, target, belief, seed, threads, longest, realtime, plant, assignments, config
     )
     opened = at_the_robot.opened(asked, wire) or open_run(asked)
+    # the estimator's process has begun: it ends with the command, whatever step of opening fails
+    click.get_current_context().with_resource(closing(opened.episode.belief))
     if wire["dry_run"]:
         return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None

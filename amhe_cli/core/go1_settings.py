@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+_Damping = Annotated[float, Field(gt=0, le=10)]
 _Share = Annotated[float, Field(gt=0, le=1)]
 #: x, y, z [m], then a rotation vector [rad].
 _Offset = tuple[float, float, float, float, float, float]
@@ -54,11 +55,11 @@ class Go1Settings(_Group):
     """Form of the commands' checksum: EDU robots take the plain one."""
     kp: Annotated[float, Field(gt=0, le=100)] = 60.0
     """Gain of position control [N m/rad]: that of the planner's model."""
-    kd: Annotated[float, Field(gt=0, le=10)] = 3.0
-    """Damping [N m s/rad]: the planner's 1, and the 2 that its model gives to the joints themselves."""
+    kd: tuple[_Damping, _Damping, _Damping] = (2.0, 3.0, 3.0)
+    """Of hip, thigh and calf [N m s/rad]: the planner's 1, and that of its model's own joints."""
     torque_share: _Share = 0.7
     """Targets are clipped so that position control asks for no more than this share of the torque limit."""
-    damping: Annotated[float, Field(gt=0, le=10)] = 3.0
+    damping: _Damping = 3.0
     """kd of damped motors [N m s/rad]."""
     gain_time: _Positive = 2.0
     """In which gains rise from zero, before standing up [s]."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
@@ -23,6 +25,9 @@ from amhe_cli.poses.source import Pose
 
 #: An emulator that is so far behind the clock [s] lets the time go: it then is slower than it says.
 _BEHIND = 0.1
+#: What it leaves to others in each millisecond, even when it is late [s of the wall clock]. Linux stops a
+#: process of real-time priority that never sleeps for 50 ms a second: a link takes that for the robot's end.
+_BREATH = 1e-4
 _Y_UP = exp(np.array([-0.5 * np.pi, 0.0, 0.0]))
 
 #: Called with every good command: when it came [s of the emulator's clock], and what it says.
@@ -71,18 +76,20 @@ class Emulator:
     def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:
         o, self._faults = options, options.faults
         self._clock, self._on_command = Clock(o.slow), on_command
-        self._port, self._offsets = RobotPort(o.host, o.port, o.faults), o.offsets
-        self._cameras = _cameras(o)
-        self._body = Body(o.task, np.random.default_rng(o.seed))
+        self._offsets = o.offsets
         self._driven_since: float | None = None
         self.lag = 0.0
+        with ExitStack() as opening:  # a port is given back where a later step fails
+            self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults)))
+            self._cameras = opening.enter_context(closing(_cameras(o)))
+            self._body = Body(o.task, np.random.default_rng(o.seed))
+            self._opened = opening.pop_all()
 
     def __enter__(self) -> Emulator:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._port.close()
-        self._cameras.close()
+        self._opened.close()
 
     @property
     def address(self) -> tuple[str, int]:
@@ -122,6 +129,8 @@ class Emulator:
             if late > _BEHIND:
                 offset += late
                 self.lag += late
+            if late > 0.0:
+                time.sleep(_BREATH)
             self._clock.sleep_until(due)
             self._millisecond()
 

@@ -7,6 +7,7 @@ Frames come by the clock, never as an answer: a client that answers frames would
 from __future__ import annotations
 
 import struct
+from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -46,7 +47,7 @@ class Motive:
         host, port: To bind: the command port.
         names: Of the rigid bodies; their ids count from 1.
         version: Of the protocol: 3.1, or 4.1, which tells sizes.
-        latency: From exposure to transmission, as frames tell it [s].
+        latency: From exposure to transmission [s].
     """
 
     def __init__(
@@ -56,6 +57,7 @@ class Motive:
         self._socket = bound(host, port)
         self._names, self._version, self._latency = list(names), version, latency
         self._clients: dict[tuple[str, int], float] = {}
+        self._waiting: deque[tuple[float, bytes]] = deque()
         self._number = 0
 
     @property
@@ -64,7 +66,21 @@ class Motive:
         return self._socket.getsockname()
 
     def serve(self, now: float) -> None:
-        """Answer what clients ask; `now` [s]."""
+        """Answer what clients ask, and send them the frames that are due; `now` [s]."""
+        self._listen(now)
+        while self._waiting and self._waiting[0][0] <= now:
+            self._transmit(self._waiting.popleft()[1], now)
+
+    def stream(self, bodies: Sequence[Seen], now: float) -> None:
+        """Take a frame, exposed at a time [s]; `serve` sends it once its latency is over."""
+        self._number += 1
+        self._waiting.append((now + self._latency, self._frame(bodies, now)))
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+    def _listen(self, now: float) -> None:
         while True:
             try:
                 message, client = self._socket.recvfrom(2048)
@@ -77,19 +93,13 @@ class Motive:
             if answer:
                 self._send(answer(), client)
 
-    def stream(self, bodies: Sequence[Seen], now: float) -> None:
-        """Send a frame, exposed at a time [s], to all who asked of late."""
-        self._number += 1
-        frame = self._frame(bodies, now)
+    def _transmit(self, frame: bytes, now: float) -> None:
+        """To all who asked of late."""
         for client, asked in list(self._clients.items()):
             if now - asked > _FORGOTTEN:
                 del self._clients[client]
             else:
                 self._send(frame, client)
-
-    def close(self) -> None:
-        """Give the port back."""
-        self._socket.close()
 
     def _send(self, message: bytes, client: tuple[str, int]) -> None:
         try:

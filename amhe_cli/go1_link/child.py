@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -78,12 +79,14 @@ class Child:
 
     def __init__(self, module: str, settings: Mapping[str, Any], files: Sequence[int] = ()) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        with theirs:
+        with theirs, ExitStack() as opening:
+            opening.enter_context(ours)
             self.process = subprocess.Popen(
                 [sys.executable, "-m", module, str(theirs.fileno())],
                 pass_fds=(theirs.fileno(), *files), stdin=subprocess.DEVNULL, stdout=sys.__stderr__,
                 env=_environment(),
             )  # fmt: skip
+            opening.pop_all()  # ours stays open
         self.channel = Channel(ours)
         self.channel.send(json.dumps(settings).encode())
 

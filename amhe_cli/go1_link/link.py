@@ -5,6 +5,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
@@ -61,7 +62,7 @@ class Link:
         self._where, self._settings, self._clock, self._keys = (host, port), settings, clock, keys
         self._samples: list[Any] = []
         self._child: Child | None = None
-        self._old_wakeup = -1
+        self._opened = ExitStack()
         self.report = Report()
 
     def __enter__(self) -> Link:
@@ -71,21 +72,22 @@ class Link:
             "settings": self._settings.model_dump(),
         }  # fmt: skip
         files = [self._keys] if self._keys >= 0 else []
-        self._child = Child("amhe_cli.go1_link.sender", given, files)
-        if threading.current_thread() is threading.main_thread():
-            # the signal itself tells the sender, even while our thread is deep in a rollout
-            descriptor = self._child.channel.fileno()
-            self._old_wakeup = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
+        with ExitStack() as opening:
+            self._child = Child("amhe_cli.go1_link.sender", given, files)
+            opening.callback(self._child.end, 5.0 * self._clock.slow)
+            if threading.current_thread() is threading.main_thread():
+                # the signal itself tells the sender, even while our thread is deep in a rollout
+                descriptor = self._child.channel.fileno()
+                before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
+                opening.callback(signal.set_wakeup_fd, before)
+            opening.callback(self.finish)
+            self._opened = opening.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self.finish()
-        if threading.current_thread() is threading.main_thread():
-            signal.set_wakeup_fd(self._old_wakeup)
-        if self._child:
-            self._child.end(5.0 * self._clock.slow)
+        self._opened.__exit__(kind, error, trace)
 
     # -- the phases -----------------------------------------------------------------------------------
 

@@ -97,8 +97,10 @@ class Machine:
         if inbox.state is not None:
             self._count_power(inbox.state)
             self._go_on(now, inbox, inbox.state)
-            wanted = self._targets(now, inbox)
+            phase, wanted = self.phase, self._targets(now, inbox)
             self._guard(now, inbox, inbox.state)
+            if self.phase != phase:  # a plan that has been lost is not followed for one packet more
+                wanted = self._targets(now, inbox)
             if self._drives:
                 return self._servo(now, inbox.state, wanted)
         elif inbox.stop or inbox.finish:
@@ -220,7 +222,7 @@ class Machine:
         gain = min(1.0, (now - self._since) / s.gain_time) if self.phase == Phase.HOLD else 1.0
         self._sent = wanted if np.isfinite(wanted).all() else state.joints
         targets = self.commanded = allowed(self._sent, state.joints, s.kp, s.torque_share)
-        return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.full(12, s.kd))
+        return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4))
 
     def _count_power(self, state: RobotState) -> None:
         """Once for each state, as the vendor's own protection does it."""

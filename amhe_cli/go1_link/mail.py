@@ -14,7 +14,7 @@ from amhe_cli.go1_link.motion import Targets
 STAND, ARM, FINISH, STOP = b"S", b"A", b"F", b"X"
 _PLAN, _SAMPLE, _REPORT = b"P", b"s", b"r"
 
-#: One state of the robot, on our clock, the phase it was received in, and the joint targets sent by then.
+#: One state of the robot, on our clock, the phase it was received in, and the joint targets followed then.
 SAMPLE: Any = np.dtype(
     [
         ("time", "f8"), ("phase", "u1"), ("quaternion", "f8", 4), ("gyro", "f8", 3),

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+
+#: Packets whose joint targets are remembered: a second of them.
+_REMEMBERED = 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +37,27 @@ class Targets:
         if row + 1 >= len(self.rows):
             return self.rows[-1]
         return self.rows[row] + (place - row) * (self.rows[row + 1] - self.rows[row])
+
+
+class Sent:
+    """The last joint targets that were sent.
+
+    Args:
+        first: In force before any was sent [rad], shape (12,).
+    """
+
+    def __init__(self, first: FloatArray) -> None:
+        self._sent = deque([(-np.inf, first)], _REMEMBERED)
+
+    def add(self, time: float, targets: FloatArray) -> None:
+        """Targets (12,) sent at a time [s]."""
+        self._sent.append((time, targets))
+
+    def by(self, time: float) -> FloatArray:
+        """The newest targets (12,) that had been sent by a time [s]; times are asked for in order."""
+        while len(self._sent) > 1 and self._sent[1][0] <= time:
+            self._sent.popleft()
+        return self._sent[0][1]
 
 
 def eased(start: FloatArray, end: FloatArray, share: float) -> FloatArray:

@@ -39,6 +39,7 @@ class RobotSocket:
         try:
             self._socket.connect((host, port))
         except OSError as error:
+            self._socket.close()
             raise LinkError(f"no way to {host}:{port}: {error.strerror or error}") from error
         self.refused = 0
 

@@ -8,7 +8,6 @@ then lets the robot down (motors damped) and ends.
 
 from __future__ import annotations
 
-import contextlib
 import gc
 import os
 import select
@@ -19,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1_link import mail, state, wire
 from amhe_cli.go1_link.child import Channel, begun
@@ -27,7 +27,9 @@ from amhe_cli.go1_link.command import Command, encode
 from amhe_cli.go1_link.contact import Contact
 from amhe_cli.go1_link.intervals import Intervals
 from amhe_cli.go1_link.machine import Inbox, Machine
+from amhe_cli.go1_link.motion import Sent
 from amhe_cli.go1_link.phase import Phase
+from amhe_cli.go1_link.priority import SENDER, take_priority
 from amhe_cli.go1_link.robot_socket import RobotSocket
 from amhe_cli.go1_link.state import RobotState
 
@@ -36,7 +38,7 @@ _REPORT_PERIOD = 0.1
 #: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
 _PASS_ON = 2
 _STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-_PRIORITY = 50
+_NO_PRIORITY = "the sender has no real-time priority: packets may be late when the computer is busy"
 
 
 class Sender:
@@ -64,6 +66,7 @@ class Sender:
         self._keys, self._notes = keys, notes
         self._machine, self._inbox, self._contact = Machine(settings), Inbox(), Contact()
         self._ticks, self._tick = ClockMap(), -1
+        self._sent = Sent(self._machine.commanded)
         self._intervals = Intervals()
         self._reported = (-np.inf, Phase.OVER)
 
@@ -125,7 +128,10 @@ class Sender:
         if self._machine.phase == Phase.CONNECT:
             self._contact.see(read, arrival)
         if read.tick % _PASS_ON == 0:
-            self._channel.send(mail.sample_message(_sample(time, self._machine, read)))
+            # what is sent is some time on its way: those that the robot followed when it told its state
+            followed = self._sent.by(time - 0.5 * self._contact.round_trip)
+            sample = _sample(time, self._machine.phase, read, followed)
+            self._channel.send(mail.sample_message(sample))
 
     def _read_channel(self) -> None:
         for message in self._channel.received():
@@ -159,6 +165,7 @@ class Sender:
             command = Command(self._contact.turn(now))
         if self._robot.send(encode(command, self._settings.crc)):
             self._intervals.see(now)
+            self._sent.add(now, self._machine.commanded)
 
     def _report(self, now: float) -> None:
         machine = self._machine
@@ -199,11 +206,11 @@ _ORDERS: dict[bytes, Callable[[Inbox], None]] = {
 }  # fmt: skip
 
 
-def _sample(time: float, machine: Machine, read: RobotState) -> Any:
+def _sample(time: float, phase: Phase, read: RobotState, followed: FloatArray) -> Any:
     return np.array(
         (
-            time, int(machine.phase), read.quaternion, read.gyro, read.accelerometer, read.joints,
-            read.joint_rates, machine.commanded,
+            time, int(phase), read.quaternion, read.gyro, read.accelerometer, read.joints, read.joint_rates,
+            followed,
         ),
         dtype=mail.SAMPLE,
     )  # fmt: skip
@@ -218,19 +225,6 @@ def _robot(read: RobotState | None) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _take_priority() -> list[str]:
-    """Real-time priority where it is allowed; what could not be had, in words."""
-    gc.freeze()
-    gc.disable()  # nothing here makes cycles
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-    except (OSError, AttributeError):
-        with contextlib.suppress(OSError):
-            os.nice(-10)
-        return ["the sender has no real-time priority: packets may be late when the computer is busy"]
-    return []
-
-
 def main() -> None:
     """Read the settings from the channel, and send."""
     channel, given = begun()
@@ -240,7 +234,10 @@ def main() -> None:
     except wire.LinkError as error:
         channel.send(mail.report_message({"phase": int(Phase.OVER), "trip": "error", "reason": str(error)}))
         return
-    sender = Sender(settings, robot, channel, clock, given["keys"], _take_priority())
+    gc.freeze()
+    gc.disable()  # nothing here makes cycles
+    notes = [] if take_priority(SENDER) else [_NO_PRIORITY]
+    sender = Sender(settings, robot, channel, clock, given["keys"], notes)
     for number in _STOPPING:
         signal.signal(number, lambda number, _: sender.stop(signal.Signals(number).name))
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 
 import numpy as np
@@ -59,15 +60,17 @@ class Calibration:
 
     def __init__(self, link: Link, feed: PoseFeed, settings: Go1Settings, clock: Clock, box: Box) -> None:
         self._link, self._feed, self._settings, self._clock, self._box = link, feed, settings, clock, box
+        self._opened = ExitStack()
 
     def __enter__(self) -> Calibration:
-        self._feed.__enter__()
-        self._link.__enter__()
+        with ExitStack() as opening:  # what is open already is closed again where the next step fails
+            opening.enter_context(self._feed)
+            opening.enter_context(self._link)
+            self._opened = opening.pop_all()
         return self
 
     def __exit__(self, *error: object) -> None:
-        self._link.__exit__(None, None, None)
-        self._feed.__exit__(None, None, None)
+        self._opened.close()
 
     def offsets(self, ask: Ask, seconds: float) -> Offsets:
         """Guide the operator through it.
@@ -107,7 +110,10 @@ class Calibration:
             self._link.samples()
             seen += [(pose.position, pose.orientation) for pose in self._feed.poses() if pose.body == body]
         if len(seen) < _FEWEST:
-            raise PoseError(f"{len(seen)} poses of {body!r} in {seconds:g} s: its markers are not seen well")
+            raise PoseError(
+                f"{len(seen)} poses of {body!r} came in {seconds:g} s, and {_FEWEST} are needed: look longer "
+                "(--for), or see that its markers are in view"
+            )
         return average(seen, body)
 
     def _lying(self) -> tuple[Pose, float]:

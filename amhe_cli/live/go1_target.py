@@ -8,6 +8,7 @@ run's own time is ours since the operator let it begin.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from types import TracebackType
 from typing import Any
 
@@ -64,18 +65,20 @@ class Go1Target:
         self._robot: list[Any] = []
         self._poses: list[tuple[float, Pose, Pose]] = []
         self._playing = False
+        self._opened = ExitStack()
         self.misses = 0
 
     def __enter__(self) -> Go1Target:
-        self._feed.__enter__()
-        self._link.__enter__()
+        with ExitStack() as opening:  # what is open already is closed again where the next step fails
+            opening.enter_context(self._feed)
+            opening.enter_context(self._link)
+            self._opened = opening.pop_all()
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._link.__exit__(kind, error, trace)
-        self._feed.__exit__(kind, error, trace)
+        self._opened.__exit__(kind, error, trace)
 
     @property
     def slow(self) -> float:

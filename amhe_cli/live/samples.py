@@ -38,7 +38,7 @@ class Samples:
     commands: FloatArray
 
 
-#: The least between two joint targets that were sent [s].
+#: Between two joint targets that were followed [s].
 _FOLLOWED = 0.004
 
 
@@ -58,6 +58,7 @@ class Sampler:
         self._period, self._sample_period = period, sample_period
         self._last: Cycle | None = None
         self._told = -np.inf
+        self._followed = (np.empty(0), np.empty((0, 12)))
         self._in_force: Plan | None = None
 
     def take(self, cycle: Cycle) -> Samples:
@@ -111,12 +112,21 @@ class Sampler:
         return self._planned(cycle, self._last) if sent is None else self._sent(cycle, sent)
 
     def _sent(self, cycle: Cycle, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A plan that is late begins late, a new one is blended into, and the motors' torque is limited."""
-        times = cycle.measured.robot_times
-        rows = _thinned(times, _FOLLOWED)
-        rows = rows[times[rows] > self._told]
-        self._told = float(np.max(times[rows], initial=self._told))
-        return times[rows], targets[rows]
+        """A plan that is late begins late, a new one is blended into, and the motors' torque is limited.
+
+        A reader holds each command until the next: it is what was followed in the middle of that time.
+        """
+        times = np.append(self._followed[0], cycle.measured.robot_times)
+        values = np.vstack((self._followed[1], targets))
+        self._followed = times[-1:], values[-1:]
+        known = np.max(times, initial=self._told) - 0.5 * _FOLLOWED
+        count = int((known - self._told) / _FOLLOWED + 1e-6)
+        stamps = self._told + _FOLLOWED * np.arange(1, count + 1, dtype=np.float64)
+        if not stamps.size:
+            return stamps, np.empty((0, 12))
+        self._told = float(stamps[-1])
+        middles = stamps + 0.5 * _FOLLOWED
+        return stamps, np.stack([np.interp(middles, times, column) for column in values.T], axis=1)
 
     def _planned(self, cycle: Cycle, last: Cycle) -> tuple[FloatArray, FloatArray]:
         """Joint targets when they took effect; also those of periods that had no new plan."""

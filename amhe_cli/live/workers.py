@@ -21,6 +21,8 @@ logger = logging.getLogger(__name__)
 Factory = Callable[[], MovingHorizon]
 #: The estimator gives way to the controller where there are fewer cores than work.
 _NICE = 10
+#: An update that takes longer hangs [s].
+PATIENCE = 2.0
 
 
 class Worker(Protocol):
@@ -87,7 +89,7 @@ class InProcess:
     """
 
     def __init__(
-        self, factory: Factory, budget: float, patience: float = 2.0, starting: float = 20.0
+        self, factory: Factory, budget: float, patience: float = PATIENCE, starting: float = 20.0
     ) -> None:
         self._factory, self._budget = factory, budget
         self._patience, self._starting = patience, starting

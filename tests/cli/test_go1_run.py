@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
+import re
 import signal
 import socket
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from amhe_cli.cli import at_the_robot
@@ -66,6 +69,36 @@ def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys
     assert topics[0] - topics[1] == {("/amhe/truth", "sensor_msgs/msg/JointState")}
     assert topics[1] <= topics[0]
     assert run(["inspect", "out/log.mcap"]) == 0
+
+
+@pytest.mark.slow
+def test_its_log_is_identified_and_replayed_with_no_options(capsys) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "4") as emulated:
+        assert run([*at(emulated, slow=4), "--duration", "4", "-o", "out"]) == 0, capsys.readouterr().err
+    found = {}
+    for command in ("identify", "mhe-replay"):
+        assert run([command, "out/log.mcap"]) == 0, capsys.readouterr().err
+        (record,) = Path("amhe-out").glob(f"{command}-*/result.json")
+        parameters = json.loads(record.read_text())["parameters"]
+        found[command] = {one["name"]: one["estimate"] for one in parameters}
+    # of so short a push only the product is known well: mu m of the emulator's box, 0.6 x 4 kg
+    for command, box in found.items():
+        product = box["box_mass"] * box["floor_friction"]
+        assert product == pytest.approx(2.4, rel=0.15), (command, box)
+
+
+@pytest.mark.slow
+def test_a_box_that_was_measured_is_emulated_and_expected(capsys) -> None:
+    pytest.importorskip("natnet")
+    measured = ["--set", "boxes.box=[0.6,0.5,0.4]", "--set", "go1.box=crate"]
+    with emulating("--slow", "2", *measured, "--box-offset", "0,0,-0.2,0,0,0") as emulated:
+        offset = ["--set", "go1.box_offset=[0,0,-0.2,0,0,0]"]
+        assert run([*at(emulated), *measured, *offset, "--dry-run", "--json"]) == 0, capsys.readouterr().err
+    found = json.loads(capsys.readouterr().out)["checks"]["box"]
+    place = np.array(re.findall(r"-?\d+\.\d+", found), dtype=float)
+    # its near face is where that of the task's box is, and it stands on the floor
+    np.testing.assert_allclose(place, [0.75, 0.0, 0.2], atol=0.02)
 
 
 @pytest.mark.slow
@@ -126,12 +159,15 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments: list[str], 
     assert [path.name for path in Path().iterdir()] == ["robot.xml"]
 
 
-def test_a_robot_that_is_not_there_is_one_line(capfd) -> None:
+@pytest.mark.parametrize("mode", ["baseline", pytest.param("adaptive", marks=pytest.mark.slow)])
+def test_a_robot_that_is_not_there_is_one_line_and_leaves_no_process(capfd, mode: str) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
         deaf.bind(("127.0.0.1", 0))
         port = str(deaf.getsockname()[1])
         where = ["--host", "127.0.0.1", "--port", port, "--pose", "udp", "--pose-port", port]
-        assert run([*ROBOT, *where, "--set", "go1.connect_time=0.3", *QUICK]) == 1
+        asked = [*ROBOT[:-1], mode, *where, "--set", "go1.connect_time=0.3", *QUICK]
+        assert run(asked) == 1
+    assert multiprocessing.active_children() == []  # the estimator's, that is
     err = capfd.readouterr().err
     assert f"nothing answers from 127.0.0.1:{port}" in err
     assert len(err.splitlines()) == 1

@@ -196,6 +196,22 @@ def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
     assert seen["go1"].age == pytest.approx(0.004)
 
 
+def test_a_frame_comes_as_late_as_it_says(motive: Motive) -> None:
+    """Stamped at its exposure, it must not show what came to pass only when it was sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.setblocking(False)
+        client.sendto(bytes(4), motive.address)  # 0: connect
+        motive.serve(5.0)
+        assert client.recv(4096)[:2] == b"\x01\x00"
+        seen = Seen(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+        motive.stream([seen, seen], 5.0)
+        motive.serve(5.003)
+        with pytest.raises(BlockingIOError):
+            client.recv(4096)
+        motive.serve(5.0041)
+        assert client.recv(4096)[:2] == b"\x07\x00"
+
+
 def test_no_motive_is_one_line() -> None:
     pytest.importorskip("natnet")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:

@@ -10,11 +10,12 @@ import pytest
 
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1.legs import HOME, TORQUE_LIMIT
+from amhe_cli.go1.model import layout, planner_model
 from amhe_cli.go1_link import wire
 from amhe_cli.go1_link.command import Command
 from amhe_cli.go1_link.limits import HIGHEST, LOWEST, allowed
 from amhe_cli.go1_link.machine import Inbox, Machine
-from amhe_cli.go1_link.motion import Targets
+from amhe_cli.go1_link.motion import Sent, Targets
 from amhe_cli.go1_link.phase import Phase
 from amhe_cli.go1_link.remote import Remote
 from amhe_cli.go1_link.trips import TRIPS
@@ -32,6 +33,7 @@ class Robot:
         self.joints, self.tick = np.array(FOLDED), 0
         self.change: dict = {}
         self.silent = self.no_plans = self.no_poses = False
+        self.plan: Targets | None = None
         self.offset = 0.1
         self.told: list[Command] = []
 
@@ -45,10 +47,8 @@ class Robot:
             box.state, box.state_time = replace(state, **self.change), self.now
         if self.machine.phase == Phase.RUN:
             if not self.no_plans:
-                box.plan, box.plan_time = (
-                    Targets(self.now, 0.02, np.tile(HOME + self.offset, (16, 1))),
-                    self.now,
-                )
+                standing = Targets(self.now, 0.02, np.tile(HOME + self.offset, (16, 1)))
+                box.plan, box.plan_time = self.plan or standing, self.now
             if not self.no_poses:
                 box.pose_time = self.now
         told = self.machine.step(self.now, box)
@@ -175,6 +175,21 @@ def test_lost_plans_or_poses_hold_then_sit(trip: str) -> None:
     assert np.abs(np.diff([command.position for command in told[:-1]], axis=0)).max() < 0.003
 
 
+@pytest.mark.parametrize(("trip", "age"), [("plan_lost", 0.09), ("pose_lost", 0.19)])
+def test_the_first_packet_after_the_threshold_holds_the_targets_of_the_one_before(
+    trip: str, age: float
+) -> None:
+    robot = running()
+    sway = np.linspace(0.0, 0.5, 101)[:, None]  # it moves all the time: what rests is held
+    robot.inbox.plan = robot.plan = Targets(robot.now, 0.02, HOME + 0.1 + sway)
+    CHANGES[trip](robot)
+    since, told = robot.now, robot.until(Phase.PAUSE)
+    assert age < robot.now - since <= age + TICK + 1e-9
+    targets = [command.position for command in told]
+    assert (np.abs(targets[-2] - targets[-3]) > 1e-5).all()
+    np.testing.assert_array_equal(targets[-1], targets[-2])
+
+
 def test_a_worse_fault_while_sitting_damps_at_once() -> None:
     robot = running()
     CHANGES["plan_lost"](robot)
@@ -236,6 +251,24 @@ def test_targets_stay_within_joints_and_torques() -> None:
         assert (targets >= LOWEST - 1e-12).all()
         assert (targets <= HIGHEST + 1e-12).all()
         assert (np.abs(60.0 * (targets - joints)) <= 0.7 * TORQUE_LIMIT + 1e-9).all()
+
+
+def test_the_gains_are_those_of_the_planners_model() -> None:
+    """Of other gains an identification makes another box, and the planner another motion."""
+    model, told = planner_model(), running().step()
+    at = layout(model)
+    np.testing.assert_allclose(told.kp, model.actuator_gainprm[at.servos, 0])
+    servos = -model.actuator_biasprm[at.servos, 2]
+    np.testing.assert_allclose(told.kd, servos + model.dof_damping[at.joints_v])
+
+
+def test_what_was_sent_by_a_time() -> None:
+    sent, rows = Sent(HOME), np.arange(3.0)[:, None] + HOME
+    for time, row in zip((1.0, 1.002, 1.004), rows, strict=True):
+        sent.add(time, row)
+    times = (0.5, 1.0019, 1.0021, 1.0021, 9.0)
+    for time, expected in zip(times, (HOME, rows[0], rows[1], rows[1], rows[2]), strict=True):
+        np.testing.assert_array_equal(sent.by(time), expected)
 
 
 def test_plans_are_smooth_and_not_late_on_average() -> None:

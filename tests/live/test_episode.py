@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
+import mujoco
 import numpy as np
 import pytest
 
 from amhe_cli.control import tasks
+from amhe_cli.control.tasks import Task
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.go1.changes import Change
 from amhe_cli.go1.legs import HOME
+from amhe_cli.go1.model import Box, home, plant_model
 from amhe_cli.go1.plant import Plant
 from amhe_cli.go1.state import State
 from amhe_cli.live.episode import Cycle, resistance
-from amhe_cli.run_assembly import Run, RunOptions, measured, open_run
+from amhe_cli.run_assembly import Run, RunOptions, measured, open_run, task_and_system
 
 PERIOD = 0.02
 
@@ -193,3 +197,33 @@ def test_a_box_of_another_size_is_so_for_plant_estimator_and_log() -> None:
         np.testing.assert_allclose(2.0 * model.geom("box").size, edges)
     assert run.task.box.size == pytest.approx(edges)
     assert measured(run.task)["boxes"]["box"] == pytest.approx(edges), "and whoever reads the log"
+
+
+def with_box(name: str, edges: Sequence[float]) -> Task:
+    asked = RunOptions(name, assignments=[f"boxes.box={list(edges)}"])
+    return task_and_system(asked)[0]
+
+
+@pytest.mark.parametrize("name", ["t1", "t5"])
+def test_a_deep_box_does_not_reach_into_the_robot(name: str) -> None:
+    own = tasks.TASKS[name]
+    assert with_box(name, own.box.size) is own, "the task's own size changes nothing"
+    deep = with_box(name, [3.0 * edge for edge in own.box.size])
+    ahead = np.array([np.cos(own.path.heading), np.sin(own.path.heading)])
+    half = [0.5 * abs(ahead @ task.box.size[:2]) for task in (own, deep)]
+    faces = [ahead @ task.box.position - reach for task, reach in zip((own, deep), half, strict=True)]
+    assert faces[0] == pytest.approx(faces[1]), "the face that is pushed stays"
+    assert deep.path.start == deep.box.position
+    assert deep.path.length == own.path.length
+    for box, touching in ((deep.box, False), (replace(deep.box, position=own.box.position), True)):
+        assert touches(box) == touching
+
+
+def touches(box: Box) -> bool:
+    """Whether the robot at its start is in touch with a box."""
+    model = plant_model(box)
+    data = mujoco.MjData(model)
+    data.qpos[:] = home(model)
+    mujoco.mj_forward(model, data)
+    floor, geom = model.geom("floor").id, model.geom("box").id
+    return any(geom in pair and floor not in pair for pair in data.contact.geom.tolist())
