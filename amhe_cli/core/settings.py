@@ -134,12 +134,12 @@ class MheSettings(_Group):
     """Floor under the sd of a belief that is loaded for live use, as a share of each value."""
     excitation: Annotated[float, Field(ge=0)] = 0.1
     """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing."""
-    jump: Annotated[float, Field(gt=1)] = 1.8
-    """A window that the belief misses by this many times its usual residual tells of a jump."""
+    jump: _Positive = 3.0
+    """A window that wants the parameters this many sd from the belief tells of a jump."""
     jump_windows: Annotated[int, Field(ge=1)] = 1
     """So many in a row must: single ones may be a contact that was missed."""
-    jump_sd: _Positive = 0.3
-    """What a jump adds to each sd, as a share of the parameter, before its window is learnt from."""
+    jump_sd: _Positive = 0.6
+    """What a jump adds to each sd, in sd of the system's prior, before its window is learnt from."""
     information: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Share of a window's information that linearised counts; less than all where first states are taken as
     recorded: their errors bend a whole window one way, which no residual's noise tells."""

@@ -27,9 +27,6 @@ Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 
 UPDATES: Mapping[str, Update] = {"linearised": linearised_update, "logrank": logrank_update}
 
-#: Share of the newest window in the usual misfit that a jump is told by, and windows until it is known.
-_SHARE, _WARM = 0.1, 3
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
@@ -85,14 +82,14 @@ class MovingHorizon:
         self._update = UPDATES[self._settings.method]
         self._arrival = arrival_of(system.space, belief, self._settings.start_sd)
         self._noise = Noise()
-        self._usual, self._seen, self._row = np.nan, 0, 0
+        self._row = 0
         self._last: float | None = None
 
     def update(self, window: Window, at: float, budget: float | None = None) -> Estimate:
         """Learn from the newest window.
 
-        A window that says nothing leaves the belief where it is, and less sure. One that the belief misses by
-        far more than usual tells of a jump: the linearised update learns from it with a wider belief.
+        A window that says nothing leaves the belief where it is, and less sure. Where windows want the
+        parameters far from it, something has jumped: the linearised update learns with a wider belief.
 
         Args:
             window: Its signals must be valid at its start; gaps inside are allowed for by their masks.
@@ -117,38 +114,21 @@ class MovingHorizon:
 
     def _judge(self, outcome: Outcome) -> Mark:
         """Take the outcome in, or leave it."""
-        jumped, row = self._jumped(outcome.before), self._row + 1
+        missed, row = outcome.surprise > self._settings.jump, self._row + 1
         self._row = 0
         if not np.isfinite(outcome.before + outcome.after):
             return "diverged"
         if outcome.excitation < self._settings.excitation:
             return "still"
-        if self._missed(outcome.before) and not jumped:
-            self._row = row
+        self._row = row if missed else 0
         self._arrival, self._noise = outcome.arrival, outcome.noise
-        self._remember(outcome.before)
-        return "jump" if jumped else "updated"
+        return "jump" if self._row >= self._settings.jump_windows else "updated"
 
-    def _missed(self, misfit: float) -> bool:
-        return self._seen >= _WARM and misfit > self._settings.jump * self._usual
-
-    def _jumped(self, misfit: float) -> bool:
-        return self._missed(misfit) and self._row + 1 >= self._settings.jump_windows
-
-    def _surprised(self, misfit: float) -> Arrival:
+    def _surprised(self, surprise: float) -> Arrival:
         """The belief before a window, in whose light the window is seen."""
-        if not self._jumped(misfit):
+        if not (surprise > self._settings.jump and self._row + 1 >= self._settings.jump_windows):
             return self._arrival
-        return self._arrival.widened(self._system.space.in_z(self._settings.jump_sd) ** 2)
-
-    def _remember(self, misfit: float) -> None:
-        """What is usual; a jump is not."""
-        if self._seen == 0:
-            self._usual = misfit
-        else:
-            capped = min(misfit, self._settings.jump * self._usual)
-            self._usual = (1.0 - _SHARE) * self._usual + _SHARE * capped
-        self._seen += 1
+        return self._arrival.widened(np.full(len(self._system.space), self._settings.jump_sd**2))
 
     def _estimate(self, at: float, mark: Mark, outcome: Outcome | None, begun: float) -> Estimate:
         space, arrival = self._system.space, self._arrival

@@ -31,7 +31,7 @@ def linearised_update(task: Task) -> Outcome:
     cost, arrival, counts = task.cost, task.arrival, task.cost.clips.counts
     moved, noise, done = arrival, task.noise, 0
     rollouts = diverged = 0
-    before = after = excited = np.inf
+    before = after = surprise = excited = np.inf
     nx = cost.nx if task.settings.first_state == "estimated" else 0
     shape, first = _shape(task), FirstStates.recorded(1, nx)
     while done < task.settings.iteration_count and not (done and task.late()):
@@ -40,14 +40,25 @@ def linearised_update(task: Task) -> Outcome:
         if not slopes.completed[0]:
             after = np.inf
             break
+        said = _said(task, slopes, moved.z.size)
         if done == 1:
-            before = rms(slopes.residual[0], counts)
-            arrival = task.surprised(before)
+            before, surprise = rms(slopes.residual[0], counts), _surprise(task, said)
+            arrival = task.surprised(surprise)
             excited = rms(shape.T @ slopes.gain[0, : moved.z.size], counts)
-        found = _step(task, arrival, slopes, moved.z)
-        noise, after = found.noise, rms(found.fitted, counts)
-        moved = Arrival(cost.system.space.clip(moved.z + found.step), found.covariance)
-    return Outcome(moved, noise, before, after, excited, rollouts, diverged, done)
+        step, covariance = _step(task, arrival, said, moved.z)
+        noise, after = said.noise, rms(said.start + step @ said.slope, counts)
+        moved = Arrival(cost.system.space.clip(moved.z + step), covariance)
+    return Outcome(moved, noise, before, after, surprise, excited, rollouts, diverged, done)
+
+
+def _step(task: Task, arrival: Arrival, said: _Said, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Gauss-Newton step of the tempered information and the arrival cost, and the covariance after it."""
+    share = task.share * task.settings.information
+    precision = np.linalg.inv(arrival.covariance) + np.diag(
+        task.settings.weights(task.cost.system.space.names)
+    )
+    covariance = np.linalg.inv(share * said.known + precision)
+    return -covariance @ (share * said.score + precision @ (z - arrival.z)), covariance
 
 
 def _shape(task: Task) -> FloatArray:
@@ -58,54 +69,75 @@ def _shape(task: Task) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Found:
-    """What a linearised window says: step and covariance of z, residuals (R,) after the step, noise."""
+class _Said:
+    """What a window says by itself, its first-state errors fitted along and eliminated.
 
-    step: FloatArray
-    covariance: FloatArray
-    fitted: FloatArray
+    Args:
+        known: Its information on z, shape (d, d).
+        score: Gradient of half its weighted squared residuals, shape (d,).
+        start: Residuals before any step, shape (R,).
+        slope: Of the residuals by z, first states moved along, shape (d, R).
+        wanted: The step that it would take alone, shape (d,).
+        noise: With what that step leaves: what parameters explain is no noise, however far off the belief is.
+    """
+
+    known: FloatArray
+    score: FloatArray
+    start: FloatArray
+    slope: FloatArray
+    wanted: FloatArray
     noise: Noise
 
 
-def _step(task: Task, arrival: Arrival, slopes: Linearisation, z: FloatArray) -> _Found:
-    """Gauss-Newton step from z (d,), the errors of the first state fitted along and eliminated."""
-    cost, start, d = task.cost, slopes.residual[0], z.size
+def _said(task: Task, slopes: Linearisation, d: int) -> _Said:
+    """Fit the window alone, for d parameters; the system's prior keeps apart what it cannot tell."""
+    cost, residual = task.cost, slopes.residual[0]
     gz, gx = slopes.gain[0, :d], slopes.gain[0, d:]
-    precision = np.linalg.inv(arrival.covariance) + np.diag(task.settings.weights(cost.system.space.names))
-    straight, share = 1.0 / (1.0 + slopes.bend[0]), task.share * task.settings.information
-    step, noise, fitted = np.zeros(d), task.noise, start
-    hessian = precision
-    for _ in range(2):  # first with the noise of earlier windows: what the belief misses is no noise
-        weight = _weights(cost, fitted, noise) * straight
+    straight = 1.0 / (1.0 + slopes.bend[0])
+    left, own, noise = residual, None, task.noise
+    known, score, start, slope, wanted = np.eye(d), np.zeros(d), residual, gz, np.zeros(d)
+    for _ in range(2):  # the weights need what the fit leaves, which needs the weights
+        weight = _weights(cost, left, noise, own) * straight
         wz, wx = gz * weight, gx * weight
         ridge: FloatArray = np.linalg.solve(
-            wx @ gx.T + np.eye(len(gx)), np.column_stack((wx @ start, wx @ gz.T))
+            wx @ gx.T + np.eye(len(gx)), np.column_stack((wx @ residual, wx @ gz.T))
         )
-        score = wz @ start - wz @ gx.T @ ridge[:, 0]
-        hessian = share * (wz @ gz.T - wz @ gx.T @ ridge[:, 1:]) + precision
-        step = -np.linalg.solve(hessian, share * score + precision @ (z - arrival.z))
-        fitted = start + step @ gz - (ridge[:, 0] + ridge[:, 1:] @ step) @ gx
-        noise = _heard(task.noise, cost, fitted)
-    covariance = np.asarray(np.linalg.inv(hessian), dtype=np.float64)
-    return _Found(step, covariance, fitted, noise)
+        start, slope = residual - ridge[:, 0] @ gx, gz - ridge[:, 1:].T @ gx
+        known, score = wz @ slope.T, wz @ start
+        wanted = -np.linalg.solve(known + np.eye(d), score)
+        left = start + wanted @ slope
+        noise, own = _heard(task.noise, cost, left)
+    return _Said(known, score, start, slope, wanted, noise)
 
 
-def _heard(before: Noise, cost: MatchingCost, fitted: FloatArray) -> Noise:
-    """The noise with this window's residuals (R,)."""
+def _surprise(task: Task, said: _Said) -> float:
+    """How far from the belief the window wants the parameters, in sd of both: its normalised innovation."""
+    d = said.wanted.size
+    alone = np.linalg.inv(task.settings.information * said.known + np.eye(d))
+    return float(np.sqrt(said.wanted @ np.linalg.solve(task.arrival.covariance + alone, said.wanted)))
+
+
+def _heard(before: Noise, cost: MatchingCost, fitted: FloatArray) -> tuple[Noise, dict[str, float]]:
+    """The noise with this window's residuals (R,), and its own mean squares by channel."""
     times = channel_times(cost, fitted[None], np.array([True]))
     square, time = {}, {}
     for observed, values, own in zip(cost.clips.observed, split(cost, fitted[None]), times, strict=True):
         key, count = observed.channel.key, max(int(observed.mask.sum()) * observed.width, 1)
         square[key], time[key] = float((values**2).sum() / count), own
-    return before.heard(square, time)
+    return before.heard(square, time), square
 
 
-def _weights(cost: MatchingCost, fitted: FloatArray, noise: Noise) -> FloatArray:
-    """Weight of each residual (R,): robust, and by the noise and the memory that its channel has shown."""
+def _weights(
+    cost: MatchingCost, fitted: FloatArray, noise: Noise, own: dict[str, float] | None
+) -> FloatArray:
+    """Weight of each residual (R,): robust, and by the noise and the memory that its channel has shown.
+
+    A window that no parameters explain (`own`: what they leave) says less than its sensors promise.
+    """
     parts = []
     for observed, values in zip(cost.clips.observed, split(cost, fitted[None]), strict=True):
         key = observed.channel.key
-        variance = max(noise.square.get(key, 1.0), 1.0)
+        variance = max(noise.square.get(key, 1.0), (own or {}).get(key, 1.0), 1.0)
         squared = np.einsum("sk,sk->s", values[0], values[0]) / variance
         weight = pseudo_huber_weight(squared, cost.settings.huber) / (variance * noise.time.get(key, 1.0))
         parts.append(np.repeat(weight, values.shape[2]))

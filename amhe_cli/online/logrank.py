@@ -43,7 +43,7 @@ def logrank_update(task: Task) -> Outcome:
         if (sigma <= floor).all():  # lines 29-30
             break
     belief = Arrival(mean, np.diag(sigma**2))  # line 33
-    return Outcome(belief, task.noise, before, after, excited, rollouts, diverged, done)
+    return Outcome(belief, task.noise, before, after, 0.0, excited, rollouts, diverged, done)
 
 
 def learned(

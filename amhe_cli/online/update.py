@@ -51,7 +51,7 @@ class Task:
     Args:
         cost: Matching cost on the one window.
         arrival: Belief before it.
-        surprised: The same, once it is known by what rms residual it misses the window: wider after a jump.
+        surprised: The same, by how many sd off the window wants the parameters: wider after a jump.
         noise: Of the windows before it.
         share: Of the window that is new: overlapping windows say the rest again.
         settings: Of the estimator.
@@ -77,6 +77,7 @@ class Outcome:
         arrival: Belief after it.
         noise: Of the windows up to this one.
         before, after: Rms residual of the belief before and after, in noise sd; inf where it diverged.
+        surprise: How far from the belief the window wants the parameters, in sd; 0 where nobody asks.
         excitation: Rms move of the predictions under the samples, in noise sd.
         rollouts, diverged: How many were run, and how many of them diverged.
         iterations: How many were done.
@@ -86,6 +87,7 @@ class Outcome:
     noise: Noise
     before: float
     after: float
+    surprise: float
     excitation: float
     rollouts: int
     diverged: int
