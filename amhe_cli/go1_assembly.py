@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from amhe_cli.control.tasks import Task, find_task
+from amhe_cli.control.tasks import Task
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.go1_settings import Go1Settings
@@ -23,14 +23,7 @@ from amhe_cli.live.go1_target import Go1Target
 from amhe_cli.online.horizon import Estimate
 from amhe_cli.poses import natnet, udp
 from amhe_cli.poses.feed import KINDS, FeedOptions, PoseFeed
-from amhe_cli.run_assembly import (
-    Run,
-    RunOptions,
-    as_measured,
-    belief_source,
-    controller_for,
-    system_of,
-)
+from amhe_cli.run_assembly import Run, RunOptions, belief_source, controller_for, system_and_task
 
 #: The robot's own address and port, as it leaves the factory.
 HOST, PORT = "192.168.123.10", 8007
@@ -70,10 +63,8 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     Raises:
         ConfigError: What `open_run` refuses, and what only a simulation can do.
     """
-    task = task or find_task(options.task)
     _refuse(options)
-    system = system_of(options, task)
-    task = as_measured(task, system)
+    system, task = system_and_task(options, task)
     settings, period = system.settings.go1, system.settings.control.period
     if settings.arm == "auto" and not _on_loopback(wire.host):
         raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
@@ -96,11 +87,10 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
     Raises:
         ConfigError: A wrong setting or pose source.
     """
-    task = find_task(options.task)
-    system, clock = system_of(options, task), Clock(wire.slow)
-    settings = system.settings.go1
+    system, task = system_and_task(options)
+    clock, settings = Clock(wire.slow), system.settings.go1
     link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
-    return Calibration(link, feed, settings, clock, as_measured(task, system).box)
+    return Calibration(link, feed, settings, clock, task.box)
 
 
 def _publish(feed: PoseFeed, estimate: Estimate) -> None:

@@ -118,9 +118,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     Raises:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
     """
-    task = task or find_task(options.task)
-    system = system_of(options, task)
-    task = as_measured(task, system)
+    system, task = system_and_task(options, task)
     settings = system.settings.control
     seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
@@ -133,6 +131,21 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     belief = belief_source(options, task, system, plant)
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
     return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief.at(0.0))
+
+
+def system_and_task(options: RunOptions, task: Task | None = None) -> tuple[System, Task]:
+    """`go1_push` with the user's settings, and the task with the box that they say was measured.
+
+    Args:
+        options: As given.
+        task: In place of the one that the options name.
+
+    Raises:
+        ConfigError: Unknown task, or a setting is wrong.
+    """
+    task = task or find_task(options.task)
+    system = system_of(options, task)
+    return system, as_measured(task, system)
 
 
 def measured(task: Task) -> dict[str, Any]:
