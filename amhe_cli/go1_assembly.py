@@ -78,7 +78,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     judge = Judge(task, behaviour, period, options.duration)
     belief = SharedBelief(belief_source(options, task, system, None), partial(_publish, feed))
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
-    return Run(options, task, system, episode, target, None, judge, {}, belief.at(0.0))
+    return Run(options, task, system, episode, target, None, judge, {})
 
 
 def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:

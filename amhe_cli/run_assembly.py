@@ -94,7 +94,6 @@ class Run:
         plant: Behind a simulated target; for pictures.
         judge: Of the episode.
         first_truth: The plant's parameters at the start, by name; {} where nobody knows.
-        first_belief: What is believed at the start, by name.
     """
 
     options: RunOptions
@@ -105,7 +104,6 @@ class Run:
     plant: Plant | None
     judge: Judge
     first_truth: dict[str, float]
-    first_belief: dict[str, float]
 
 
 def open_run(options: RunOptions, task: Task | None = None) -> Run:
@@ -130,7 +128,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     judge = Judge(task, behaviour, settings.period, options.duration)
     belief = belief_source(options, task, system, plant)
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
-    return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief.at(0.0))
+    return Run(options, task, system, episode, target, plant, judge, plant.parameters)
 
 
 def system_and_task(options: RunOptions, task: Task | None = None) -> tuple[System, Task]:
