@@ -85,7 +85,8 @@ class Walking:
         weights: Of the cost.
         gains: Of the bare reference.
         stepping: Against drifting aside.
-        height: Of the trunk that is wanted [m].
+        height: Of the trunk that the cost wants [m]. Not `Gait.height`, which is how far below the trunk the
+            bare reference puts the feet: the trunk walks between the two, at 0.273 m in T1.
     """
 
     helm: Helm
