@@ -31,7 +31,7 @@ from amhe_cli.live.samples import Sampler
 from amhe_cli.live.target import SimTarget
 from amhe_cli.live.workers import InProcess, InStep
 from amhe_cli.online.arrival import check_weights
-from amhe_cli.online.horizon import MovingHorizon
+from amhe_cli.online.horizon import MovingHorizon, check_window
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
 from amhe_cli.system.load import find_system, load_system
@@ -195,6 +195,7 @@ def belief_source(options: RunOptions, task: Task, system: System, plant: Plant 
         return FixedBelief(lambda: fixed)
     settings, mhe = system.settings, system.settings.mhe
     check_weights(system.space, mhe)
+    check_window(mhe, system.model.opt.timestep)
     buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
     factory = partial(estimator_of, options)
     budget = mhe.budget or mhe.update_period
