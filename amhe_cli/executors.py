@@ -95,10 +95,12 @@ def remote(address: str) -> Iterator[Executor]:
     """
     try:
         from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
     except ImportError:
         raise ConfigError("--cluster needs the extra: pip install 'amhe[cluster]'") from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes back with the futures
     try:
+        get_address_host_port(address)  # first: a client that refuses one dies noisily, 20 s later
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except ValueError as error:
         raise ConfigError(f"--cluster {address}: {error}; write tcp://HOST:8786") from None

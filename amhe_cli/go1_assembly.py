@@ -85,7 +85,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     believed = belief_source(options, task, system, None, wire.slow)
     belief = SharedBelief(believed, partial(_publish, feed))
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
-    return Run(options, task, system, episode, target, None, judge, {}, belief.at(0.0))
+    return Run(options, task, system, episode, target, None, judge, {})
 
 
 def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:

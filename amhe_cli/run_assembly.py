@@ -31,7 +31,7 @@ from amhe_cli.live.samples import Sampler
 from amhe_cli.live.target import SimTarget
 from amhe_cli.live.workers import PATIENCE, InProcess, InStep
 from amhe_cli.online.arrival import check_weights
-from amhe_cli.online.horizon import MovingHorizon
+from amhe_cli.online.horizon import MovingHorizon, check_window
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
 from amhe_cli.system.load import find_system, load_system
@@ -94,7 +94,6 @@ class Run:
         plant: Behind a simulated target; for pictures.
         judge: Of the episode.
         first_truth: The plant's parameters at the start, by name; {} where nobody knows.
-        first_belief: What is believed at the start, by name.
     """
 
     options: RunOptions
@@ -105,7 +104,6 @@ class Run:
     plant: Plant | None
     judge: Judge
     first_truth: dict[str, float]
-    first_belief: dict[str, float]
 
 
 def open_run(options: RunOptions, task: Task | None = None) -> Run:
@@ -130,7 +128,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     judge = Judge(task, behaviour, settings.period, options.duration)
     belief = belief_source(options, task, system, plant)
     episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
-    return Run(options, task, system, episode, target, plant, judge, plant.parameters, belief.at(0.0))
+    return Run(options, task, system, episode, target, plant, judge, plant.parameters)
 
 
 def measured(task: Task) -> dict[str, Any]:
@@ -223,6 +221,7 @@ def belief_source(
         return FixedBelief(lambda: fixed)
     settings, mhe = system.settings, system.settings.mhe
     check_weights(system.space, mhe)
+    check_window(mhe, system.model.opt.timestep)
     buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
     factory = partial(estimator_of, options)
     budget = slow * (mhe.budget or mhe.update_period)

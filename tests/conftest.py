@@ -3,6 +3,7 @@
 import signal
 from pathlib import Path
 
+import hypothesis
 import mujoco
 import numpy as np
 import pytest
@@ -12,6 +13,10 @@ from amhe_cli.logs import LogWriter
 # A job in the background of a shell is started with SIGINT ignored, and hands that on to what it starts:
 # tests of Ctrl-C need the usual state.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# What takes long on a busy machine is no failure.
+hypothesis.settings.register_profile("unhurried", deadline=None)
+hypothesis.settings.load_profile("unhurried")
 
 MODELS = Path(__file__).parents[1] / "models"
 

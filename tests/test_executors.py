@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import BrokenExecutor
@@ -84,9 +85,11 @@ def test_leaving_a_local_pool_leaves_no_process_behind() -> None:
 @pytest.mark.parametrize("address", ["localhost", "tcp://", "nonsense://127.0.0.1:1"])
 def test_an_address_that_is_none_is_refused_in_one_line(address: str) -> None:
     pytest.importorskip("distributed")
+    begun = threading.active_count()
     with pytest.raises(AmheError) as caught, remote(address):
         pass
     assert "\n" not in str(caught.value)
+    assert threading.active_count() == begun, "a client that was begun ends in a traceback"
 
 
 def test_where_nobody_answers_it_is_said_soon_and_how_to_start_one(monkeypatch) -> None:

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import FloatArray, sealed
+from amhe_cli.go1.state import GRAVITY
 
 #: Weight of the Go1's 12.743 kg [N].
-WEIGHT = 12.743 * 9.81
+WEIGHT = 12.743 * GRAVITY
 #: Its centre of mass when it stands, ahead and left in the trunk's frame [m].
 CENTRE_OF_MASS = sealed([-0.0023, 0.0009])
 

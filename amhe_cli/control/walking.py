@@ -18,7 +18,7 @@ from amhe_cli.control.steering import Helm
 from amhe_cli.control.stepping import Stepping
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.core.rotations import yaw_of
-from amhe_cli.go1.state import Body, State
+from amhe_cli.go1.state import Body, State, heading_velocity
 
 #: Noise of the channels: speed ahead and left [m/s], yaw rate [rad/s], push [N].
 CHANNEL_SIGMA = sealed([0.06, 0.02, 0.15, 10.0])
@@ -85,7 +85,8 @@ class Walking:
         weights: Of the cost.
         gains: Of the bare reference.
         stepping: Against drifting aside.
-        height: Of the trunk that is wanted [m].
+        height: Of the trunk that the cost wants [m]. Not `Gait.height`, which is how far below the trunk the
+            bare reference puts the feet: the trunk walks between the two, at 0.273 m in T1.
     """
 
     helm: Helm
@@ -118,7 +119,7 @@ class Walking:
         at = self.helm.reference(state)
         at = replace(at, speed=at.speed * min(1.0, state.time / self.gains.start_time))
         command = self._command(state, at, resistance)
-        drift = _leftward(state.trunk) - command[1]
+        drift = heading_velocity(state.trunk)[1] - command[1]
         left = self.stepping.update(state.time, drift, self.standing(np.array(state.time)))
         return WalkMove(self.gait, self.weights, self.height, at, command, left)
 
@@ -135,9 +136,3 @@ class Walking:
         turn = at.turn + g.yaw * wrapped(at.yaw - yaw_of(state.trunk.orientation))
         push = at.pushing * resistance * np.clip(at.speed / g.full_push, 0.0, 1.0)
         return np.array([at.speed, sideways, np.clip(turn, -g.yaw_limit, g.yaw_limit), push])
-
-
-def _leftward(trunk: Body) -> float:
-    """Speed to the left of its own heading [m/s]."""
-    yaw = float(yaw_of(trunk.orientation))
-    return float(trunk.velocity[1] * np.cos(yaw) - trunk.velocity[0] * np.sin(yaw))

@@ -82,23 +82,6 @@ def joint_angles(feet: FloatArray) -> FloatArray:
     return np.clip(_by_leg(hip, thigh, calf), LOWER, UPPER)
 
 
-def jacobian(joints: FloatArray) -> FloatArray:
-    """Velocity of each foot per velocity of its own joints, in the trunk's frame.
-
-    Args:
-        joints: Angles [rad], shape (..., 12).
-
-    Returns:
-        Matrices [m/rad], shape (..., 4, 3, 3): leg, direction, joint.
-    """
-    at = _posture(joints)
-    none = np.zeros_like(at.c)
-    by_hip = np.stack((none, -at.s * _ASIDE - at.c * at.down, at.c * _ASIDE - at.s * at.down), axis=-1)
-    by_thigh = np.stack((at.down, at.s * at.ahead, -at.c * at.ahead), axis=-1)
-    by_calf = np.stack((at.calf_down, at.s * at.calf_ahead, -at.c * at.calf_ahead), axis=-1)
-    return np.stack((by_hip, by_thigh, by_calf), axis=-1)
-
-
 def joint_rates(joints: FloatArray, velocity: FloatArray) -> FloatArray:
     """Joint velocities that move the feet as asked: J^-1 v, solved by hand: several times as fast as LAPACK.
 

@@ -13,9 +13,10 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.go1.changes import Change
 from amhe_cli.go1.model import FLOOR_PAIR, home, layout
-from amhe_cli.go1.state import Measurements, State, state_of
+from amhe_cli.go1.state import GRAVITY, Measurements, State, state_of
 
-GRAVITY = np.array([0.0, 0.0, 9.81])
+#: What an accelerometer feels at rest [m/s^2].
+_UPHELD = np.array([0.0, 0.0, GRAVITY])
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,7 @@ class Plant:
         at, data = self._at, self._data
         quaternion = data.qpos[at.trunk][3:]
         acceleration = (data.qvel[at.trunk_v][:3] - earlier_velocity) / self.model.opt.timestep
-        force = rotations.rotate(rotations.conjugate(quaternion), acceleration + GRAVITY)
+        force = rotations.rotate(rotations.conjugate(quaternion), acceleration + _UPHELD)
         return (
             self.time,
             data.qpos[at.joints] + self._draw(self._noise.joint, 12),

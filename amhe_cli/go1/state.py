@@ -7,7 +7,11 @@ from dataclasses import dataclass, fields
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.rotations import yaw_of
 from amhe_cli.go1.model import Layout
+
+#: Of the models, and of all that is computed by hand [m/s^2].
+GRAVITY = 9.81
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,6 +78,13 @@ class Measurements:
     box_position: FloatArray
     box_orientation: FloatArray
     targets: FloatArray | None = None
+
+
+def heading_velocity(body: Body) -> tuple[float, float]:
+    """Speed of one body at one instant ahead, and to the left, of its own heading [m/s]."""
+    yaw = float(yaw_of(body.orientation))
+    x, y = body.velocity[0], body.velocity[1]
+    return float(x * np.cos(yaw) + y * np.sin(yaw)), float(y * np.cos(yaw) - x * np.sin(yaw))
 
 
 def state_of(at: Layout, time: float, qpos: FloatArray, qvel: FloatArray) -> State:

@@ -8,8 +8,7 @@ import numpy as np
 
 from amhe_cli.control.behaviour import Behaviour
 from amhe_cli.control.tasks import LONGEST, TAPER, Task
-from amhe_cli.core.rotations import yaw_of
-from amhe_cli.go1.state import State
+from amhe_cli.go1.state import State, heading_velocity
 
 #: The box has arrived when it was this near to the goal [m] for so long [s].
 NEAR, HOLD = 0.05, 0.5
@@ -114,7 +113,7 @@ class Judge:
         task = self._task
         self._tapering |= not task.one_leg and progress > task.path.length - TAPER
         if state.time >= task.judged_from and not self._tapering:
-            self._speed_errors.append(forward_speed(state) - task.commanded_speed(progress))
+            self._speed_errors.append(heading_velocity(state.trunk)[0] - task.commanded_speed(progress))
 
     def _has_arrived(self, time: float) -> bool:
         if self._goal_error >= NEAR:
@@ -122,12 +121,6 @@ class Judge:
         elif self._near_since is None:
             self._near_since = time
         return self._near_since is not None and time - self._near_since >= HOLD - 1e-9
-
-
-def forward_speed(state: State) -> float:
-    """Of the trunk in its own heading [m/s]."""
-    yaw = yaw_of(state.trunk.orientation)
-    return float(state.trunk.velocity[0] * np.cos(yaw) + state.trunk.velocity[1] * np.sin(yaw))
 
 
 def has_fallen(state: State) -> bool:

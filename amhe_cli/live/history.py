@@ -11,9 +11,8 @@ from amhe_cli.control.tasks import Task
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import rotate, yaw_of
 from amhe_cli.go1.legs import feet
-from amhe_cli.go1.state import State
+from amhe_cli.go1.state import State, heading_velocity
 from amhe_cli.live.episode import Cycle
-from amhe_cli.live.evaluation import forward_speed
 from amhe_cli.online.horizon import Estimate
 
 
@@ -109,7 +108,7 @@ def _motion(state: State, task: Task) -> dict[str, float]:
         "foot_x": float(foot[0]),
         "foot_y": float(foot[1]),
         "foot_z": float(foot[2]),
-        "speed": forward_speed(state),
+        "speed": heading_velocity(state.trunk)[0],
         "command": task.commanded_speed(float(place.progress)),
         "to_goal": float(np.hypot(*(box[:2] - task.path.goal))),
         "left": float(place.left),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,56 +14,21 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.core.trajectory import Series, Trajectory
-from amhe_cli.logs.clocks import (
-    Stamp,
-    Timeline,
-    header_steps,
-    offset_pairs,
-    offset_words,
-    offsets,
-    step_words,
-    timeline,
-)
 from amhe_cli.logs.collect import collect
-from amhe_cli.logs.decode import Samples, SignalDecoder
 from amhe_cli.logs.definitions import Definitions
 from amhe_cli.logs.differentiate import angular_velocity, derivative
 from amhe_cli.logs.folder import open_log
 from amhe_cli.logs.message_types import DERIVED
-from amhe_cli.logs.physics import checked, twist_looks_global
+from amhe_cli.logs.physics import twist_looks_global
 from amhe_cli.logs.raw import readable
 from amhe_cli.logs.resample import longest_bridge, resample
+from amhe_cli.logs.tracks import Track, grid_of, on_one_clock, tracks_of
 
 logger = logging.getLogger(__name__)
 
-_MOST_ROWS = 10_000_000
-#: Header-less topics are moved onto the others' header clock where that is off by more than this [s].
-_SAME_CLOCK = 1.0
-#: A smaller offset between two topics [s], or one of less than half a period, may be their transport's.
-_LATENCY = 0.02
 #: A signal that is missing for a larger share of the log is worth a warning, which names so many gaps.
 _LOSS = 0.05
 _GAPS_SHOWN = 3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Track:
-    """One signal with its stamps: the m samples that count."""
-
-    signal: Signal
-    times: Timeline
-    samples: Samples
-    twist_in_child: bool
-
-    @property
-    def period(self) -> float:
-        """Median period [s]; 0 for a single sample."""
-        return float(np.median(np.diff(self.times.stamps_ns))) / 1e9 if self.times.stamps_ns.size > 1 else 0.0
-
-    def moved(self, seconds: float) -> _Track:
-        """The same, with stamps later by `seconds`."""
-        stamps_ns = self.times.stamps_ns + round(seconds * 1e9)
-        return replace(self, times=replace(self.times, stamps_ns=stamps_ns))
 
 
 def read_trajectory(
@@ -105,8 +69,8 @@ def read_trajectory(
     with readable(path):
         log = open_log(path)
         decoders = collect(log, signals, Definitions(msg_path))
-        tracks = _one_clock(path, _tracks(path, signals, decoders, settings), settings)
-        grid, start_ns = _grid(path, tracks, dt, start, end)
+        tracks = on_one_clock(path, tracks_of(path, signals, decoders, settings), settings)
+        grid, start_ns = grid_of(path, tracks, dt, start, end)
         series: dict[str, Series] = {}
         for track in tracks:
             found = _series(path, track, grid, start_ns, settings)
@@ -115,140 +79,8 @@ def read_trajectory(
     return Trajectory(dt, series, str(path), start_ns, log.metadata)
 
 
-def _tracks(
-    path: Path, signals: Sequence[Signal], decoders: Mapping[str, SignalDecoder], settings: LogSettings
-) -> list[_Track]:
-    """Check the signals' samples and choose their stamps."""
-    samples = {}
-    for signal in signals:
-        warn = _Warner(path, signal.topic)
-        samples[signal.name] = checked(decoders[signal.name].samples(), signal, warn)
-    stamp = _trusted(path, signals, samples, settings.stamp)
-    return [_track(path, signal, decoders[signal.name], samples[signal.name], stamp) for signal in signals]
-
-
-def _trusted(path: Path, signals: Sequence[Signal], samples: Mapping[str, Samples], stamp: Stamp) -> Stamp:
-    """The clock to use: the recorder's for all topics if one's header clock was set while it ran.
-
-    The topics' headers have no common clock then, whichever side of the step is right.
-    """
-    if stamp not in ("auto", "header"):
-        return stamp
-    steps = {signal.topic: header_steps(samples[signal.name]) for signal in signals}
-    stepping = {topic: found for topic, found in steps.items() if found}
-    remedy = (
-        "the recorder's stamps are used for all topics"
-        if stamp == "auto"
-        else "data on its two sides do not belong together; use --set logs.stamp=log"
-    )
-    for topic, found in stepping.items():
-        _Warner(path, topic)(f"{step_words(found)}: {remedy}")
-    return "log" if stepping and stamp == "auto" else stamp
-
-
-@dataclass(frozen=True, slots=True)
-class _Warner:
-    """Says what is odd about one topic."""
-
-    path: Path
-    topic: str
-
-    def __call__(self, text: str) -> None:
-        logger.warning("%s: topic %r: %s", self.path, self.topic, text)
-
-
-def _track(path: Path, signal: Signal, decoder: SignalDecoder, samples: Samples, stamp: Stamp) -> _Track:
-    times = timeline(samples, stamp)
-    for note in times.notes:
-        _Warner(path, signal.topic)(note)
-    if times.kept.size == 0:
-        raise LogError(f"{path}: topic {signal.topic!r}: no message has a usable {times.clock} stamp")
-    if not samples.has_header and stamp == "auto":
-        logger.info("%s: topic %r: no header, %s stamps are used", path, signal.topic, times.clock)
-    return _Track(signal, times, samples.pick(times.kept), decoder.info.twist_in_child)
-
-
-def _one_clock(path: Path, tracks: list[_Track], settings: LogSettings) -> list[_Track]:
-    """Bring the topics onto one clock: what differs grossly always, what differs slightly if asked."""
-    lags = {t.signal.topic: t.times.lag for t in tracks if t.times.clock == "header"}
-    shifts = offsets(lags) if settings.align else {}
-    middle = float(np.median(list(lags.values()))) if lags else 0.0
-    _tell_offsets(path, tracks, settings.align)
-    moved = []
-    for track in tracks:
-        topic = track.signal.topic
-        shift = track.signal.offset - shifts.get(topic, 0.0)
-        if topic not in lags and abs(middle) > _SAME_CLOCK:
-            shift -= middle
-            logger.warning(
-                "%s: topic %r: its %s stamps are moved by %.6g s onto the header clock of the other topics",
-                path, topic, track.times.clock, -middle,
-            )  # fmt: skip
-        moved.append(track.moved(shift))
-    return moved
-
-
-def _tell_offsets(path: Path, tracks: Sequence[_Track], align: bool) -> None:
-    """Say how far the header clocks are apart; warn of what no transport explains, unless it is corrected.
-
-    An offset that the system states counts as corrected.
-    """
-    stamped = [track for track in tracks if track.times.clock == "header"]
-    lags = {t.signal.topic: t.times.lag - t.signal.offset for t in stamped}
-    periods = {t.signal.topic: t.period for t in stamped}
-    for (late, early, apart), words in zip(offset_pairs(lags), offset_words(lags), strict=True):
-        if align:
-            logger.info("%s: %s (corrected)", path, words)
-        elif apart > max(_LATENCY, 0.5 * min(periods[late], periods[early])):
-            logger.warning(
-                "%s: %s: if both were measured at once, correct it with --set logs.align=true", path, words
-            )
-        else:
-            logger.info("%s: %s", path, words)
-
-
-def _grid(
-    path: Path, tracks: Sequence[_Track], dt: float, start: float | None, end: float | None
-) -> tuple[FloatArray, int]:
-    """Instants of the rows [s] from the first one, shape (T,), and the stamp of the first one [ns]."""
-    states = [track for track in tracks if not track.signal.is_input] or list(tracks)
-    begun = max(int(track.times.stamps_ns[0]) for track in tracks)
-    anchor = max(int(track.times.stamps_ns[0]) for track in states)
-    last = max(int(track.times.stamps_ns[-1]) for track in states)
-    step = dt * 1e9
-    # Relative to the anchor: a stamp in float64 would be off by hundreds of nanoseconds.
-    begin = float(np.ceil((begun - anchor) / step - 1e-6)) * step
-    rows = int(np.floor((last - anchor - begin) / step + 1e-6)) + 1
-    if rows < 1:
-        raise LogError(f"{path}: {_no_overlap(tracks)}")
-    low = 0 if start is None else int(np.ceil(start / dt - 1e-6))
-    high = rows if end is None else min(rows, int(np.floor(end / dt + 1e-6)) + 1)
-    if low < 0 or high <= low:
-        raise ConfigError(
-            f"{path}: the log lasts {(rows - 1) * dt:.3f} s: no part of it lies between "
-            f"--from {start or 0:g} and --to {'its end' if end is None else f'{end:g}'}"
-        )
-    if high - low > _MOST_ROWS:
-        raise LogError(
-            f"{path}: {(high - low) * dt:.0f} s at steps of {dt:g} s are {high - low} rows, more than "
-            f"{_MOST_ROWS}; cut it with --from and --to, or look for a wrong stamp with `amhe inspect`"
-        )
-    start_ns = anchor + round(begin + low * step)
-    return np.arange(high - low, dtype=np.float64) * dt, start_ns
-
-
-def _no_overlap(tracks: Sequence[_Track]) -> str:
-    origin = min(int(track.times.stamps_ns[0]) for track in tracks)
-    spans = ", ".join(
-        f"{t.signal.topic} {(t.times.stamps_ns[0] - origin) / 1e9:.3f} to "
-        f"{(t.times.stamps_ns[-1] - origin) / 1e9:.3f} s ({t.times.clock} stamps)"
-        for t in tracks
-    )
-    return f"the topics do not overlap in time: {spans}"
-
-
 def _series(
-    path: Path, track: _Track, grid: FloatArray, start_ns: int, settings: LogSettings
+    path: Path, track: Track, grid: FloatArray, start_ns: int, settings: LogSettings
 ) -> dict[str, Series]:
     signal = track.signal
     times = (track.times.stamps_ns - start_ns) / 1e9
@@ -289,7 +121,7 @@ def _tell_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: flo
 
 
 def _values(
-    path: Path, track: _Track, quantity: str, times: FloatArray, bridge: float
+    path: Path, track: Track, quantity: str, times: FloatArray, bridge: float
 ) -> tuple[FloatArray, tuple[str, ...], bool]:
     """Bring one quantity into our convention; differentiate it where the topic lacks it.
 

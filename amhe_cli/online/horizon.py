@@ -10,7 +10,9 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.parameters import Belief, belief_of
+from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import Z90
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
@@ -26,6 +28,9 @@ from amhe_cli.system.system import System
 Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 
 UPDATES: Mapping[str, Update] = {"linearised": linearised_update, "logrank": logrank_update}
+
+#: Fewer steps of the model than this are no window.
+LEAST = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,6 +67,19 @@ class Estimate:
     def updated(self) -> bool:
         """The window moved the belief."""
         return self.mark in ("updated", "jump")
+
+
+def check_window(settings: MheSettings, dt: float) -> None:
+    """A window must hold a few steps of the model, `dt` [s] each.
+
+    Raises:
+        ConfigError: It holds fewer.
+    """
+    if round(settings.window / dt) < LEAST:
+        raise ConfigError(
+            f"a window of {settings.window:g} s is too short: it takes at least {LEAST} steps of the model, "
+            f"{LEAST * dt:g} s"
+        )
 
 
 class MovingHorizon:
@@ -105,6 +123,9 @@ class MovingHorizon:
             self._row = 0
             return self._estimate(at, "gap", None, begun)
         cost = MatchingCost(self._system, [window], self._engine, self._system.settings.cost)
+        if not cost.clips.observed:  # nothing was measured after its start
+            self._row = 0
+            return self._estimate(at, "gap", None, begun)
         share = min(1.0, elapsed / window.duration)
         late = _never if budget is None else (lambda: time.perf_counter() - begun > budget)
         outcome = self._update(

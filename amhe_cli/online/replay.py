@@ -16,13 +16,10 @@ from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.online.arrival import Arrival
-from amhe_cli.online.horizon import Estimate, MovingHorizon
+from amhe_cli.online.horizon import LEAST, Estimate, MovingHorizon, check_window
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
-
-#: Fewer steps than this are no window.
-_LEAST = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,12 +103,14 @@ def windows(system: System, trajectory: Trajectory) -> list[Window]:
     """The window before each update, one update period apart; of a shorter log, all of it.
 
     Raises:
+        ConfigError: The window is shorter than any can be.
         EstimationError: The log is too short for any window.
     """
     setting, dt = system.settings.mhe, trajectory.dt
-    length, every = max(1, round(setting.window / dt)), max(1, round(setting.update_period / dt))
+    check_window(setting, dt)
+    length, every = round(setting.window / dt), max(1, round(setting.update_period / dt))
     longest = trajectory.steps - 2
-    if longest < min(length, _LEAST):
+    if longest < LEAST:
         raise EstimationError(
             f"{trajectory.source}: its {trajectory.duration:.3g} s hold no window; record a longer log"
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from pathlib import Path
 
 from amhe_cli.assembly import DEFAULT_SYSTEM
 from amhe_cli.core.errors import ConfigError
@@ -27,23 +28,23 @@ def open_probe(options: ProbeOptions, robot: Robot | None = None) -> Probe:
     Raises:
         ConfigError: Unknown system or task, nothing to drive, a belief, plant or setting that does not suit.
     """
-    if _walks(options, robot):
+    folder = _driven(options, robot)
+    if folder is None:
         return PushProbe(options, robot)
-    folder = find_system(options.system or DEFAULT_SYSTEM)
     return DriveProbe(options, folder, overrides.gathered(options.config, os.environ, options.assignments))
 
 
-def _walks(options: ProbeOptions, robot: Robot | None) -> bool:
-    """Whether it is the Go1 that probes; for another system, refuse what it has not."""
+def _driven(options: ProbeOptions, robot: Robot | None) -> Path | None:
+    """Folder of the system that is driven as it is, or None: the Go1 walks. Refuses what a system has not."""
     folder = find_system(options.system or DEFAULT_SYSTEM)
     if folder.resolve() == find_system(SYSTEM).resolve():
-        return True
+        return None
     for flag, value in (("--box", options.box), ("--task", options.task)):
         if value:
             raise ConfigError(f"{flag}: {options.system} has none; leave it out")
     if robot:
         raise ConfigError(f"--target go1 pushes boxes: leave out --system {options.system}")
-    return False
+    return folder
 
 
 def robot_to_probe(options: ProbeOptions, robot: Robot) -> Run:
@@ -52,5 +53,5 @@ def robot_to_probe(options: ProbeOptions, robot: Robot) -> Run:
     Raises:
         ConfigError: See `open_probe`.
     """
-    _walks(options, robot)
+    _driven(options, robot)
     return PushProbe(options, robot).on_robot(STEADY, options.seconds, robot)

@@ -91,14 +91,6 @@ def log_cholesky(p: FloatArray) -> FloatArray:
     return np.exp(alpha)[..., None, None] * u
 
 
-def log_cholesky_numbers(u: FloatArray) -> FloatArray:
-    """Inverse of `log_cholesky`: p (10,) of an upper triangular U (4, 4) of positive diagonal."""
-    scale = u[3, 3]
-    v = u / scale
-    d1, d2, d3 = np.log(np.diag(v)[:3])
-    return np.array([np.log(scale), d1, d2, d3, v[0, 1], v[1, 2], v[0, 2], v[0, 3], v[1, 3], v[2, 3]])
-
-
 def body_numbers(factor: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """MuJoCo's numbers for pseudo-inertias L L^T.
 

@@ -144,7 +144,7 @@ def test_the_true_belief_switches_with_the_plant(monkeypatch: pytest.MonkeyPatch
     cycles = list(run.episode.cycles())
     assert [cycle.belief["box_mass"] for cycle in cycles] == pytest.approx([4.0] * 4 + [6.0] * 6)
     assert all(cycle.belief == cycle.parameters for cycle in cycles)
-    assert run.first_truth == run.first_belief
+    assert run.first_truth == cycles[0].belief
     assert run.first_truth["box_mass"] == pytest.approx(4.0)
 
     fixed = cycles_of("t3", seed=2, mode="baseline")
@@ -163,9 +163,10 @@ def test_the_true_belief_switches_with_the_plant(monkeypatch: pytest.MonkeyPatch
 def test_a_mode_s_belief(task: str, mode: str, mass: float, friction: float) -> None:
     belief = {"box_mass": mass, "box_inertia_scale": 1.0, "floor_friction": friction}
     run = opened(task, mode=mode)
-    assert run.first_belief == pytest.approx(belief)
-    assert tuple(run.first_belief) == run.episode.names == run.system.space.names
-    assert resistance(run.first_belief) == pytest.approx(mass * friction * 9.81)
+    believed = run.episode.belief.at(0.0)
+    assert believed == pytest.approx(belief)
+    assert tuple(believed) == run.episode.names == run.system.space.names
+    assert resistance(believed) == pytest.approx(mass * friction * 9.81)
 
 
 def test_what_cannot_be_run_is_refused() -> None:

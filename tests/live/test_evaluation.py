@@ -13,8 +13,8 @@ from amhe_cli.control.tasks import find_task
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.go1.legs import HOME
-from amhe_cli.go1.state import Body, State
-from amhe_cli.live.evaluation import Judge, forward_speed, has_fallen
+from amhe_cli.go1.state import Body, State, heading_velocity
+from amhe_cli.live.evaluation import Judge, has_fallen
 
 PERIOD = 0.02
 T1, T2, T5 = find_task("t1"), find_task("t2"), find_task("t5")
@@ -199,8 +199,9 @@ def test_who_falls_at_once_was_not_judged_by_speed() -> None:
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.2, -2.8])
-def test_forward_is_where_the_trunk_heads(yaw: float) -> None:
-    assert forward_speed(state(0.0, GOAL, speed=0.17, yaw=yaw)) == pytest.approx(0.17)
+def test_ahead_is_where_the_trunk_heads(yaw: float) -> None:
+    ahead, left = heading_velocity(state(0.0, GOAL, speed=0.17, yaw=yaw).trunk)
+    assert (ahead, left) == pytest.approx((0.17, 0.3))
 
 
 def test_after_arrival_nothing_is_charged() -> None:

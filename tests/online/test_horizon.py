@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from amhe_cli.core.errors import EstimationError
+from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.parameters import belief_of
-from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.core.trajectory import Series, Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.online.arrival import arrival_of
 from amhe_cli.online.horizon import Estimate, MovingHorizon
@@ -146,6 +146,16 @@ def test_a_log_shorter_than_a_window_is_one_window_and_a_shorter_one_is_none(car
     assert window.duration == pytest.approx(0.295)
     with pytest.raises(EstimationError, match="hold no window"):
         windows(cart, drive(0.02))
+
+
+def test_a_window_of_few_steps_is_refused_and_one_without_samples_teaches_nothing(cart, drive) -> None:
+    with pytest.raises(ConfigError, match=r"window of 0.001 s is too short: .* 5 steps .* 0.025 s"):
+        windows(with_mhe(cart, window=0.001), drive(1.0))
+    log = drive(1.0)
+    silent = {key: replace(s, sampled=np.zeros_like(s.sampled)) for key, s in log.series.items()}
+    engine = CpuEngine(cart.model, cart.edits, cart.input_spec, 1, cart.senses)
+    estimator = MovingHorizon(cart, engine, np.random.default_rng(0))
+    assert estimator.update(Window(replace(log, series=silent), 10, 5), 0.1).mark == "gap"
 
 
 def test_a_loaded_belief_can_still_move(cart) -> None:

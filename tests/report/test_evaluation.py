@@ -10,12 +10,13 @@ import pytest
 
 from amhe_cli.control.tasks import TASKS
 from amhe_cli.evaluation.ablations import ablations
-from amhe_cli.evaluation.cells import Cell, setting_of
+from amhe_cli.evaluation.cells import Cell, Setting, setting_of
 from amhe_cli.evaluation.goals import goals
 from amhe_cli.evaluation.summary import Groups
 from amhe_cli.report.evaluation import curves, formats, tables
 from amhe_cli.report.evaluation.drawing import drawn
 from amhe_cli.report.evaluation.figures import drawings
+from amhe_cli.report.evaluation.paths import one_leg_figure
 from tests.evaluation.cells_at_play import result
 
 MODES = ("true", "baseline", "stale", "adaptive")
@@ -98,6 +99,17 @@ def test_every_figure_is_written_twice_and_drawn_for_the_page(groups: Groups, tm
     assert names == {"paths", "speed", "costs", "parameters", "final", "ablations"}
     assert {path.name for path in tmp_path.iterdir()} == {f"{n}.{s}" for n in names for s in ("png", "pdf")}
     assert all(picture.svg.startswith("<svg") for picture in pictures)
+
+
+def test_the_box_that_was_measured_is_the_one_that_is_drawn() -> None:
+    def widths(setting: Setting) -> set[float]:
+        groups = Groups([result(Cell("t5", "true", 0, setting))], setting, tuple(TASKS), MODES)
+        lines = one_leg_figure(groups, TASKS["t5"]).axes[0].get_lines()
+        return {round(float(np.ptp(line.get_ydata())), 6) for line in lines}
+
+    assert 0.3 in widths(())
+    assert 0.3 not in widths(setting_of({"boxes.box": [0.2, 0.44, 0.3]}))
+    assert 0.44 in widths(setting_of({"boxes.box": [0.2, 0.44, 0.3]}))
 
 
 def test_a_mean_over_seeds_ends_where_most_of_them_have_ended() -> None:

@@ -16,12 +16,12 @@ from amhe_cli.report.figures import IDENTIFIED, INITIAL, Grid
 
 def ablation_figure(tried: Sequence[Ablation]) -> Figure:
     """One panel a setting: J to the left, with its sd; success to the right, with its interval."""
-    grid = Grid(len(tried), min(3, len(tried)), height=2.8)
+    grid = Grid(len(tried), min(3, len(tried)), height=2.95)
     figure = grid.figure()
     for index, ablation in enumerate(tried):
-        axes = grid.axes(figure, index, bottom=0.5, top=0.3)
+        axes = grid.axes(figure, index, bottom=0.5, top=0.45)
         place = axes.get_position()
-        axes.set_position((place.x0, place.y0, place.width - 0.03, place.height))
+        axes.set_position((place.x0, place.y0, place.width - 0.045, place.height))
         _panel(axes, ablation)
     return figure
 

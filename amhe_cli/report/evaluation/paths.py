@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from amhe_cli.control.tasks import Task
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.evaluation.summary import Groups
+from amhe_cli.evaluation.summary import Group, Groups
 from amhe_cli.go1.legs import HIPS
 from amhe_cli.report.evaluation.drawing import PATH, TRUTH, color_of, legend, line, room
 from amhe_cli.report.figures import INK, MUTED, Grid
@@ -56,18 +56,13 @@ def one_leg_figure(groups: Groups, task: Task) -> Figure:
     for index, group in enumerate(found):
         axes = grid.axes(figure, index)
         color = color_of(group.mode)
-        first = group.results[0].trace
+        first, size = group.results[0].trace, _box_size(group, task)
         _outline(axes, first, 0, _TRUNK, "trunk", color=MUTED, linewidth=0.9, linestyle=":")
-        _outline(
-            axes, first, 0, np.array(task.box.size[:2]), "box", color=MUTED, linewidth=0.9, linestyle=":"
-        )
+        _outline(axes, first, 0, size, "box", color=MUTED, linewidth=0.9, linestyle=":")
         goal = {"box_x": task.path.goal[:1], "box_y": task.path.goal[1:], "box_yaw": np.array([task.box.yaw])}
-        _outline(
-            axes, goal, 0, np.array(task.box.size[:2]), "box", color=TRUTH, linewidth=1.6, linestyle="--"
-        )
+        _outline(axes, goal, 0, size, "box", color=TRUTH, linewidth=1.6, linestyle="--")
         for number, result in enumerate(group.results):
             faint = {"alpha": 0.9 if number == 0 else 0.35, "linewidth": 1.6 if number == 0 else 0.8}
-            size = np.array(task.box.size[:2])
             _outline(axes, result.trace, -1, size, "box", color=color, **faint)
         _outline(axes, first, -1, _TRUNK, "trunk", color=INK, linewidth=1.4)
         axes.plot(first["foot_x"], first["foot_y"], color=INK, linewidth=0.8)
@@ -77,6 +72,11 @@ def one_leg_figure(groups: Groups, task: Task) -> Figure:
         axes.set_title(f"{group.mode}, y [m]; e_g {error.mean:.3f} m")
         axes.set_xlabel("x [m]")
     return figure
+
+
+def _box_size(group: Group, task: Task) -> FloatArray:
+    """Depth and width of the box [m], shape (2,): the task's, or the one that the setting tells."""
+    return np.array(dict(group.setting).get("boxes.box", task.box.size)[:2])
 
 
 def _outline(

@@ -1,0 +1,194 @@
+"""Signals of one log with their stamps: which clock counts, bringing all onto one, and the rows it gives."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs.clocks import (
+    Stamp,
+    Timeline,
+    header_steps,
+    offset_pairs,
+    offset_words,
+    offsets,
+    step_words,
+    timeline,
+)
+from amhe_cli.logs.decode import Samples, SignalDecoder
+from amhe_cli.logs.physics import checked
+
+logger = logging.getLogger(__name__)
+
+_MOST_ROWS = 10_000_000
+#: Header-less topics are moved onto the others' header clock where that is off by more than this [s].
+_SAME_CLOCK = 1.0
+#: A smaller offset between two topics [s], or one of less than half a period, may be their transport's.
+_LATENCY = 0.02
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """One signal of a log.
+
+    Args:
+        signal: What the system says of it.
+        times: Stamps of the m samples that count.
+        samples: Their values.
+        twist_in_child: Twists are in the child frame's axes, as in an odometry.
+    """
+
+    signal: Signal
+    times: Timeline
+    samples: Samples
+    twist_in_child: bool
+
+    @property
+    def period(self) -> float:
+        """Median period [s]; 0 for a single sample."""
+        return float(np.median(np.diff(self.times.stamps_ns))) / 1e9 if self.times.stamps_ns.size > 1 else 0.0
+
+    def moved(self, seconds: float) -> Track:
+        """The same, with stamps later by `seconds`."""
+        stamps_ns = self.times.stamps_ns + round(seconds * 1e9)
+        return replace(self, times=replace(self.times, stamps_ns=stamps_ns))
+
+
+def tracks_of(
+    path: Path, signals: Sequence[Signal], decoders: Mapping[str, SignalDecoder], settings: LogSettings
+) -> list[Track]:
+    """Check the signals' samples and choose their stamps."""
+    samples = {}
+    for signal in signals:
+        warn = _Warner(path, signal.topic)
+        samples[signal.name] = checked(decoders[signal.name].samples(), signal, warn)
+    stamp = _trusted(path, signals, samples, settings.stamp)
+    return [_track(path, signal, decoders[signal.name], samples[signal.name], stamp) for signal in signals]
+
+
+def _trusted(path: Path, signals: Sequence[Signal], samples: Mapping[str, Samples], stamp: Stamp) -> Stamp:
+    """The clock to use: the recorder's for all topics if one's header clock was set while it ran.
+
+    The topics' headers have no common clock then, whichever side of the step is right.
+    """
+    if stamp not in ("auto", "header"):
+        return stamp
+    steps = {signal.topic: header_steps(samples[signal.name]) for signal in signals}
+    stepping = {topic: found for topic, found in steps.items() if found}
+    remedy = (
+        "the recorder's stamps are used for all topics"
+        if stamp == "auto"
+        else "data on its two sides do not belong together; use --set logs.stamp=log"
+    )
+    for topic, found in stepping.items():
+        _Warner(path, topic)(f"{step_words(found)}: {remedy}")
+    return "log" if stepping and stamp == "auto" else stamp
+
+
+@dataclass(frozen=True, slots=True)
+class _Warner:
+    """Says what is odd about one topic."""
+
+    path: Path
+    topic: str
+
+    def __call__(self, text: str) -> None:
+        logger.warning("%s: topic %r: %s", self.path, self.topic, text)
+
+
+def _track(path: Path, signal: Signal, decoder: SignalDecoder, samples: Samples, stamp: Stamp) -> Track:
+    times = timeline(samples, stamp)
+    for note in times.notes:
+        _Warner(path, signal.topic)(note)
+    if times.kept.size == 0:
+        raise LogError(f"{path}: topic {signal.topic!r}: no message has a usable {times.clock} stamp")
+    if not samples.has_header and stamp == "auto":
+        logger.info("%s: topic %r: no header, %s stamps are used", path, signal.topic, times.clock)
+    return Track(signal, times, samples.pick(times.kept), decoder.info.twist_in_child)
+
+
+def on_one_clock(path: Path, tracks: list[Track], settings: LogSettings) -> list[Track]:
+    """Bring the topics onto one clock: what differs grossly always, what differs slightly if asked."""
+    lags = {t.signal.topic: t.times.lag for t in tracks if t.times.clock == "header"}
+    shifts = offsets(lags) if settings.align else {}
+    middle = float(np.median(list(lags.values()))) if lags else 0.0
+    _tell_offsets(path, tracks, settings.align)
+    moved = []
+    for track in tracks:
+        topic = track.signal.topic
+        shift = track.signal.offset - shifts.get(topic, 0.0)
+        if topic not in lags and abs(middle) > _SAME_CLOCK:
+            shift -= middle
+            logger.warning(
+                "%s: topic %r: its %s stamps are moved by %.6g s onto the header clock of the other topics",
+                path, topic, track.times.clock, -middle,
+            )  # fmt: skip
+        moved.append(track.moved(shift))
+    return moved
+
+
+def _tell_offsets(path: Path, tracks: Sequence[Track], align: bool) -> None:
+    """Say how far the header clocks are apart; warn of what no transport explains, unless it is corrected.
+
+    An offset that the system states counts as corrected.
+    """
+    stamped = [track for track in tracks if track.times.clock == "header"]
+    lags = {t.signal.topic: t.times.lag - t.signal.offset for t in stamped}
+    periods = {t.signal.topic: t.period for t in stamped}
+    for (late, early, apart), words in zip(offset_pairs(lags), offset_words(lags), strict=True):
+        if align:
+            logger.info("%s: %s (corrected)", path, words)
+        elif apart > max(_LATENCY, 0.5 * min(periods[late], periods[early])):
+            logger.warning(
+                "%s: %s: if both were measured at once, correct it with --set logs.align=true", path, words
+            )
+        else:
+            logger.info("%s: %s", path, words)
+
+
+def grid_of(
+    path: Path, tracks: Sequence[Track], dt: float, start: float | None, end: float | None
+) -> tuple[FloatArray, int]:
+    """Instants of the rows [s] from the first one, shape (T,), and the stamp of the first one [ns]."""
+    states = [track for track in tracks if not track.signal.is_input] or list(tracks)
+    begun = max(int(track.times.stamps_ns[0]) for track in tracks)
+    anchor = max(int(track.times.stamps_ns[0]) for track in states)
+    last = max(int(track.times.stamps_ns[-1]) for track in states)
+    step = dt * 1e9
+    # Relative to the anchor: a stamp in float64 would be off by hundreds of nanoseconds.
+    begin = float(np.ceil((begun - anchor) / step - 1e-6)) * step
+    rows = int(np.floor((last - anchor - begin) / step + 1e-6)) + 1
+    if rows < 1:
+        raise LogError(f"{path}: {_no_overlap(tracks)}")
+    low = 0 if start is None else int(np.ceil(start / dt - 1e-6))
+    high = rows if end is None else min(rows, int(np.floor(end / dt + 1e-6)) + 1)
+    if low < 0 or high <= low:
+        raise ConfigError(
+            f"{path}: the log lasts {(rows - 1) * dt:.3f} s: no part of it lies between "
+            f"--from {start or 0:g} and --to {'its end' if end is None else f'{end:g}'}"
+        )
+    if high - low > _MOST_ROWS:
+        raise LogError(
+            f"{path}: {(high - low) * dt:.0f} s at steps of {dt:g} s are {high - low} rows, more than "
+            f"{_MOST_ROWS}; cut it with --from and --to, or look for a wrong stamp with `amhe inspect`"
+        )
+    start_ns = anchor + round(begin + low * step)
+    return np.arange(high - low, dtype=np.float64) * dt, start_ns
+
+
+def _no_overlap(tracks: Sequence[Track]) -> str:
+    origin = min(int(track.times.stamps_ns[0]) for track in tracks)
+    spans = ", ".join(
+        f"{t.signal.topic} {(t.times.stamps_ns[0] - origin) / 1e9:.3f} to "
+        f"{(t.times.stamps_ns[-1] - origin) / 1e9:.3f} s ({t.times.clock} stamps)"
+        for t in tracks
+    )
+    return f"the topics do not overlap in time: {spans}"
