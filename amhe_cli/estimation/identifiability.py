@@ -123,11 +123,11 @@ def _verdict(
 def _bound(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
     """At a bound the estimate is what the bound says."""
     lower, upper = (b[i] for b in space.bounds)
-    margin = 0.01 * (upper - lower)
+    margin = min(0.01 * (upper - lower), 0.5 * float(np.sqrt(evidence.covariance[i, i])))
     p = space.parameters[i]
-    if evidence.z[i] < lower + margin:
+    if evidence.z[i] <= lower + margin:
         return (f"it stops at its lower bound {p.lower:g}: the data want less",)
-    if evidence.z[i] > upper - margin:
+    if evidence.z[i] >= upper - margin:
         return (f"it stops at its upper bound {p.upper:g}: the data want more",)
     return ()
 

@@ -57,7 +57,7 @@ def _step(task: Task, arrival: Arrival, said: _Said, z: FloatArray) -> tuple[Flo
     precision = np.linalg.inv(arrival.covariance) + np.diag(
         task.settings.weights(task.cost.system.space.names)
     )
-    covariance = np.linalg.inv(share * said.known + precision)
+    covariance: FloatArray = np.asarray(np.linalg.inv(share * said.known + precision), dtype=np.float64)
     return -covariance @ (share * said.score + precision @ (z - arrival.z)), covariance
 
 
