@@ -119,6 +119,8 @@ def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
     host = wire.pose_host or _POSE_HOSTS.get(wire.pose)
     if host is None:
         raise ConfigError("--pose motioncapture needs --pose-host KIND:HOST, such as vicon:192.168.1.5")
+    if wire.pose == "ros2" and host and not host.isdecimal():
+        raise ConfigError(f"--pose-host {host}: --pose ros2 takes the number of a DDS domain, such as 0")
     port = wire.pose_port if wire.pose_port is not None else _POSE_PORTS.get(wire.pose, 0)
     bodies = (settings.trunk, settings.box)
     if bodies[0] == bodies[1]:

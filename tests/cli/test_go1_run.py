@@ -141,6 +141,7 @@ def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
         ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.arm=auto"], "for the emulator"),
         ([*ROBOT, "--pose", "motioncapture"], "vicon:"),
         ([*ROBOT, "--set", "go1.box=go1"], "same name"),
+        ([*ROBOT, "--pose", "ros2", "--pose-host", "lab"], "number of a DDS domain"),
         ([*ROBOT, "--set", "go1.trips.tilt=-1"], "go1.trips.tilt"),
         (["run", "--task", "t1", "--pose-port", "5"], "--pose-port is of a real robot"),
         (["run", "--task", "t1", "--dry-run"], "--dry-run is of a real robot"),
