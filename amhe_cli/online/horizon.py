@@ -70,15 +70,19 @@ class Estimate:
 
 
 def check_window(settings: MheSettings, dt: float) -> None:
-    """A window must hold a few steps of the model, `dt` [s] each.
+    """A window must hold a few steps of the model, `dt` [s] each, and updates must be a step apart.
 
     Raises:
-        ConfigError: It holds fewer.
+        ConfigError: It holds fewer, or they are not.
     """
     if round(settings.window / dt) < LEAST:
         raise ConfigError(
             f"a window of {settings.window:g} s is too short: it takes at least {LEAST} steps of the model, "
             f"{LEAST * dt:g} s"
+        )
+    if round(settings.update_period / dt) < 1:
+        raise ConfigError(
+            f"an update period of {settings.update_period:g} s is too short: the model's step is {dt:g} s"
         )
 
 

@@ -107,7 +107,8 @@ def _refuse_nothing(
     if measured and parameters:
         return
     own = foreign(topics)
-    if own and not measured and single_joints(model):
+    joints = single_joints(model)
+    if own and not measured and joints and not any(_of_another(topic, joints) for topic in topics):
         raise ConfigError(_needs_fields(model, own))
     entries = sorted({entry for topic in topics for entry in topic.entries})
     raise ConfigError(
@@ -115,6 +116,12 @@ def _refuse_nothing(
         f"{', '.join(single_joints(model)) or '(none)'}; the log names {', '.join(entries) or '(nothing)'}; "
         "rename the model's joints or bodies as the log does"
     )
+
+
+def _of_another(topic: Topic, joints: Sequence[str]) -> bool:
+    """Joint states in which no name resembles one of these joints."""
+    resembling = any(name in joint or joint in name for name in topic.entries for joint in joints)
+    return topic.type.endswith("/JointState") and not resembling
 
 
 def _needs_fields(model: mujoco.MjModel, topics: Sequence[Topic]) -> str:

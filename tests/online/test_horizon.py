@@ -151,6 +151,8 @@ def test_a_log_shorter_than_a_window_is_one_window_and_a_shorter_one_is_none(car
 def test_a_window_of_few_steps_is_refused_and_one_without_samples_teaches_nothing(cart, drive) -> None:
     with pytest.raises(ConfigError, match=r"window of 0.001 s is too short: .* 5 steps .* 0.025 s"):
         windows(with_mhe(cart, window=0.001), drive(1.0))
+    with pytest.raises(ConfigError, match=r"update period of 0.001 s is too short: .* step is 0.005 s"):
+        windows(with_mhe(cart, update_period=0.001), drive(1.0))
     log = drive(1.0)
     silent = {key: replace(s, sampled=np.zeros_like(s.sampled)) for key, s in log.series.items()}
     engine = CpuEngine(cart.model, cart.edits, cart.input_spec, 1, cart.senses)

@@ -324,6 +324,18 @@ def test_states_in_a_foreign_type_are_named_with_an_example(
         init_system(tmp_path / "robot.xml", [walker_log], tmp_path / "out")
 
 
+def test_a_log_of_another_robot_is_told_by_its_joints_not_by_foreign_types_beside_them(
+    tmp_path: Path, walker_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = Topic("/joint_states", "sensor_msgs/msg/JointState", 100.0, ("wheel",), ("position",))
+    monkeypatch.setattr("amhe_cli.system.init._topics", lambda logs, msg_path: [other, LOW_STATE])
+    (tmp_path / "robot.xml").write_text(walker())
+    with pytest.raises(
+        ConfigError, match=r"nothing in the log is a part of this model: .* the log names .*wheel"
+    ):
+        init_system(tmp_path / "robot.xml", [walker_log], tmp_path / "out")
+
+
 def test_where_some_joints_have_no_state_a_foreign_type_is_written_as_a_comment(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
