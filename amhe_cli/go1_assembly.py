@@ -23,13 +23,7 @@ from amhe_cli.live.go1_target import Go1Target
 from amhe_cli.online.horizon import Estimate
 from amhe_cli.poses import natnet, udp
 from amhe_cli.poses.feed import KINDS, FeedOptions, PoseFeed
-from amhe_cli.run_assembly import (
-    Run,
-    RunOptions,
-    belief_source,
-    controller_for,
-    task_and_system,
-)
+from amhe_cli.run_assembly import Run, RunOptions, belief_source, controller_for, task_and_system
 
 #: The robot's own address and port, as it leaves the factory.
 HOST, PORT = "192.168.123.10", 8007

@@ -127,9 +127,6 @@ class MovingHorizon:
             self._row = 0
             return self._estimate(at, "gap", None, begun)
         cost = MatchingCost(self._system, [window], self._engine, self._system.settings.cost)
-        if not cost.clips.observed:  # nothing was measured after its start
-            self._row = 0
-            return self._estimate(at, "gap", None, begun)
         share = min(1.0, elapsed / window.duration)
         late = _never if budget is None else (lambda: time.perf_counter() - begun > budget)
         outcome = self._update(
@@ -139,19 +136,23 @@ class MovingHorizon:
 
     def _judge(self, outcome: Outcome) -> Mark:
         """Take the outcome in, or leave it."""
-        missed, row = outcome.surprise > self._settings.jump, self._row + 1
+        jumped, row = self._jumped(outcome.surprise), self._row + 1
         self._row = 0
         if not np.isfinite(outcome.before + outcome.after):
             return "diverged"
         if outcome.excitation < self._settings.excitation:
             return "still"
-        self._row = row if missed else 0
+        self._row = row if outcome.surprise > self._settings.jump else 0
         self._arrival, self._noise = outcome.arrival, outcome.noise
-        return "jump" if self._row >= self._settings.jump_windows else "updated"
+        return "jump" if jumped else "updated"
+
+    def _jumped(self, surprise: float) -> bool:
+        """Whether a window that wants the parameters so many sd off is the last of enough in a row."""
+        return surprise > self._settings.jump and self._row + 1 >= self._settings.jump_windows
 
     def _surprised(self, surprise: float) -> Arrival:
         """The belief before a window, in whose light the window is seen."""
-        if not (surprise > self._settings.jump and self._row + 1 >= self._settings.jump_windows):
+        if not self._jumped(surprise):
             return self._arrival
         return self._arrival.widened(np.full(len(self._system.space), self._settings.jump_sd**2))
 
@@ -185,9 +186,9 @@ def usable(system: System, window: Window) -> bool:
         return False
     starts = all(log[c.key].valid[window.start] for c in system.channels if c.sets_state)
     driven = all(log[i.key].valid[window.start : window.stop].all() for i in system.inputs)
-    seen = any(
-        log[c.key].valid[window.start + 1 : window.stop + 1].any() for c in system.channels if c.compared
-    )
+    after = slice(window.start + 1, window.stop + 1)
+    compared = [log[c.key] for c in system.channels if c.compared]
+    seen = any((s.sampled[after] & s.valid[after]).any() for s in compared if not s.derived)
     return starts and driven and seen
 
 

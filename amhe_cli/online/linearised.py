@@ -40,13 +40,13 @@ def linearised_update(task: Task) -> Outcome:
         if not slopes.completed[0]:
             after = np.inf
             break
-        said = _said(task, slopes, moved.z.size)
+        said, noise = _said(task, slopes, moved.z.size)
         if done == 1:
             before, surprise = rms(slopes.residual[0], counts), _surprise(task, said)
             arrival = task.surprised(surprise)
             excited = rms(shape.T @ slopes.gain[0, : moved.z.size], counts)
         step, covariance = _step(task, arrival, said, moved.z)
-        noise, after = said.noise, rms(said.start + step @ said.slope, counts)
+        after = rms(said.start + step @ said.slope, counts)
         moved = Arrival(cost.system.space.clip(moved.z + step), covariance)
     return Outcome(moved, noise, before, after, surprise, excited, rollouts, diverged, done)
 
@@ -78,7 +78,6 @@ class _Said:
         start: Residuals before any step, shape (R,).
         slope: Of the residuals by z, first states moved along, shape (d, R).
         wanted: The step that it would take alone, shape (d,).
-        noise: With what that step leaves: what parameters explain is no noise, however far off the belief is.
     """
 
     known: FloatArray
@@ -86,28 +85,37 @@ class _Said:
     start: FloatArray
     slope: FloatArray
     wanted: FloatArray
-    noise: Noise
+
+    @property
+    def left(self) -> FloatArray:
+        """Residuals that this step leaves, shape (R,): what parameters explain is no noise."""
+        return self.start + self.wanted @ self.slope
 
 
-def _said(task: Task, slopes: Linearisation, d: int) -> _Said:
-    """Fit the window alone, for d parameters; the system's prior keeps apart what it cannot tell."""
+def _said(task: Task, slopes: Linearisation, d: int) -> tuple[_Said, Noise]:
+    """Fit the window alone, for d parameters, twice: the weights need what the fit leaves.
+
+    A window that no parameters explain says less than its sensors promise.
+    """
     cost, residual = task.cost, slopes.residual[0]
+    first = _alone(slopes, d, _weights(cost, residual, task.noise))
+    noise, own = _heard(task.noise, cost, first.left)
+    said = _alone(slopes, d, _weights(cost, first.left, noise.at_least(own)))
+    return said, _heard(task.noise, cost, said.left)[0]
+
+
+def _alone(slopes: Linearisation, d: int, weight: FloatArray) -> _Said:
+    """Under one weight of each residual (R,); the system's prior keeps apart what the window cannot tell."""
+    residual, straight = slopes.residual[0], 1.0 / (1.0 + slopes.bend[0])
     gz, gx = slopes.gain[0, :d], slopes.gain[0, d:]
-    straight = 1.0 / (1.0 + slopes.bend[0])
-    left, own, noise = residual, None, task.noise
-    known, score, start, slope, wanted = np.eye(d), np.zeros(d), residual, gz, np.zeros(d)
-    for _ in range(2):  # the weights need what the fit leaves, which needs the weights
-        weight = _weights(cost, left, noise, own) * straight
-        wz, wx = gz * weight, gx * weight
-        ridge: FloatArray = np.linalg.solve(
-            wx @ gx.T + np.eye(len(gx)), np.column_stack((wx @ residual, wx @ gz.T))
-        )
-        start, slope = residual - ridge[:, 0] @ gx, gz - ridge[:, 1:].T @ gx
-        known, score = wz @ slope.T, wz @ start
-        wanted = -np.linalg.solve(known + np.eye(d), score)
-        left = start + wanted @ slope
-        noise, own = _heard(task.noise, cost, left)
-    return _Said(known, score, start, slope, wanted, noise)
+    heard = weight * straight
+    wz, wx = gz * heard, gx * heard
+    ridge: FloatArray = np.linalg.solve(
+        wx @ gx.T + np.eye(len(gx)), np.column_stack((wx @ residual, wx @ gz.T))
+    )
+    start, slope = residual - ridge[:, 0] @ gx, gz - ridge[:, 1:].T @ gx
+    known, score = wz @ slope.T, wz @ start
+    return _Said(known, score, start, slope, -np.linalg.solve(known + np.eye(d), score))
 
 
 def _surprise(task: Task, said: _Said) -> float:
@@ -127,17 +135,12 @@ def _heard(before: Noise, cost: MatchingCost, fitted: FloatArray) -> tuple[Noise
     return before.heard(square, time), square
 
 
-def _weights(
-    cost: MatchingCost, fitted: FloatArray, noise: Noise, own: dict[str, float] | None
-) -> FloatArray:
-    """Weight of each residual (R,): robust, and by the noise and the memory that its channel has shown.
-
-    A window that no parameters explain (`own`: what they leave) says less than its sensors promise.
-    """
+def _weights(cost: MatchingCost, fitted: FloatArray, noise: Noise) -> FloatArray:
+    """Weight of each residual (R,): robust, and by the noise and the memory that its channel has shown."""
     parts = []
     for observed, values in zip(cost.clips.observed, split(cost, fitted[None]), strict=True):
         key = observed.channel.key
-        variance = max(noise.square.get(key, 1.0), (own or {}).get(key, 1.0), 1.0)
+        variance = max(noise.square.get(key, 1.0), 1.0)
         squared = np.einsum("sk,sk->s", values[0], values[0]) / variance
         weight = pseudo_huber_weight(squared, cost.settings.huber) / (variance * noise.time.get(key, 1.0))
         parts.append(np.repeat(weight, values.shape[2]))

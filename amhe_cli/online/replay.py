@@ -108,7 +108,7 @@ def windows(system: System, trajectory: Trajectory) -> list[Window]:
     """
     setting, dt = system.settings.mhe, trajectory.dt
     check_window(setting, dt)
-    length, every = round(setting.window / dt), max(1, round(setting.update_period / dt))
+    length, every = round(setting.window / dt), round(setting.update_period / dt)
     longest = trajectory.steps - 2
     if longest < LEAST:
         raise EstimationError(

@@ -34,6 +34,12 @@ class Noise:
         """With one more window, of which the oldest fade."""
         return Noise(_faded(self.square, square), _faded(self.time, time))
 
+    def at_least(self, square: Mapping[str, float]) -> Noise:
+        """For a window whose residuals are this large (channel -> mean square), whatever was remembered."""
+        return Noise(
+            {key: max(value, square.get(key, value)) for key, value in self.square.items()}, self.time
+        )
+
 
 def _faded(old: Mapping[str, float], new: Mapping[str, float]) -> dict[str, float]:
     """Before the first window the noise is as declared, and white: 1."""
