@@ -18,7 +18,7 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.variants import contact_variants
 from amhe_cli.estimation import search
 from amhe_cli.estimation.identifiability import NOTED, SURPRISE, share, size
-from amhe_cli.estimation.linearised import Information, information, objective
+from amhe_cli.estimation.information import Information, information, objective
 from amhe_cli.estimation.posterior import Posterior, by_kind, disagreement, posterior
 from amhe_cli.estimation.problem import Problem
 from amhe_cli.estimation.study import Finding, Study, study_of

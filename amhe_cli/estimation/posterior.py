@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.linearised import Information, Linearisation, information
+from amhe_cli.estimation.information import Information, information
+from amhe_cli.estimation.linearised import Linearisation
 
 #: Clips that the model's own noise is worth against the scatter of the clips' scores: with few clips the
 #: scatter is itself uncertain.

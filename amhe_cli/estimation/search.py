@@ -11,15 +11,8 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import IdentifySettings
 from amhe_cli.core.trajectory import Window
-from amhe_cli.estimation.linearised import (
-    FirstStates,
-    Information,
-    Linearisation,
-    information,
-    linearise,
-    objective,
-    split,
-)
+from amhe_cli.estimation.information import Information, information, objective, split
+from amhe_cli.estimation.linearised import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.problem import Problem, first_floor, spread_floor
 from amhe_cli.estimation.result import Iteration
 from amhe_cli.estimation.shape import WIDEST, adapted, bounded, changed, coordinates, diagonal, sampling_sd

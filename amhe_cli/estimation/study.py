@@ -9,14 +9,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation import cma, search
-from amhe_cli.estimation.linearised import (
-    FirstStates,
-    Information,
-    Linearisation,
-    information,
-    linearise,
-    objective,
-)
+from amhe_cli.estimation.information import Information, information, objective
+from amhe_cli.estimation.linearised import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.posterior import Posterior, posterior
 from amhe_cli.estimation.problem import Problem, first_floor, spread_floor
 from amhe_cli.estimation.shape import bounded, changed, diagonal, sampling_sd

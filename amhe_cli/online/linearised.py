@@ -13,13 +13,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.statistics import pseudo_huber_weight
-from amhe_cli.estimation.linearised import (
-    FirstStates,
-    Linearisation,
-    channel_times,
-    linearise,
-    split,
-)
+from amhe_cli.estimation.information import channel_times, split
+from amhe_cli.estimation.linearised import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.shape import bounded, sampling_width
 from amhe_cli.matching import MatchingCost
 from amhe_cli.online.arrival import Arrival

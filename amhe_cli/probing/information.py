@@ -10,13 +10,8 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
-from amhe_cli.estimation.linearised import (
-    FirstStates,
-    Information,
-    Linearisation,
-    information,
-    linearise,
-)
+from amhe_cli.estimation.information import Information, information
+from amhe_cli.estimation.linearised import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.search import noise_scale
 from amhe_cli.estimation.shape import sampling_width
 from amhe_cli.matching import MatchingCost

@@ -8,7 +8,8 @@ import pytest
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.clips import ClipPool, whole
-from amhe_cli.estimation.linearised import FirstStates, Linearisation, information, linearise
+from amhe_cli.estimation.information import information
+from amhe_cli.estimation.linearised import FirstStates, Linearisation, linearise
 from amhe_cli.matching import MatchingCost
 from tests.estimation.conftest import TRUTH
 

@@ -10,7 +10,8 @@ import pytest
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.estimation.linearised import FirstStates, information, linearise
+from amhe_cli.estimation.information import information
+from amhe_cli.estimation.linearised import FirstStates, linearise
 from amhe_cli.matching import MatchingCost
 from amhe_cli.probing.information import information_at, rescaled
 from amhe_cli.probing.probe import engine_of, read, tiles
