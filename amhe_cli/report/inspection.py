@@ -71,10 +71,10 @@ def print_inspection(found: Any, console: Console) -> None:
     console.print(title, soft_wrap=True)
     if survey.metadata:
         said = ", ".join(f"{key} = {value}" for key, value in survey.metadata.items())
-        console.print(f"says of itself: {said}", style="dim", soft_wrap=True)
+        console.print(f"says of itself: {said}", style="dim")
     _print_topics(survey, console)
     for line in _remarks(survey):
-        console.print(line, soft_wrap=True)
+        console.print(line)
     if found.system is not None:
         console.print()
         _print_suitability(found, console)

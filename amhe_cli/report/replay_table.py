@@ -27,9 +27,9 @@ def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> N
     console.print(_table(record["parameters"]))
     console.print()
     for c in record["combinations"]:
-        console.print(f"known together: {c['text']} to {numbers.percent(c['sd'])}", soft_wrap=True)
-    console.print(replay_words.windows_line(record), soft_wrap=True)
-    console.print(speed_line(record), soft_wrap=True)
+        console.print(f"known together: {c['text']} to {numbers.percent(c['sd'])}")
+    console.print(replay_words.windows_line(record))
+    console.print(speed_line(record))
     if record["interrupted"]:
         console.print("interrupted: these are the estimates up to there", style="yellow")
     console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)

@@ -34,7 +34,7 @@ def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Cons
         table.add_row(name, value, unit)
     console.print(table)
     console.print()
-    console.print(belief_line(record), soft_wrap=True)
+    console.print(belief_line(record))
     console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
 
 

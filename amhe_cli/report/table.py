@@ -40,10 +40,10 @@ def print_identification(
         if parameter.verdict != "identified" and parameter.reasons:
             console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
     for c in words.known_together(result)[: words.MAX_COMBINATIONS]:
-        console.print(f"known together: {c.text} to {numbers.percent(c.sd)}", soft_wrap=True)
+        console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
     console.print(f"held-out: {held_out_line(result.held_out)}")
     if truth:
-        console.print(truth_line(result, truth), soft_wrap=True)
+        console.print(truth_line(result, truth))
     if result.interrupted:
         console.print("interrupted: this is the best so far", style="yellow")
     console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
