@@ -117,7 +117,7 @@ class MheSettings(_Group):
     """alpha of logrank: how far an iteration moves the mean and the variance of the samples."""
     prior_weight: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """Weight w_NAME of a parameter's squared distance from the last estimate, in prior sd, against the
-    window's mean squared residual (logrank); linearised adds it to the precision it carries. Default 0."""
+    window's mean squared residual (logrank); in linearised, steps are shorter by it. Default 0."""
     first_state: Literal["estimated", "recorded"] = "estimated"
     """Errors of a window's first state: fitted along by linearised, two rollouts for each of its unknowns; or
     left to `cost.smoothing`, where they are many."""

@@ -20,6 +20,9 @@ from amhe_cli.matching import MatchingCost
 from amhe_cli.online.arrival import Arrival
 from amhe_cli.online.update import Noise, Outcome, Task, rms
 
+#: Of a window's squared residuals, what its own fit may leave after a jump of the parameters.
+_JUMP_LEAVES = 0.5
+
 
 def linearised_update(task: Task) -> Outcome:
     """Each iteration samples about the mean so far, and starts again from the same arrival cost."""
@@ -47,13 +50,18 @@ def linearised_update(task: Task) -> Outcome:
 
 
 def _step(task: Task, arrival: Arrival, said: _Said, z: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton step of the tempered information and the arrival cost, and the covariance after it."""
+    """Gauss-Newton step of the tempered information and the arrival cost, and the covariance after it.
+
+    A prior weight shortens the step and is no knowledge: the covariance is that of a step so short
+    (Joseph's form), as of parameters that are considered more than estimated (Schmidt 1966).
+    """
     share = task.share * task.settings.information
-    precision = np.linalg.inv(arrival.covariance) + np.diag(
-        task.settings.weights(task.cost.system.space.names)
-    )
-    covariance: FloatArray = np.asarray(np.linalg.inv(share * said.known + precision), dtype=np.float64)
-    return -covariance @ (share * said.score + precision @ (z - arrival.z)), covariance
+    told, before = share * said.known, np.linalg.inv(arrival.covariance)
+    before_and_weight = before + np.diag(task.settings.weights(task.cost.system.space.names))
+    gain: FloatArray = np.asarray(np.linalg.inv(told + before_and_weight), dtype=np.float64)
+    kept = np.eye(z.size) - gain @ told
+    covariance = kept @ arrival.covariance @ kept.T + gain @ told @ gain.T
+    return -gain @ (share * said.score + before_and_weight @ (z - arrival.z)), covariance
 
 
 def _shape(task: Task) -> FloatArray:
@@ -114,7 +122,12 @@ def _alone(slopes: Linearisation, d: int, weight: FloatArray) -> _Said:
 
 
 def _surprise(task: Task, said: _Said) -> float:
-    """How far from the belief the window wants the parameters, in sd of both: its normalised innovation."""
+    """How far from the belief the window wants the parameters, in sd of both: its normalised innovation.
+
+    0 where that step leaves most of the misfit: what parameters do not explain is no jump of theirs.
+    """
+    if (said.left**2).sum() > _JUMP_LEAVES * (said.start**2).sum():
+        return 0.0
     d = said.wanted.size
     alone = np.linalg.inv(task.settings.information * said.known + np.eye(d))
     return float(np.sqrt(said.wanted @ np.linalg.solve(task.arrival.covariance + alone, said.wanted)))
