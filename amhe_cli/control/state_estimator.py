@@ -24,7 +24,7 @@ from amhe_cli.go1.state import Body, Measurements, State
 _OLDEST, _HOLD = 0.1, 0.02
 #: What the trunk may turn unseen while the gyro is silent [rad/sqrt(s)]: a stride's rocking.
 _BLIND = 0.1
-#: At rest, before the first correction: sd of velocities [m/s], angular velocities and the gyro's offset [rad/s],
+#: Robot and box begin at rest: first sd of velocities [m/s], angular velocities, the gyro's offset [rad/s],
 #: and of the trunk's angular acceleration [rad/s^2].
 _FIRST_SPEED, _FIRST_TURN, _FIRST_OFFSET, _FIRST_SPIN_UP = 0.1, 0.1, 0.02, 5.0
 
