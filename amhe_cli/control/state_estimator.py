@@ -26,7 +26,7 @@ _OLDEST, _HOLD = 0.1, 0.02
 _BLIND = 0.1
 #: Robot and box begin at rest: first sd of velocities [m/s], angular velocities, the gyro's offset [rad/s],
 #: and of the trunk's angular acceleration [rad/s^2].
-_FIRST_SPEED, _FIRST_TURN, _FIRST_OFFSET, _FIRST_SPIN_UP = 0.1, 0.1, 0.02, 5.0
+_FIRST_SPEED, _FIRST_TURN, _FIRST_OFFSET, _FIRST_SPIN_UP = 0.02, 0.05, 0.02, 5.0
 
 
 @dataclass(frozen=True, slots=True)

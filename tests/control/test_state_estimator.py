@@ -104,6 +104,17 @@ def test_constant_twists_seen_exactly_are_found() -> None:
     np.testing.assert_allclose(state.joint_rates, RATES, atol=1e-6)
 
 
+def test_what_rests_is_at_rest_from_the_first_cycle_on() -> None:
+    """Two poses 10 ms apart would say 0.3 m/s: a first window's box slid by itself for 3 cm."""
+    still = replace(BOX, velocity=np.zeros(3), rate=np.zeros(3))
+    for seed in range(1, 21):
+        estimator = StateEstimator()
+        for index in range(20):
+            box = estimator.update(cycle(index, box=still, seed=seed), IN_THE_AIR).box
+            assert np.abs(box.velocity).max() < 0.06
+            assert np.abs(box.rate).max() < 0.2
+
+
 def test_a_track_is_the_kalman_filter_of_the_textbook() -> None:
     """Against matrices: constant velocity, white acceleration, position and velocity measured."""
     track = Track(0.0, np.array([1.0]), np.array([-1.0]), 0.5, 2.0, drive=0.7, walk=0.3)
