@@ -12,9 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.control.objective import Reference, bumper_from_box, wrapped
+from amhe_cli.control.pacing import Pacing
 from amhe_cli.control.path import Path, Place
 from amhe_cli.core.rotations import yaw_of
-from amhe_cli.go1.state import State
+from amhe_cli.go1.state import State, heading_velocity
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +69,7 @@ class Retreat:
 
 
 class Helm:
-    """Turns states into references; remembers only whether the robot is backing off.
+    """Turns states into references; remembers whether the robot is backing off, and how slow it is.
 
     Args:
         path: Of the box.
@@ -76,6 +77,7 @@ class Helm:
         taper: Last distance of the path over which the speed goes to zero [m].
         half_length, half_width: Of the box along and across the push [m].
         steering, retreat: Gains and thresholds.
+        pacing: Against a robot that is slower than its model.
     """
 
     def __init__(
@@ -87,10 +89,11 @@ class Helm:
         half_width: float,
         steering: Steering = Steering(),
         retreat: Retreat = Retreat(),
+        pacing: Pacing | None = None,
     ) -> None:
         self._path, self._speed, self._taper = path, speed, taper
         self._half_length, self._half_width = half_length, half_width
-        self._steering, self._retreat = steering, retreat
+        self._steering, self._retreat, self._pacing = steering, retreat, pacing or Pacing()
         self.retreating = False
 
     def on_path(self, state: State) -> Reference:
@@ -134,11 +137,16 @@ class Helm:
         self._judge(gap, left - offset, left, float(wrapped(yaw_of(state.trunk.orientation) - box_yaw)))
         if self.retreating:
             return replace(wanted, speed=self._retreat_speed(gap), turn=0.0, yaw=box_yaw, pushing=0.0)
-        return replace(wanted, pushing=float(gap < s.touching))
+        touching = gap < s.touching
+        if touching and path.speed == self._speed:  # not where it tapers
+            self._pacing.update(state.time, 1.0 - float(heading_velocity(state.trunk)[0]) / self._speed)
+        return replace(wanted, pushing=float(touching))
 
     def _aim(self, commanded: float, progress: float) -> float:
         s = self._steering
-        return max(s.lead * commanded, s.creep) if self._path.length - progress > s.enough else 0.0
+        if self._path.length - progress <= s.enough:
+            return 0.0
+        return (1.0 + self._pacing.share) * max(s.lead * commanded, s.creep)
 
     def gap(self, state: State) -> tuple[float, float]:
         """Distance from bumper to the box's face, and the bumper's middle left of the box's [m]."""

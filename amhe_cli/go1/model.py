@@ -126,7 +126,7 @@ def plant_model(
         box: The box, with its true numbers.
         servo: Position control; torque limits are the Go1's.
         robot: MJCF of any Go1, in place of ours. Its own actuators, sensors, floor and lights are left out;
-            its joints' damping, contact softness and self-collisions are kept.
+            its joints' damping, softness on the floor and self-collisions are kept.
         timestep: [s].
 
     Raises:
@@ -228,16 +228,25 @@ def _add_pairs(spec: mujoco.MjSpec, box: Box) -> None:
     if not touching:
         raise ConfigError("the robot's model has no geom that collides: contype and conaffinity are all 0")
     for geom in touching:
-        _add_pair(spec, f"{geom.name}_floor", geom, "floor", FOOT_FRICTION)
+        _stand_on(_add_pair(spec, f"{geom.name}_floor", geom, "floor", FOOT_FRICTION), geom)
     bumper = [geom for geom in spec.geoms if geom.name.startswith(f"{_PREFIX}bumper")]
     for geom in (*touching, *bumper):
         _add_pair(spec, f"{geom.name}_box", geom, "box", BOX_FRICTION)
 
 
-def _add_pair(spec: mujoco.MjSpec, name: str, geom: mujoco.MjsGeom, other: str, friction: float) -> None:
-    """A contact with the geom's own softness, dimension and spin friction, but this sliding friction."""
-    spin, roll = (geom.friction[1], geom.friction[2]) if geom.condim > 3 else (_SPIN, _ROLL)
-    spec.add_pair(
-        name=name, geomname1=geom.name, geomname2=other, condim=max(3, geom.condim),
-        friction=[friction, friction, spin, roll, roll], solref=geom.solref, solimp=geom.solimp,
+def _add_pair(
+    spec: mujoco.MjSpec, name: str, geom: mujoco.MjsGeom, other: str, friction: float
+) -> mujoco.MjsPair:
+    """A hard contact with this sliding friction: a robot's soft feet would sink into the box and stall."""
+    return spec.add_pair(
+        name=name, geomname1=geom.name, geomname2=other, condim=3,
+        friction=[friction, friction, _SPIN, _ROLL, _ROLL],
     )  # fmt: skip
+
+
+def _stand_on(pair: mujoco.MjsPair, geom: mujoco.MjsGeom) -> None:
+    """The robot stands on the floor with its own softness, dimension and spin friction."""
+    pair.solref, pair.solimp = geom.solref, geom.solimp
+    if geom.condim > 3:
+        pair.condim = geom.condim
+        pair.friction[2:] = [geom.friction[1], geom.friction[2], geom.friction[2]]
