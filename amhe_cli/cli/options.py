@@ -11,6 +11,7 @@ out:    -o --force
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -30,9 +31,16 @@ EXISTING_FOLDER = click.Path(exists=True, file_okay=False, readable=False, path_
 
 
 class Number(click.FloatRange):
-    """A number; click would call it a float range."""
+    """A finite number; click would call it a float range, and let nan through."""
 
     name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Refuse what no comparison refuses."""
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is not a finite number", param, ctx)
+        return number
 
 
 class WholeNumber(click.IntRange):

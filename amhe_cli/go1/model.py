@@ -171,6 +171,7 @@ def _set_box(spec: mujoco.MjSpec, box: Box) -> None:
 
 def _add_robot(spec: mujoco.MjSpec, robot: Robot, self_collisions: bool) -> None:
     """Attach the robot, and give its trunk and joints our names."""
+    _take_options(robot.spec, spec)
     root = spec.worldbody.add_frame().attach_body(robot.spec.body(robot.root), _PREFIX, "")
     own_name, root.name = root.name, "trunk"
     root.joints[0].name = "trunk"
@@ -182,6 +183,14 @@ def _add_robot(spec: mujoco.MjSpec, robot: Robot, self_collisions: bool) -> None
             geom.contype = 1
         if not geom.name:
             geom.name = f"{_PREFIX}{index}"
+
+
+def _take_options(spec: mujoco.MjSpec, ours: mujoco.MjSpec) -> None:
+    """Ours hold anyhow; of those that differ MuJoCo would warn."""
+    for name in (name for name in dir(ours.option) if not name.startswith("_")):
+        setattr(spec.option, name, getattr(ours.option, name))
+    for name in ("memory", "nconmax", "njmax", "nstack"):
+        setattr(spec, name, getattr(ours, name))
 
 
 def _rename_body(spec: mujoco.MjSpec, old: str, new: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import permutations, product
 from pathlib import Path
 
 import mujoco
@@ -28,12 +29,18 @@ _KIND_WORDS = {
 }
 _FILLERS = ("joint", "jnt", "motor", "link", "leg")
 _MEANING = {
-    leg_word + kind_word: f"{leg}_{kind}_joint"
+    "".join(words): f"{leg}_{kind}_joint"
     for leg, leg_words in _LEG_WORDS.items()
-    for leg_word in leg_words
     for kind, kind_words in _KIND_WORDS.items()
-    for kind_word in kind_words
+    for pair in product(leg_words, kind_words)
+    for words in permutations(pair)
 }
+
+#: Of a file, what is no part of a robot's body, or belongs to a scene of its own.
+_LEFT_OUT = (
+    "actuators", "sensors", "pairs", "equalities", "tendons", "keys", "lights", "cameras", "tuples",
+    "numerics", "texts",
+)  # fmt: skip
 
 #: How far a joint of a Go1 may be from where ours is [m], and the cosine between their axes.
 _NEAR, _PARALLEL = 0.02, 0.98
@@ -44,7 +51,7 @@ class Robot:
     """A robot as its file has it.
 
     Args:
-        spec: The file's spec, without actuators, sensors, contact pairs, equalities, tendons, keyframes.
+        spec: The file's spec: its bodies, and what they are made of.
         root: Name of the body that carries the four legs and moves freely.
         joints: Name of each of the twelve joints in the file, in our order.
     """
@@ -65,10 +72,11 @@ def read_robot(path: Path) -> Robot:
     spec = read_spec(path)
     joints = _joints(spec, path.name)
     root = _root(spec, joints, path.name)
-    for group in (spec.actuators, spec.sensors, spec.pairs, spec.equalities, spec.tendons, spec.keys):
-        for element in list(group):
+    _collide_by_masks(spec)
+    for kind in _LEFT_OUT:
+        for element in list(getattr(spec, kind)):
             spec.delete(element)
-    _check_geometry(compiled(spec.copy()), root, joints, path.name)
+    _check_geometry(compiled(spec.copy(), f"the robot of {path.name!r}"), root, joints, path.name)
     return Robot(spec, root, joints)
 
 
@@ -120,6 +128,14 @@ def _root(spec: mujoco.MjSpec, joints: tuple[str, ...], file: str) -> str:
     elif [joint.type for joint in root.joints] != [mujoco.mjtJoint.mjJNT_FREE]:
         raise ConfigError(f"{file}: body {name!r} must move by one free joint, or be without joints")
     return name
+
+
+def _collide_by_masks(spec: mujoco.MjSpec) -> None:
+    """Where a file lists its contacts as pairs, the geoms in them touch other things all the same."""
+    listed = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
+    for geom in spec.geoms:
+        if geom.name in listed:
+            geom.conaffinity = 1
 
 
 def _topmost(body: mujoco.MjsBody) -> str:

@@ -27,8 +27,9 @@ class Measures:
         on_time: A success by arrival within 1.25 times the nominal time.
         fell: The robot fell.
         goal_error_m: Final distance of the box's centre from the goal [m].
-        cost: J, the running cost of the true states at 50 Hz, charged to the end of the 40 s.
-        time_s: Arrival, else the longest time [s].
+        cost: J, the running cost of the true states at 50 Hz, charged to the end of the 40 s; of an episode
+            that was stopped, up to there.
+        time_s: Arrival, else the longest time; of an episode that was stopped, up to there [s].
         speed_rmse: Of the trunk's forward speed against the command [m/s]; None: never judged.
         path_rmse_m: Of the box's distance from its path [m].
         terms: `cost` by its terms, up to the end of the episode.
@@ -90,14 +91,15 @@ class Judge:
         strayed = float(np.abs(left).max()) > self._task.corridor
         success = not self.fell and not strayed and self._goal_error <= CLOSE_ENOUGH
         errors = np.array(self._speed_errors)
-        rest = (self._longest - self._time) / self._period
+        over = self.fell or self.arrived or self._time >= self._longest - 1e-9
+        rest = (self._longest - self._time) / self._period if over and not self.arrived else 0.0
         return Measures(
             success=success,
             on_time=success and self.arrived and self._time <= ON_TIME * self._task.nominal_time,
             fell=self.fell,
             goal_error_m=self._goal_error,
-            cost=sum(self._terms.values()) + (0.0 if self.arrived else self.last_cost * rest),
-            time_s=self._time if self.arrived else self._longest,
+            cost=sum(self._terms.values()) + self.last_cost * rest,
+            time_s=self._longest if over and not self.arrived else self._time,
             speed_rmse=float(np.sqrt((errors**2).mean())) if errors.size else None,
             path_rmse_m=float(np.sqrt((left**2).mean())),
             terms=dict(self._terms),

@@ -35,7 +35,8 @@ def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Cons
     console.print(table)
     console.print()
     console.print(belief_line(record))
-    console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+    if (folder / "report.html").exists():
+        console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
 
 
 def belief_line(record: Mapping[str, Any]) -> str:

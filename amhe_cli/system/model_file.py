@@ -28,13 +28,17 @@ def read_spec(path: Path) -> mujoco.MjSpec:
     return spec
 
 
-def compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
+def compiled(spec: mujoco.MjSpec, name: str = "the model") -> mujoco.MjModel:
     """Compile a spec; its elements then know their rows in the model.
+
+    Args:
+        spec: To compile.
+        name: For complaints.
 
     Raises:
         ConfigError: MuJoCo cannot compile it.
     """
-    with _in_our_words("MuJoCo cannot compile the model"):
+    with _in_our_words(f"MuJoCo cannot compile {name}"):
         return spec.compile()
 
 

@@ -241,6 +241,47 @@ def test_a_robot_with_meshes_contact_pairs_and_tendons(tmp_path: Path) -> None:
     assert sum(name.endswith("FL_foot_floor") for name in names) == 1
 
 
+def test_soft_feet_sink_into_the_floor_and_not_into_the_box(tmp_path: Path) -> None:
+    """Menagerie's Go1: feet that give way, six friction directions, options and lights of its own."""
+    feet = 'pos="0 0 -0.213" solimp="0.015 1 0.031" condim="6" friction="0.8 0.02 0.01"'
+    text = GO1.replace('pos="0 0 -0.213"', feet, 1)
+    text = text.replace("<asset>", '<option impratio="100" cone="elliptic"/><size njmax="500"/><asset>', 1)
+    text = text.replace('<site name="imu"/>', '<site name="imu"/><light pos="0 0 2"/>')
+    (tmp_path / "robot.xml").write_text(text)
+    model = plant_model(robot=tmp_path / "robot.xml")
+    floor, box = model.pair("robot/FL_foot_floor"), model.pair("robot/FL_foot_box")
+    assert floor.solimp[0] == 0.015 and floor.dim[0] == 6
+    np.testing.assert_allclose(floor.friction, [0.8, 0.8, 0.02, 0.01, 0.01])
+    assert box.solimp[0] == 0.9 and box.dim[0] == 3
+    np.testing.assert_allclose(box.friction[:2], 0.5)
+    assert model.opt.impratio == 10.0
+    assert model.nlight == plant_model().nlight
+
+
+def test_what_a_file_of_its_own_brings_along_warns_of_nothing(tmp_path: Path, caplog) -> None:
+    options = '<option impratio="100" gravity="0 0 -1"/><size njmax="500" nconmax="100"/><asset>'
+    more = '<custom><tuple name="t"><element objtype="body" objname="trunk"/></tuple></custom></mujoco>'
+    text = GO1.replace("<asset>", options, 1).replace("</mujoco>", more)
+    (tmp_path / "robot.xml").write_text(text)
+    assert plant_model(robot=tmp_path / "robot.xml").opt.gravity[2] == pytest.approx(-9.81)
+    assert not caplog.records
+
+
+def test_a_robot_that_lists_its_contacts_as_pairs(tmp_path: Path) -> None:
+    text = GO1.replace('conaffinity="1"', 'conaffinity="0"')
+    feet = "".join(f'<pair geom1="{leg}_foot" geom2="floor"/>' for leg in ("FR", "FL", "RR", "RL"))
+    text = text.replace("<worldbody>", '<worldbody><geom name="floor" type="plane" size="1 1 1"/>', 1)
+    (tmp_path / "robot.xml").write_text(text.replace("</mujoco>", f"<contact>{feet}</contact></mujoco>"))
+    model = plant_model(robot=tmp_path / "robot.xml")
+    assert {model.pair(i).name for i in range(model.npair)} >= {"robot/FR_foot_floor", "robot/FR_foot_box"}
+
+
+def test_the_joint_may_be_named_before_its_leg(tmp_path: Path) -> None:
+    text = re.sub(r"(F|R)(R|L)_(hip|thigh|calf)_joint", r"\3_\1\2", GO1)
+    (tmp_path / "robot.xml").write_text(text)
+    assert plant_model(robot=tmp_path / "robot.xml").joint("FL_calf_joint").id >= 0
+
+
 SECOND_KNEE = '<body><joint name="FL_knee" axis="0 1 0"/><geom size="0.1"/></body>'
 
 
@@ -257,6 +298,7 @@ SECOND_KNEE = '<body><joint name="FL_knee" axis="0 1 0"/><geom size="0.1"/></bod
         ('<freejoint name="trunk"/>', '<joint name="lift"/>', "'trunk' must move by one free joint"),
         ('conaffinity="1"', 'conaffinity="0"', "no geom that collides"),
         ("<worldbody>", "<worldbdy>", r"MuJoCo cannot read 'robot\.xml'"),
+        ('mass="5.204"', 'mass="nan"', r"cannot compile the robot of 'robot\.xml'"),
         ('<site name="imu"/>', SECOND_KNEE, "joints .*FL_knee.* could both be FL_calf_joint"),
     ],
 )

@@ -222,6 +222,14 @@ def test_after_a_fall_its_state_is_charged_to_the_end() -> None:
     assert found.time_s == 40.0
 
 
+def test_who_is_stopped_is_charged_up_to_there() -> None:
+    by = judge()
+    assert not any(by.watch(state(t, GOAL - [1.0, 0.0])) for t in times(2.0))
+    found = by.measures()
+    assert found.time_s == pytest.approx(2.0)
+    assert found.cost == pytest.approx(1.25 * 100)
+
+
 def test_a_fall_at_the_moment_of_arrival_is_a_fall() -> None:
     by = judge()
     watched(by, lambda t: state(t, GOAL, height=0.1 if t > 0.51 else 0.25))
