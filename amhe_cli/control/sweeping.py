@@ -1,7 +1,8 @@
 """Pushing a box aside with a front leg while the other three stand (task T5).
 
 The robot shifts its trunk, lifts the leg, puts the foot to the middle of the box's face, and sweeps. A leg
-alone reaches 0.2 m: the trunk leans after it and turns, always over the triangle of the other feet.
+alone reaches 0.2 m: the trunk leans after it and turns, always over the triangle of the other feet. When all
+is done the foot comes back, and down: four feet stand safer than three.
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ class SweepShape:
             and the trunk falls after it.
         longest: The sweep is given up after this time [s].
         return_speed: With which the foot comes back when all is done [m/s].
+        back: So near to where it began it has come back [m], and is set down.
+        set_down: With which speed [m/s].
         touching: Distance from foot to box below which the box is to move [m].
     """
 
@@ -72,6 +75,8 @@ class SweepShape:
     margin: float = 0.03
     longest: float = 12.0
     return_speed: float = 0.1
+    back: float = 0.03
+    set_down: float = 0.1
     touching: float = 0.015
 
 
@@ -123,7 +128,8 @@ class SweepMove:
 class Sweeping:
     """The behaviour of T5; see `behaviour.Behaviour`.
 
-    Remembers where the three feet were put, where the sweep and its kick began, and the foot's last target.
+    Remembers where the three feet were put, where the sweep and its kick began, the foot's last target, and
+    how far the foot has been lowered since it came back.
 
     Args:
         path: Of the box.
@@ -148,6 +154,7 @@ class Sweeping:
     _over: bool = False
     _kick: float = np.inf
     _y: float = 0.0
+    _lowered: float = 0.0
     _time: float = 0.0
 
     @property
@@ -182,7 +189,11 @@ class Sweeping:
             return self._prepare(self._stance, state, line, face, at)
         foot = np.array([line, self._foot(self._stance, state)[1], self.shape.height - self.gait.height])
         speed, push = self._pace(self._stance.pose(state.trunk), foot[1], face, begun, at.speed, resistance)
-        foot[1] = self._y = self._aim(state.time, foot[1], speed)
+        passed, self._time = state.time - self._time, state.time
+        if self._over and self._start - foot[1] < self.shape.back:
+            self._lowered = min(self._lowered + self.shape.set_down * passed, self.shape.height)
+        foot[2] -= self._lowered
+        foot[1] = self._y = self._aim(passed, foot[1], speed)
         lean = self._lean_in_world(self._stance, state.time, foot[1])
         command = np.array([0.0, -speed, 0.0, 0.0, 0.0, -push])
         at = replace(at, speed=max(speed, 0.0))
@@ -242,13 +253,12 @@ class Sweeping:
         lean[:2] += min(1.0, time / self.tripod.shift_time) * self.tripod.shift
         return stance.in_world(lean)
 
-    def _aim(self, time: float, y: float, speed: float) -> float:
+    def _aim(self, passed: float, y: float, speed: float) -> float:
         """Where the foot's target is [m]: it goes at the speed, but not far ahead of the foot itself.
 
         It gives way to a foot that is held up, or thrown back, no faster than the foot comes back: the trunk
         leans by it, and would unwind with a foot that has slipped.
         """
-        passed, self._time = time - self._time, time
         leash = self.shape.kick_leash if speed == self.shape.kick or self._over else self.shape.leash
         wanted = self._y - speed * passed
         return float(max(wanted, min(y - leash, self._y + self.shape.return_speed * passed)))

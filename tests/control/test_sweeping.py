@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from amhe_cli.control.gait import Gait, neutral_feet
 from amhe_cli.control.path import Path
@@ -32,3 +33,14 @@ def test_a_kick_that_stalls_is_given_up() -> None:
     assert speeds[2.0] == speeds[2.5] == speeds[2.75] == shape.kick
     assert speeds[2.85] == speeds[3.5] == 0.0
     assert 0.75 < shape.kick_time < 0.85
+
+
+def test_when_all_is_done_the_foot_is_set_down() -> None:
+    """Given up at 12 s; back where it began, the foot goes down to the floor, and stays there."""
+    sweeping = Sweeping(Path((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=2.0))
+    shape, heights = sweeping.shape, {}
+    for time in (0.0, *np.arange(1.0, 20.0, 0.02)):
+        heights[round(float(time), 2)] = sweeping.move(stalled(time), 10.0).foot[2] + Gait().height
+    assert heights[5.0] == heights[12.0] == pytest.approx(shape.height)
+    assert 0.0 < heights[14.5] < shape.height
+    assert abs(heights[19.9]) < 1e-12
