@@ -52,7 +52,12 @@ MODES = ("true", "baseline", "stale", "adaptive")
     help="Stop after S seconds of the run.  [default: 40, the tasks' own limit]",
 )
 @click.option("--realtime", is_flag=True, help="Keep pace with the wall clock; late plans cost periods.")
-@click.option("--video", is_flag=True, help="Write video.mp4 too; needs the extra [video] and EGL or OSMesa.")
+@click.option(
+    "--video",
+    is_flag=True,
+    help="Write video.mp4 too; needs the extra [video] and EGL or OSMesa. Without a GPU a film of 30 s takes "
+    "minutes.",
+)
 @click.option(
     "--plant",
     type=options.EXISTING_FILE,
