@@ -77,7 +77,6 @@ class Helm:
         taper: Last distance of the path over which the speed goes to zero [m].
         half_length, half_width: Of the box along and across the push [m].
         steering, retreat: Gains and thresholds.
-        pacing: Against a robot that is slower than its model.
     """
 
     def __init__(
@@ -89,11 +88,10 @@ class Helm:
         half_width: float,
         steering: Steering = Steering(),
         retreat: Retreat = Retreat(),
-        pacing: Pacing | None = None,
     ) -> None:
         self._path, self._speed, self._taper = path, speed, taper
         self._half_length, self._half_width = half_length, half_width
-        self._steering, self._retreat, self._pacing = steering, retreat, pacing or Pacing()
+        self._steering, self._retreat, self._pacing = steering, retreat, Pacing()
         self.retreating = False
 
     def on_path(self, state: State) -> Reference:

@@ -194,13 +194,11 @@ def _take_options(spec: mujoco.MjSpec, ours: mujoco.MjSpec) -> None:
 
 
 def _rename_body(spec: mujoco.MjSpec, old: str, new: str) -> None:
-    """MuJoCo refers to bodies by name: what pointed to the old one points to the new one."""
-    for element, field in (
-        *((exclude, field) for exclude in spec.excludes for field in ("bodyname1", "bodyname2")),
-        *((looker, "targetbody") for looker in (*spec.cameras, *spec.lights)),
-    ):
-        if getattr(element, field) == old:
-            setattr(element, field, new)
+    """MuJoCo refers to bodies by name: contacts left out of the old one are left out of the new one."""
+    for exclude in spec.excludes:
+        for field in ("bodyname1", "bodyname2"):
+            if getattr(exclude, field) == old:
+                setattr(exclude, field, new)
 
 
 def _robot_geoms(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:

@@ -83,7 +83,12 @@ class Judge:
         self._judge_speed(state, float(place.progress))
         self.fell = has_fallen(state)
         self.arrived = not self.fell and self._has_arrived(state.time)
-        return self.fell or self.arrived or state.time >= self._longest - 1e-9
+        return self.over
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode has come to its end, by arrival, a fall, or its limit."""
+        return self.fell or self.arrived or self._time >= self._longest - 1e-9
 
     def measures(self) -> Measures:
         """The numbers so far."""
@@ -91,15 +96,14 @@ class Judge:
         strayed = float(np.abs(left).max()) > self._task.corridor
         success = not self.fell and not strayed and self._goal_error <= CLOSE_ENOUGH
         errors = np.array(self._speed_errors)
-        over = self.fell or self.arrived or self._time >= self._longest - 1e-9
-        rest = (self._longest - self._time) / self._period if over and not self.arrived else 0.0
+        charged = self._longest if self.over and not self.arrived else self._time
         return Measures(
             success=success,
             on_time=success and self.arrived and self._time <= ON_TIME * self._task.nominal_time,
             fell=self.fell,
             goal_error_m=self._goal_error,
-            cost=sum(self._terms.values()) + self.last_cost * rest,
-            time_s=self._longest if over and not self.arrived else self._time,
+            cost=sum(self._terms.values()) + self.last_cost * ((charged - self._time) / self._period),
+            time_s=charged,
             speed_rmse=float(np.sqrt((errors**2).mean())) if errors.size else None,
             path_rmse_m=float(np.sqrt((left**2).mean())),
             terms=dict(self._terms),
