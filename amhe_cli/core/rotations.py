@@ -6,6 +6,8 @@ both, so that a log may flip signs as it likes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
@@ -80,3 +82,9 @@ def slerp(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
 def normalised(q: FloatArray) -> FloatArray:
     """Quaternions (..., 4) scaled to unit length."""
     return q / np.linalg.norm(q, axis=-1, keepdims=True)
+
+
+def mean(q: FloatArray | Sequence[FloatArray]) -> FloatArray:
+    """Mean (4,) of unit quaternions (n, 4) that are close to each other, of either sign."""
+    turns = np.asarray(q)
+    return normalised((turns * np.sign(turns @ turns[0])[:, None]).mean(axis=0))

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.go1_settings import Go1Settings
-from amhe_cli.core.rotations import exp, multiply, yaw_of
+from amhe_cli.core.rotations import exp, mean, multiply, yaw_of
 from amhe_cli.go1.model import Box
 from amhe_cli.go1.resting import trunk_height
 from amhe_cli.go1_link.clock import Clock
@@ -24,7 +25,7 @@ from amhe_cli.poses.source import Pose, PoseError
 _TRUNK = np.array([0.6, 0.3, 0.12])
 #: A robot that lies on level ground leans no more than this [rad], and is so high at most [m].
 _LEVEL, _LYING = float(np.deg2rad(5.0)), 0.15
-#: Between two looks [s], and the fewest poses that make an average.
+#: Between two looks [s], and the fewest poses or states that make an average.
 _STEP, _FEWEST = 0.02, 20
 
 #: Asks the operator to do something, and comes back when it is done.
@@ -90,51 +91,56 @@ class Calibration:
             "let the robot lie on the level floor, legs folded, the middle of its trunk over the origin of "
             "motion capture, its head along the x axis"
         )
-        seen = self._look(s.trunk, seconds)
-        trunk, tilt = self._lying()
+        seen, states = self._look(s.trunk, seconds)
+        trunk, tilt = _lying(states)
         check_pivot(seen, trunk, _TRUNK, s.trunk)
         x, y = self._box.position
         ask(
             f"put the box down with its centre at x = {x:.2f} m, y = {y:.2f} m of motion capture, its faces "
             f"along the axes{_turned(self._box.yaw)}"
         )
-        box, there = self._look(s.box, seconds), _standing(self._box)
+        (box, _), there = self._look(s.box, seconds), _standing(self._box)
         check_pivot(box, there, np.array(self._box.size), s.box)
         return Offsets(offset_of(seen, trunk), offset_of(box, there), float(trunk[0][2]), tilt)
 
-    def _look(self, body: str, seconds: float) -> Pose:
+    def _look(self, body: str, seconds: float) -> tuple[Pose, list[Any]]:
+        """The mean pose of a body, and the states of the robot meanwhile."""
         self._feed.poses()  # what came while the operator was busy is old
-        begun, seen = self._clock.now(), []
+        self._link.samples()
+        begun, seen, states = self._clock.now(), [], []
         while self._clock.now() - begun < seconds:
             self._clock.sleep_until(self._clock.now() + _STEP)
-            self._link.samples()
+            states += self._link.samples()
             seen += [(pose.position, pose.orientation) for pose in self._feed.poses() if pose.body == body]
-        if len(seen) < _FEWEST:
-            raise PoseError(
-                f"{len(seen)} poses of {body!r} came in {seconds:g} s, and {_FEWEST} are needed: look longer "
-                "(--for), or see that its markers are in view"
-            )
-        return average(seen, body)
-
-    def _lying(self) -> tuple[Pose, float]:
-        """Pose of the trunk over the origin, headed along x, by joints and IMU; and how far it leans."""
-        robot = self._link.report.robot
-        imu = level_heading(robot["quaternion"])
-        tilt = float(np.arccos(np.clip(up(imu)[2], -1.0, 1.0)))
-        if tilt > _LEVEL:
-            raise PoseError(
-                f"by its IMU the trunk leans {np.rad2deg(tilt):.0f} degrees: put the robot on its belly, on "
-                "level ground"
-            )
-        height = trunk_height(imu, np.array(robot["joints"]))
-        if height > _LYING:
-            raise PoseError(f"by its joints the trunk is {height:.2f} m over the floor: let the robot lie")
-        return (np.array([0.0, 0.0, height]), imu), tilt
+        for what, some in ((f"poses of {body!r}", seen), ("states of the robot", states)):
+            if len(some) < _FEWEST:
+                raise PoseError(
+                    f"{len(some)} {what} came in {seconds:g} s, and {_FEWEST} are needed: look longer "
+                    "(--for), or see that its markers are in view and the robot is on"
+                )
+        return average(seen, body), states
 
 
-def level_heading(orientation: Sequence[float]) -> FloatArray:
+def _lying(states: Sequence[Any]) -> tuple[Pose, float]:
+    """Pose of the trunk over the origin, headed along x, by joints and IMU; and how far it leans.
+
+    The means of all states: the lowest point of a single noisy one is lower than that of the robot.
+    """
+    imu = _level_heading(mean([state["quaternion"] for state in states]))
+    tilt = float(np.arccos(np.clip(up(imu)[2], -1.0, 1.0)))
+    if tilt > _LEVEL:
+        raise PoseError(
+            f"by its IMU the trunk leans {np.rad2deg(tilt):.0f} degrees: put the robot on its belly, on "
+            "level ground"
+        )
+    height = trunk_height(imu, np.mean([state["joints"] for state in states], axis=0))
+    if height > _LYING:
+        raise PoseError(f"by its joints the trunk is {height:.2f} m over the floor: let the robot lie")
+    return (np.array([0.0, 0.0, height]), imu), tilt
+
+
+def _level_heading(turn: FloatArray) -> FloatArray:
     """An orientation (4,) turned about the vertical until it heads along x."""
-    turn = np.array(orientation)
     return multiply(exp(np.array([0.0, 0.0, -float(yaw_of(turn))])), turn)
 
 

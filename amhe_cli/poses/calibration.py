@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.rotations import conjugate, difference, exp, log, multiply, normalised, rotate
+from amhe_cli.core.rotations import conjugate, difference, exp, log, mean, multiply, rotate
 from amhe_cli.poses.source import Pose, PoseError
 
 #: Place [m] and rotation vector [rad] of what it is on, in the rigid body's frame.
@@ -45,9 +45,7 @@ def average(poses: Sequence[Pose], of: str) -> Pose:
 
 
 def _mean(poses: Sequence[Pose]) -> Pose:
-    turns = np.array([turn for _, turn in poses])
-    turns = turns * np.sign(turns @ turns[0])[:, None]  # q and -q are the same turn
-    return np.mean([place for place, _ in poses], axis=0), normalised(turns.mean(axis=0))
+    return np.mean([place for place, _ in poses], axis=0), mean([turn for _, turn in poses])
 
 
 def offset_of(body: Pose, true: Pose) -> Offset:

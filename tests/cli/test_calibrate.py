@@ -48,7 +48,7 @@ def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
     assert said.out.startswith(Path("out/offsets.yaml").read_text())
     found = json.loads(Path("out/result.json").read_text())
     for name, true in (("trunk_offset", TRUNK), ("box_offset", BOX)):
-        np.testing.assert_allclose(found[name][:3], true[:3], atol=0.002, err_msg=name)
+        np.testing.assert_allclose(found[name][:3], true[:3], atol=0.001, err_msg=name)
         wrong = multiply(exp(-np.array(found[name][3:])), exp(np.array(true[3:])))
         assert 2.0 * np.arccos(min(1.0, abs(wrong[0]))) < np.deg2rad(0.3), name
     assert sorted(path.name for path in Path("out").iterdir()) == ["offsets.yaml", "result.json"]

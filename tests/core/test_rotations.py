@@ -40,3 +40,13 @@ def test_slerp_divides_the_angle(a, b, share):
     whole = np.linalg.norm(rotations.difference(qb, qa))
     part = np.linalg.norm(rotations.difference(rotations.slerp(qa, qb, np.array(share)), qa))
     assert part == pytest.approx(share * whole, abs=1e-7)
+
+
+@given(turns, turns)
+def test_mean_of_a_turn_and_its_inverse_about_it_is_it(middle, off):
+    small = 0.1 * off
+    around = [rotations.multiply(rotations.exp(middle), rotations.exp(way)) for way in (small, -small)]
+    for signed in (around, [around[0], -around[1]]):
+        assert rotations.difference(rotations.mean(signed), rotations.exp(middle)) == pytest.approx(
+            0.0, abs=1e-9
+        )
