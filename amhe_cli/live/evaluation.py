@@ -24,6 +24,7 @@ class Measures:
 
     Args:
         success: The box is close enough to the goal, the robot upright, and the path was kept.
+        arrived: The box came to rest at its goal, on its path or not.
         on_time: A success by arrival within 1.25 times the nominal time.
         fell: The robot fell.
         goal_error_m: Final distance of the box's centre from the goal [m].
@@ -36,6 +37,7 @@ class Measures:
     """
 
     success: bool
+    arrived: bool
     on_time: bool
     fell: bool
     goal_error_m: float
@@ -99,6 +101,7 @@ class Judge:
         charged = self._longest if self.over and not self.arrived else self._time
         return Measures(
             success=success,
+            arrived=self.arrived,
             on_time=success and self.arrived and self._time <= ON_TIME * self._task.nominal_time,
             fell=self.fell,
             goal_error_m=self._goal_error,

@@ -32,18 +32,13 @@ def verdict(record: Mapping[str, Any]) -> tuple[str, str]:
         return "bad", "the robot fell"
     if record["interrupted"]:
         return "mixed", "interrupted: these are the numbers up to there"
-    if record["success"] and not has_arrived(record):
+    if record["success"] and not record["arrived"]:
         return "good", f"success: close enough to the goal, though not at it in {record['duration']:g} s"
     if record["success"]:
         return "good", "success, on time" if record["on_time"] else "success, but late"
     if record["cut_short"]:
         return "mixed", f"not done in the {record['duration']:g} s that it was given"
     return "bad", "not done: the box is not at its goal, or strayed from its path"
-
-
-def has_arrived(record: Mapping[str, Any]) -> bool:
-    """Whether the box came to rest at its goal, before the end."""
-    return bool(record["success"]) and record["time_s"] < record["duration"]
 
 
 def headline(record: Mapping[str, Any]) -> str:
@@ -59,7 +54,7 @@ def statements(record: Mapping[str, Any], task: Task, period: float) -> list[tup
         near = record["goal_error_m"] <= CLOSE_ENOUGH
         text = f"The box is {number(record['goal_error_m'], '{:.3f}')} m from its goal"
         said.append(("good" if near else "mixed", f"{text}; within {CLOSE_ENOUGH:g} m is close enough."))
-    if has_arrived(record):
+    if record["success"] and record["arrived"]:
         late = ON_TIME * task.nominal_time
         said.append(
             ("good" if record["on_time"] else "mixed",

@@ -67,7 +67,9 @@ def test_the_choices_of_the_options_are_those_of_the_library() -> None:
 def test_result_json_has_the_keys_of_every_command_and_its_own(done: Path) -> None:
     record = json.loads((done / "result.json").read_text())
     assert {"schema_version", "command", "version", "seconds", "warnings"} <= set(record)
-    assert {"task", "mode", "target", "seed", "success", "on_time", "fell", "goal_error_m"} <= set(record)
+    assert {"task", "mode", "target", "seed", "success", "arrived", "on_time", "fell", "goal_error_m"} <= set(
+        record
+    )
     assert {"cost", "time_s", "speed_rmse", "path_rmse_m", "deadline_misses", "diverged"} <= set(record)
     assert {"p50", "p99"} == set(record["cycle_ms"])
     assert (record["task"], record["mode"], record["target"], record["seed"]) == ("t1", "true", "sim", 3)
