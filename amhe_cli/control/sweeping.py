@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from amhe_cli.control.gait import Gait, standing
+from amhe_cli.control.gait import Gait, neutral_feet, standing
 from amhe_cli.control.objective import Reference, SweepWeights, lean_terms, sweep_terms
 from amhe_cli.control.path import Path
 from amhe_cli.control.plane import Plane
@@ -53,6 +53,8 @@ class SweepShape:
         return_speed: With which the foot comes back when all is done [m/s].
         back: So near to where it began it has come back [m], and is set down.
         set_down: With which speed [m/s].
+        slip_time: Feet that have slipped are taken for where they are in this time [s]: legs that pull them
+            back to where they stood slip on, and the trunk no longer follows its lean.
         touching: Distance from foot to box below which the box is to move [m].
     """
 
@@ -77,6 +79,7 @@ class SweepShape:
     return_speed: float = 0.1
     back: float = 0.03
     set_down: float = 0.1
+    slip_time: float = 1.0
     touching: float = 0.015
 
 
@@ -89,6 +92,7 @@ class SweepMove:
         foot: Where the free foot is, or is to be put first [m], shape (3,).
         trunk_now: Where the trunk is: ahead, left [m], turn [rad], shape (3,); None before the sweep, when
             the command does nothing.
+        planted: Where the feet stand [m], shape (4, 3).
         lean: Where the trunk should be: place in the world [m] and heading [rad], shape (3,).
         reference: What is wanted.
         command: See `CHANNEL_SIGMA`, shape (6,).
@@ -97,6 +101,7 @@ class SweepMove:
     owner: Sweeping
     foot: FloatArray
     trunk_now: FloatArray | None
+    planted: FloatArray
     lean: FloatArray
     reference: Reference
     command: FloatArray
@@ -114,7 +119,7 @@ class SweepMove:
         push = np.zeros((len(commands), 1, 2))
         push[:, 0, 1] = np.minimum(commands[:, 5], 0.0)
         return stand_on_three(
-            owner.gait, owner.tripod, times[None], foot, trunk, push, self.trunk_now
+            owner.gait, owner.tripod, times[None], foot, trunk, push, self.trunk_now, self.planted
         ).targets
 
     def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
@@ -128,8 +133,8 @@ class SweepMove:
 class Sweeping:
     """The behaviour of T5; see `behaviour.Behaviour`.
 
-    Remembers where the three feet were put, where the sweep and its kick began, the foot's last target, and
-    how far the foot has been lowered since it came back.
+    Remembers where the three feet were put and have slipped to, where the sweep and its kick began, the
+    foot's last target, and how far the foot has been lowered since it came back.
 
     Args:
         path: Of the box.
@@ -150,12 +155,16 @@ class Sweeping:
     weights: SweepWeights = field(default_factory=SweepWeights)
     trunk_height: float = 0.27
     _stance: Plane | None = None
+    _planted: FloatArray = field(init=False)
     _start: float = 0.0
     _over: bool = False
     _kick: float = np.inf
     _y: float = 0.0
     _lowered: float = 0.0
     _time: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._planted = neutral_feet(self.gait)
 
     @property
     def channel_sigma(self) -> FloatArray:
@@ -187,9 +196,11 @@ class Sweeping:
         begun = state.time - self._begin
         if begun < 0.0:
             return self._prepare(self._stance, state, line, face, at)
-        foot = np.array([line, self._foot(self._stance, state)[1], self.shape.height - self.gait.height])
+        seen, passed = self._see_feet(self._stance, state), state.time - self._time
+        self._follow(seen, passed)
+        foot = np.array([line, seen[self.tripod.index, 1], self.shape.height - self.gait.height])
         speed, push = self._pace(self._stance.pose(state.trunk), foot[1], face, begun, at.speed, resistance)
-        passed, self._time = state.time - self._time, state.time
+        self._time = state.time
         if self._over and self._start - foot[1] < self.shape.back:
             self._lowered = min(self._lowered + self.shape.set_down * passed, self.shape.height)
         foot[2] -= self._lowered
@@ -197,7 +208,7 @@ class Sweeping:
         lean = self._lean_in_world(self._stance, state.time, foot[1])
         command = np.array([0.0, -speed, 0.0, 0.0, 0.0, -push])
         at = replace(at, speed=max(speed, 0.0))
-        return SweepMove(self, foot, self._stance.pose(state.trunk), lean, at, command)
+        return SweepMove(self, foot, self._stance.pose(state.trunk), self._planted, lean, at, command)
 
     @property
     def _begin(self) -> float:
@@ -215,7 +226,7 @@ class Sweeping:
         ready = np.array([line, face + self.shape.clearance, self.shape.height - self.gait.height])
         self._start, self._y, self._time = ready[1], ready[1], state.time
         lean = self._lean_in_world(stance, state.time, ready[1])
-        return SweepMove(self, ready, None, lean, at, np.zeros(6))
+        return SweepMove(self, ready, None, self._planted, lean, at, np.zeros(6))
 
     def _pace(
         self, trunk: FloatArray, y: float, face: float, begun: float, commanded: float, resistance: float
@@ -227,7 +238,7 @@ class Sweeping:
         self._over |= y < -s.reach or commanded == 0.0 or begun > min(s.longest, self._kick + s.kick_time)
         if self._over:
             return -float(np.clip(self._start - y, 0.0, s.return_speed)), 0.0
-        if support_margin(self.gait, self.tripod, trunk) < s.margin:
+        if support_margin(self._planted, self.tripod, trunk) < s.margin:
             return 0.0, 0.0
         if y - face >= s.touching:
             return commanded, 0.0
@@ -275,7 +286,13 @@ class Sweeping:
             box_yaw=self.path.heading + 0.5 * np.pi,
         )
 
-    def _foot(self, stance: Plane, state: State) -> FloatArray:
-        """The free foot in the frame of the standing feet [m], shape (3,)."""
-        own = feet(state.joints)[self.tripod.index]
-        return stance.place(state.trunk.position + rotations.rotate(state.trunk.orientation, own))
+    def _see_feet(self, stance: Plane, state: State) -> FloatArray:
+        """All feet in the frame of the standing ones [m], shape (4, 3)."""
+        from_trunk = rotations.rotate(state.trunk.orientation, feet(state.joints))
+        return np.array([stance.place(state.trunk.position + foot) for foot in from_trunk])
+
+    def _follow(self, seen: FloatArray, passed: float) -> None:
+        """Take the standing feet for where they have slipped to; on the floor they are all the while."""
+        share = np.full((4, 1), min(1.0, passed / self.shape.slip_time))
+        share[self.tripod.index] = 0.0
+        self._planted = self._planted + share * (seen - self._planted) * (1.0, 1.0, 0.0)

@@ -58,6 +58,7 @@ def stand_on_three(
     trunk: ArrayLike = (0.0, 0.0, 0.0),
     push: ArrayLike = (0.0, 0.0),
     trunk_now: ArrayLike | None = None,
+    planted: FloatArray | None = None,
 ) -> Reference:
     """Shift, lift, and from then on the free foot where it is told to be.
 
@@ -74,13 +75,16 @@ def stand_on_three(
         trunk_now: Where the trunk really is: ahead, left [m], turn [rad], shape (3,). The free foot is
             placed, and the weight spread, as seen from there: a trunk that lags its target by a tenth of a
             radian would put the foot 3 cm astray. None: where it should be.
+        planted: Where the feet stand [m], shape (4, 3); that of the free leg is where it is lifted from.
+            None: they are neutral.
     """
     time, foot, trunk, push = (np.asarray(x, dtype=np.float64) for x in (time, foot, trunk, push))
     batch = np.broadcast_shapes(time.shape, foot.shape[:-1], trunk.shape[:-1], push.shape[:-1])
     shifted = _smooth(time / tripod.shift_time)
     lifted = _smooth((time - tripod.shift_time) / tripod.lift_time)[..., None]
     leg = tripod.index
-    places = np.broadcast_to(neutral_feet(gait), (*batch, 4, 3)).copy()
+    planted = neutral_feet(gait) if planted is None else planted
+    places = np.broadcast_to(planted, (*batch, 4, 3)).copy()
     places[..., leg, :] += lifted * (foot - places[..., leg, :])
     moved = shifted[..., None] * tripod.shift + trunk[..., :2]
     feet = _from_trunk(places, np.broadcast_to(moved, (*batch, 2)), np.broadcast_to(trunk[..., 2], batch))
@@ -99,16 +103,16 @@ def stand_on_three(
     return reference(gait, feet, np.zeros_like(feet), forces, contact)
 
 
-def support_margin(gait: Gait, tripod: Tripod, trunk: FloatArray) -> float:
+def support_margin(planted: FloatArray, tripod: Tripod, trunk: FloatArray) -> float:
     """How far the trunk is inside the triangle of the other feet, from the side of the free leg [m].
 
     Args:
-        gait: Height, for the feet's places.
+        planted: See `stand_on_three`, shape (4, 3).
         tripod: Which leg is free.
         trunk: Place ahead and left of neutral [m], shape (2,) or more.
     """
     side = 1.0 if tripod.leg == "FR" else -1.0  # the triangle's long side runs from the other front foot
-    front, rear = neutral_feet(gait)[[1, 2] if tripod.leg == "FR" else [0, 3], :2]
+    front, rear = planted[[1, 2] if tripod.leg == "FR" else [0, 3], :2]
     along = (front - rear) / np.linalg.norm(front - rear)
     place = np.asarray(trunk)[:2] - rear
     return side * float(along[0] * place[1] - along[1] * place[0])
