@@ -1,8 +1,8 @@
 """Fill docs/results.md and the README from the stored studies of docs/results/: `make results-report`.
 
 A study is a folder that `amhe eval -o docs/results/NAME` wrote; its cells are kept, all else is made of them.
-Between `<!-- results NAME/TABLE -->` and `<!-- end -->` stands that table; /figures are its figures, /made is
-what it was made with.
+Between `<!-- results NAME/TABLE -->` and `<!-- end -->` stands that table; /figures are its figures, /missed
+the goals that it misses, /made is what it was made with.
 """
 
 from __future__ import annotations
@@ -62,12 +62,21 @@ def _content(store: Store, what: str, beside: Path) -> str:
         return "\n\n".join(
             f"![{path.stem}]({Path(os.path.relpath(path, beside)).as_posix()})" for path in pictures
         )
-    table = store.folder / "tables" / f"{what}.md"
+    table = store.folder / "tables" / f"{'goals' if what == 'missed' else what}.md"
     if not table.is_file():
         sys.exit(
             f"{store.folder}: makes no table {what!r}; correct the block, or run the cells that it needs"
         )
-    return table.read_text(encoding="utf-8")
+    text = table.read_text(encoding="utf-8")
+    return _missed(text) if what == "missed" else text
+
+
+def _missed(goals: str) -> str:
+    """How many goals are reached, and the table's rows of those that are not."""
+    _, _, head, rule, *rows = goals.splitlines()
+    missed = [row for row in rows if row.endswith("| NO |")]
+    told = f"{len(rows) - len(missed)} of {len(rows)} goals are reached"
+    return "\n".join((f"{told}; missed are", "", head, rule, *missed)) if missed else f"{told}."
 
 
 def _made(store: Store) -> str:

@@ -51,6 +51,17 @@ def test_blocks_are_filled_and_filled_again_the_same(pages, tmp_path: Path) -> N
     assert (tmp_path / "page.md").read_text() == first
 
 
+def test_goals_that_are_missed_are_picked(pages, tmp_path: Path) -> None:
+    stored(tmp_path / "results" / "main")
+    (tmp_path / "page.md").write_text("<!-- results main/missed -->\n<!-- end -->\n")
+    pages.main()
+    rows = (tmp_path / "results" / "main" / "tables" / "goals.md").read_text().splitlines()[4:]
+    missed = [row for row in rows if "NO" in row]
+    shown = (tmp_path / "page.md").read_text()
+    assert f"{len(rows) - len(missed)} of {len(rows)} goals are reached" in shown
+    assert [row for row in shown.splitlines() if row.startswith("| t4")] == missed
+
+
 def test_a_block_that_cannot_be_filled_is_told(pages, tmp_path: Path) -> None:
     stored(tmp_path / "results" / "main")
     (tmp_path / "page.md").write_text("<!-- results main/ablations -->\n<!-- end -->\n")
