@@ -17,9 +17,9 @@ from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.link import Link
 from amhe_cli.live.belief import SharedBelief
 from amhe_cli.live.episode import Episode
-from amhe_cli.live.evaluation import Judge
 from amhe_cli.live.go1_calibration import Calibration
 from amhe_cli.live.go1_target import Go1Target
+from amhe_cli.live.judge import Judge
 from amhe_cli.online.horizon import Estimate
 from amhe_cli.poses import natnet, udp
 from amhe_cli.poses.feed import KINDS, FeedOptions, PoseFeed

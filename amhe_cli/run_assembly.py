@@ -25,8 +25,8 @@ from amhe_cli.go1.plant import Plant
 from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
 from amhe_cli.live.buffer import Buffer
 from amhe_cli.live.episode import BeliefSource, Episode
-from amhe_cli.live.evaluation import Judge
 from amhe_cli.live.go1_target import Go1Target
+from amhe_cli.live.judge import Judge
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.target import SimTarget
 from amhe_cli.live.workers import PATIENCE, InProcess, InStep

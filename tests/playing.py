@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from amhe_cli.control.gait import Gait, Reference, standing, walk
+from amhe_cli.control.gait import Gait, LegTargets, standing, walk
 from amhe_cli.go1.model import Box, home, layout
 
 #: A box out of the robot's way.
@@ -33,7 +33,7 @@ class Motion:
         return float(2.0 * np.arctan2(q[3], q[0]))
 
 
-def play(model: mujoco.MjModel, at_time: Callable[[float], Reference], seconds: float) -> Motion:
+def play(model: mujoco.MjModel, at_time: Callable[[float], LegTargets], seconds: float) -> Motion:
     """Stand for a second, then follow a gait for some seconds at 50 Hz."""
     data = mujoco.MjData(model)
     at = layout(model)

@@ -70,7 +70,7 @@ class Gait:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reference:
+class LegTargets:
     """What a gait asks for; the leading axes are those of time and command.
 
     Args:
@@ -121,7 +121,7 @@ def neutral_feet(gait: Gait) -> FloatArray:
 
 def walk(
     gait: Gait, time: ArrayLike, twist: ArrayLike, push: ArrayLike = (0.0, 0.0), left: ArrayLike = 0.0
-) -> Reference:
+) -> LegTargets:
     """Trot, trot in place, or stand, as the gait says and the twist commands.
 
     Args:
@@ -137,16 +137,16 @@ def walk(
     feet = neutral_feet(gait) + steps
     feet[..., 1] += np.asarray(left, dtype=np.float64)
     forces = ground_forces(feet, _loads(gait, phase), push, PUSH_HEIGHT)
-    return reference(gait, feet, velocity, forces, phase < gait.duty)
+    return leg_targets(gait, feet, velocity, forces, phase < gait.duty)
 
 
-def reference(
+def leg_targets(
     gait: Gait, feet: FloatArray, velocity: FloatArray, forces: FloatArray, contact: BoolArray
-) -> Reference:
+) -> LegTargets:
     """Joints and joint targets for feet that move so, while the ground acts so on them; all (..., 4, 3)."""
     joints = joint_angles(feet)
     torques = holding_torques(joints, forces) + np.tile(gait.damping, 4) * joint_rates(joints, velocity)
-    return Reference(joints + torques / gait.kp, joints, feet, forces, contact)
+    return LegTargets(joints + torques / gait.kp, joints, feet, forces, contact)
 
 
 def _steps(gait: Gait, phase: FloatArray, twist: FloatArray) -> tuple[FloatArray, FloatArray]:

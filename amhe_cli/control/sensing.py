@@ -15,7 +15,7 @@ from amhe_cli.go1.state import Measurements
 
 #: Robot samples that make one velocity of the feet: the errors of feet are slow, more samples know no more.
 _BLOCK = 5
-#: Columns of `Samples.table`.
+#: Columns of `SensorSamples.table`.
 _JOINTS, _RATES, _GYRO, _SPIN = slice(1, 13), slice(13, 25), slice(25, 28), [0, 25, 26, 27]
 #: For differences in time [s]: now, a little later, a little earlier.
 _DT = 1e-4
@@ -52,7 +52,7 @@ def poses(times: FloatArray, positions: FloatArray, orientations: FloatArray) ->
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class SensorSamples:
     """The robot's own samples of one cycle: whole, new, and in the order of time.
 
     Args:
@@ -67,7 +67,7 @@ class Samples:
     spins: FloatArray
 
     @staticmethod
-    def of(measured: Measurements, standing: BoolArray, before: FloatArray) -> Samples:
+    def of(measured: Measurements, standing: BoolArray, before: FloatArray) -> SensorSamples:
         """Samples later than those of `before`, the last `spins`; none with a value that is not finite."""
         times = measured.robot_times
         table = np.hstack((times[:, None], measured.joints, measured.joint_rates, measured.gyro))
@@ -77,7 +77,7 @@ class Samples:
         rows = np.flatnonzero(good)
         rows = rows[np.unique(times[rows], return_index=True)[1]]
         table = table[rows]
-        return Samples(table, standing[rows], np.vstack((before[-2:], table[:, _SPIN])))
+        return SensorSamples(table, standing[rows], np.vstack((before[-2:], table[:, _SPIN])))
 
     def rows(self) -> Iterator[tuple[float, FloatArray, FloatArray, FloatArray]]:
         """Time [s], joints (12,), their rates (12,) and gyro (3,) of one sample after the other."""
@@ -88,7 +88,7 @@ class Samples:
 class Gyro:
     """Angle that the trunk turned, as the gyro has it: samples joined by straight lines, held outside."""
 
-    def __init__(self, samples: Samples) -> None:
+    def __init__(self, samples: SensorSamples) -> None:
         times, rates = samples.spins[:, :1], samples.spins[:, 1:]
         steps = 0.5 * (rates[1:] + rates[:-1]) * (times[1:] - times[:-1])
         self._times = times[:, 0].tolist()
@@ -108,7 +108,7 @@ class Gyro:
         return before + (time - early) / (late - early) * (after - before)
 
 
-def feet(samples: Samples, offset: FloatArray, upright: FloatArray) -> list[Feet]:
+def feet(samples: SensorSamples, offset: FloatArray, upright: FloatArray) -> list[Feet]:
     """The trunk's velocity by its feet, block by block.
 
     Args:

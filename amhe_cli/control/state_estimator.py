@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from amhe_cli.control.kalman import Track, Turn
-from amhe_cli.control.sensing import Feet, Gyro, Pose, Samples, feet, poses
+from amhe_cli.control.sensing import Feet, Gyro, Pose, SensorSamples, feet, poses
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.go1.state import Body, Measurements, State
 
@@ -108,7 +108,7 @@ class StateEstimator:
 
     def observe(self, measured: Measurements, standing: BoolArray) -> None:
         """Take in what the sensors said; arguments as of `update`."""
-        samples = Samples.of(measured, standing, self._spins)
+        samples = SensorSamples.of(measured, standing, self._spins)
         self._spins = samples.spins
         self._see_joints(samples)
         self._see_trunk(
@@ -129,7 +129,7 @@ class StateEstimator:
         box = _body(self._box, time, self._box.turn.error.rate)
         return State(time, trunk, box, self._joints.at(held), np.array(self._joints.rate))
 
-    def _see_joints(self, samples: Samples) -> None:
+    def _see_joints(self, samples: SensorSamples) -> None:
         """Joints, and the trunk's angular velocity as the gyro has it."""
         noise = self._noise
         for time, joints, rates, spin in samples.rows():
@@ -147,7 +147,7 @@ class StateEstimator:
             self._gyro.advance(time)
             self._gyro.see_value(spin, noise.gyro, time)
 
-    def _see_trunk(self, seen: list[Pose], samples: Samples) -> None:
+    def _see_trunk(self, seen: list[Pose], samples: SensorSamples) -> None:
         """Poses and feet in the order of time, the gyro in between."""
         noise = self._noise
         if self._trunk is None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.control.balance import ground_forces
-from amhe_cli.control.gait import Gait, Reference, neutral_feet, reference
+from amhe_cli.control.gait import Gait, LegTargets, leg_targets, neutral_feet
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.go1.legs import LEGS
@@ -59,11 +59,11 @@ def stand_on_three(
     push: ArrayLike = (0.0, 0.0),
     trunk_now: ArrayLike | None = None,
     planted: FloatArray | None = None,
-) -> Reference:
+) -> LegTargets:
     """Shift, lift, and from then on the free foot where it is told to be.
 
     Places are in the frame of the trunk *before* the shift: that frame stays with the three feet. Those of
-    the reference are in the trunk's frame, as ever.
+    the result are in the trunk's frame, as ever.
 
     Args:
         gait: Height and servo gain; the rest is not used.
@@ -100,7 +100,7 @@ def stand_on_three(
     forces = _forces(seen, load, np.broadcast_to(push, (*batch, 2)), leg, height)
     contact = np.ones((*batch, 4), dtype=np.bool_)
     contact[..., leg] = np.broadcast_to(time < tripod.shift_time, batch)
-    return reference(gait, feet, np.zeros_like(feet), forces, contact)
+    return leg_targets(gait, feet, np.zeros_like(feet), forces, contact)
 
 
 def support_margin(planted: FloatArray, tripod: Tripod, trunk: FloatArray) -> float:

@@ -11,7 +11,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.signals import Signal
 from amhe_cli.core.trajectory import Series, Trajectory, Window
 from amhe_cli.go1.legs import JOINTS
-from amhe_cli.live.samples import Samples
+from amhe_cli.live.samples import CycleSamples
 from amhe_cli.logs.resample import resample
 
 #: Kept before a window's start [s]: a command lasts until the next, and first states are smoothed.
@@ -41,7 +41,7 @@ class Buffer:
         self._joints, self._command = _order(self._signals["joints"]), _order(self._signals["command"])
         self._kept: dict[str, deque[tuple[FloatArray, FloatArray]]] = {}
 
-    def append(self, samples: Samples) -> None:
+    def append(self, samples: CycleSamples) -> None:
         """Take in what one cycle brought; what is too old falls out."""
         newest = 0.0
         for key, times, values in self._quantities(samples):
@@ -74,7 +74,7 @@ class Buffer:
             bridge=self._bridge, hold=self._signals[name].is_input, rotation=quantity == "orientation",
         )  # fmt: skip
 
-    def _quantities(self, samples: Samples) -> Iterator[tuple[str, FloatArray, FloatArray]]:
+    def _quantities(self, samples: CycleSamples) -> Iterator[tuple[str, FloatArray, FloatArray]]:
         """Every series of the signals: key, times (n,), values (n, k) in the signal's own column order."""
         joints, command = self._signals["joints"], self._signals["command"]
         yield joints.key("position"), samples.sensor_times, samples.joints[:, self._joints]

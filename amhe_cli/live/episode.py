@@ -14,7 +14,7 @@ from amhe_cli.control.controller import Controller, Plan
 from amhe_cli.control.state_estimator import StateEstimator
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.go1.state import GRAVITY, Measurements, State
-from amhe_cli.live.evaluation import Judge
+from amhe_cli.live.judge import Judge
 from amhe_cli.live.target import Target
 from amhe_cli.online.horizon import Estimate
 

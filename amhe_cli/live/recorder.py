@@ -16,7 +16,7 @@ from amhe_cli.control.tasks import Task
 from amhe_cli.go1.legs import JOINTS
 from amhe_cli.live import messages
 from amhe_cli.live.episode import Cycle
-from amhe_cli.live.samples import Sampler, Samples
+from amhe_cli.live.samples import CycleSamples, Sampler
 from amhe_cli.logs import LogWriter
 from amhe_cli.online import messages as estimates
 
@@ -91,14 +91,14 @@ class Recorder:
 
     # -- what was measured ----------------------------------------------------------------------------
 
-    def _sensors(self, samples: Samples) -> None:
+    def _sensors(self, samples: CycleSamples) -> None:
         for i, time in enumerate(samples.sensor_times):
             stamp = stamp_ns(float(time))
             self._log.joint_state("/joint_states", stamp, JOINTS, samples.joints[i], samples.joint_rates[i])
             # no sensor of its own tells the orientation: it is in /odom
             self._log.imu("/imu", stamp, None, samples.gyro[i], samples.accelerometer[i], frame="trunk")
 
-    def _poses(self, samples: Samples) -> None:
+    def _poses(self, samples: CycleSamples) -> None:
         last = len(samples.pose_times) - 1
         for i, time in enumerate(samples.pose_times):
             stamp = stamp_ns(float(time))

@@ -14,7 +14,7 @@ from amhe_cli.live.episode import Cycle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class CycleSamples:
     """Of one cycle, everything in single precision, as a Go1 sends it.
 
     Args:
@@ -61,14 +61,14 @@ class Sampler:
         self._followed = (np.empty(0), np.empty((0, 12)))
         self._in_force: Plan | None = None
 
-    def take(self, cycle: Cycle) -> Samples:
+    def take(self, cycle: Cycle) -> CycleSamples:
         """The samples that a cycle brought; to be asked once for each cycle, in their order."""
         measured = cycle.measured
         rows = _thinned(measured.robot_times, self._sample_period)
         rows = rows[self._new(measured.robot_times[rows], measured)]
         poses = np.flatnonzero(self._new(measured.pose_times, measured))
         times, commands = self._commands(cycle)
-        samples = Samples(
+        samples = CycleSamples(
             sensor_times=measured.robot_times[rows],
             joints=_single(measured.joints[rows]),
             joint_rates=_single(measured.joint_rates[rows]),

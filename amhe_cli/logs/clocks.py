@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
-from amhe_cli.logs.decode import Samples
+from amhe_cli.logs.decode import SignalSamples
 from amhe_cli.logs.raw import messages
 
 logger = logging.getLogger(__name__)
@@ -56,7 +56,7 @@ class Timeline:
     notes: tuple[str, ...]
 
 
-def timeline(samples: Samples, forced: Stamp = "auto") -> Timeline:
+def timeline(samples: SignalSamples, forced: Stamp = "auto") -> Timeline:
     """Choose a clock for one topic and reduce its stamps to a strictly increasing sequence.
 
     Args:
@@ -90,7 +90,7 @@ def timeline(samples: Samples, forced: Stamp = "auto") -> Timeline:
     return Timeline(best.clock, best.stamps_ns, best.kept, best.lag, (*notes, *best.notes))
 
 
-def _clean(clock: Clock, stamps: IntArray, samples: Samples) -> Timeline:
+def _clean(clock: Clock, stamps: IntArray, samples: SignalSamples) -> Timeline:
     """Drop what is unset, wild, superseded, duplicate or out of order, and count it."""
     notes: list[str] = []
     kept = np.flatnonzero(stamps != 0) if clock == "header" else np.arange(len(stamps))
@@ -116,7 +116,7 @@ def _clean(clock: Clock, stamps: IntArray, samples: Samples) -> Timeline:
     return Timeline(clock, acts, kept, lag, tuple(notes))
 
 
-def header_steps(samples: Samples) -> list[tuple[float, float]]:
+def header_steps(samples: SignalSamples) -> list[tuple[float, float]]:
     """When a topic's header clock was set: seconds after its first message, and by how much [s].
 
     A step lasts, and is the header's: a message that was late, a recorder that stalled and a clock that

@@ -20,7 +20,7 @@ _Bytes = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Samples:
+class SignalSamples:
     """What the messages of a signal say, sorted by the time they were logged.
 
     Args:
@@ -40,9 +40,9 @@ class Samples:
     columns: Mapping[str, tuple[str, ...]]
     has_header: bool
 
-    def pick(self, index: NDArray) -> Samples:
+    def pick(self, index: NDArray) -> SignalSamples:
         """The same for some of the messages: a mask or an order, shape (n,) or (m,)."""
-        return Samples(
+        return SignalSamples(
             self.log_ns[index],
             self.publish_ns[index],
             self.header_ns[index],
@@ -111,7 +111,7 @@ class SignalDecoder:
                 self._take(columns, group, batch)
         self.count += batch.starts.size
 
-    def samples(self) -> Samples:
+    def samples(self) -> SignalSamples:
         """Everything collected.
 
         Raises:
@@ -119,7 +119,7 @@ class SignalDecoder:
         """
         self._check_complete()
         parts = self._parts
-        joined = Samples(
+        joined = SignalSamples(
             np.concatenate(parts.log_ns),
             np.concatenate(parts.publish_ns),
             np.concatenate(parts.header_ns),

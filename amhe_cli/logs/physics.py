@@ -10,7 +10,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.decode import Samples
+from amhe_cli.logs.decode import SignalSamples
 from amhe_cli.logs.raw import messages
 
 #: A quaternion whose norm is off by more than this is not a rotation but damage or no data.
@@ -25,7 +25,7 @@ _TWIST_SPAN = 0.01
 _LARGEST = {"position": 50.0, "angular_velocity": 100.0}
 
 
-def checked(samples: Samples, signal: Signal, warn: Callable[[str], None]) -> Samples:
+def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None]) -> SignalSamples:
     """Mask what cannot be true with NaN, count it, and normalise quaternions.
 
     A pose without a rotation was not measured: a motion capture that loses its markers sends zeros. Its

@@ -10,7 +10,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import IntArray
 from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_words, timeline
-from amhe_cli.logs.decode import Samples, nanoseconds, time_leaves
+from amhe_cli.logs.decode import SignalSamples, nanoseconds, time_leaves
 from amhe_cli.logs.definitions import Definitions
 from amhe_cli.logs.folder import open_log
 from amhe_cli.logs.layout import Layout
@@ -114,12 +114,14 @@ class _Scan:
                 header_ns[group.members] = nanoseconds(group.rows, leaves)
                 return
 
-    def samples(self) -> Samples:
+    def samples(self) -> SignalSamples:
         log_ns = np.concatenate([*self.log_ns, np.zeros(0, dtype=np.int64)])
         order = np.argsort(log_ns, kind="stable")
         publish_ns = np.concatenate([*self.publish_ns, log_ns[:0]])[order]
         header_ns = np.concatenate([*self.header_ns, log_ns[:0]])[order]
-        return Samples(log_ns[order], publish_ns, header_ns, np.zeros_like(log_ns), {}, {}, self.has_header)
+        return SignalSamples(
+            log_ns[order], publish_ns, header_ns, np.zeros_like(log_ns), {}, {}, self.has_header
+        )
 
 
 def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
@@ -180,7 +182,7 @@ def read_metadata(path: Path) -> dict[str, str]:
         return {key: value for file in open_log(path).files for key, value in file.read_metadata().items()}
 
 
-def _span(samples: Mapping[Channel, Samples]) -> tuple[int, float]:
+def _span(samples: Mapping[Channel, SignalSamples]) -> tuple[int, float]:
     """First stamp [ns] and duration [s] by the recorder's clock, wild stamps left out."""
     stamps = [timeline(s, "log").stamps_ns for s in samples.values() if s.log_ns.size]
     if not stamps:
@@ -192,7 +194,7 @@ def _span(samples: Mapping[Channel, Samples]) -> tuple[int, float]:
 def _topic(
     channel: Channel,
     scan: _Scan,
-    samples: Samples,
+    samples: SignalSamples,
     definitions: Definitions,
     origin: int,
     lags: dict[str, float],
@@ -240,7 +242,7 @@ def _topic(
     )
 
 
-def _header(samples: Samples) -> str:
+def _header(samples: SignalSamples) -> str:
     if not samples.has_header:
         return "none"
     present = samples.header_ns != 0

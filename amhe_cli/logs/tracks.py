@@ -23,7 +23,7 @@ from amhe_cli.logs.clocks import (
     step_words,
     timeline,
 )
-from amhe_cli.logs.decode import Samples, SignalDecoder
+from amhe_cli.logs.decode import SignalDecoder, SignalSamples
 from amhe_cli.logs.physics import checked
 
 logger = logging.getLogger(__name__)
@@ -48,7 +48,7 @@ class Track:
 
     signal: Signal
     times: Timeline
-    samples: Samples
+    samples: SignalSamples
     twist_in_child: bool
 
     @property
@@ -74,7 +74,9 @@ def tracks_of(
     return [_track(path, signal, decoders[signal.name], samples[signal.name], stamp) for signal in signals]
 
 
-def _trusted(path: Path, signals: Sequence[Signal], samples: Mapping[str, Samples], stamp: Stamp) -> Stamp:
+def _trusted(
+    path: Path, signals: Sequence[Signal], samples: Mapping[str, SignalSamples], stamp: Stamp
+) -> Stamp:
     """The clock to use: the recorder's for all topics if one's header clock was set while it ran.
 
     The topics' headers have no common clock then, whichever side of the step is right.
@@ -104,7 +106,7 @@ class _Warner:
         logger.warning("%s: topic %r: %s", self.path, self.topic, text)
 
 
-def _track(path: Path, signal: Signal, decoder: SignalDecoder, samples: Samples, stamp: Stamp) -> Track:
+def _track(path: Path, signal: Signal, decoder: SignalDecoder, samples: SignalSamples, stamp: Stamp) -> Track:
     times = timeline(samples, stamp)
     for note in times.notes:
         _Warner(path, signal.topic)(note)

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.live.drive import Ending
-from amhe_cli.live.evaluation import Measures
 from amhe_cli.live.history import History
+from amhe_cli.live.judge import Measures
 from amhe_cli.report.record import plain, quantiles
 
 

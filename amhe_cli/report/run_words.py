@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from amhe_cli.control.tasks import Task
-from amhe_cli.live.evaluation import CLOSE_ENOUGH, ON_TIME
+from amhe_cli.live.judge import CLOSE_ENOUGH, ON_TIME
 from amhe_cli.report import numbers
 
 #: Terms of the running cost, as a reader knows them.

@@ -142,7 +142,7 @@ def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
     rehearsed = PushProbe.run
 
     def falls(*arguments: Any) -> Ending:
-        monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+        monkeypatch.setattr("amhe_cli.live.judge.FALLEN_HEIGHT", 10.0)
         return rehearsed(*arguments)
 
     monkeypatch.setattr(PushProbe, "run", falls)
@@ -156,6 +156,6 @@ def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
 
 def test_falls_in_every_rehearsal_are_said_before_anything_moves(monkeypatch, capsys) -> None:
     Path("quick.yaml").write_text(QUICK_SETTINGS)
-    monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+    monkeypatch.setattr("amhe_cli.live.judge.FALLEN_HEIGHT", 10.0)
     assert run(["probe", "--for", "2", "-o", "probe", *QUICK]) == 1
     assert "no rehearsal told anything" in capsys.readouterr().err

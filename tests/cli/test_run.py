@@ -137,7 +137,7 @@ def test_a_belief_that_does_not_suit_is_refused(capsys, system: str, mass: float
 
 
 def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
-    monkeypatch.setattr("amhe_cli.live.evaluation.FALLEN_HEIGHT", 10.0)
+    monkeypatch.setattr("amhe_cli.live.judge.FALLEN_HEIGHT", 10.0)
     assert run(["run", "--task", "t1", "-o", "out", *QUICK]) == 1
     out, err = capsys.readouterr()
     assert "the robot fell" in out

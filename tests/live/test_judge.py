@@ -14,7 +14,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Body, State, heading_velocity
-from amhe_cli.live.evaluation import Judge, has_fallen
+from amhe_cli.live.judge import Judge, has_fallen
 
 PERIOD = 0.02
 T1, T2, T5 = find_task("t1"), find_task("t2"), find_task("t5")
