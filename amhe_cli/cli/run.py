@@ -138,7 +138,7 @@ def run(
             link = at_the_robot.link_record(opened.target, recorder, history)
         session.interrupted = ending.interrupted
         record = session.record(
-            task=task, mode=mode, target=target, seed=seed,
+            task=task, mode=mode, target=target, seed=seed, lock_step=not asked.live,
             **run_record(opened.judge.measures(), history, ending),
             duration=longest, cut_short=longest < LONGEST, out=str(folder), **link,
         )  # fmt: skip

@@ -66,9 +66,17 @@ def statements(record: Mapping[str, Any], task: Task, period: float) -> list[tup
         said.append(
             ("mixed",
              f"One cycle in a hundred took longer than {slow:.0f} ms, and the control period is "
-             f"{1e3 * period:g} ms: in lock-step the simulation waits, a robot would not."),
+             f"{1e3 * period:g} ms: {_waiting(record)}."),
         )  # fmt: skip
     return said
+
+
+def _waiting(record: Mapping[str, Any]) -> str:
+    """What it means that a cycle takes longer than the control period."""
+    if record["lock_step"]:
+        return "in lock-step the simulation waits, a robot would not"
+    late = record["deadline_misses"]
+    return f"{late} of {record['cycles'] + late} periods went on with an older plan"
 
 
 def _belief(record: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -111,9 +119,10 @@ def measures(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
         ("cost J", number(record["cost"], "{:,.0f}"), ""),
         ("time of a cycle, median", number(ms["p50"], "{:.1f}"), "ms"),
         ("time of a cycle, 99 %", number(ms["p99"], "{:.1f}"), "ms"),
-        ("deadlines missed", str(record["deadline_misses"]), ""),
-        ("rollouts diverged", f"{record['diverged']:,} of {record['rollouts']:,}", ""),
     ]
+    if not record["lock_step"]:
+        rows.append(("deadlines missed", str(record["deadline_misses"]), ""))
+    rows.append(("rollouts diverged", f"{record['diverged']:,} of {record['rollouts']:,}", ""))
     if estimator := record.get("estimator"):
         took = number(estimator["update_ms"]["p50"], "{:.0f}")
         rows += [
