@@ -229,14 +229,19 @@ def belief_source(
     return AdaptiveBelief(fixed, buffer, Sampler(settings.control.period), worker, mhe.update_period)
 
 
-def estimator_of(options: RunOptions) -> MovingHorizon:
-    """The estimator of an adaptive run; also in another process, which has nothing but the options."""
+def estimator_of(options: RunOptions, belief: Belief | None = None) -> MovingHorizon:
+    """The estimator of an adaptive run; also in another process, which has nothing but what is given here.
+
+    Args:
+        options: Of the run.
+        belief: To go on from, where an estimator has ended; None: that of the run's start.
+    """
     task = find_task(options.task)
     system = system_of(options, task)
     threads = 1 if options.live else options.threads
     engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
     rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])
-    return MovingHorizon(system, engine, rng, _start_belief(options, task, system))
+    return MovingHorizon(system, engine, rng, belief or _start_belief(options, task, system))
 
 
 def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:

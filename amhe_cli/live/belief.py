@@ -53,6 +53,7 @@ class AdaptiveBelief:
         self._belief = dict(start)
         self._buffer, self._sampler, self._worker, self._period = buffer, sampler, worker, period
         self._due = 0.0
+        self._late = False
 
     def at(self, time: float) -> dict[str, float]:
         """See `BeliefSource`: line 9 of Algorithm 1."""
@@ -67,12 +68,23 @@ class AdaptiveBelief:
             if one.estimate is not None:
                 names = one.estimate.belief.names
                 self._belief |= dict(zip(names, map(float, one.estimate.theta), strict=True))
-        if now >= self._due - 1e-6 and self._worker.ready:
-            window = self._buffer.window(now)
-            if window is not None:
-                self._worker.submit(window, now)
-                self._due = now + self._period
+        if now >= self._due - 1e-6:
+            news += self._begin(now)
         return news
+
+    def _begin(self, now: float) -> tuple[News, ...]:
+        """Start the update that is due; where the one before is not done by then, say so, once."""
+        if self._late and not self._worker.ready:
+            return ()
+        window = self._buffer.window(now)
+        if window is None:
+            return ()
+        if not self._worker.ready:
+            self._late = True
+            return (News(now, None, "the estimator is late: the last good belief stays"),)
+        self._worker.submit(window, now)
+        self._due, self._late = now + self._period, False
+        return ()
 
     def close(self) -> None:
         """See `BeliefSource`."""

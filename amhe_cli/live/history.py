@@ -23,12 +23,12 @@ class History:
     Args:
         task: That is done.
         estimates: That came in, in adaptive runs.
-        troubles: Of the estimator.
+        troubles: Of the estimator: what was told of it, and when [s].
     """
 
     task: Task
     estimates: list[Estimate] = field(default_factory=list)
-    troubles: list[str] = field(default_factory=list)
+    troubles: dict[str, list[float]] = field(default_factory=dict)
     _rows: list[dict[str, float]] = field(default_factory=list)
     _last: Cycle | None = None
 
@@ -49,7 +49,7 @@ class History:
             if news.estimate is not None:
                 self.estimates.append(news.estimate)
             if news.text:
-                self.troubles.append(f"at {news.time:.1f} s {news.text}")
+                self.troubles.setdefault(news.text, []).append(news.time)
         if not self.estimates:
             return {}
         newest = self.estimates[-1]

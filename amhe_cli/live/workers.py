@@ -5,20 +5,23 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Protocol
 
+from amhe_cli.core.parameters import Belief
 from amhe_cli.core.trajectory import Window
 from amhe_cli.live.episode import News
 from amhe_cli.online.horizon import Estimate, MovingHorizon
 
 logger = logging.getLogger(__name__)
 
-#: Makes the estimator; picklable, since it may run in another process.
-Factory = Callable[[], MovingHorizon]
+#: Makes the estimator, from a belief or from that of the run's start; picklable, since it may run in another
+#: process.
+Factory = Callable[[Belief | None], MovingHorizon]
 #: The estimator gives way to the controller where there are fewer cores than work.
 _NICE = 10
 #: An update that takes longer hangs [s].
@@ -55,8 +58,8 @@ class InStep:
     """
 
     def __init__(self, factory: Factory, latency: float) -> None:
-        self._estimator, self._latency = factory(), latency
-        self._waiting: tuple[float, Estimate] | None = None
+        self._estimator, self._latency = factory(None), latency
+        self._waiting: tuple[float, Estimate | str] | None = None
 
     @property
     def ready(self) -> bool:
@@ -65,14 +68,14 @@ class InStep:
 
     def submit(self, window: Window, at: float) -> None:
         """See `Worker`."""
-        self._waiting = at + self._latency, self._estimator.update(window, at)
+        self._waiting = at + self._latency, _updated(self._estimator, window, at)
 
     def poll(self, now: float) -> tuple[News, ...]:
         """See `Worker`."""
         if self._waiting is None or now < self._waiting[0] - 1e-6:
             return ()
-        estimate, self._waiting = self._waiting[1], None
-        return (News(now, estimate),)
+        answer, self._waiting = self._waiting[1], None
+        return (_news(now, answer),)
 
     def close(self) -> None:
         """See `Worker`."""
@@ -93,6 +96,7 @@ class InProcess:
     ) -> None:
         self._factory, self._budget = factory, budget
         self._patience, self._starting = patience, starting
+        self._good: Belief | None = None
         self._start()
 
     @property
@@ -102,9 +106,12 @@ class InProcess:
 
     def submit(self, window: Window, at: float) -> None:
         """See `Worker`."""
-        with suppress(OSError):  # it has died: poll will tell
-            self._pipe.send((window, at, self._budget))
         self._since, self._limit = time.monotonic(), self._patience
+        order = (
+            self._pipe,
+            (window, at, self._budget),
+        )  # a long window fills the pipe, and waits for a reader
+        threading.Thread(target=_send, args=order, daemon=True).start()
 
     def poll(self, now: float) -> tuple[News, ...]:
         """See `Worker`."""
@@ -113,8 +120,8 @@ class InProcess:
                 answer = self._pipe.recv()
                 self._since = None
                 if isinstance(answer, Estimate):
-                    return (News(now, answer),)
-                return () if answer is None else (News(now, None, f"estimator: {answer}"),)
+                    self._good = answer.belief
+                return () if answer is None else (_news(now, answer),)
         except (OSError, EOFError):
             return self._again(now, f"the estimator died (exit code {self._ended()})")
         if self._since is not None and time.monotonic() - self._since > self._limit:
@@ -130,7 +137,7 @@ class InProcess:
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
-        self._process = context.Process(target=_serve, args=(theirs, self._factory), daemon=True)
+        self._process = context.Process(target=_serve, args=(theirs, self._factory, self._good), daemon=True)
         self._process.start()
         theirs.close()  # so that its death is seen
         self._since: float | None = time.monotonic()
@@ -141,23 +148,37 @@ class InProcess:
         return self._process.exitcode
 
     def _again(self, now: float, what: str) -> tuple[News, ...]:
-        """Begin anew; the belief in force stays."""
+        """Begin anew from the belief in force."""
         self.close()
         self._start()
         logger.warning(f"{what}: the last good belief stays in force, and a new estimator begins")
         return (News(now, None, f"{what}; the last good belief stays"),)
 
 
-def _serve(pipe: Connection, factory: Factory) -> None:
+def _updated(
+    estimator: MovingHorizon, window: Window, at: float, budget: float | None = None
+) -> Estimate | str:
+    """The estimate, or what went wrong: one bad window must end neither estimator nor run."""
+    try:
+        return estimator.update(window, at, budget)
+    except Exception as error:
+        return f"{type(error).__name__}: {error}"
+
+
+def _news(now: float, answer: Estimate | str) -> News:
+    return News(now, answer) if isinstance(answer, Estimate) else News(now, None, f"estimator: {answer}")
+
+
+def _send(pipe: Connection, order: tuple[Window, float, float]) -> None:
+    with suppress(OSError):  # it has died: poll will tell
+        pipe.send(order)
+
+
+def _serve(pipe: Connection, factory: Factory, belief: Belief | None) -> None:
     """The process: windows in, estimates out, until the pipe ends. None says that it is ready."""
     os.nice(_NICE)
-    estimator = factory()
+    estimator = factory(belief)
     with suppress(EOFError, OSError):  # nobody wants to know any more
         pipe.send(None)
         while True:
-            window, at, budget = pipe.recv()
-            try:
-                answer = estimator.update(window, at, budget)
-            except Exception as error:  # one bad window must not end the estimator
-                answer = f"{type(error).__name__}: {error}"
-            pipe.send(answer)
+            pipe.send(_updated(estimator, *pipe.recv()))

@@ -61,6 +61,8 @@ def statements(record: Mapping[str, Any], task: Task, period: float) -> list[tup
              f"It took {record['time_s']:.1f} s; on time is up to {late:.1f} s."),
         )  # fmt: skip
     said += _belief(record)
+    if estimator := record.get("estimator"):
+        said += [("mixed", f"Estimator: {trouble}.") for trouble in estimator["troubles"]]
     slow = record["cycle_ms"]["p99"]
     if slow is not None and slow > 1e3 * period:
         said.append(
@@ -125,8 +127,9 @@ def measures(record: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     rows.append(("rollouts diverged", f"{record['diverged']:,} of {record['rollouts']:,}", ""))
     if estimator := record.get("estimator"):
         took = number(estimator["update_ms"]["p50"], "{:.0f}")
+        moved = sum(estimator["marks"].get(mark, 0) for mark in ("updated", "jump"))
         rows += [
-            ("updates of the belief", str(estimator["updates"]), ""),
+            ("windows that moved the belief", f"{moved} of {estimator['updates']}", ""),
             ("time of an update, median", took, "ms"),
         ]
     return rows

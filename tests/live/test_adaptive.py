@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 
 from amhe_cli.assembly import LogSource, open_system, trajectories
-from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.parameters import Belief, belief_of
 from amhe_cli.core.trajectory import Window
+from amhe_cli.live.belief import AdaptiveBelief
 from amhe_cli.live.buffer import Buffer
-from amhe_cli.live.episode import Cycle
+from amhe_cli.live.episode import Cycle, News
 from amhe_cli.live.samples import Sampler
-from amhe_cli.live.workers import InProcess
+from amhe_cli.live.workers import InProcess, InStep
 from amhe_cli.online.horizon import Estimate
 from amhe_cli.run_assembly import RunOptions, estimator_of, open_run
 from amhe_cli.run_files import recorder_of
@@ -118,10 +119,10 @@ def test_targets_that_a_robot_was_sent_are_taken_in_place_of_those_planned(
 
 
 class Puppet:
-    """An estimator that does what the window says."""
+    """An estimator that does what the window says, and counts up from the belief that it begins with."""
 
-    def __init__(self) -> None:
-        self.count = 0
+    def __init__(self, belief: Belief | None = None) -> None:
+        self.count = 0.0 if belief is None else float(SPACE.space.gaussian_of(belief)[0][0])
 
     def update(self, window: str, at: float, budget: float | None = None) -> Estimate:
         self.count += 1
@@ -132,7 +133,7 @@ class Puppet:
         if window == "fail":
             raise ValueError("no such window")
         space = SPACE.space
-        belief = belief_of("go1_push", space, np.zeros(3), np.eye(3), {})
+        belief = belief_of("go1_push", space, np.full(3, self.count), np.eye(3), {})
         nothing = np.zeros(3)
         theta = space.nominal + self.count
         return Estimate(at, theta, nothing, nothing, nothing, belief, "updated", 1.0, 1.0, 9, 0, 1.0)
@@ -178,9 +179,58 @@ def test_whatever_becomes_of_the_estimator_the_controller_goes_on(order: str, sa
         assert two.estimate is None and said in two.text
         ready(worker)  # a new one, or the same
         worker.submit("fine", 5.0)  # type: ignore[arg-type]
-        assert wait(worker)[0].estimate.time == 5.0
+        (three,) = wait(worker)
+        assert three.estimate.time == 5.0
+        assert three.estimate.theta[0] > one.estimate.theta[0] + 0.5, "it goes on from the last good belief"
     finally:
         worker.close()
+
+
+def test_a_window_that_fills_the_pipe_of_a_hung_estimator_holds_nobody_up() -> None:
+    worker = InProcess(Puppet, budget=0.2, patience=0.3)
+    try:
+        ready(worker)
+        worker.submit("hang", 3.0)  # type: ignore[arg-type]
+        time.sleep(0.1)
+        begun = time.monotonic()
+        worker.submit("long" * 1_000_000, 3.1)  # type: ignore[arg-type]
+        assert time.monotonic() - begun < 0.1
+        assert "hung" in wait(worker)[0].text
+    finally:
+        worker.close()
+
+
+def test_in_lock_step_a_window_that_breaks_the_estimator_is_told_and_passed_over() -> None:
+    worker = InStep(Puppet, latency=0.08)  # type: ignore[arg-type]
+    worker.submit("fail", 1.0)  # type: ignore[arg-type]
+    assert not worker.ready and worker.poll(1.07) == ()
+    (one,) = worker.poll(1.08)
+    assert one.estimate is None and "ValueError: no such window" in one.text
+    worker.submit("fine", 2.0)  # type: ignore[arg-type]
+    assert worker.poll(2.08)[0].estimate is not None
+
+
+class Busy:
+    """A worker that is never done with its first window."""
+
+    ready = True
+
+    def submit(self, window: Window, at: float) -> None:
+        self.ready = False
+
+    def poll(self, now: float) -> tuple[News, ...]:
+        return ()
+
+    def close(self) -> None: ...
+
+
+def test_a_late_estimator_is_told_once_and_its_last_belief_stays(adaptive: tuple[Path, list[Cycle]]) -> None:
+    buffer = Buffer(SPACE.signals, 0.4, SPACE.model.opt.timestep, 0.2)
+    belief = AdaptiveBelief({"box_mass": 2.0}, buffer, Sampler(0.02), Busy(), 0.1)
+    told = [(cycle.estimate.time, one.text) for cycle in adaptive[1] for one in belief.saw(cycle)]
+    assert len(told) == 1 and "late" in told[0][1]
+    assert 0.5 < told[0][0] < 0.7, "a window of 0.4 s, and the next update that is due"
+    assert belief.at(2.0) == {"box_mass": 2.0}
 
 
 def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cycle]]) -> None:

@@ -33,6 +33,19 @@ def test_deadlines_are_those_of_the_clock(lock_step: bool, there: bool) -> None:
     assert ("deadlines missed" in names) is there
 
 
+def test_windows_that_moved_the_belief_are_counted_and_troubles_told() -> None:
+    marks = {"still": 11, "updated": 13, "jump": 1}
+    estimator = {
+        "updates": 25,
+        "marks": marks,
+        "troubles": ["at 3.0 s the estimator is late"],
+        "update_ms": {"p50": 80.0},
+    }
+    record = RECORD | {"estimator": estimator}
+    assert ("windows that moved the belief", "14 of 25", "") in run_words.measures(record)
+    assert "Estimator: at 3.0 s the estimator is late." in told(estimator=estimator)
+
+
 @pytest.mark.parametrize(
     ("changed", "verdict"),
     [
