@@ -49,7 +49,7 @@ def test_goals_are_judged_by_the_numbers() -> None:
 
 
 def test_a_goal_is_judged_by_the_value_and_not_by_the_luck_of_its_interval() -> None:
-    late = Goal("t4", "adaptive", "cost", "ratio", 0.06, 0.01, 0.11, limit=0.05)
+    late = Goal("t4", "adaptive", "cost", "ratio", 0.06, 0.01, 0.11, limit=0.05, n=15)
     assert not late.reached
     assert replace(late, value=0.05).reached
     assert replace(late, at_least=True).reached

@@ -11,6 +11,7 @@ import pytest
 from amhe_cli.control.tasks import TASKS
 from amhe_cli.evaluation.ablations import ablations
 from amhe_cli.evaluation.cells import Cell, Setting, setting_of
+from amhe_cli.evaluation.estimates import change_of
 from amhe_cli.evaluation.goals import goals
 from amhe_cli.evaluation.summary import Groups
 from amhe_cli.report.evaluation import curves, formats, tables
@@ -125,6 +126,7 @@ def test_a_mean_over_seeds_ends_where_most_of_them_have_ended() -> None:
 
 def test_time_is_counted_from_the_change() -> None:
     changed = result(Cell("t4", "true", 0))
+    assert change_of(changed) == pytest.approx(6.2)
     assert curves.since_change(changed) == pytest.approx(6.2)
     time, truth, _ = curves.over_time([changed], lambda r: r.trace["truth/box_mass"], curves.since_change)
     assert truth[np.argmin(np.abs(time))] == pytest.approx(6.0)

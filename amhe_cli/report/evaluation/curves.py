@@ -11,6 +11,7 @@ from matplotlib.ticker import LogLocator
 
 from amhe_cli.control.tasks import Task
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.evaluation.estimates import change_of
 from amhe_cli.evaluation.results import TRACE_STEP, Result
 from amhe_cli.evaluation.summary import Group, Groups
 from amhe_cli.report.evaluation.drawing import TRUTH, color_of, legend, line, room
@@ -88,15 +89,20 @@ def parameter_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
 
 
 def _parameter_panel(axes: Axes, found: Sequence[Group], value: _Value) -> None:
-    for group in found:
-        curve = over_time(group.results, lambda r: value(r.trace, "belief"), since_change)
-        _band(axes, *curve, color_of(group.mode))
-    longest = max(found, key=lambda group: max(r.trace["time"][-1] for r in group.results))
-    time, truth, _ = over_time(longest.results, lambda r: value(r.trace, "truth"), since_change)
+    changed = any(change_of(result) is not None for group in found for result in group.results)
+    shown = {
+        group.mode: [r for r in group.results if not changed or change_of(r) is not None] for group in found
+    }  # runs that ended before the change have no time since it
+    shown = {mode: results for mode, results in shown.items() if results}
+    for mode, results in shown.items():
+        _band(axes, *over_time(results, lambda r: value(r.trace, "belief"), since_change), color_of(mode))
+    longest = max(shown.values(), key=lambda results: max(r.trace["time"][-1] for r in results))
+    time, truth, _ = over_time(longest, lambda r: value(r.trace, "truth"), since_change)
     axes.plot(time, truth, "--", color=TRUTH, linewidth=1.3)
-    axes.axvline(0.0, color=MUTED, linewidth=0.8, linestyle=":")
+    if changed:
+        axes.axvline(0.0, color=MUTED, linewidth=0.8, linestyle=":")
     axes.set_ylim(0.0, 1.08 * axes.get_ylim()[1])
-    axes.set_xlabel("time since the change [s]")
+    axes.set_xlabel("time since the change [s]" if changed else "time [s]")
 
 
 def over_time(
@@ -126,9 +132,7 @@ def over_time(
 
 def since_change(result: Result) -> float:
     """When box or floor changed first [s]; 0 where nothing did."""
-    truth = [values for name, values in result.trace.items() if name.startswith("truth/")]
-    rows = [row for values in truth for row in np.flatnonzero(np.diff(values))]
-    return float(result.trace["time"][min(rows) + 1]) if rows else 0.0
+    return change_of(result) or 0.0
 
 
 def _band(axes: Axes, time: FloatArray, mean: FloatArray, sd: FloatArray, color: str) -> None:

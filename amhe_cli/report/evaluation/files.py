@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from amhe_cli.control.tasks import Task
+from amhe_cli.control.tasks import LONGEST, Task
 from amhe_cli.evaluation.ablations import ablations
 from amhe_cli.evaluation.goals import goals
 from amhe_cli.evaluation.store import Store, write_whole
@@ -49,7 +49,8 @@ def write_study(store: Store, tasks: Mapping[str, Task], modes: Sequence[str]) -
     results = store.results()
     groups = Groups(results, store.study.setting, tuple(tasks), modes)
     tried = ablations(groups, store.study.defaults)
-    made = tables(groups, tried, goals(groups))
+    judged = goals(groups) if store.study.duration >= LONGEST else []  # runs that are cut short reach none
+    made = tables(groups, tried, judged)
     told = plain(summary(groups))
     failures = {r.cell.title: r.reason for r in results if r.reason is not None}
     _write(store.folder / "summary.json", json.dumps(told, indent=1, allow_nan=False) + "\n")

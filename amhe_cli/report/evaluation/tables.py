@@ -9,6 +9,7 @@ from typing import Any
 
 from amhe_cli.evaluation import paper
 from amhe_cli.evaluation.ablations import Ablation
+from amhe_cli.evaluation.estimates import BEGUN, NEAR, RESOLVED, SETTLED, estimates
 from amhe_cli.evaluation.goals import Goal
 from amhe_cli.evaluation.statistics import Spread
 from amhe_cli.evaluation.summary import MEASURES, RATES, Group, Groups, difference
@@ -36,6 +37,7 @@ def tables(groups: Groups, found: list[Ablation], judged: list[Goal]) -> list[Ta
         measures(groups),
         differences(groups),
         goal_table(judged),
+        estimate_table(groups),
         ablation_table(found),
     )
     return [table for table in made if table.rows]
@@ -148,10 +150,35 @@ def goal_table(judged: list[Goal]) -> Table:
         shown = _interval(goal.value, goal.low, goal.high, digits, percent, signed=goal.kind != "value")
         bound = f"{'≥' if goal.at_least else '≤'} {_scaled(goal.limit, digits, percent)}"
         unit = "%" if percent else unit
-        rows.append((f"{goal.task} {goal.mode}", what, unit, shown, bound, "yes" if goal.reached else "NO"))
+        reached = "yes" if goal.reached else "NO"
+        rows.append((f"{goal.task} {goal.mode}", str(goal.n), what, unit, shown, bound, reached))
     records = [asdict(goal) | {"reached": goal.reached} for goal in judged]
-    head = ("", "measure", "unit", "value [95 % interval]", "goal", "reached")
+    head = ("", "n", "measure", "unit", "value [95 % interval]", "goal", "reached")
     return Table("goals", "Goals", head, rows, records)
+
+
+def estimate_table(groups: Groups) -> Table:
+    """How good the online estimates were."""
+    found = [told for group in groups.at_base() if (told := estimates(group))]
+    rows = [
+        (
+            f"{e.task} {e.mode}", str(e.n),
+            *(f"{100 * share:.1f}" for share in (e.product, e.mass, e.friction)),
+            *(f"{100 * share:.0f}" for share in (e.mass_held, e.friction_held)),
+            f"{round(e.resolved * e.n)} of {e.n}",
+        )
+        for e in found
+    ]  # fmt: skip
+    head = (
+        "", "n", "mu m, rms [%]", "m, rms [%]", "mu, rms [%]", "m held [%]", "mu held [%]",
+        f"resolved after {RESOLVED:g} s",
+    )  # fmt: skip
+    note = (
+        f"Relative errors, and how often the 90 % interval holds the truth, from {SETTLED:g} s after the "
+        f"change on; where nothing changes, from {BEGUN:g} s on. "
+        f"Resolved: m and mu within {100 * NEAR:.0f} %, or held."
+    )
+    return Table("estimates", "Online estimates", head, rows, [asdict(e) for e in found], note)
 
 
 def ablation_table(found: list[Ablation]) -> Table:
