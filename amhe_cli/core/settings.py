@@ -143,6 +143,9 @@ class MheSettings(_Group):
     information: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Share of a window's information that linearised counts; less than all where first states are taken as
     recorded: their errors bend a whole window one way, which no residual's noise tells."""
+    systematic: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
+    """A direction in which the model itself is wrong, and by how much (sd, as a share of each parameter; of a
+    linear one in prior sd). No window averages it away; it widens what is told, and moves no estimate."""
     budget: _Positive | None = None
     """Most time that one live update may take [s]; None: the update period."""
     latency: Annotated[float, Field(ge=0)] = 0.1

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,12 +56,22 @@ def arrival_of(space: ParameterSpace, belief: Belief | None, least_sd: float) ->
     return Arrival(*space.gaussian_of(belief)).floored(space.in_z(least_sd))
 
 
-def check_weights(space: ParameterSpace, settings: MheSettings) -> None:
-    """Refuse a prior weight of no parameter.
+def reported(space: ParameterSpace, arrival: Arrival, systematic: Mapping[str, float]) -> Arrival:
+    """With what the model itself does not know: an error along one direction (a share of each parameter).
+
+    It is no noise, which windows average away; so it is added to what is told, and not to what is handed on.
+    """
+    along = space.in_z([systematic.get(name, 0.0) for name in space.names])
+    return replace(arrival, covariance=arrival.covariance + np.outer(along, along))
+
+
+def check_names(space: ParameterSpace, settings: MheSettings) -> None:
+    """Refuse settings of no parameter.
 
     Raises:
         ConfigError: Its text lists the parameters.
     """
-    for name in settings.prior_weight:
-        if name not in space.names:
-            raise ConfigError(f"prior weight: {one_of('parameter', name, space.names)}")
+    for what, names in (("prior weight", settings.prior_weight), ("systematic", settings.systematic)):
+        for name in names:
+            if name not in space.names:
+                raise ConfigError(f"{what}: {one_of('parameter', name, space.names)}")

@@ -17,7 +17,7 @@ from amhe_cli.core.statistics import Z90
 from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.matching import MatchingCost
-from amhe_cli.online.arrival import Arrival, arrival_of
+from amhe_cli.online.arrival import Arrival, arrival_of, reported
 from amhe_cli.online.linearised import linearised_update
 from amhe_cli.online.logrank import logrank_update
 from amhe_cli.online.update import Noise, Outcome, Task, Update
@@ -29,8 +29,8 @@ Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 
 UPDATES: Mapping[str, Update] = {"linearised": linearised_update, "logrank": logrank_update}
 
-#: Fewer steps of the model than this are no window.
-LEAST = 5
+#: Fewer steps of the model than this are no window, and fewer samples tell no slopes.
+LEAST, LEAST_SAMPLES = 5, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,6 +106,7 @@ class MovingHorizon:
         self._noise = Noise()
         self._row = 0
         self._last: float | None = None
+        self._took = (0.0, 0.0)
 
     def update(self, window: Window, at: float, budget: float | None = None) -> Estimate:
         """Learn from the newest window.
@@ -116,11 +117,12 @@ class MovingHorizon:
         Args:
             window: Its signals must be valid at its start; gaps inside are allowed for by their masks.
             at: Time of its last instant [s].
-            budget: Most time that it may take [s]; the best so far after that.
+            budget: Most time that it may take [s]: no iteration begins after that, and it has no more samples
+                than the time per rollout of the update before allows.
         """
         begun = time.perf_counter()
         setting, space = self._settings, self._system.space
-        elapsed = setting.update_period if self._last is None else at - self._last
+        elapsed = min(setting.update_period, window.duration) if self._last is None else at - self._last
         self._last = at
         self._arrival = self._arrival.widened(space.drift**2 * elapsed)
         if not usable(self._system, window):
@@ -130,9 +132,25 @@ class MovingHorizon:
         share = min(1.0, elapsed / window.duration)
         late = _never if budget is None else (lambda: time.perf_counter() - begun > budget)
         outcome = self._update(
-            Task(cost, self._arrival, self._surprised, self._noise, share, setting, self._rng, late)
-        )
+            Task(
+                cost, self._arrival, self._surprised, self._noise, share, setting,
+                self._affordable(budget), self._rng, late,
+            )
+        )  # fmt: skip
+        self._took = self._timed(outcome, time.perf_counter() - begun)
         return self._estimate(at, self._judge(outcome), outcome, begun)
+
+    def _timed(self, outcome: Outcome, seconds: float) -> tuple[float, float]:
+        """Seconds per rollout, and rollouts of an iteration beside its samples."""
+        each = outcome.rollouts / outcome.iterations
+        return seconds / outcome.rollouts, max(0.0, each - self._settings.sample_count)
+
+    def _affordable(self, budget: float | None) -> int:
+        """Samples of an iteration, in pairs."""
+        most, (pace, beside) = self._settings.sample_count, self._took
+        if budget is None or not pace:
+            return most
+        return int(np.clip(2 * ((budget / pace - beside) // 2), LEAST_SAMPLES, most))
 
     def _judge(self, outcome: Outcome) -> Mark:
         """Take the outcome in, or leave it."""
@@ -157,7 +175,8 @@ class MovingHorizon:
         return self._arrival.widened(np.full(len(self._system.space), self._settings.jump_sd**2))
 
     def _estimate(self, at: float, mark: Mark, outcome: Outcome | None, begun: float) -> Estimate:
-        space, arrival = self._system.space, self._arrival
+        space = self._system.space
+        arrival = reported(space, self._arrival, self._settings.systematic)
         theta = space.theta_of(arrival.z)
         phi_sd = arrival.sd * space.prior_sd
         lower, upper = (

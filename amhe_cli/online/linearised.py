@@ -33,7 +33,7 @@ def linearised_update(task: Task) -> Outcome:
     nx = cost.nx if task.settings.first_state == "estimated" else 0
     shape, first = _shape(task), FirstStates.recorded(1, nx)
     while done < task.settings.iteration_count and not (done and task.late()):
-        slopes = linearise(cost, moved.z, first, shape, task.settings.sample_count, task.rng)
+        slopes = linearise(cost, moved.z, first, shape, task.samples, task.rng)
         rollouts, diverged, done = rollouts + slopes.rollouts, diverged + slopes.diverged, done + 1
         if not slopes.completed[0]:
             after = np.inf

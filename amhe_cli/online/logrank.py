@@ -26,7 +26,7 @@ def logrank_update(task: Task) -> Outcome:
     for _ in range(setting.iteration_count):  # line 25
         if done and task.late():
             break
-        drawn = mean + sigma * task.rng.standard_normal((setting.sample_count - 1, len(space)))
+        drawn = mean + sigma * task.rng.standard_normal((task.samples - 1, len(space)))
         samples = space.clip(np.concatenate((drawn, mean[None])))  # line 26; the mean itself never gets lost
         residuals = cost.residuals(samples)
         costs = (

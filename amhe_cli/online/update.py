@@ -61,6 +61,7 @@ class Task:
         noise: Of the windows before it.
         share: Of the window that is new: overlapping windows say the rest again.
         settings: Of the estimator.
+        samples: B of an iteration; no more than there is time for.
         rng: For samples.
         late: Whether the time for this update is up: stop at the next iteration.
     """
@@ -71,6 +72,7 @@ class Task:
     noise: Noise
     share: float
     settings: MheSettings
+    samples: int
     rng: np.random.Generator
     late: Callable[[], bool]
 
@@ -82,7 +84,9 @@ class Outcome:
     Args:
         arrival: Belief after it.
         noise: Of the windows up to this one.
-        before, after: Rms residual of the belief before and after, in noise sd; inf where it diverged.
+        before: Rms residual of the belief before, in noise sd; inf where it diverged.
+        after: The same as the update expects it: of the best sample, or of the linearised step, which is not
+            rolled out again.
         surprise: How far from the belief the window wants the parameters, in sd; 0 where nobody asks.
         excitation: Rms move of the predictions under the samples, in noise sd.
         rollouts, diverged: How many were run, and how many of them diverged.

@@ -143,6 +143,39 @@ def test_time_up_stops_after_the_first_iteration(cart, drive) -> None:
     assert counts == [6 * 32, 32]
 
 
+@pytest.mark.parametrize("method", ["linearised", "logrank"])
+def test_an_update_with_less_time_than_it_took_before_has_fewer_samples(cart, drive, method: str) -> None:
+    system = with_mhe(cart, method=method, samples=12, iterations=1)
+    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    estimator = MovingHorizon(system, engine, np.random.default_rng(0))
+    first, second, third = (
+        estimator.update(window, float(at), budget)
+        for at, (window, budget) in enumerate(
+            zip(windows(system, drive(2.0))[2:], (None, 1e-9, 60.0), strict=False)
+        )
+    )
+    assert 4 <= second.rollouts <= first.rollouts - 4
+    assert third.rollouts == first.rollouts
+
+
+def test_what_the_model_has_wrong_widens_what_is_told_and_moves_nothing(cart, drive) -> None:
+    log, off = drive(3.0), 0.2
+    plain, told = (
+        estimates(cart, log)[-1],
+        estimates(with_mhe(cart, systematic={"mass": off, "damping": -off}), log)[-1],
+    )
+    np.testing.assert_array_equal(plain.theta, told.theta)
+    assert told.sd / told.theta == pytest.approx(np.hypot(plain.sd / plain.theta, off), rel=1e-6)
+    product = np.array([1.0, 1.0])
+    alike = [product @ e.belief.covariance @ product for e in (plain, told)]
+    assert alike[1] == pytest.approx(alike[0], rel=1e-6), "the product is known as well as before"
+
+
+def test_the_first_window_has_not_drifted_for_longer_than_it_lasts(cart, drive) -> None:
+    often, seldom = (estimates(with_mhe(cart, update_period=p), drive(2.0))[0].sd for p in (0.5, 50.0))
+    assert seldom == pytest.approx(often, rel=0.2)
+
+
 def test_a_log_shorter_than_a_window_is_one_window_and_a_shorter_one_is_none(cart, drive) -> None:
     (window,) = windows(cart, drive(0.3))
     assert window.duration == pytest.approx(0.295)
