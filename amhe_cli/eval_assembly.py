@@ -189,11 +189,27 @@ def _ablated(ablations: Sequence[str], study: Study) -> Iterator[Setting]:
         if not (key.strip() and sign and listed):
             raise ConfigError(f"--ablate {typed!r}: write KEY=VALUE,VALUE, for instance samples=8,16")
         path = _path(key.strip())
+        _check_acts(path, study)
         for value in listed:
             typed = [*_assignments(study.setting), f"{path}={json.dumps(value)}"]
             setting = _setting(overrides.parse_set(typed))
             same = path not in dict(study.setting) and dict(setting).get(path) == study.defaults.get(path)
             yield study.setting if same else setting
+
+
+def _check_acts(path: str, study: Study) -> None:
+    """Refuse to ablate what does nothing.
+
+    Raises:
+        ConfigError: The setting is of the other method.
+    """
+    group, _, name = path.partition(".")
+    mhe = _system(overrides.parse_set(_assignments(study.setting))).settings.mhe
+    if group == "mhe" and mhe.idle([name]):
+        other = {"linearised": "logrank", "logrank": "linearised"}[mhe.method]
+        raise ConfigError(
+            f"--ablate {name}: it does nothing with the method {mhe.method}; add --set mhe.method={other}"
+        )
 
 
 def _path(key: str) -> str:

@@ -6,7 +6,7 @@ the default here.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
@@ -97,6 +97,12 @@ class IdentifySettings(_Group):
     """Points of each parameter's cost profile; 0 draws none."""
 
 
+#: Settings of the online estimator that act with one of its methods only.
+_ACTS_WITH = dict.fromkeys(("learning_rate", "elites", "sigma", "sigma_floor"), "logrank") | dict.fromkeys(
+    ("first_state", "step", "jump", "jump_windows", "jump_sd", "information"), "linearised"
+)
+
+
 class MheSettings(_Group):
     """The sampling MHE of `amhe mhe-replay` and `amhe run --mode adaptive`.
 
@@ -160,6 +166,10 @@ class MheSettings(_Group):
     def iteration_count(self) -> int:
         """L_MHE."""
         return self.iterations or {"linearised": 1, "logrank": 4}[self.method]
+
+    def idle(self, names: Iterable[str]) -> list[str]:
+        """Those of these settings that act with the other method only."""
+        return [name for name in names if _ACTS_WITH.get(name, self.method) != self.method]
 
     def weights(self, names: Sequence[str]) -> list[float]:
         """Weight of each of these parameters."""

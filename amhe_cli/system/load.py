@@ -11,6 +11,7 @@ import mujoco
 
 import amhe_cli
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.settings import MheSettings
 from amhe_cli.system.boxes import resize_boxes
 from amhe_cli.system.cautions import caution
 from amhe_cli.system.channels import plan
@@ -99,6 +100,7 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, war
     if warn:
         caution(str(file.path), base, edits)
         _warn_of_unset(str(file.path), planned.unset_joints(), keyframe)
+        _warn_of_idle(overrides or {}, entry.settings.mhe)
     return System(
         name=folder.resolve().name,
         folder=folder,
@@ -123,6 +125,11 @@ def _warn_of_unset(where: str, joints: list[str], keyframe: int | None) -> None:
             where,
             ", ".join(joints),
         )
+
+
+def _warn_of_idle(overrides: Mapping[str, Any], mhe: MheSettings) -> None:
+    for name in mhe.idle(overrides.get("mhe") or ()):
+        logger.warning("mhe.%s does nothing with the method %s", name, mhe.method)
 
 
 def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:

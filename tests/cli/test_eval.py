@@ -259,6 +259,14 @@ def test_an_ablated_value_that_is_the_operating_point_is_the_same_cell() -> None
     assert {cell.mode for cell in cells} == {"adaptive"}
 
 
+def test_a_setting_that_does_nothing_is_not_ablated() -> None:
+    options = EvalOptions(["t4"], [], 1, ["alpha=0.3,0.5"])
+    with pytest.raises(
+        ConfigError, match=r"learning_rate: it does nothing .* linearised; add --set mhe.method=l"
+    ):
+        list(planned(options, study_of(options, "", "", {})))
+
+
 def test_the_papers_seven_have_their_own_symbols_and_a_value_at_the_operating_point() -> None:
     symbols = ["L_MHE=9", "B=9", "dt_update=0.9", "H=0.9", "alpha=0.9", "w_mass=0.9", "w_friction=0.9"]
     options = EvalOptions(["t4"], [], 1, symbols, assignments=["mhe.method=logrank"])

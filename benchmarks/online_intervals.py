@@ -1,0 +1,82 @@
+"""How often the online 90 % intervals hold the truth in closed loop, by the systematic part that they have.
+
+    python benchmarks/online_intervals.py                   of the stored runs, docs/results/main
+    python benchmarks/online_intervals.py FOLDER --told     of a study, its intervals as they were told
+
+Of adaptive runs, before the change of box or floor (from 3 s on) and after it (from 1.5 s on): mean error of
+mass and friction, and how often either is held, in percent. `mhe.systematic` moves no estimate: stored
+intervals can have it added.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from amhe_cli.core.statistics import Z90
+from amhe_cli.evaluation.estimates import BEGUN, PAIR, SETTLED, change_of
+from amhe_cli.evaluation.results import Result
+from amhe_cli.evaluation.store import open_store
+
+STUDY = Path(__file__).resolve().parent.parent / "docs" / "results" / "main"
+#: Tried, as a share of mass and friction.
+PARTS = (0.0, 0.1, 0.12, 0.15, 0.18)
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("study", type=Path, nargs="?", default=STUDY)
+    parser.add_argument("--told", action="store_true", help="as they were told, with nothing added")
+    arguments = parser.parse_args()
+    parts = PARTS[:1] if arguments.told else PARTS
+    table = Table(
+        "task", "when", "mass off", "friction off", *(f"held, {part:g}" for part in parts), title="%"
+    )
+    shares = []
+    for task, when, off, sd in _phases(open_store(arguments.study).results()):
+        held = [(np.abs(off) < Z90 * np.hypot(sd, part)).mean(axis=0) for part in parts]
+        shares.append(held)
+        table.add_row(
+            task, when, *(f"{100 * value:+.0f}" for value in np.expm1(off.mean(axis=0))), *map(_told, held)
+        )
+    table.add_row("all alike", "", "", "", *map(_told, np.mean(shares, axis=0)))
+    Console(width=110).print(table)
+
+
+def _phases(results: list[Result]):
+    """Task, phase, errors of the logarithms of mass and friction over all seeds, and their sd, (m, 2)."""
+    found: dict[tuple[str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
+    for result in results:
+        if result.reason is None and result.cell.mode == "adaptive" and result.cell.task != "t5":
+            for when, rows in _parts(result):
+                found.setdefault((result.cell.task, when), []).append(rows)
+    for (task, when), rows in sorted(found.items()):
+        yield task, when, np.concatenate([off for off, _ in rows]), np.concatenate([sd for _, sd in rows])
+
+
+def _parts(result: Result):
+    trace, change = result.trace, change_of(result)
+    believed, sd, truth = (
+        np.stack([trace[f"{of}/{name}"] for name in PAIR], axis=1) for of in ("belief", "belief_sd", "truth")
+    )
+    off, relative = np.log(believed / truth), sd / believed
+    end = np.inf if change is None else change
+    for when, rows in (
+        ("before", (trace["time"] >= BEGUN) & (trace["time"] < end)),
+        ("after", trace["time"] >= end + SETTLED),
+    ):
+        if rows.any():
+            yield when, (off[rows], relative[rows])
+
+
+def _told(held: np.ndarray) -> str:
+    return ", ".join(f"{100 * share:.0f}" for share in held)
+
+
+if __name__ == "__main__":
+    main()
