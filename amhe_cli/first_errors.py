@@ -52,7 +52,7 @@ def _tangent(system: System, channel: Channel) -> list[int]:
 def _error(channel: Channel, system: System, trajectory: Trajectory) -> float:
     """Error sd of a state channel: as declared, else judged by the series itself."""
     series = trajectory[channel.key]
-    below = next((c for c in system.channels if c.key == _integral(channel.key)), None)
+    below = next((c for c in system.channels if c.key == channel.integral), None)
     if below is None or not (channel.source == "qvel" and series.derived):
         return channel.noise or white_noise_sd(series.values[_rows(series)])
     return max(channel.noise or 0.0, _slope_error(series, trajectory, below))
@@ -81,9 +81,3 @@ def _slope_error(series: Series, trajectory: Trajectory, below: Channel) -> floa
 
 def _rows(series: Series) -> IntArray:
     return np.flatnonzero(series.sampled & series.valid)
-
-
-def _integral(key: str) -> str:
-    """Name of the series that a velocity series is the derivative of."""
-    signal, quantity = key.rsplit(".", 1)
-    return f"{signal}." + ("orientation" if quantity == "angular_velocity" else "position")

@@ -36,30 +36,59 @@ def first_states(
     for channel in system.channels:
         if not channel.sets_state:
             continue
-        target = qpos if channel.source == "qpos" else qvel
-        reach = smoothing if channel.source == "qpos" else 0.0
+        columns = list(channel.columns)
         for i, window in enumerate(windows):
-            target[i, list(channel.columns)] = _value(channel, window, reach)
+            if channel.source == "qpos":
+                qpos[i, columns] = _position(channel, window, smoothing)
+            else:
+                qvel[i, columns] = _velocity(channel, window)
     return qpos, qvel
 
 
-def _value(channel: Channel, window: Window, reach: float) -> FloatArray:
+def _position(channel: Channel, window: Window, reach: float) -> FloatArray:
     """Of one channel at a window's start, shape (columns,)."""
+    recorded = _recorded(channel, window)
+    fitted = _parabola(window, channel.key, reach)
+    if fitted is None:
+        return recorded
+    if channel.kind == "rotation":
+        return rotations.multiply(recorded, rotations.exp(fitted[0]))
+    return fitted[0]
+
+
+def _velocity(channel: Channel, window: Window) -> FloatArray:
+    """Likewise; a slope where the channel says so: what was estimated on the way lags what it follows."""
+    recorded = _recorded(channel, window)
+    fitted = _parabola(window, channel.integral, channel.slope) if channel.slope else None
+    return recorded if fitted is None else fitted[1]
+
+
+def _recorded(channel: Channel, window: Window) -> FloatArray:
     log, start = window.trajectory, window.start
     series = log[channel.key]
     if not series.valid[start]:
         raise LogError(
             f"{log.source}: {channel.key} was not measured at {start * log.dt:.3f} s, where a window starts"
         )
-    recorded = series.values[start]
+    return series.values[start]
+
+
+def _parabola(window: Window, key: str, reach: float) -> FloatArray | None:
+    """Value, slope and half the bend at the start, of a parabola through a series, shape (3, columns).
+
+    In the unit of the series, per s and per s^2; of orientations the rotation vector from the recorded one,
+    in the body's own frame. None: too few samples.
+    """
+    log, start = window.trajectory, window.start
+    series = log[key]
     rows = _samples(series, start, round(reach / log.dt))
     if rows.size < _DEGREE + 2 or not rows[0] < start < rows[-1]:
-        return recorded
-    powers = np.vander((rows - start).astype(float), _DEGREE + 1, increasing=True)
-    if channel.kind == "rotation":
-        turns = rotations.difference(series.values[rows], np.broadcast_to(recorded, (rows.size, 4)))
-        return rotations.multiply(recorded, rotations.exp(_middle(powers, turns)))
-    return _middle(powers, series.values[rows])
+        return None
+    values = series.values[rows]
+    if key.endswith(".orientation"):
+        values = rotations.difference(values, np.broadcast_to(series.values[start], values.shape))
+    powers = np.vander((rows - start) * log.dt, _DEGREE + 1, increasing=True)
+    return np.linalg.lstsq(powers, values, rcond=None)[0]
 
 
 def _samples(series: Series, start: int, reach: int) -> np.ndarray:
@@ -69,8 +98,3 @@ def _samples(series: Series, start: int, reach: int) -> np.ndarray:
     if not series.valid[span].all():
         return np.empty(0, dtype=np.int64)
     return first + np.flatnonzero(series.sampled[span])
-
-
-def _middle(powers: FloatArray, values: FloatArray) -> FloatArray:
-    """Value of the fitted parabolas at the instant itself, shape (columns,)."""
-    return np.linalg.lstsq(powers, values, rcond=None)[0][0]

@@ -69,6 +69,7 @@ class SignalEntry(_Entry):
     quantity: Name | Annotated[list[Name], Field(min_length=1)] | None = None
     noise: dict[str, Positive | None] = Field(default_factory=dict)
     compare: list[Name] | None = None
+    slope: dict[str, Positive] = Field(default_factory=dict)
     fields: dict[str, Name | list[Name]] = Field(default_factory=dict)
     child_frame: Name | None = None
     offset: Number = 0.0
@@ -87,9 +88,12 @@ class SignalEntry(_Entry):
         if len(given) > 1:
             raise ValueError(f"a signal is one thing; keep one of: {', '.join(given)}")
         quantities = [self.quantity] if isinstance(self.quantity, str) else self.quantity or []
-        for name in (*self.noise, *self.fields, *quantities):
+        for name in (*self.noise, *self.fields, *self.slope, *quantities):
             if name not in QUANTITIES:
                 raise ValueError(one_of("quantity", name, QUANTITIES))
+        for name in self.slope:
+            if not name.endswith("velocity"):
+                raise ValueError(f"{name} is no velocity, and has no slope of its own")
         for name in self.compare or ():
             if self.noise.get(name) is None:
                 raise ValueError(f"{name} cannot be compared without its noise; add it to noise: {{...}}")

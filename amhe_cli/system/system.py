@@ -26,6 +26,8 @@ class Channel:
         noise: Measurement noise sd [SI] of one column; None: unknown.
         unit: Unit of the residual.
         compared: Rollouts are held against it; else it only sets the state that they start from.
+        slope: Of a velocity: at a window's start it is the slope of the positions that were measured within
+            this time before and after [s]; 0: as recorded.
     """
 
     key: str
@@ -35,6 +37,13 @@ class Channel:
     noise: float | None
     unit: str
     compared: bool = True
+    slope: float = 0.0
+
+    @property
+    def integral(self) -> str:
+        """Of a velocity: the series that it is the derivative of."""
+        signal, quantity = self.key.rsplit(".", 1)
+        return f"{signal}." + ("orientation" if quantity == "angular_velocity" else "position")
 
     @property
     def sets_state(self) -> bool:

@@ -129,7 +129,8 @@ def state_channel(
 ) -> Channel:
     """Channel of a quantity that sets the state of a rollout, and is compared if the entry says so."""
     noise, compared = entry.noise.get(quantity), entry.compares(quantity)
-    return Channel(key, _kind(quantity), source, tuple(columns), noise, unit, compared)  # pyright: ignore[reportArgumentType]
+    slope = entry.slope.get(quantity, 0.0)
+    return Channel(key, _kind(quantity), source, tuple(columns), noise, unit, compared, slope)  # pyright: ignore[reportArgumentType]
 
 
 def _kind(quantity: str) -> Literal["linear", "rotation"]:
