@@ -251,6 +251,11 @@ def test_what_would_be_valid_is_said_in_plain_words(written: Write, more: str, s
             "velocity cannot be compared without its noise; add it to noise: {...}",
         ),
         (
+            "  p: {targets: [{body: box, set: mass}]}\n",
+            "signals: {hip: {topic: /j, joints: [hip], noise: {position: 0.1}, slope: {position: 0.1}}}\n",
+            "position is no velocity, and has no slope of its own",
+        ),
+        (
             "  p: {bounds: 3, targets: [{body: box, set: mass}]}\n",
             "signals: {}\n",
             "bounds is 3; [lower, upper] would be valid",
