@@ -88,7 +88,8 @@ def _parabola(window: Window, key: str, reach: float) -> FloatArray | None:
     if key.endswith(".orientation"):
         values = rotations.difference(values, np.broadcast_to(series.values[start], values.shape))
     powers = np.vander((rows - start) * log.dt, _DEGREE + 1, increasing=True)
-    return np.linalg.lstsq(powers, values, rcond=None)[0]
+    fitted: FloatArray = np.asarray(np.linalg.lstsq(powers, values, rcond=None)[0], dtype=np.float64)
+    return fitted
 
 
 def _samples(series: Series, start: int, reach: int) -> np.ndarray:

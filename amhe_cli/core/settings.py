@@ -98,9 +98,10 @@ class IdentifySettings(_Group):
 
 
 #: Settings of the online estimator that act with one of its methods only.
-_ACTS_WITH = dict.fromkeys(("learning_rate", "elites", "sigma", "sigma_floor"), "logrank") | dict.fromkeys(
-    ("first_state", "step", "jump", "jump_windows", "jump_sd", "information"), "linearised"
-)
+_ACTS_WITH: dict[str, str] = {
+    **dict.fromkeys(("learning_rate", "elites", "sigma", "sigma_floor"), "logrank"),
+    **dict.fromkeys(("first_state", "step", "jump", "jump_windows", "jump_sd", "information"), "linearised"),
+}
 
 
 class MheSettings(_Group):

@@ -49,13 +49,17 @@ def estimates(group: Group) -> Estimates | None:
     rows = [row for row in rows if row is not None]
     if not rows:
         return None
-    errors = np.concatenate([late for late, _, _ in rows])
-    held = np.concatenate([inside for _, inside, _ in rows])
-    rms = np.sqrt((errors**2).mean(axis=0))
+    mass, friction, product = _rms(np.concatenate([errors for errors, _, _ in rows]))
+    mass_held, friction_held = np.concatenate([held for _, held, _ in rows]).mean(axis=0).tolist()
+    resolved = float(np.mean([done for *_, done in rows]))
     return Estimates(
-        group.task, group.mode, len(rows), *(float(value) for value in (rms[2], rms[0], rms[1])),
-        *(float(value) for value in held.mean(axis=0)), float(np.mean([done for *_, done in rows])),
-    )  # fmt: skip
+        group.task, group.mode, len(rows), product, mass, friction, mass_held, friction_held, resolved
+    )
+
+
+def _rms(errors: FloatArray) -> list[float]:
+    """Of each column of errors (m, k)."""
+    return np.sqrt((errors**2).mean(axis=0)).tolist()
 
 
 def change_of(result: Result) -> float | None:
