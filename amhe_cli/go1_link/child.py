@@ -74,7 +74,7 @@ class Child:
     Args:
         module: Dotted name; its `main` gets a channel and the settings by `begun`.
         settings: Plain values.
-        files: Descriptors that the child may use, by the same numbers.
+        files: Descriptors that the child may use, by the same numbers: from 3 on, 0 to 2 are its own streams.
     """
 
     def __init__(self, module: str, settings: Mapping[str, Any], files: Sequence[int] = ()) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import signal
 import threading
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
@@ -67,13 +70,13 @@ class Link:
 
     def __enter__(self) -> Link:
         host, port = self._where
-        given = {
-            "host": host, "port": port, "keys": self._keys, "slow": self._clock.slow,
-            "settings": self._settings.model_dump(),
-        }  # fmt: skip
-        files = [self._keys] if self._keys >= 0 else []
         with ExitStack() as opening:
-            self._child = Child("amhe_cli.go1_link.sender", given, files)
+            with _as_file(self._keys) as files:
+                given = {
+                    "host": host, "port": port, "keys": max(files, default=-1), "slow": self._clock.slow,
+                    "settings": self._settings.model_dump(),
+                }  # fmt: skip
+                self._child = Child("amhe_cli.go1_link.sender", given, files)
             opening.callback(self._child.end, 5.0 * self._clock.slow)
             if threading.current_thread() is threading.main_thread():
                 # the signal itself tells the sender, even while our thread is deep in a rollout
@@ -224,6 +227,19 @@ class Link:
             raise LinkError(
                 f"a motor is {robot['hottest']:.0f} deg C hot; let it cool to {trips.temperature:g}"
             )
+
+
+@contextmanager
+def _as_file(keys: int) -> Iterator[list[int]]:
+    """The terminal's descriptor by another number: a child's own standard streams take 0 to 2."""
+    if keys < 0:
+        yield []
+        return
+    again = fcntl.fcntl(keys, fcntl.F_DUPFD_CLOEXEC, 3)
+    try:
+        yield [again]
+    finally:
+        os.close(again)
 
 
 def _strange(where: str, size: int) -> str:

@@ -149,8 +149,11 @@ class Sender:
     def _read_keys(self) -> None:
         if self._keys < 0 or not select.select([self._keys], [], [], 0.0)[0]:
             return
-        keys = os.read(self._keys, 64)
-        if not keys:  # the terminal is gone
+        try:
+            keys = os.read(self._keys, 64)
+        except OSError:  # of a terminal that hung up
+            keys = b""
+        if not keys:
             self._keys = -1
             self.stop("the terminal is gone")
         elif self._machine.phase == Phase.READY and keys in (b"\n", b"\r"):

@@ -10,6 +10,8 @@ import signal
 import socket
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from amhe_cli.cli.main import run
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.poses.feed import KINDS
 from tests.emulator.emulating import Emulated, emulating
+from tests.poses.streaming import free_port
 
 ROOT = Path(__file__).parents[2]
 #: Little work, quick motions, and patience with a busy machine.
@@ -129,6 +132,59 @@ def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
     record = json.loads(Path("out/result.json").read_text())
     assert record["interrupted"] is True
     assert record["link"]["reason"] == "SIGINT"
+    assert not survey(Path("out/log.mcap")).problems
+
+
+@contextmanager
+def in_a_terminal(arguments: list[str]) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """`amhe` as the foreground of a terminal of its own, and the descriptor by which its keys are pressed."""
+    keys, stdin = os.openpty()
+    command = [sys.executable, "-c", _FOREGROUND, "-m", "amhe_cli", *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    try:
+        with subprocess.Popen(
+            command, text=True, env=environment, stdin=stdin, stderr=subprocess.PIPE, start_new_session=True
+        ) as process:
+            try:
+                yield process, keys
+            finally:
+                process.kill()
+    finally:
+        os.close(stdin)
+        os.close(keys)
+
+
+_FOREGROUND = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
+
+
+def read_until(process: subprocess.Popen[str], text: str) -> None:
+    assert process.stderr is not None
+    while text not in (line := process.stderr.readline()):
+        assert line, f"it ended before it said {text!r}"
+
+
+@pytest.mark.slow
+def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
+    port = str(free_port())
+    with emulating("--slow", "2", "--mocap", "udp", "--mocap-port", port) as emulated:
+        eyes = ["--pose", "udp", "--pose-host", "127.0.0.1", "--pose-port", port]
+        where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--slow", "2"]
+        arguments = [*ROBOT, *where, *QUICK, "-o", "out"]
+        arguments.remove("-q")
+        with in_a_terminal(arguments) as (process, keys):
+            read_until(process, "it stands. Enter")
+            os.write(keys, b"\n")
+            read_until(process, "from the goal")
+            os.write(keys, b" ")
+            said = process.communicate(timeout=60)[1]
+    assert process.returncode == 1
+    assert "stopped, damp: key" in said
+    record = json.loads(Path("out/result.json").read_text())
+    assert (record["link"]["trip"], record["link"]["reason"]) == ("order", "key")
     assert not survey(Path("out/log.mcap")).problems
 
 

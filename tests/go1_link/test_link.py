@@ -175,6 +175,27 @@ def test_an_operator_who_stops(puppet: Puppet, how: str) -> None:
     assert link.report.trip == "order"
 
 
+def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -> None:
+    """A child's own standard input is another one."""
+    keys, terminal = socket.socketpair()
+    ours = os.dup(0)
+    with keys, terminal:
+        os.dup2(keys.fileno(), 0)
+        try:
+            with a_link(puppet, keys=0) as link:
+                link.connect()
+                link.stand()
+                wait_for(link, Phase.READY)
+                terminal.send(b"\n")
+                wait_for(link, Phase.RUN)
+                terminal.send(b" ")
+                puppet.wait(damps)
+        finally:
+            os.dup2(ours, 0)
+            os.close(ours)
+    assert link.report.reason == "key"
+
+
 _PROGRAM = """
 import os, sys, time
 from amhe_cli.go1_link.clock import Clock
