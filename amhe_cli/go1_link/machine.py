@@ -30,6 +30,8 @@ _FIRST_BLEND, _BLEND = 0.2, 0.02
 #: A robot that walked puts its feet down in this time before it sits down [s].
 _LANDING = 0.2
 _AT_REST = sealed(np.zeros(12))
+#: How an end as planned begins where it does not stand: nothing has moved yet; it lies, or is half way up.
+_ENDS = {Phase.CONNECT: Phase.OVER, Phase.HOLD: Phase.DAMP, Phase.STAND: Phase.DAMP}
 
 
 @dataclass(slots=True, eq=False)
@@ -133,8 +135,7 @@ class Machine:
         elif self.phase == Phase.DAMP and elapsed > s.damp_time:
             self._enter(Phase.OVER, now, state.joints)
         if inbox.finish and self.phase < Phase.PAUSE:
-            # nothing has moved yet: nothing needs to be let down
-            then = Phase.OVER if self.phase == Phase.CONNECT else Phase.SIT
+            then = _ENDS.get(self.phase, Phase.SIT)
             self._enter(then, now, state.joints if self._sent is None else self._sent)
 
     def _guard(self, now: float, inbox: Inbox, state: RobotState) -> None:

@@ -122,6 +122,18 @@ def test_an_end_as_planned_sits_down_and_damps() -> None:
     assert robot.machine.trip == ""
 
 
+@pytest.mark.parametrize("phase", [Phase.HOLD, Phase.STAND])
+def test_an_end_before_it_stands_damps_and_throws_nothing_up(phase: Phase) -> None:
+    """Sitting down begins with all feet under a robot that stands: one that lies would jump there."""
+    robot = Robot()
+    robot.until(phase)
+    robot.for_a_while(0.1)
+    robot.inbox.finish = True
+    assert is_damping(robot.step())
+    assert all(told.kp.max() == 0.0 for told in robot.until(Phase.OVER))
+    assert robot.machine.trip == ""
+
+
 CHANGES: dict[str, Callable[[Robot], None]] = {
     "order": lambda robot: setattr(robot.inbox, "stop", "SIGINT"),
     "remote": lambda robot: robot.change.update(remote=Remote(frozenset({"select"})).raw()),
