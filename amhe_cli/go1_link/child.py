@@ -69,7 +69,7 @@ class Channel:
 
 
 class Child:
-    """A module run by a Python of its own.
+    """A module run by a Python of its own, in a session of its own: keys of a terminal do not suspend it.
 
     Args:
         module: Dotted name; its `main` gets a channel and the settings by `begun`.
@@ -84,7 +84,7 @@ class Child:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", module, str(theirs.fileno())],
                 pass_fds=(theirs.fileno(), *files), stdin=subprocess.DEVNULL, stdout=sys.__stderr__,
-                env=_environment(),
+                env=_environment(), start_new_session=True,
             )  # fmt: skip
             opening.pop_all()  # ours stays open
         self.channel = Channel(ours)

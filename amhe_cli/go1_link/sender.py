@@ -37,7 +37,11 @@ from amhe_cli.go1_link.state import RobotState
 _REPORT_PERIOD = 0.1
 #: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
 _PASS_ON = 2
-_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Also those that would suspend it, with the motors driven.
+_STOPPING = (
+    signal.SIGINT, signal.SIGTERM, signal.SIGHUP,
+    signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU,
+)  # fmt: skip
 _NO_PRIORITY = "the sender has no real-time priority: packets may be late when the computer is busy"
 
 

@@ -196,6 +196,20 @@ def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -
     assert link.report.reason == "key"
 
 
+@pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGTTIN])
+def test_a_sender_that_is_to_be_suspended_damps_instead(puppet: Puppet, number: signal.Signals) -> None:
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        assert link._child is not None
+        sender = link._child.process.pid
+        assert os.getsid(sender) == sender  # keys of our terminal do not reach it as signals
+        os.kill(sender, number)
+        puppet.wait(damps)
+    assert link.report.reason == number.name
+
+
 _PROGRAM = """
 import os, sys, time
 from amhe_cli.go1_link.clock import Clock
