@@ -39,7 +39,7 @@ _REPORT_PERIOD = 0.1
 _PASS_ON = 2
 #: Also those that would suspend it, with the motors driven.
 _STOPPING = (
-    signal.SIGINT, signal.SIGTERM, signal.SIGHUP,
+    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
     signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU,
 )  # fmt: skip
 _NO_PRIORITY = "the sender has no real-time priority: packets may be late when the computer is busy"

@@ -196,8 +196,10 @@ def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -
     assert link.report.reason == "key"
 
 
-@pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGTTIN])
-def test_a_sender_that_is_to_be_suspended_damps_instead(puppet: Puppet, number: signal.Signals) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGTTIN, signal.SIGQUIT])
+def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
+    puppet: Puppet, number: signal.Signals
+) -> None:
     with a_link(puppet) as link:
         link.connect()
         link.stand()
