@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 POSES = ("natnet", "motioncapture", "ros2", "udp")
 _PORT = options.WholeNumber(1, 65535)
+#: Of the attributes of a terminal: flags of its input, the keys that mean something to it, and none of them.
+_INPUT, _CONTROL, _NO_KEY = 0, 6, b"\0"
 
 reach_options = options.stacked(
     click.option("--host", metavar="ADDRESS", help="go1: of the robot.  [default: 192.168.123.10]"),
@@ -152,7 +154,10 @@ def _terminal() -> int:
 
 @contextmanager
 def _unseen_keys() -> Iterator[None]:
-    """Each key is handed over at once and not shown; as before in the end."""
+    """Each key is handed over at once and not shown; as before in the end.
+
+    Only Ctrl-C is a signal. Ctrl-Z, Ctrl-backslash, Ctrl-S and Ctrl-Q are keys like all others: they stop.
+    """
     descriptor = _terminal()
     if descriptor < 0:
         yield
@@ -161,8 +166,13 @@ def _unseen_keys() -> Iterator[None]:
     import tty
 
     before = termios.tcgetattr(descriptor)
-    tty.setcbreak(descriptor)
     try:
+        tty.setcbreak(descriptor)
+        changed = termios.tcgetattr(descriptor)
+        changed[_INPUT] &= ~termios.IXON
+        for meaning in (termios.VSUSP, termios.VQUIT):
+            changed[_CONTROL][meaning] = _NO_KEY
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, changed)
         yield
     finally:
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

@@ -6,10 +6,12 @@ import json
 import multiprocessing
 import os
 import re
+import select
 import signal
 import socket
 import subprocess
 import sys
+import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -165,6 +167,24 @@ def read_until(process: subprocess.Popen[str], text: str) -> None:
     assert process.stderr is not None
     while text not in (line := process.stderr.readline()):
         assert line, f"it ended before it said {text!r}"
+
+
+def test_keys_that_mean_something_to_a_terminal_come_as_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-Z, Ctrl-backslash, Ctrl-S, Ctrl-Q: whoever presses one of them wants the robot to stop."""
+    keys, terminal = os.openpty()
+    with os.fdopen(terminal) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        before = termios.tcgetattr(terminal)
+        with at_the_robot._unseen_keys():
+            for key in (b"\x1a", b"\x1c", b"\x13", b"\x11", b" "):
+                os.write(keys, key)
+                assert select.select([terminal], [], [], 10.0)[0], key
+                assert os.read(terminal, 8) == key
+            within = termios.tcgetattr(terminal)
+            assert within[3] & termios.ISIG  # Ctrl-C still is a signal, also to a program that hangs
+            assert within[6][termios.VINTR] == b"\x03"
+        assert termios.tcgetattr(terminal) == before
+    os.close(keys)
 
 
 @pytest.mark.slow
