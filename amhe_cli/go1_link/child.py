@@ -41,10 +41,7 @@ class Channel:
         """Hand a message over; False where the other side is gone, or so far behind that it is dropped."""
         try:
             self._end.send(message)
-        except BlockingIOError:
-            return False
-        except OSError:
-            self.open = False
+        except OSError:  # what it said before it went can still be read
             return False
         return True
 
@@ -55,6 +52,8 @@ class Channel:
                 message = self._end.recv(_LONGEST)
             except BlockingIOError:
                 return
+            except ConnectionResetError:  # told once, where something of ours was left unread
+                continue
             except OSError:
                 message = b""
             if not message:

@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
@@ -18,8 +18,10 @@ from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1_link import mail
 from amhe_cli.go1_link.child import Child
 from amhe_cli.go1_link.clock import Clock
+from amhe_cli.go1_link.letting_down import let_down
 from amhe_cli.go1_link.motion import Targets
 from amhe_cli.go1_link.phase import Phase
+from amhe_cli.go1_link.robot_socket import RobotSocket
 from amhe_cli.go1_link.wire import LinkError
 
 #: States that must have come before a robot is there, and the share of them that must reach us: with a second
@@ -64,6 +66,7 @@ class Link:
     def __init__(self, host: str, port: int, settings: Go1Settings, clock: Clock, keys: int = -1) -> None:
         self._where, self._settings, self._clock, self._keys = (host, port), settings, clock, keys
         self._samples: list[Any] = []
+        self._driven = False
         self._child: Child | None = None
         self._opened = ExitStack()
         self.report = Report()
@@ -112,6 +115,7 @@ class Link:
 
     def stand(self) -> None:
         """Let the robot stand up."""
+        self._driven = True
         self._order(mail.STAND)
 
     def arm(self) -> None:
@@ -172,7 +176,7 @@ class Link:
             self._child.channel.send(order)
 
     def _poll(self, quiet: bool = False) -> Report:
-        """Read what the sender says.
+        """Read what the sender says; where it has died, damp the motors from here.
 
         Raises:
             LinkError: It has died. Not where `quiet`.
@@ -186,9 +190,18 @@ class Link:
                 self.report = Report(**said)
             elif said is not None:
                 self._samples.append(said)
-        if not self._child.channel.open and self.report.phase != Phase.OVER and not quiet:
-            raise LinkError("the process that talks to the robot has died; its last words are above")
+        if not self._child.channel.open and self.report.phase != Phase.OVER:
+            self._stand_in()
+            if not quiet:
+                raise LinkError("the process that talks to the robot has died; its last words are above")
         return self.report
+
+    def _stand_in(self) -> None:
+        """Let the robot down in place of a sender that has died: motors keep their last command for good."""
+        if self._driven:
+            self._driven = False
+            with closing(RobotSocket(*self._where, self._clock)) as robot:
+                let_down(robot, self._settings, self._clock)
 
     def _check_contact(self) -> None:
         host, port = self._where

@@ -26,6 +26,7 @@ from amhe_cli.go1_link.clock import Clock, ClockMap
 from amhe_cli.go1_link.command import Command, encode
 from amhe_cli.go1_link.contact import Contact
 from amhe_cli.go1_link.intervals import Intervals
+from amhe_cli.go1_link.letting_down import let_down
 from amhe_cli.go1_link.machine import Inbox, Machine
 from amhe_cli.go1_link.motion import Sent
 from amhe_cli.go1_link.phase import Phase
@@ -88,15 +89,6 @@ class Sender:
             self._report(now)
             # a late tick is not made up for: two packets at once help nobody
             due = max(due + period, now)
-
-    def let_down(self) -> None:
-        """Damp the motors for some time, then stop: what is left to do when something broke."""
-        period, end = 1.0 / self._settings.rate, self._clock.now() + self._settings.damp_time
-        damped = Command(velocity=np.zeros(12), kd=np.full(12, self._settings.damping))
-        while self._clock.now() < end:
-            self._robot.send(encode(damped, self._settings.crc))
-            self._clock.sleep_until(self._clock.now() + period)
-        self._robot.send(encode(Command(), self._settings.crc))
 
     def stop(self, reason: str) -> None:
         """Damp the motors at the next tick."""
@@ -250,7 +242,7 @@ def main() -> None:
     try:
         sender.run()
     except BaseException as error:
-        sender.let_down()
+        let_down(robot, settings, clock)
         sender.say(f"{type(error).__name__}: {error}")
         raise
     finally:

@@ -19,6 +19,7 @@ import pytest
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1_link import state, wire
+from amhe_cli.go1_link.child import Channel
 from amhe_cli.go1_link.clock import Clock
 from amhe_cli.go1_link.link import Link, StoppedError
 from amhe_cli.go1_link.motion import Targets
@@ -210,6 +211,39 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
         os.kill(sender, number)
         puppet.wait(damps)
     assert link.report.reason == number.name
+
+
+def test_a_sender_that_dies_is_stood_in_for(puppet: Puppet) -> None:
+    """Motors follow the last command that they got for good."""
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        assert link._child is not None
+        link._child.process.kill()
+        link._child.process.wait()
+        with pytest.raises(LinkError, match="has died"):
+            wait_for(link, Phase.READY)
+    end = time.monotonic() + 10.0
+    while puppet.heard[-1][1].kd.max() > 0.0 and time.monotonic() < end:
+        time.sleep(0.01)
+    told = [command for _, command in puppet.heard]
+    last_driven = max(number for number, command in enumerate(told) if command.kp[0] > 0)
+    assert all(map(damps, told[last_driven + 1 : -1]))
+    assert len(told) - last_driven > 20
+    assert told[-1].kp.max() == told[-1].kd.max() == 0.0
+
+
+def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours, theirs = map(Channel, ends)
+    ours.send(b"never read")
+    theirs.send(b"last words")
+    theirs.close()
+    assert not ours.send(b"too late")
+    assert list(ours.received()) == [b"last words"]
+    assert not ours.open
+    ours.close()
 
 
 _PROGRAM = """
