@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 from collections import Counter
 from dataclasses import dataclass, field
@@ -12,6 +13,10 @@ from amhe_cli.go1_link.state import RobotState
 
 #: Turns of the motors' mode whose echoes are timed, and the time given to one [s].
 _TURNS, _PATIENCE = 10, 0.1
+#: Of our time over which the robot's is counted [s]: again and again, since states are held up now and then.
+_PACED = 0.25
+#: How far the pace may be from 1: clocks differ by far less, a forgotten --slow by far more.
+_PACE_ERROR = 0.05
 
 
 @dataclass(slots=True)
@@ -23,9 +28,12 @@ class Contact:
 
     Attributes:
         mode: To be commanded now.
+        pace: Seconds of the robot's clock in one of ours, of late; 0: not known yet.
     """
 
     mode: int = wire.DAMPED
+    pace: float = 0.0
+    _paced: tuple[int, float] = (0, -math.inf)
     _echoes: list[float] = field(default_factory=list)
     _turned: float = -1.0
     _good: int = 0
@@ -48,6 +56,13 @@ class Contact:
         if not self.complete and self._turned >= 0.0 and (state.modes == self.mode).all():
             self._echoes.append(arrival - self._turned)
             self._turned = -1.0
+        self._see_pace(state.tick, arrival)
+
+    def _see_pace(self, tick: int, arrival: float) -> None:
+        since = arrival - self._paced[1]
+        if since >= _PACED:
+            self.pace = 1e-3 * (tick - self._paced[0]) / since
+            self._paced = tick, arrival
 
     def see_strange(self, datagram: bytes) -> None:
         """Take in a datagram that is no state."""
@@ -64,12 +79,19 @@ class Contact:
         return statistics.median(self._echoes) if self._echoes else 0.0
 
     @property
+    def in_step(self) -> bool:
+        """Whether the robot's time goes as fast as ours."""
+        return abs(self.pace - 1.0) <= _PACE_ERROR
+
+    @property
     def report(self) -> dict[str, Any]:
         """As plain values; `share` of the robot's states arrived."""
         expected = self._ticks[1] - self._ticks[0] + 1 if self._ticks else 0
         strange = self._strange.most_common(1)
         return {
             "complete": self.complete,
+            "pace": round(self.pace, 3),
+            "in_step": self.in_step,
             "round_trip_ms": round(1e3 * self.round_trip, 2),
             "states": self._good,
             "share": round(min(1.0, self._good / expected), 3) if expected > 0 else 0.0,

@@ -107,7 +107,7 @@ class Link:
         end = time.monotonic() + self._settings.connect_time * max(1.0, self._clock.slow)
         while time.monotonic() < end:
             contact = self._poll().contact
-            if contact.get("complete") and contact["states"] >= _ENOUGH:
+            if contact.get("complete") and contact["states"] >= _ENOUGH and contact["in_step"]:
                 break
             time.sleep(_STEP)
         self._check_contact()
@@ -229,6 +229,11 @@ class Link:
             raise LinkError(
                 f"the robot on {where} sends states but follows no commands: another program talks to it, or "
                 "it wants the other checksum (--set go1.crc=encrypted)"
+            )
+        if not contact["in_step"]:
+            raise LinkError(
+                f"the robot's clock does {contact['pace']:.2f} s in one of ours: give amhe emulate and this "
+                "command the same --slow, and a larger one where the computer is too slow for it"
             )
         self._check_robot()
 

@@ -318,6 +318,15 @@ def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:
         link.connect()
 
 
+@pytest.mark.parametrize("slow", [2.0, 0.5])
+def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: float) -> None:
+    with (
+        Link("127.0.0.1", puppet.port, HASTY, Clock(slow)) as link,
+        pytest.raises(LinkError, match="same --slow"),
+    ):
+        link.connect()
+
+
 @pytest.mark.parametrize(
     ("change", "said"), [({"charge": 3}, "battery"), ({"temperatures": np.full(12, 88.0)}, "hot")]
 )
