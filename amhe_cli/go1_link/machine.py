@@ -100,7 +100,7 @@ class Machine:
             self._count_power(inbox.state)
             self._go_on(now, inbox, inbox.state)
             phase, wanted = self.phase, self._targets(now, inbox)
-            self._guard(now, inbox, inbox.state)
+            self._guard(now, inbox, inbox.state, wanted)
             if self.phase != phase:  # a plan that has been lost is not followed for one packet more
                 wanted = self._targets(now, inbox)
             if self._drives:
@@ -138,18 +138,18 @@ class Machine:
             then = _ENDS.get(self.phase, Phase.SIT)
             self._enter(then, now, state.joints if self._sent is None else self._sent)
 
-    def _guard(self, now: float, inbox: Inbox, state: RobotState) -> None:
+    def _guard(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> None:
         if self.phase == Phase.CONNECT:
             if inbox.stop:
                 self._trip("order", inbox.stop, Phase.OVER, now)
             return
         if self.phase >= Phase.DAMP:
             return
-        found = tripped(self._view(now, inbox, state), self.settings.trips)
+        found = tripped(self._view(now, inbox, state, wanted), self.settings.trips)
         if found:
             self._trip(*found, now)
 
-    def _view(self, now: float, inbox: Inbox, state: RobotState) -> View:
+    def _view(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> View:
         grace = self._since + _FIRST_PLAN if inbox.plan is None else -np.inf
         return View(
             phase=self.phase,
@@ -161,6 +161,7 @@ class Machine:
             bad_packets=inbox.bad_packets,
             jump=self._jump,
             order=inbox.stop,
+            targets=wanted,
         )
 
     def _trip(self, name: str, reason: str, then: Phase, now: float) -> None:
@@ -211,7 +212,7 @@ class Machine:
         targets, before = plan.at(now), self._from if self._sent is None else self._sent
         self._jump = NO_JUMP
         if plan is not self._playing:
-            self._jump = targets - before
+            self._jump = _largest_step(np.vstack((targets - before, np.diff(plan.rows, axis=0))))
             # the first one leans on its feet where a standing robot did not yet
             duration = _FIRST_BLEND if self._playing is None else _BLEND
             self._playing, self._blend = plan, (now - 1.0 / self.settings.rate, duration, before - targets)
@@ -221,8 +222,8 @@ class Machine:
     def _servo(self, now: float, state: RobotState, wanted: FloatArray) -> Command:
         s = self.settings
         gain = min(1.0, (now - self._since) / s.gain_time) if self.phase == Phase.HOLD else 1.0
-        self._sent = wanted if np.isfinite(wanted).all() else state.joints
-        targets = self.commanded = allowed(self._sent, state.joints, s.kp, s.torque_share)
+        self._sent = wanted
+        targets = self.commanded = allowed(wanted, state.joints, s.kp, s.torque_share)
         return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4))
 
     def _count_power(self, state: RobotState) -> None:
@@ -232,3 +233,8 @@ class Machine:
         self._power_tick = state.tick
         over = power(state) > self.settings.trips.power
         self._over_power = self._over_power + 1 if over else max(0, self._over_power - 1)
+
+
+def _largest_step(steps: FloatArray) -> FloatArray:
+    """Of each joint, over the rows of (n, 12): shape (12,); not a number where one of them is none."""
+    return steps[np.abs(steps).argmax(axis=0), np.arange(steps.shape[1])]

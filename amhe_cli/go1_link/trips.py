@@ -32,7 +32,9 @@ class View:
         pose_age: Of the older one of the newest poses of trunk and box [s].
         over_power: States one after the other with too much power.
         bad_packets: Damaged datagrams one after the other.
-        jump: From the targets in force to those of a plan that is new in this tick, shape (12,).
+        jump: From the targets in force to a plan that is new in this tick, or between two of its rows,
+            whatever is more, shape (12,).
+        targets: To be sent, before they are clipped [rad], shape (12,).
         order: Why somebody wants it to stop; '' if nobody does.
     """
 
@@ -44,6 +46,7 @@ class View:
     over_power: int
     bad_packets: int
     jump: FloatArray
+    targets: FloatArray
     order: str
 
 
@@ -85,7 +88,7 @@ def _not_a_number(view: View, limits: TripSettings) -> str | None:
     total = state.joints.sum() + state.joint_rates.sum() + state.gyro.sum() + state.quaternion.sum()
     if not np.isfinite(total):
         return "the robot sends what is not a number"
-    return None if np.isfinite(view.jump.sum()) else "the plan is not a number"
+    return None if np.isfinite(view.jump.sum() + view.targets.sum()) else "the plan is not a number"
 
 
 def _tilted(view: View, limits: TripSettings) -> str | None:

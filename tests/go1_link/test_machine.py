@@ -225,6 +225,25 @@ def test_folded_calves_beyond_the_limits_are_no_trip_before_it_stands() -> None:
     robot.joints = np.tile([0.0, 1.3, -2.79], 4)
     robot.until(Phase.READY)
     assert robot.machine.trip == ""
+@pytest.mark.parametrize(("value", "trip"), [(1.5, "target_jump"), (np.nan, "not_a_number")])
+def test_a_plan_is_looked_at_as_a_whole_when_it_comes(value: float, trip: str) -> None:
+    robot = running()
+    rows = np.tile(HOME + 0.1, (16, 1))
+    rows[12:, 4] += value
+    robot.plan = Targets(robot.now + TICK, 0.02, rows)
+    assert is_damping(robot.step())
+    assert robot.machine.trip == trip
+
+
+def test_targets_that_are_no_numbers_damp() -> None:
+    """Whatever led to them: they were taken for where the joints are."""
+    robot = running()
+    robot.machine._blend = (robot.now, 1.0, np.full(12, np.nan))
+    robot.inbox.plan = robot.plan = robot.machine._playing
+    assert is_damping(robot.step())
+    assert robot.machine.trip == "not_a_number"
+
+
 
 
 @pytest.mark.parametrize("phase", [Phase.HOLD, Phase.STAND, Phase.READY])
