@@ -86,6 +86,7 @@ class Machine:
     _playing: Targets | None = None
     _blend: tuple[float, float, FloatArray] = (0.0, 1.0, NO_JUMP)
     _jump: FloatArray = field(default_factory=lambda: NO_JUMP)
+    _released: bool = False
     _over_power: int = 0
     _power_tick: int = -1
 
@@ -126,7 +127,7 @@ class Machine:
             self._enter(Phase.STAND, now, self._from)
         elif self.phase == Phase.STAND and elapsed > self._stand_time:
             self._enter(Phase.READY, now, HOME)
-        elif self.phase == Phase.READY and (inbox.arm or Remote.of(state.remote).arms):
+        elif self.phase == Phase.READY and (inbox.arm or self._armed(Remote.of(state.remote))):
             self._enter(Phase.RUN, now, HOME)
         elif self.phase == Phase.PAUSE and elapsed > s.hold_time:
             self._enter(Phase.SIT, now, self._from)
@@ -163,6 +164,11 @@ class Machine:
             order=inbox.stop,
             targets=wanted,
         )
+
+    def _armed(self, remote: Remote) -> bool:
+        """Whether the remote's key has been pressed since the robot stands: not held from before."""
+        self._released = self._released or not remote.arms
+        return self._released and remote.arms
 
     def _trip(self, name: str, reason: str, then: Phase, now: float) -> None:
         if not self.trip:

@@ -113,6 +113,19 @@ def test_it_waits_for_the_operator_and_then_for_the_first_plan() -> None:
 
 
 def test_an_end_as_planned_sits_down_and_damps() -> None:
+def test_a_key_of_the_remote_that_is_held_all_the_time_does_not_arm() -> None:
+    robot = Robot()
+    robot.change = {"remote": Remote(frozenset({"R2"})).raw()}
+    robot.until(Phase.READY)
+    robot.for_a_while(0.5)
+    assert robot.machine.phase == Phase.READY
+    robot.change = {"remote": Remote(frozenset({"start"})).raw()}  # that enters low-level mode, with others
+    robot.for_a_while(0.5)
+    assert robot.machine.phase == Phase.READY
+    robot.change = {"remote": Remote(frozenset({"R2"})).raw()}
+    robot.until(Phase.RUN, 0.1)
+
+
     robot = running()
     robot.inbox.finish = True
     told = robot.until(Phase.OVER)
