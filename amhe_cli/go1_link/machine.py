@@ -161,8 +161,8 @@ class Machine:
             over_power=self._over_power,
             bad_packets=inbox.bad_packets,
             jump=self._jump,
-            order=inbox.stop,
             targets=wanted,
+            order=inbox.stop,
         )
 
     def _armed(self, remote: Remote) -> bool:

@@ -87,8 +87,7 @@ class Sender:
             now = self._clock.now()
             self._send(self._machine.step(now, self._inbox), now)
             self._report(now)
-            # a late tick is not made up for: two packets at once help nobody
-            due = max(due + period, now)
+            due = next_tick(due, now, period)
 
     def stop(self, reason: str) -> None:
         """Damp the motors at the next tick."""
@@ -182,6 +181,14 @@ class Sender:
                 }
             )
         )  # fmt: skip
+
+
+def next_tick(due: float, now: float, period: float) -> float:
+    """When the next packet is due [s] after one that was due, and was sent now.
+
+    A late one is not made up for: two at once help nobody.
+    """
+    return max(due + period, now + 0.5 * period)
 
 
 def _stand(inbox: Inbox) -> None:

@@ -18,6 +18,7 @@ from amhe_cli.go1_link.machine import Inbox, Machine
 from amhe_cli.go1_link.motion import Sent, Targets
 from amhe_cli.go1_link.phase import Phase
 from amhe_cli.go1_link.remote import Remote
+from amhe_cli.go1_link.sender import next_tick
 from amhe_cli.go1_link.trips import TRIPS
 from tests.go1_link.makers import FOLDED, a_state
 
@@ -112,7 +113,6 @@ def test_it_waits_for_the_operator_and_then_for_the_first_plan() -> None:
     assert robot.machine.phase == Phase.RUN
 
 
-def test_an_end_as_planned_sits_down_and_damps() -> None:
 def test_a_key_of_the_remote_that_is_held_all_the_time_does_not_arm() -> None:
     robot = Robot()
     robot.change = {"remote": Remote(frozenset({"R2"})).raw()}
@@ -126,6 +126,7 @@ def test_a_key_of_the_remote_that_is_held_all_the_time_does_not_arm() -> None:
     robot.until(Phase.RUN, 0.1)
 
 
+def test_an_end_as_planned_sits_down_and_damps() -> None:
     robot = running()
     robot.inbox.finish = True
     told = robot.until(Phase.OVER)
@@ -224,20 +225,6 @@ def test_a_worse_fault_while_sitting_damps_at_once() -> None:
     assert robot.machine.trip == "plan_lost"  # the first cause
 
 
-def test_short_power_is_no_trip() -> None:
-    robot = running()
-    CHANGES["power"](robot)
-    robot.for_a_while(4 * TICK)
-    robot.change = {}
-    robot.for_a_while(0.1)
-    assert robot.machine.phase == Phase.RUN
-
-
-def test_folded_calves_beyond_the_limits_are_no_trip_before_it_stands() -> None:
-    robot = Robot()
-    robot.joints = np.tile([0.0, 1.3, -2.79], 4)
-    robot.until(Phase.READY)
-    assert robot.machine.trip == ""
 @pytest.mark.parametrize(("value", "trip"), [(1.5, "target_jump"), (np.nan, "not_a_number")])
 def test_a_plan_is_looked_at_as_a_whole_when_it_comes(value: float, trip: str) -> None:
     robot = running()
@@ -257,6 +244,20 @@ def test_targets_that_are_no_numbers_damp() -> None:
     assert robot.machine.trip == "not_a_number"
 
 
+def test_short_power_is_no_trip() -> None:
+    robot = running()
+    CHANGES["power"](robot)
+    robot.for_a_while(4 * TICK)
+    robot.change = {}
+    robot.for_a_while(0.1)
+    assert robot.machine.phase == Phase.RUN
+
+
+def test_folded_calves_beyond_the_limits_are_no_trip_before_it_stands() -> None:
+    robot = Robot()
+    robot.joints = np.tile([0.0, 1.3, -2.79], 4)
+    robot.until(Phase.READY)
+    assert robot.machine.trip == ""
 
 
 @pytest.mark.parametrize("phase", [Phase.HOLD, Phase.STAND, Phase.READY])
@@ -304,6 +305,13 @@ def test_the_gains_are_those_of_the_planners_model() -> None:
     np.testing.assert_allclose(told.kp, model.actuator_gainprm[at.servos, 0])
     servos = -model.actuator_biasprm[at.servos, 2]
     np.testing.assert_allclose(told.kd, servos + model.dof_damping[at.joints_v])
+
+
+@pytest.mark.parametrize(
+    ("late", "pause"), [(0.0, 0.002), (0.0005, 0.0015), (0.0019, 0.001), (0.002, 0.001), (0.1, 0.001)]
+)
+def test_a_late_packet_is_followed_by_none_at_once(late: float, pause: float) -> None:
+    assert next_tick(5.0, 5.0 + late, TICK) - (5.0 + late) == pytest.approx(pause)
 
 
 def test_what_was_sent_by_a_time() -> None:
