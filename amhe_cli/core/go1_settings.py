@@ -7,7 +7,8 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-_Damping = Annotated[float, Field(gt=0, le=10)]
+#: Less than 1/16 is nothing to a motor.
+_Damping = Annotated[float, Field(ge=0.0625, le=10)]
 _Share = Annotated[float, Field(gt=0, le=1)]
 #: x, y, z [m], then a rotation vector [rad].
 _Offset = tuple[float, float, float, float, float, float]
@@ -59,7 +60,7 @@ class Go1Settings(_Group):
     """Of hip, thigh and calf [N m s/rad]: the planner's 1, and that of its model's own joints."""
     torque_share: _Share = 0.7
     """Targets are clipped so that position control asks for no more than this share of the torque limit."""
-    damping: _Damping = 3.0
+    damping: Annotated[float, Field(ge=0.5, le=10)] = 3.0
     """kd of damped motors [N m s/rad]."""
     gain_time: _Positive = 2.0
     """In which gains rise from zero, before standing up [s]."""

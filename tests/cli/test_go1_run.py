@@ -221,6 +221,8 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
         ([*ROBOT, "--set", "go1.box=go1"], "same name"),
         ([*ROBOT, "--pose", "ros2", "--pose-host", "lab"], "number of a DDS domain"),
         ([*ROBOT, "--set", "go1.trips.tilt=-1"], "go1.trips.tilt"),
+        ([*ROBOT, "--set", "go1.damping=0.05"], "go1.damping"),
+        ([*ROBOT, "--set", "go1.kd=[2,3,0.06]"], "go1.kd"),
         (["run", "--task", "t1", "--pose-port", "5"], "--pose-port is of a real robot"),
         (["run", "--task", "t1", "--dry-run"], "--dry-run is of a real robot"),
         (["probe", "--slow", "2"], "--slow is of a real robot"),
