@@ -16,7 +16,7 @@ import numpy as np
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.core.go1_settings import Go1Settings, deviations
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Measurements, State
 from amhe_cli.go1_link.clock import Clock
@@ -115,6 +115,7 @@ class Go1Target:
             "hottest motor": f"{report.robot['hottest']:.0f} deg C",
             "trunk": f"{trunk[0][2]:.3f} m high; off the IMU by {tilt[0]:+.1f}, {tilt[1]:+.1f} degrees",
             "box": f"at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m of the task's frame",
+            **({"not by default": changed} if (changed := deviations(s)) else {}),
             **{f"note {number}": note for number, note in enumerate(report.notes, start=1)},
         }
 
@@ -133,8 +134,10 @@ class Go1Target:
         if self._settings.arm == "auto":
             self._link.arm()
         else:
+            changed = deviations(self._settings)
+            stands = f"it stands, with {changed}" if changed else "it stands"
             say(
-                "it stands. Enter, or R2 on the remote: the run begins; any other key, or L2+B: motors damped"
+                f"{stands}. Enter, or R2 on the remote: the run begins; any other key, or L2+B: motors damped"
             )
         self._wait_for(Phase.RUN)
         self._start = self._clock.now()

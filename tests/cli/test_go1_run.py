@@ -33,7 +33,7 @@ QUICK = [
     *("--set", "go1.stand_speed=2"), *("--set", "go1.sit_time=0.5"), *("--set", "go1.damp_time=0.3"),
     *("--set", "go1.trips.plan_age=1"), *("--set", "go1.trips.state_age=0.5"),
     *("--set", "go1.trips.pose_age=1"), *("--set", "go1.place_tolerance=0.3"),
-    *("--set", "go1.trips.target_jump=3"), "--threads", "1", "-q",
+    *("--set", "go1.trips.target_jump=1"), "--threads", "1", "-q",
 ]  # fmt: skip
 ROBOT = ["run", "--task", "t1", "--target", "go1", "--mode", "baseline"]
 
@@ -196,7 +196,7 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
         arguments = [*ROBOT, *where, *QUICK, "-o", "out"]
         arguments.remove("-q")
         with in_a_terminal(arguments) as (process, keys):
-            read_until(process, "it stands. Enter")
+            read_until(process, ". Enter, or R2")
             os.write(keys, b"\n")
             read_until(process, "from the goal")
             os.write(keys, b" ")
@@ -221,6 +221,8 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
         ([*ROBOT, "--set", "go1.box=go1"], "same name"),
         ([*ROBOT, "--pose", "ros2", "--pose-host", "lab"], "number of a DDS domain"),
         ([*ROBOT, "--set", "go1.trips.tilt=-1"], "go1.trips.tilt"),
+        ([*ROBOT, "--set", "go1.trips.tilt=3"], "go1.trips.tilt"),
+        ([*ROBOT, "--set", "go1.trips.state_age=1000"], "go1.trips.state_age"),
         ([*ROBOT, "--set", "go1.damping=0.05"], "go1.damping"),
         ([*ROBOT, "--set", "go1.kd=[2,3,0.06]"], "go1.kd"),
         (["run", "--task", "t1", "--pose-port", "5"], "--pose-port is of a real robot"),

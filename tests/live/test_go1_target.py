@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.control.controller import Plan
-from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.core.go1_settings import Go1Settings, deviations
 from amhe_cli.core.rotations import exp
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Measurements
@@ -61,6 +61,25 @@ def test_a_check_says_what_it_found_and_moves_nothing(puppet: Puppet) -> None:
     assert found["battery"] == "80 %"
     assert found["box"] == "at (0.60, 0.00, 0.15) m of the task's frame"
     assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
+
+
+def test_what_is_not_by_default_is_told_before_arming(puppet: Puppet) -> None:
+    assert deviations(Go1Settings()) == ""
+    settings = Go1Settings.model_validate({"kd": (2, 3, 4), "trips": {"tilt": 1.2}})
+    assert deviations(settings) == "go1.kd [2, 3, 4] ([2, 3, 3]), go1.trips.tilt 1.2 (0.9)"
+    told: list[str] = []
+
+    def hear(text: str) -> None:
+        told.append(text)
+        if "Enter" in text:
+            puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"R2"})).raw())
+
+    with a_target(puppet, SETTINGS.model_copy(update={"arm": "operator"})) as (target, _):
+        found = target.check()
+        target.begin(hear)
+    for text in (found["not by default"], told[-1]):
+        assert "go1.stand_speed 3 (0.5)" in text
+        assert "go1.trips.pose_age 1 (0.19)" in text
 
 
 @pytest.mark.parametrize(
