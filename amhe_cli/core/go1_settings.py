@@ -50,6 +50,8 @@ class TripSettings(_Group):
     """How far a joint may be beyond the limits of commands [rad], once the robot stands."""
     bad_packets: Annotated[int, Field(ge=1, le=100)] = 20
     """Damaged datagrams in a row."""
+    share: Annotated[float, Field(ge=0.6, le=0.95)] = 0.8
+    """Of the robot's last 200 states that must have come; a second program takes about half of them."""
 
 
 class Go1Settings(_Group):

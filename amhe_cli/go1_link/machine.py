@@ -42,6 +42,7 @@ class Inbox:
         state: Of the robot; None: none yet.
         state_time: When it came [s].
         bad_packets: Damaged datagrams since the last good one.
+        share: Of the robot's last states that reached us.
         plan: Newest.
         plan_time: When it came [s].
         pose_time: Of the older one of the newest poses of trunk and box [s].
@@ -52,6 +53,7 @@ class Inbox:
     state: RobotState | None = None
     state_time: float = -np.inf
     bad_packets: int = 0
+    share: float = 1.0
     plan: Targets | None = None
     plan_time: float = -np.inf
     pose_time: float = -np.inf
@@ -160,6 +162,7 @@ class Machine:
             pose_age=now - max(inbox.pose_time, grace),
             over_power=self._over_power,
             bad_packets=inbox.bad_packets,
+            share=inbox.share,
             jump=self._jump,
             targets=wanted,
             order=inbox.stop,

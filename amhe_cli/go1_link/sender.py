@@ -24,7 +24,7 @@ from amhe_cli.go1_link import mail, state, wire
 from amhe_cli.go1_link.child import Channel, begun
 from amhe_cli.go1_link.clock import Clock, ClockMap
 from amhe_cli.go1_link.command import Command, encode
-from amhe_cli.go1_link.contact import Contact
+from amhe_cli.go1_link.contact import Contact, Share
 from amhe_cli.go1_link.intervals import Intervals
 from amhe_cli.go1_link.letting_down import let_down
 from amhe_cli.go1_link.machine import Inbox, Machine
@@ -43,7 +43,14 @@ _STOPPING = (
     signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
     signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU,
 )  # fmt: skip
+_DRIVEN = (
+    "the robot's motors are driven already: another program talks to it, or died there; end it, and try again"
+)
 _NO_PRIORITY = "the sender has no real-time priority: packets may be late when the computer is busy"
+
+
+class DrivenError(wire.LinkError):
+    """Somebody else drives the robot: it is not ours to let down either."""
 
 
 class Sender:
@@ -70,13 +77,18 @@ class Sender:
         self._settings, self._robot, self._channel, self._clock = settings, robot, channel, clock
         self._keys, self._notes = keys, notes
         self._machine, self._inbox, self._contact = Machine(settings), Inbox(), Contact()
+        self._share = Share()
         self._ticks, self._tick = ClockMap(), -1
         self._sent = Sent(self._machine.commanded)
         self._intervals = Intervals()
         self._reported = (-np.inf, Phase.OVER)
 
     def run(self) -> None:
-        """Send until the last phase is over."""
+        """Send until the last phase is over.
+
+        Raises:
+            DrivenError: Another program drives the robot: not one packet more.
+        """
         period = 1.0 / self._settings.rate
         due = self._clock.now()
         while self._machine.phase != Phase.OVER:
@@ -119,9 +131,12 @@ class Sender:
     def _take(self, read: RobotState, arrival: float) -> None:
         self._tick = read.tick
         self._inbox.state, self._inbox.state_time = read, arrival
+        self._inbox.share = self._share.see(read.tick)
         time = self._ticks.see(1e-3 * read.tick, arrival) - 0.5 * self._contact.round_trip
         if self._machine.phase == Phase.CONNECT:
             self._contact.see(read, arrival)
+            if self._contact.driven:
+                raise DrivenError(_DRIVEN)
         if read.tick % _PASS_ON == 0:
             # what is sent is some time on its way: those that the robot followed when it told its state
             followed = self._sent.by(time - 0.5 * self._contact.round_trip)
@@ -248,6 +263,8 @@ def main() -> None:
         signal.signal(number, lambda number, _: sender.stop(signal.Signals(number).name))
     try:
         sender.run()
+    except DrivenError as error:
+        sender.say(str(error))
     except BaseException as error:
         let_down(robot, settings, clock)
         sender.say(f"{type(error).__name__}: {error}")

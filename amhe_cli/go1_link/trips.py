@@ -32,6 +32,7 @@ class View:
         pose_age: Of the older one of the newest poses of trunk and box [s].
         over_power: States one after the other with too much power.
         bad_packets: Damaged datagrams one after the other.
+        share: Of the robot's last states that reached us.
         jump: From the targets in force to a plan that is new in this tick, or between two of its rows,
             whatever is more, shape (12,).
         targets: To be sent, before they are clipped [rad], shape (12,).
@@ -45,6 +46,7 @@ class View:
     pose_age: float
     over_power: int
     bad_packets: int
+    share: float
     jump: FloatArray
     targets: FloatArray
     order: str
@@ -81,6 +83,13 @@ def _state_lost(view: View, limits: TripSettings) -> str | None:
 def _damaged(view: View, limits: TripSettings) -> str | None:
     many = view.bad_packets >= limits.bad_packets
     return f"{view.bad_packets} damaged packets one after the other" if many else None
+
+
+def _shared(view: View, limits: TripSettings) -> str | None:
+    if view.share >= limits.share:
+        return None
+    arrive = f"only {100 * view.share:.0f} % of the robot's states arrive"
+    return f"{arrive}: another program talks to it, or the network loses packets"
 
 
 def _not_a_number(view: View, limits: TripSettings) -> str | None:
@@ -156,6 +165,7 @@ TRIPS: dict[str, tuple[Trip, Phase]] = {
     "remote": (_remote, Phase.DAMP),
     "state_lost": (_state_lost, Phase.DAMP),
     "damaged": (_damaged, Phase.DAMP),
+    "share": (_shared, Phase.DAMP),
     "not_a_number": (_not_a_number, Phase.DAMP),
     "tilt": (_tilted, Phase.DAMP),
     "speed": (_fast, Phase.DAMP),

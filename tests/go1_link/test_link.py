@@ -21,6 +21,7 @@ from amhe_cli.go1.legs import HOME
 from amhe_cli.go1_link import state, wire
 from amhe_cli.go1_link.child import Channel
 from amhe_cli.go1_link.clock import Clock
+from amhe_cli.go1_link.contact import Share
 from amhe_cli.go1_link.link import Link, StoppedError
 from amhe_cli.go1_link.motion import Targets
 from amhe_cli.go1_link.phase import Phase
@@ -310,6 +311,37 @@ def test_a_second_sender_is_noticed(puppet: Puppet) -> None:
     puppet.mangle = lambda packet: packet if state.decode(packet).tick % 2 else None
     with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match="another program"):
         link.connect()
+
+
+def test_a_robot_that_another_program_drives_is_left_alone(puppet: Puppet) -> None:
+    puppet.change = lambda sent: replace(sent, torques=np.full(12, 6.0))
+    with a_link(puppet) as link:
+        with pytest.raises(LinkError, match="driven already"):
+            link.connect()
+        heard = len(puppet.heard)
+        time.sleep(0.3)
+        assert len(puppet.heard) <= heard + 1
+    assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
+    assert len(puppet.heard) < 0.5 * QUICK.connect_time * QUICK.rate
+
+
+def test_a_second_sender_that_comes_later_damps(puppet: Puppet) -> None:
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        puppet.mangle = lambda packet: packet if state.decode(packet).tick % 2 else None
+        puppet.wait(damps)
+    assert link.report.trip == "share"
+
+
+def test_the_share_of_states_that_arrive() -> None:
+    share = Share()
+    assert {share.see(tick) for tick in range(1, 500)} == {1.0}
+    assert share.see(900) == 0.95  # a pause
+    assert [share.see(tick) for tick in range(901, 1101)][-1] == 1.0
+    assert [share.see(tick) for tick in range(1101, 1501, 2)][-1] == 0.5
+    assert share.see(1) == 1.0  # the robot has been switched off and on
 
 
 def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:

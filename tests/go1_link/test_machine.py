@@ -153,6 +153,7 @@ CHANGES: dict[str, Callable[[Robot], None]] = {
     "remote": lambda robot: robot.change.update(remote=Remote(frozenset({"select"})).raw()),
     "state_lost": lambda robot: setattr(robot, "silent", True),
     "damaged": lambda robot: setattr(robot.inbox, "bad_packets", 25),
+    "share": lambda robot: setattr(robot.inbox, "share", 0.75),
     "not_a_number": lambda robot: robot.change.update(gyro=np.array([0.0, np.nan, 0.0])),
     "tilt": lambda robot: robot.change.update(quaternion=np.array([np.cos(0.5), 0.0, np.sin(0.5), 0.0])),
     "speed": lambda robot: robot.change.update(joint_rates=np.array([0.0] * 11 + [-19.0])),
