@@ -48,6 +48,7 @@ class Report:
     intervals: dict[str, float] = field(default_factory=dict)
     robot: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    unfit: str = ""
 
 
 class Link:
@@ -106,8 +107,9 @@ class Link:
         self._wait_for_sender()
         end = time.monotonic() + self._settings.connect_time * max(1.0, self._clock.slow)
         while time.monotonic() < end:
-            contact = self._poll().contact
-            if contact.get("complete") and contact["states"] >= _ENOUGH and contact["in_step"]:
+            contact, unfit = self._poll().contact, self.report.unfit
+            seen = contact.get("complete") and contact["states"] >= _ENOUGH
+            if seen and contact["in_step"] and not unfit:
                 break
             time.sleep(_STEP)
         self._check_contact()
@@ -235,16 +237,8 @@ class Link:
                 f"the robot's clock does {contact['pace']:.2f} s in one of ours: give amhe emulate and this "
                 "command the same --slow, and a larger one where the computer is too slow for it"
             )
-        self._check_robot()
-
-    def _check_robot(self) -> None:
-        robot, trips = self.report.robot, self._settings.trips
-        if robot["charge"] < trips.charge:
-            raise LinkError(f"the robot's battery is at {robot['charge']} %; it must have {trips.charge:g} %")
-        if robot["hottest"] > trips.temperature:
-            raise LinkError(
-                f"a motor is {robot['hottest']:.0f} deg C hot; let it cool to {trips.temperature:g}"
-            )
+        if report.unfit:
+            raise LinkError(f"the robot cannot be driven: {report.unfit}")
 
 
 @contextmanager

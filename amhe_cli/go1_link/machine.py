@@ -115,6 +115,12 @@ class Machine:
             return Command(velocity=_AT_REST, kd=np.full(12, self.settings.damping))
         return Command()
 
+    def unfit(self, now: float, inbox: Inbox) -> str:
+        """Why a robot that is not driven yet would trip as soon as it is; '' if it would not."""
+        state = inbox.state
+        found = tripped(self._view(now, inbox, state, HOME), self.settings.trips) if state else None
+        return found[1] if found else ""
+
     # -- from one phase to the next -------------------------------------------------------------------
 
     @property

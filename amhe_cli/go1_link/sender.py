@@ -186,6 +186,7 @@ class Sender:
         if machine.phase == phase and now - last < _REPORT_PERIOD:
             return
         self._reported = now, machine.phase
+        looked_at = machine.phase == Phase.CONNECT and self._contact.complete
         self._channel.send(
             mail.report_message(
                 {
@@ -193,6 +194,7 @@ class Sender:
                     "contact": self._contact.report, "refused": self._robot.refused,
                     "intervals": self._intervals.summary() if machine.phase >= Phase.PAUSE else {},
                     "robot": _robot(self._inbox.state), "notes": self._notes,
+                    "unfit": machine.unfit(now, self._inbox) if looked_at else "",
                 }
             )
         )  # fmt: skip

@@ -360,12 +360,29 @@ def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: 
 
 
 @pytest.mark.parametrize(
-    ("change", "said"), [({"charge": 3}, "battery"), ({"temperatures": np.full(12, 88.0)}, "hot")]
+    ("change", "said"),
+    [
+        ({"charge": 3}, "battery"),
+        ({"temperatures": np.full(12, 88.0)}, "hot"),
+        ({"quaternion": np.array([np.cos(0.6), np.sin(0.6), 0.0, 0.0])}, "leans"),
+        ({"joint_rates": np.full(12, np.nan)}, "not a number"),
+        ({"remote": Remote(frozenset({"select"})).raw()}, "remote"),
+    ],
 )
 def test_a_robot_in_no_condition_is_refused(puppet: Puppet, change: dict, said: str) -> None:
     puppet.change = lambda sent: replace(sent, **change)
-    with a_link(puppet) as link, pytest.raises(LinkError, match=said):
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=said):
         link.connect()
+
+
+def test_a_motor_in_no_mode_to_be_driven_is_refused(puppet: Puppet) -> None:
+    """It has echoed its modes, and then switches itself off."""
+    with a_link(puppet, HASTY) as link:
+        link.connect()
+        puppet.change = lambda sent: replace(sent, modes=np.full(12, 8))
+        with pytest.raises(LinkError, match="is in mode 8, too hot"):
+            while True:
+                link.connect()
 
 
 def test_no_such_host_is_one_line() -> None:
