@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
@@ -60,7 +61,7 @@ class Go1Target:
         self._start = 0.0
         self._time = 0.0
         self._plan = Plan(0.0, period, np.asarray(HOME)[None])
-        self._newest: dict[str, float] = {settings.trunk: -np.inf, settings.box: -np.inf}
+        self._newest = {name: _never(name) for name in (settings.trunk, settings.box)}
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []
         self._poses: list[tuple[float, Pose, Pose]] = []
@@ -178,7 +179,7 @@ class Go1Target:
         lead = 0.5e-3 * self.report.contact.get("round_trip_ms", 0.0)
         start = self._start + plan.start - plan.period - lead
         targets = Targets(start, plan.period, np.vstack((before, plan.targets)))
-        self._link.play(targets, min(self._newest.values()))
+        self._link.play(targets, self._oldest)
         self._plan, self._playing = plan, True
 
     def _sleep_to_the_next_period(self) -> None:
@@ -199,9 +200,10 @@ class Go1Target:
         """All that has come and is of the run: not older than its beginning."""
         self._robot += [sample for sample in self._link.samples() if sample["time"] >= self._start]
         for pose in self._feed.poses():
-            if pose.body in self._newest and pose.time - self._settings.pose_delay >= self._start:
-                self._newest[pose.body] = max(self._newest[pose.body], pose.time)
-                self._pair(pose)
+            exposed = replace(pose, time=pose.time - self._settings.pose_delay)
+            if pose.body in self._newest and exposed.time >= self._start:
+                self._newest[pose.body] = max(self._newest[pose.body], exposed, key=lambda one: one.time)
+                self._pair(exposed)
 
     def _pair(self, pose: TimedPose) -> None:
         """Join trunk and box of one frame; what finds no partner is left out."""
@@ -214,6 +216,11 @@ class Go1Target:
                 self._poses.append((time, pair[self._settings.trunk], pair[self._settings.box]))
                 return
         self._unpaired.append(pose)
+
+    @property
+    def _oldest(self) -> float:
+        """Of the older one of the newest poses of trunk and box [s]."""
+        return min(pose.time for pose in self._newest.values())
 
     def _offset(self, pose: TimedPose) -> Pose:
         s = self._settings
@@ -237,6 +244,10 @@ class Go1Target:
             time=self._time,
             robot_times=np.array([sample["time"] for sample in robot]) - self._start,
             **columns,
-            pose_times=np.array([pose[0] for pose in poses]) - self._start - self._settings.pose_delay,
+            pose_times=np.array([pose[0] for pose in poses]) - self._start,
             **seen,
         )
+
+
+def _never(body: str) -> TimedPose:
+    return TimedPose(body, -np.inf, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))

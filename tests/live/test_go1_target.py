@@ -128,6 +128,17 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
     assert cameras.trunk is TRUNK
 
 
+def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: pytest.MonkeyPatch) -> None:
+    handed: list[float] = []
+    with a_target(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
+        target.check()
+        target.begin(lambda text: None)
+        measured = target.measure()
+        monkeypatch.setattr(target._link, "play", lambda plan, pose_time: handed.append(pose_time))
+        target.play(Plan(measured.time + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
+    assert handed[0] - target._start == pytest.approx(measured.pose_times[-1], abs=0.1)
+
+
 @pytest.mark.parametrize("lost", ["poses", "robot"])
 def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str) -> None:
     with a_target(puppet) as (target, cameras):
