@@ -26,7 +26,7 @@ from amhe_cli.go1_link.motion import Targets
 from amhe_cli.go1_link.phase import Phase
 from amhe_cli.poses.feed import PoseFeed, TimedPose
 from amhe_cli.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
-from amhe_cli.poses.source import Pose
+from amhe_cli.poses.source import Pose, PoseError
 
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
@@ -128,6 +128,7 @@ class Go1Target:
 
         Raises:
             StoppedError: A trip, or the operator, came first.
+            PoseError: Box or poses are not any more as they were checked.
         """
         say("the robot stands up")
         self._link.stand()
@@ -141,9 +142,20 @@ class Go1Target:
                 f"{stands}. Enter, or R2 on the remote: the run begins; any other key, or L2+B: motors damped"
             )
         self._wait_for(Phase.RUN)
+        self._look_again()
         self._start = self._clock.now()
         self._robot.clear()
         self._poses.clear()
+
+    def _look_again(self) -> None:
+        """Refuse to begin where box or poses have changed since they were checked: an operator takes time."""
+        s = self._settings
+        self._collect()
+        age = self._clock.now() - self._oldest
+        if age > s.trips.pose_age:
+            raise PoseError(f"no pose of trunk or box for {1e3 * age:.0f} ms: the run does not begin")
+        place, _ = self._world.seen(self._offset(self._newest[s.box]))
+        check_place(place, self._box, s.place_tolerance)
 
     def _wait_for(self, phase: Phase) -> None:
         while not self._link.reached(phase):

@@ -139,6 +139,26 @@ def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: py
     assert handed[0] - target._start == pytest.approx(measured.pose_times[-1], abs=0.1)
 
 
+@pytest.mark.parametrize(("gone", "said"), [("box", "the task wants it"), ("poses", "does not begin")])
+def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone: str, said: str) -> None:
+    trips = PATIENT.model_copy(update={"pose_age": 0.5 if gone == "poses" else 1.0})
+    with a_target(puppet, SETTINGS.model_copy(update={"trips": trips, "gain_time": 1.0})) as (
+        target,
+        cameras,
+    ):
+        target.check()
+
+        def change(text: str) -> None:
+            if gone == "box":
+                cameras.move_box((0.5, 0.0, 0.0))
+            cameras.silent = gone == "poses"
+
+        with pytest.raises(PoseError, match=said):
+            target.begin(change)
+    driven = [told.position for _, told in puppet.heard if told.kp[0] > 0]
+    np.testing.assert_allclose(driven[-1], np.tile([0.0, 1.2, -2.6], 4), atol=0.05)  # it has sat down again
+
+
 @pytest.mark.parametrize("lost", ["poses", "robot"])
 def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str) -> None:
     with a_target(puppet) as (target, cameras):
