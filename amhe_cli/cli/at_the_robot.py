@@ -14,6 +14,7 @@ from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
     from amhe_cli.go1_assembly import WireOptions
+    from amhe_cli.live.drive import Ending
     from amhe_cli.live.history import History
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.run_assembly import Run, RunOptions
@@ -94,9 +95,13 @@ def dry_run(session: Session, run: Run) -> None:
 
 @contextmanager
 def ready(target: Any, session: Session) -> Iterator[None]:
-    """A target that waits for plans; a robot has stood up by then, and is let down in the end."""
-    from amhe_cli.go1_link.link import StoppedError
-    from amhe_cli.live.go1_target import SIGNALS, Go1Target
+    """A target that waits for plans; a robot has stood up by then, and is let down in the end.
+
+    Raises:
+        StoppedError: A trip, or the operator, came before it stood ready.
+        LinkError, PoseError: Something is not as it should be.
+    """
+    from amhe_cli.live.go1_target import Go1Target
 
     if not isinstance(target, Go1Target):
         yield
@@ -104,13 +109,27 @@ def ready(target: Any, session: Session) -> Iterator[None]:
     with _unseen_keys(), target:
         for name, value in target.check().items():
             session.say("", f"{name}: {value}")
-        try:
-            target.begin(lambda text: session.say("", text))
-        except StoppedError:
-            if target.report.reason in SIGNALS:
-                raise KeyboardInterrupt from None
-            raise
+        target.begin(lambda text: session.say("", text))
         yield
+
+
+def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
+    """How it ended, what `go` does with a `ready` target; to be stopped on the way there is an end, too.
+
+    Raises:
+        LinkError, PoseError: Before anything moved.
+    """
+    from amhe_cli.core.errors import AmheError
+    from amhe_cli.live.drive import Ending
+    from amhe_cli.live.go1_target import SIGNALS
+
+    try:
+        with ready(target, session):
+            return go()
+    except AmheError as error:
+        if not target.begun:
+            raise
+        return Ending(interrupted=True) if target.report.reason in SIGNALS else Ending(error=error)
 
 
 def attendant(
@@ -120,8 +139,16 @@ def attendant(
 
     @contextmanager
     def attend(target: Any, recorder: Recorder, history: History) -> Iterator[None]:
-        with ready(target, session):
-            yield
+        from amhe_cli.go1_link.link import StoppedError
+        from amhe_cli.live.go1_target import SIGNALS
+
+        try:
+            with ready(target, session):
+                yield
+        except StoppedError:
+            if target.report.reason in SIGNALS:
+                raise KeyboardInterrupt from None
+            raise
         link.update(link_record(target, recorder, history))
 
     return attend

@@ -47,6 +47,9 @@ class Go1Target:
         clock: Ours.
         period: Of control [s].
         box: Where the task has the box's centre at the start [m], shape (3,).
+
+    Attributes:
+        begun: The robot has been told to stand up.
     """
 
     truth: State | None = None
@@ -68,6 +71,7 @@ class Go1Target:
         self._playing = False
         self._opened = ExitStack()
         self.misses = 0
+        self.begun = False
 
     def __enter__(self) -> Go1Target:
         with ExitStack() as opening:  # what is open already is closed again where the next step fails
@@ -130,6 +134,7 @@ class Go1Target:
             StoppedError: A trip, or the operator, came first.
             PoseError: Box or poses are not any more as they were checked.
         """
+        self.begun = True
         say("the robot stands up")
         self._link.stand()
         self._wait_for(Phase.READY)

@@ -15,12 +15,14 @@ import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from amhe_cli.cli import at_the_robot
 from amhe_cli.cli.main import run
+from amhe_cli.go1_link.link import Report, StoppedError
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.poses.feed import KINDS
 from tests.emulator.emulating import Emulated, emulating
@@ -115,6 +117,34 @@ def test_a_fault_damps_fails_and_keeps_a_readable_log(capsys) -> None:
     record = json.loads(Path("out/result.json").read_text())
     assert record["link"]["trip"] == "temperature"
     assert not survey(Path("out/log.mcap")).problems
+
+
+@pytest.mark.slow
+def test_a_fault_before_it_runs_keeps_a_readable_log_too(capsys) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "2", "--fault", "hot=0.1") as emulated:
+        assert run([*at(emulated), "-o", "out"]) == 1
+    assert "deg C hot" in capsys.readouterr().err
+    record = json.loads(Path("out/result.json").read_text())
+    assert (record["cycles"], record["link"]["trip"]) == (0, "temperature")
+    assert Path("out/report.html").exists()
+    assert not survey(Path("out/log.mcap")).problems
+
+
+@pytest.mark.parametrize(
+    ("reason", "begun", "ending"),
+    [("SIGINT", True, (True, None)), ("key", True, (False, "stopped")), ("key", False, None)],
+)
+def test_a_robot_that_is_stopped_on_the_way_has_an_ending(monkeypatch, reason, begun, ending) -> None:
+    error = StoppedError("stopped")
+    monkeypatch.setattr(at_the_robot, "ready", Mock(side_effect=error))
+    target = Mock(begun=begun, report=Report(reason=reason))
+    if ending is None:
+        with pytest.raises(StoppedError):
+            at_the_robot.attended(target, Mock(), Mock())
+        return
+    found = at_the_robot.attended(target, Mock(), Mock())
+    assert (found.interrupted, found.error and str(found.error)) == ending
 
 
 @pytest.mark.slow
