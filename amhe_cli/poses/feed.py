@@ -5,6 +5,7 @@ python -m amhe_cli.poses.feed CHANNEL
 
 from __future__ import annotations
 
+import ctypes
 import json
 import signal
 import sys
@@ -27,6 +28,7 @@ from amhe_cli.poses.udp import UdpPoses
 
 KINDS = ("natnet", "motioncapture", "ros2", "udp")
 _WAIT, _STEP, _START = 0.05, 0.005, 20.0
+_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +191,12 @@ class _Sender:
         self.say({"body": seen.body, "time": time, "position": position, "orientation": orientation})
 
 
+def _end_with_the_program() -> None:
+    """Be killed as soon as the program ends, however: a source that waits for ever does not see it."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
 def main() -> None:
     """Pass poses on until the program hangs up."""
     for number in (
@@ -196,6 +204,7 @@ def main() -> None:
         signal.SIGTERM,
     ):  # meant for the program, which still needs poses to sit down
         signal.signal(number, signal.SIG_IGN)
+    _end_with_the_program()
     channel, given = begun()
     options = FeedOptions(**given)
     sender = _Sender(channel, Clock(options.slow))
