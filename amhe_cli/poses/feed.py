@@ -179,11 +179,16 @@ class _Sender:
 
     def __init__(self, channel: Channel, clock: Clock) -> None:
         self._channel, self._clock, self._map = channel, clock, ClockMap()
+        self._told: dict[str, bytes] = {}
 
     def say(self, message: dict[str, Any]) -> None:
         self._channel.send(json.dumps(message).encode())
 
     def pass_on(self, seen: Sighting) -> None:
+        told, before = seen.position.tobytes() + seen.orientation.tobytes(), self._told.get(seen.body)
+        self._told[seen.body] = told
+        if seen.stamp is None and told == before:  # a camera is never so still: the source has frozen
+            return
         arrival = self._clock.now()
         # the shortest way from a stamp to us is as long as the told age, at least
         time = (arrival if seen.stamp is None else self._map.see(seen.stamp, arrival)) - seen.age

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -69,6 +69,28 @@ def test_poses_come_through_on_our_clock() -> None:
     late = [pose.time - (pose.position[0] - 1000.0) for pose in poses]
     assert 0.0 <= np.median(late) < 0.03
     assert np.ptp(late) < 0.01
+
+
+def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
+    port, seen, places = free_port(), [], iter((0.1, 0.1, 0.1, 0.2, 0.2, 0.1))
+    told = '{"body": "%s", "position": [1, 2, %s], "orientation": [1, 0, 0, 0]}'
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
+        PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 20.0)) as feed,
+    ):
+        client.connect(("127.0.0.1", port))
+        end = time.monotonic() + 10.0
+        while not seen and time.monotonic() < end:  # until it listens
+            with suppress(ConnectionRefusedError):
+                client.send((told % ("other", time.monotonic())).encode())
+            seen = feed.poses()
+            time.sleep(0.01)
+        for place in places:
+            client.send((told % ("go1", place)).encode())
+        client.send((told % ("last", 0.0)).encode())
+        while seen[-1].body != "last" and time.monotonic() < end:
+            seen += feed.poses()
+    assert [pose.position[2] for pose in seen if pose.body == "go1"] == [0.1, 0.2, 0.1]
 
 
 def test_a_body_that_never_comes_is_named_with_those_that_do() -> None:
