@@ -299,6 +299,13 @@ def test_targets_stay_within_joints_and_torques() -> None:
         assert (np.abs(60.0 * (targets - joints)) <= 0.7 * TORQUE_LIMIT + 1e-9).all()
 
 
+def test_a_joint_outside_of_its_limits_is_led_back_by_no_more_torque() -> None:
+    joints = np.where(np.arange(12) % 3 == 2, LOWEST - 0.5, HOME)
+    targets = allowed(np.array(HOME), joints, 60.0, 0.7)
+    np.testing.assert_allclose(60.0 * (targets - joints)[2::3], 0.7 * TORQUE_LIMIT[2::3])
+    assert (targets[2::3] < LOWEST[2::3]).all()
+
+
 def test_the_gains_are_those_of_the_planners_model() -> None:
     """Of other gains an identification makes another box, and the planner another motion."""
     model, told = planner_model(), running().step()
