@@ -15,8 +15,8 @@ from amhe_cli.go1_link.state import RobotState
 
 #: Turns of the motors' mode whose echoes are timed, and the time given to one [s].
 _TURNS, _PATIENCE = 10, 0.1
-#: Of our time over which the robot's is counted [s]: again and again, since states are held up now and then.
-_PACED = 0.25
+#: Of our time over which the robot's is counted [s], at least and at most: states are held up now and then.
+_PACED, _PACED_LONGEST = 0.25, 1.0
 #: How far the pace may be from 1: clocks differ by far less, a forgotten --slow by far more.
 _PACE_ERROR = 0.05
 #: More torque than motors that nobody drives have [N m].
@@ -92,6 +92,7 @@ class Contact:
         since = arrival - self._paced[1]
         if since >= _PACED:
             self.pace = 1e-3 * (tick - self._paced[0]) / since
+        if since >= _PACED_LONGEST:
             self._paced = tick, arrival
 
     def see_strange(self, datagram: bytes) -> None:

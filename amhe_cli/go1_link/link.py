@@ -232,13 +232,13 @@ class Link:
                 f"the robot on {where} sends states but follows no commands: another program talks to it, or "
                 "it wants the other checksum (--set go1.crc=encrypted)"
             )
+        if report.unfit:
+            raise LinkError(f"the robot cannot be driven: {report.unfit}")
         if not contact["in_step"]:
             raise LinkError(
                 f"the robot's clock does {contact['pace']:.2f} s in one of ours: give amhe emulate and this "
                 "command the same --slow, and a larger one where the computer is too slow for it"
             )
-        if report.unfit:
-            raise LinkError(f"the robot cannot be driven: {report.unfit}")
 
 
 @contextmanager

@@ -377,7 +377,7 @@ def test_a_robot_in_no_condition_is_refused(puppet: Puppet, change: dict, said: 
 
 def test_a_motor_in_no_mode_to_be_driven_is_refused(puppet: Puppet) -> None:
     """It has echoed its modes, and then switches itself off."""
-    with a_link(puppet, HASTY) as link:
+    with a_link(puppet) as link:
         link.connect()
         puppet.change = lambda sent: replace(sent, modes=np.full(12, 8))
         with pytest.raises(LinkError, match="is in mode 8, too hot"):
