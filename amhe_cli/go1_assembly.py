@@ -68,7 +68,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     settings, period = system.settings.go1, system.settings.control.period
     if settings.arm == "auto" and not _on_loopback(wire.host):
         raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
-    clock = Clock(wire.slow)
+    clock = _clock(wire)
     feed = PoseFeed(_feed(wire, settings))
     link = Link(wire.host, wire.port, settings, clock, wire.keys)
     target = Go1Target(link, feed, settings, clock, period, _box_centre(task))
@@ -89,9 +89,16 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
         ConfigError: A wrong setting or pose source.
     """
     task, system = task_and_system(options)
-    settings, clock = system.settings.go1, Clock(wire.slow)
+    settings, clock = system.settings.go1, _clock(wire)
     link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
     return Calibration(link, feed, settings, clock, task.box)
+
+
+def _clock(wire: WireOptions) -> Clock:
+    """Ours; that of a robot cannot be slowed down, and all our thresholds would be longer than they say."""
+    if wire.slow != 1.0 and not _on_loopback(wire.host):
+        raise ConfigError(f"--slow is for the emulator on this computer; {wire.host} is a robot")
+    return Clock(wire.slow)
 
 
 def _publish(feed: PoseFeed, estimate: Estimate) -> None:

@@ -238,7 +238,7 @@ def program(port: int, plan: bool) -> None:
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     signal.signal(signal.SIGINT, lambda *_: stop.set())
     signal.signal(signal.SIGUSR1, lambda *_: poses.__setitem__(0, False))
-    clock, trip = Clock(), {"plan_age": 5.0, "pose_age": 10.0, "state_age": 1.0} if plan else {}
+    clock, trip = Clock(), {"plan_age": 1.0, "pose_age": 1.0, "state_age": 0.5} if plan else {}
     settings = Go1Settings.model_validate(SETTINGS | {"trips": trip})
     with Link("127.0.0.1", port, settings, clock) as link:
         link.connect()

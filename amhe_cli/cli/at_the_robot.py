@@ -14,12 +14,15 @@ from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
     from amhe_cli.go1_assembly import WireOptions
+    from amhe_cli.live.drive import Ending
     from amhe_cli.live.history import History
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.run_assembly import Run, RunOptions
 
 POSES = ("natnet", "motioncapture", "ros2", "udp")
 _PORT = options.WholeNumber(1, 65535)
+#: Of the attributes of a terminal: flags of its input, the keys that mean something to it, and none of them.
+_INPUT, _CONTROL, _NO_KEY = 0, 6, b"\0"
 
 reach_options = options.stacked(
     click.option("--host", metavar="ADDRESS", help="go1: of the robot.  [default: 192.168.123.10]"),
@@ -92,9 +95,13 @@ def dry_run(session: Session, run: Run) -> None:
 
 @contextmanager
 def ready(target: Any, session: Session) -> Iterator[None]:
-    """A target that waits for plans; a robot has stood up by then, and is let down in the end."""
-    from amhe_cli.go1_link.link import StoppedError
-    from amhe_cli.live.go1_target import SIGNALS, Go1Target
+    """A target that waits for plans; a robot has stood up by then, and is let down in the end.
+
+    Raises:
+        StoppedError: A trip, or the operator, came before it stood ready.
+        LinkError, PoseError: Something is not as it should be.
+    """
+    from amhe_cli.live.go1_target import Go1Target
 
     if not isinstance(target, Go1Target):
         yield
@@ -102,13 +109,27 @@ def ready(target: Any, session: Session) -> Iterator[None]:
     with _unseen_keys(), target:
         for name, value in target.check().items():
             session.say("", f"{name}: {value}")
-        try:
-            target.begin(lambda text: session.say("", text))
-        except StoppedError:
-            if target.report.reason in SIGNALS:
-                raise KeyboardInterrupt from None
-            raise
+        target.begin(lambda text: session.say("", text))
         yield
+
+
+def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
+    """How it ended, what `go` does with a `ready` target; to be stopped on the way there is an end, too.
+
+    Raises:
+        LinkError, PoseError: Before anything moved.
+    """
+    from amhe_cli.core.errors import AmheError
+    from amhe_cli.live.drive import Ending
+    from amhe_cli.live.go1_target import SIGNALS
+
+    try:
+        with ready(target, session):
+            return go()
+    except AmheError as error:
+        if not target.begun:
+            raise
+        return Ending(interrupted=True) if target.report.reason in SIGNALS else Ending(error=error)
 
 
 def attendant(
@@ -118,8 +139,16 @@ def attendant(
 
     @contextmanager
     def attend(target: Any, recorder: Recorder, history: History) -> Iterator[None]:
-        with ready(target, session):
-            yield
+        from amhe_cli.go1_link.link import StoppedError
+        from amhe_cli.live.go1_target import SIGNALS
+
+        try:
+            with ready(target, session):
+                yield
+        except StoppedError:
+            if target.report.reason in SIGNALS:
+                raise KeyboardInterrupt from None
+            raise
         link.update(link_record(target, recorder, history))
 
     return attend
@@ -152,7 +181,10 @@ def _terminal() -> int:
 
 @contextmanager
 def _unseen_keys() -> Iterator[None]:
-    """Each key is handed over at once and not shown; as before in the end."""
+    """Each key is handed over at once and not shown; as before in the end.
+
+    Only Ctrl-C is a signal. Ctrl-Z, Ctrl-backslash, Ctrl-S and Ctrl-Q are keys like all others: they stop.
+    """
     descriptor = _terminal()
     if descriptor < 0:
         yield
@@ -161,8 +193,13 @@ def _unseen_keys() -> Iterator[None]:
     import tty
 
     before = termios.tcgetattr(descriptor)
-    tty.setcbreak(descriptor)
     try:
+        tty.setcbreak(descriptor)
+        changed = termios.tcgetattr(descriptor)
+        changed[_INPUT] &= ~termios.IXON
+        for meaning in (termios.VSUSP, termios.VQUIT):
+            changed[_CONTROL][meaning] = _NO_KEY
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, changed)
         yield
     finally:
         termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

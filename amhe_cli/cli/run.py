@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -133,8 +134,8 @@ def run(
                 if shoot and opened.plant:
                     shoot(row["time"], opened.plant.qpos)
 
-            with at_the_robot.ready(opened.target, session):
-                ending = drive(opened.episode, recorder, history, stopped, on_cycle)
+            go = partial(drive, opened.episode, recorder, history, stopped, on_cycle)
+            ending = at_the_robot.attended(opened.target, session, go)
             link = at_the_robot.link_record(opened.target, recorder, history)
         session.interrupted = ending.interrupted
         record = session.record(

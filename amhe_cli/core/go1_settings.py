@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 _Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-_Damping = Annotated[float, Field(gt=0, le=10)]
+#: Less than 1/16 is nothing to a motor.
+_Damping = Annotated[float, Field(ge=0.0625, le=10)]
+_Speed = Annotated[float, Field(ge=1, le=40)]
 _Share = Annotated[float, Field(gt=0, le=1)]
 #: x, y, z [m], then a rotation vector [rad].
 _Offset = tuple[float, float, float, float, float, float]
@@ -18,32 +21,37 @@ class _Group(BaseModel):
 
 
 class TripSettings(_Group):
-    """What ends a run; ages are a little below the 50, 100 and 200 ms in which motors must be told."""
+    """What ends a run; ages are a little below the 50, 100 and 200 ms in which motors must be told.
 
-    state_age: _Positive = 0.045
+    No bound is so wide that a trip could be switched off by it.
+    """
+
+    state_age: Annotated[float, Field(ge=0.02, le=0.5)] = 0.045
     """No new state of the robot for so long [s]: motors damped."""
-    plan_age: _Positive = 0.09
+    plan_age: Annotated[float, Field(ge=0.04, le=1)] = 0.09
     """No new plan [s]: hold, sit, then motors damped."""
-    pose_age: _Positive = 0.19
+    pose_age: Annotated[float, Field(ge=0.02, le=1)] = 0.19
     """No new pose of trunk or box [s]: hold, sit, then motors damped."""
-    tilt: _Positive = 0.9
+    tilt: Annotated[float, Field(ge=0.2, le=1.3)] = 0.9
     """Of the trunk, by the IMU [rad]."""
-    joint_speed: tuple[_Positive, _Positive, _Positive] = (25.0, 25.0, 18.0)
+    joint_speed: tuple[_Speed, _Speed, _Speed] = (25.0, 25.0, 18.0)
     """Of hip, thigh and calf [rad/s]."""
-    power: _Positive = 700.0
+    power: Annotated[float, Field(ge=50, le=2000)] = 700.0
     """Sum over the motors of |torque x speed| [W] ..."""
-    power_ticks: Annotated[int, Field(ge=1)] = 6
+    power_ticks: Annotated[int, Field(ge=1, le=50)] = 6
     """... in so many states one after the other, as the vendor's own PowerProtect counts."""
-    temperature: _Positive = 75.0
+    temperature: Annotated[float, Field(ge=30, le=85)] = 75.0
     """Of the hottest motor [deg C]; nobody publishes a limit, this one is ours."""
-    charge: Annotated[float, Field(ge=0, le=100)] = 15.0
+    charge: Annotated[float, Field(ge=5, le=100)] = 15.0
     """Least charge of the battery [%]."""
-    target_jump: _Positive = 0.5
+    target_jump: Annotated[float, Field(ge=0.05, le=1)] = 0.5
     """Between the targets in force and a new plan [rad]; less is blended over 20 ms, 0.05 rad a packet."""
-    position_margin: Annotated[float, Field(ge=0)] = 0.05
+    position_margin: Annotated[float, Field(ge=0, le=0.3)] = 0.05
     """How far a joint may be beyond the limits of commands [rad], once the robot stands."""
-    bad_packets: Annotated[int, Field(ge=1)] = 20
+    bad_packets: Annotated[int, Field(ge=1, le=100)] = 20
     """Damaged datagrams in a row."""
+    share: Annotated[float, Field(ge=0.6, le=0.95)] = 0.8
+    """Of the robot's last 200 states that must have come; a second program takes about half of them."""
 
 
 class Go1Settings(_Group):
@@ -59,15 +67,15 @@ class Go1Settings(_Group):
     """Of hip, thigh and calf [N m s/rad]: the planner's 1, and that of its model's own joints."""
     torque_share: _Share = 0.7
     """Targets are clipped so that position control asks for no more than this share of the torque limit."""
-    damping: _Damping = 3.0
+    damping: Annotated[float, Field(ge=0.5, le=10)] = 3.0
     """kd of damped motors [N m s/rad]."""
     gain_time: _Positive = 2.0
     """In which gains rise from zero, before standing up [s]."""
     stand_speed: Annotated[float, Field(gt=0, le=3)] = 0.5
     """Fastest joint while standing up [rad/s]."""
-    sit_time: _Positive = 2.5
+    sit_time: Annotated[float, Field(gt=0, le=10)] = 2.5
     """[s]."""
-    hold_time: Annotated[float, Field(ge=0)] = 0.1
+    hold_time: Annotated[float, Field(ge=0, le=1)] = 0.1
     """Standing still between a lost plan or pose and sitting down [s]; two feet may be in the air."""
     damp_time: Annotated[float, Field(ge=0.3)] = 1.5
     """Motors are damped at least so long before the sender ends [s]."""
@@ -85,8 +93,27 @@ class Go1Settings(_Group):
     """Centre of the box in its rigid body's frame, likewise."""
     world: Literal["trunk", "mocap"] = "trunk"
     """The task's frame: under the trunk along its heading before it stands up, or motion capture's own."""
-    place_tolerance: _Positive = 0.15
+    place_tolerance: Annotated[float, Field(gt=0, le=0.5)] = 0.15
     """How far the box may be from where the task has it, before anything moves [m]."""
     pose_delay: Annotated[float, Field(ge=0)] = 0.0
     """Age of poses when they arrive, beside what the source itself tells [s]."""
     trips: TripSettings = TripSettings()
+
+
+def deviations(settings: Go1Settings) -> str:
+    """What is not as it comes: 'go1.kp 20 (60), go1.trips.tilt 1.2 (0.9)'; '' where all is."""
+    return ", ".join(_deviations(settings, Go1Settings(), "go1"))
+
+
+def _deviations(given: BaseModel, usual: BaseModel, name: str) -> Iterator[str]:
+    for (field, value), (_, default) in zip(given, usual, strict=True):
+        if isinstance(value, BaseModel):
+            yield from _deviations(value, default, f"{name}.{field}")
+        elif value != default:
+            yield f"{name}.{field} {_plain(value)} ({_plain(default)})"
+
+
+def _plain(value: object) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_plain, value))}]"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -41,10 +41,7 @@ class Channel:
         """Hand a message over; False where the other side is gone, or so far behind that it is dropped."""
         try:
             self._end.send(message)
-        except BlockingIOError:
-            return False
-        except OSError:
-            self.open = False
+        except OSError:  # what it said before it went can still be read
             return False
         return True
 
@@ -55,6 +52,8 @@ class Channel:
                 message = self._end.recv(_LONGEST)
             except BlockingIOError:
                 return
+            except ConnectionResetError:  # told once, where something of ours was left unread
+                continue
             except OSError:
                 message = b""
             if not message:
@@ -69,12 +68,12 @@ class Channel:
 
 
 class Child:
-    """A module run by a Python of its own.
+    """A module run by a Python of its own, in a session of its own: keys of a terminal do not suspend it.
 
     Args:
         module: Dotted name; its `main` gets a channel and the settings by `begun`.
         settings: Plain values.
-        files: Descriptors that the child may use, by the same numbers.
+        files: Descriptors that the child may use, by the same numbers: from 3 on, 0 to 2 are its own streams.
     """
 
     def __init__(self, module: str, settings: Mapping[str, Any], files: Sequence[int] = ()) -> None:
@@ -84,7 +83,7 @@ class Child:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", module, str(theirs.fileno())],
                 pass_fds=(theirs.fileno(), *files), stdin=subprocess.DEVNULL, stdout=sys.__stderr__,
-                env=_environment(),
+                env=_environment(), start_new_session=True,
             )  # fmt: skip
             opening.pop_all()  # ours stays open
         self.channel = Channel(ours)

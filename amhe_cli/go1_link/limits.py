@@ -17,6 +17,9 @@ HIGHEST = sealed(np.minimum(UPPER, _VENDOR_UPPER))
 def allowed(targets: FloatArray, joints: FloatArray, kp: float, share: float) -> FloatArray:
     """Targets within the joints' limits, that ask for no more torque than a share of what there is.
 
+    Torque goes first: a joint outside of its limits is led back by no more than that, and its target may
+    then be outside, too. The trip `range` sees to joints that are there when they should not be.
+
     Args:
         targets: [rad], shape (12,).
         joints: Where they are [rad], shape (12,).

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
+import os
 import signal
 import threading
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
@@ -15,8 +18,10 @@ from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1_link import mail
 from amhe_cli.go1_link.child import Child
 from amhe_cli.go1_link.clock import Clock
+from amhe_cli.go1_link.letting_down import let_down
 from amhe_cli.go1_link.motion import Targets
 from amhe_cli.go1_link.phase import Phase
+from amhe_cli.go1_link.robot_socket import RobotSocket
 from amhe_cli.go1_link.wire import LinkError
 
 #: States that must have come before a robot is there, and the share of them that must reach us: with a second
@@ -43,6 +48,7 @@ class Report:
     intervals: dict[str, float] = field(default_factory=dict)
     robot: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    unfit: str = ""
 
 
 class Link:
@@ -61,19 +67,20 @@ class Link:
     def __init__(self, host: str, port: int, settings: Go1Settings, clock: Clock, keys: int = -1) -> None:
         self._where, self._settings, self._clock, self._keys = (host, port), settings, clock, keys
         self._samples: list[Any] = []
+        self._driven = False
         self._child: Child | None = None
         self._opened = ExitStack()
         self.report = Report()
 
     def __enter__(self) -> Link:
         host, port = self._where
-        given = {
-            "host": host, "port": port, "keys": self._keys, "slow": self._clock.slow,
-            "settings": self._settings.model_dump(),
-        }  # fmt: skip
-        files = [self._keys] if self._keys >= 0 else []
         with ExitStack() as opening:
-            self._child = Child("amhe_cli.go1_link.sender", given, files)
+            with _as_file(self._keys) as files:
+                given = {
+                    "host": host, "port": port, "keys": max(files, default=-1), "slow": self._clock.slow,
+                    "settings": self._settings.model_dump(),
+                }  # fmt: skip
+                self._child = Child("amhe_cli.go1_link.sender", given, files)
             opening.callback(self._child.end, 5.0 * self._clock.slow)
             if threading.current_thread() is threading.main_thread():
                 # the signal itself tells the sender, even while our thread is deep in a rollout
@@ -100,8 +107,9 @@ class Link:
         self._wait_for_sender()
         end = time.monotonic() + self._settings.connect_time * max(1.0, self._clock.slow)
         while time.monotonic() < end:
-            contact = self._poll().contact
-            if contact.get("complete") and contact["states"] >= _ENOUGH:
+            contact, unfit = self._poll().contact, self.report.unfit
+            seen = contact.get("complete") and contact["states"] >= _ENOUGH
+            if seen and contact["in_step"] and not unfit:
                 break
             time.sleep(_STEP)
         self._check_contact()
@@ -109,6 +117,7 @@ class Link:
 
     def stand(self) -> None:
         """Let the robot stand up."""
+        self._driven = True
         self._order(mail.STAND)
 
     def arm(self) -> None:
@@ -169,7 +178,7 @@ class Link:
             self._child.channel.send(order)
 
     def _poll(self, quiet: bool = False) -> Report:
-        """Read what the sender says.
+        """Read what the sender says; where it has died, damp the motors from here.
 
         Raises:
             LinkError: It has died. Not where `quiet`.
@@ -183,9 +192,18 @@ class Link:
                 self.report = Report(**said)
             elif said is not None:
                 self._samples.append(said)
-        if not self._child.channel.open and self.report.phase != Phase.OVER and not quiet:
-            raise LinkError("the process that talks to the robot has died; its last words are above")
+        if not self._child.channel.open and self.report.phase != Phase.OVER:
+            self._stand_in()
+            if not quiet:
+                raise LinkError("the process that talks to the robot has died; its last words are above")
         return self.report
+
+    def _stand_in(self) -> None:
+        """Let the robot down in place of a sender that has died: motors keep their last command for good."""
+        if self._driven:
+            self._driven = False
+            with closing(RobotSocket(*self._where, self._clock)) as robot:
+                let_down(robot, self._settings, self._clock)
 
     def _check_contact(self) -> None:
         host, port = self._where
@@ -214,16 +232,26 @@ class Link:
                 f"the robot on {where} sends states but follows no commands: another program talks to it, or "
                 "it wants the other checksum (--set go1.crc=encrypted)"
             )
-        self._check_robot()
-
-    def _check_robot(self) -> None:
-        robot, trips = self.report.robot, self._settings.trips
-        if robot["charge"] < trips.charge:
-            raise LinkError(f"the robot's battery is at {robot['charge']} %; it must have {trips.charge:g} %")
-        if robot["hottest"] > trips.temperature:
+        if report.unfit:
+            raise LinkError(f"the robot cannot be driven: {report.unfit}")
+        if not contact["in_step"]:
             raise LinkError(
-                f"a motor is {robot['hottest']:.0f} deg C hot; let it cool to {trips.temperature:g}"
+                f"the robot's clock does {contact['pace']:.2f} s in one of ours: give amhe emulate and this "
+                "command the same --slow, and a larger one where the computer is too slow for it"
             )
+
+
+@contextmanager
+def _as_file(keys: int) -> Iterator[list[int]]:
+    """The terminal's descriptor by another number: a child's own standard streams take 0 to 2."""
+    if keys < 0:
+        yield []
+        return
+    again = fcntl.fcntl(keys, fcntl.F_DUPFD_CLOEXEC, 3)
+    try:
+        yield [again]
+    finally:
+        os.close(again)
 
 
 def _strange(where: str, size: int) -> str:

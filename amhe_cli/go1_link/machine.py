@@ -30,6 +30,8 @@ _FIRST_BLEND, _BLEND = 0.2, 0.02
 #: A robot that walked puts its feet down in this time before it sits down [s].
 _LANDING = 0.2
 _AT_REST = sealed(np.zeros(12))
+#: How an end as planned begins where it does not stand: nothing has moved yet; it lies, or is half way up.
+_ENDS = {Phase.CONNECT: Phase.OVER, Phase.HOLD: Phase.DAMP, Phase.STAND: Phase.DAMP}
 
 
 @dataclass(slots=True, eq=False)
@@ -40,6 +42,7 @@ class Inbox:
         state: Of the robot; None: none yet.
         state_time: When it came [s].
         bad_packets: Damaged datagrams since the last good one.
+        share: Of the robot's last states that reached us.
         plan: Newest.
         plan_time: When it came [s].
         pose_time: Of the older one of the newest poses of trunk and box [s].
@@ -50,6 +53,7 @@ class Inbox:
     state: RobotState | None = None
     state_time: float = -np.inf
     bad_packets: int = 0
+    share: float = 1.0
     plan: Targets | None = None
     plan_time: float = -np.inf
     pose_time: float = -np.inf
@@ -84,6 +88,7 @@ class Machine:
     _playing: Targets | None = None
     _blend: tuple[float, float, FloatArray] = (0.0, 1.0, NO_JUMP)
     _jump: FloatArray = field(default_factory=lambda: NO_JUMP)
+    _released: bool = False
     _over_power: int = 0
     _power_tick: int = -1
 
@@ -98,7 +103,7 @@ class Machine:
             self._count_power(inbox.state)
             self._go_on(now, inbox, inbox.state)
             phase, wanted = self.phase, self._targets(now, inbox)
-            self._guard(now, inbox, inbox.state)
+            self._guard(now, inbox, inbox.state, wanted)
             if self.phase != phase:  # a plan that has been lost is not followed for one packet more
                 wanted = self._targets(now, inbox)
             if self._drives:
@@ -109,6 +114,12 @@ class Machine:
         if self.phase == Phase.DAMP:
             return Command(velocity=_AT_REST, kd=np.full(12, self.settings.damping))
         return Command()
+
+    def unfit(self, now: float, inbox: Inbox) -> str:
+        """Why a robot that is not driven yet would trip as soon as it is; '' if it would not."""
+        state = inbox.state
+        found = tripped(self._view(now, inbox, state, HOME), self.settings.trips) if state else None
+        return found[1] if found else ""
 
     # -- from one phase to the next -------------------------------------------------------------------
 
@@ -124,7 +135,7 @@ class Machine:
             self._enter(Phase.STAND, now, self._from)
         elif self.phase == Phase.STAND and elapsed > self._stand_time:
             self._enter(Phase.READY, now, HOME)
-        elif self.phase == Phase.READY and (inbox.arm or Remote.of(state.remote).arms):
+        elif self.phase == Phase.READY and (inbox.arm or self._armed(Remote.of(state.remote))):
             self._enter(Phase.RUN, now, HOME)
         elif self.phase == Phase.PAUSE and elapsed > s.hold_time:
             self._enter(Phase.SIT, now, self._from)
@@ -133,22 +144,21 @@ class Machine:
         elif self.phase == Phase.DAMP and elapsed > s.damp_time:
             self._enter(Phase.OVER, now, state.joints)
         if inbox.finish and self.phase < Phase.PAUSE:
-            # nothing has moved yet: nothing needs to be let down
-            then = Phase.OVER if self.phase == Phase.CONNECT else Phase.SIT
+            then = _ENDS.get(self.phase, Phase.SIT)
             self._enter(then, now, state.joints if self._sent is None else self._sent)
 
-    def _guard(self, now: float, inbox: Inbox, state: RobotState) -> None:
+    def _guard(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> None:
         if self.phase == Phase.CONNECT:
             if inbox.stop:
                 self._trip("order", inbox.stop, Phase.OVER, now)
             return
         if self.phase >= Phase.DAMP:
             return
-        found = tripped(self._view(now, inbox, state), self.settings.trips)
+        found = tripped(self._view(now, inbox, state, wanted), self.settings.trips)
         if found:
             self._trip(*found, now)
 
-    def _view(self, now: float, inbox: Inbox, state: RobotState) -> View:
+    def _view(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> View:
         grace = self._since + _FIRST_PLAN if inbox.plan is None else -np.inf
         return View(
             phase=self.phase,
@@ -158,9 +168,16 @@ class Machine:
             pose_age=now - max(inbox.pose_time, grace),
             over_power=self._over_power,
             bad_packets=inbox.bad_packets,
+            share=inbox.share,
             jump=self._jump,
+            targets=wanted,
             order=inbox.stop,
         )
+
+    def _armed(self, remote: Remote) -> bool:
+        """Whether the remote's key has been pressed since the robot stands: not held from before."""
+        self._released = self._released or not remote.arms
+        return self._released and remote.arms
 
     def _trip(self, name: str, reason: str, then: Phase, now: float) -> None:
         if not self.trip:
@@ -210,7 +227,7 @@ class Machine:
         targets, before = plan.at(now), self._from if self._sent is None else self._sent
         self._jump = NO_JUMP
         if plan is not self._playing:
-            self._jump = targets - before
+            self._jump = _largest_step(np.vstack((targets - before, np.diff(plan.rows, axis=0))))
             # the first one leans on its feet where a standing robot did not yet
             duration = _FIRST_BLEND if self._playing is None else _BLEND
             self._playing, self._blend = plan, (now - 1.0 / self.settings.rate, duration, before - targets)
@@ -220,8 +237,8 @@ class Machine:
     def _servo(self, now: float, state: RobotState, wanted: FloatArray) -> Command:
         s = self.settings
         gain = min(1.0, (now - self._since) / s.gain_time) if self.phase == Phase.HOLD else 1.0
-        self._sent = wanted if np.isfinite(wanted).all() else state.joints
-        targets = self.commanded = allowed(self._sent, state.joints, s.kp, s.torque_share)
+        self._sent = wanted
+        targets = self.commanded = allowed(wanted, state.joints, s.kp, s.torque_share)
         return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4))
 
     def _count_power(self, state: RobotState) -> None:
@@ -231,3 +248,8 @@ class Machine:
         self._power_tick = state.tick
         over = power(state) > self.settings.trips.power
         self._over_power = self._over_power + 1 if over else max(0, self._over_power - 1)
+
+
+def _largest_step(steps: FloatArray) -> FloatArray:
+    """Of each joint, over the rows of (n, 12): shape (12,); not a number where one of them is none."""
+    return steps[np.abs(steps).argmax(axis=0), np.arange(steps.shape[1])]

@@ -66,6 +66,10 @@ class RobotSocket:
                 return
             yield datagram, self._arrival(extra)
 
+    def close(self) -> None:
+        """Let go of the port."""
+        self._socket.close()
+
     def _arrival(self, extra: list[tuple[int, int, bytes]]) -> float:
         for level, kind, value in extra:
             if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(value) >= _TIMESPEC.size:

@@ -24,8 +24,9 @@ from amhe_cli.go1_link import mail, state, wire
 from amhe_cli.go1_link.child import Channel, begun
 from amhe_cli.go1_link.clock import Clock, ClockMap
 from amhe_cli.go1_link.command import Command, encode
-from amhe_cli.go1_link.contact import Contact
+from amhe_cli.go1_link.contact import Contact, Share
 from amhe_cli.go1_link.intervals import Intervals
+from amhe_cli.go1_link.letting_down import let_down
 from amhe_cli.go1_link.machine import Inbox, Machine
 from amhe_cli.go1_link.motion import Sent
 from amhe_cli.go1_link.phase import Phase
@@ -37,8 +38,19 @@ from amhe_cli.go1_link.state import RobotState
 _REPORT_PERIOD = 0.1
 #: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
 _PASS_ON = 2
-_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+#: Also those that would suspend it, with the motors driven.
+_STOPPING = (
+    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
+    signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU,
+)  # fmt: skip
+_DRIVEN = (
+    "the robot's motors are driven already: another program talks to it, or died there; end it, and try again"
+)
 _NO_PRIORITY = "the sender has no real-time priority: packets may be late when the computer is busy"
+
+
+class DrivenError(wire.LinkError):
+    """Somebody else drives the robot: it is not ours to let down either."""
 
 
 class Sender:
@@ -65,13 +77,18 @@ class Sender:
         self._settings, self._robot, self._channel, self._clock = settings, robot, channel, clock
         self._keys, self._notes = keys, notes
         self._machine, self._inbox, self._contact = Machine(settings), Inbox(), Contact()
+        self._share = Share()
         self._ticks, self._tick = ClockMap(), -1
         self._sent = Sent(self._machine.commanded)
         self._intervals = Intervals()
         self._reported = (-np.inf, Phase.OVER)
 
     def run(self) -> None:
-        """Send until the last phase is over."""
+        """Send until the last phase is over.
+
+        Raises:
+            DrivenError: Another program drives the robot: not one packet more.
+        """
         period = 1.0 / self._settings.rate
         due = self._clock.now()
         while self._machine.phase != Phase.OVER:
@@ -82,17 +99,7 @@ class Sender:
             now = self._clock.now()
             self._send(self._machine.step(now, self._inbox), now)
             self._report(now)
-            # a late tick is not made up for: two packets at once help nobody
-            due = max(due + period, now)
-
-    def let_down(self) -> None:
-        """Damp the motors for some time, then stop: what is left to do when something broke."""
-        period, end = 1.0 / self._settings.rate, self._clock.now() + self._settings.damp_time
-        damped = Command(velocity=np.zeros(12), kd=np.full(12, self._settings.damping))
-        while self._clock.now() < end:
-            self._robot.send(encode(damped, self._settings.crc))
-            self._clock.sleep_until(self._clock.now() + period)
-        self._robot.send(encode(Command(), self._settings.crc))
+            due = next_tick(due, now, period)
 
     def stop(self, reason: str) -> None:
         """Damp the motors at the next tick."""
@@ -124,9 +131,12 @@ class Sender:
     def _take(self, read: RobotState, arrival: float) -> None:
         self._tick = read.tick
         self._inbox.state, self._inbox.state_time = read, arrival
+        self._inbox.share = self._share.see(read.tick)
         time = self._ticks.see(1e-3 * read.tick, arrival) - 0.5 * self._contact.round_trip
         if self._machine.phase == Phase.CONNECT:
             self._contact.see(read, arrival)
+            if self._contact.driven:
+                raise DrivenError(_DRIVEN)
         if read.tick % _PASS_ON == 0:
             # what is sent is some time on its way: those that the robot followed when it told its state
             followed = self._sent.by(time - 0.5 * self._contact.round_trip)
@@ -149,8 +159,11 @@ class Sender:
     def _read_keys(self) -> None:
         if self._keys < 0 or not select.select([self._keys], [], [], 0.0)[0]:
             return
-        keys = os.read(self._keys, 64)
-        if not keys:  # the terminal is gone
+        try:
+            keys = os.read(self._keys, 64)
+        except OSError:  # of a terminal that hung up
+            keys = b""
+        if not keys:
             self._keys = -1
             self.stop("the terminal is gone")
         elif self._machine.phase == Phase.READY and keys in (b"\n", b"\r"):
@@ -173,6 +186,7 @@ class Sender:
         if machine.phase == phase and now - last < _REPORT_PERIOD:
             return
         self._reported = now, machine.phase
+        looked_at = machine.phase == Phase.CONNECT and self._contact.complete
         self._channel.send(
             mail.report_message(
                 {
@@ -180,9 +194,18 @@ class Sender:
                     "contact": self._contact.report, "refused": self._robot.refused,
                     "intervals": self._intervals.summary() if machine.phase >= Phase.PAUSE else {},
                     "robot": _robot(self._inbox.state), "notes": self._notes,
+                    "unfit": machine.unfit(now, self._inbox) if looked_at else "",
                 }
             )
         )  # fmt: skip
+
+
+def next_tick(due: float, now: float, period: float) -> float:
+    """When the next packet is due [s] after one that was due, and was sent now.
+
+    A late one is not made up for: two at once help nobody.
+    """
+    return max(due + period, now + 0.5 * period)
 
 
 def _stand(inbox: Inbox) -> None:
@@ -242,8 +265,10 @@ def main() -> None:
         signal.signal(number, lambda number, _: sender.stop(signal.Signals(number).name))
     try:
         sender.run()
+    except DrivenError as error:
+        sender.say(str(error))
     except BaseException as error:
-        sender.let_down()
+        let_down(robot, settings, clock)
         sender.say(f"{type(error).__name__}: {error}")
         raise
     finally:

@@ -32,7 +32,10 @@ class View:
         pose_age: Of the older one of the newest poses of trunk and box [s].
         over_power: States one after the other with too much power.
         bad_packets: Damaged datagrams one after the other.
-        jump: From the targets in force to those of a plan that is new in this tick, shape (12,).
+        share: Of the robot's last states that reached us.
+        jump: From the targets in force to a plan that is new in this tick, or between two of its rows,
+            whatever is more, shape (12,).
+        targets: To be sent, before they are clipped [rad], shape (12,).
         order: Why somebody wants it to stop; '' if nobody does.
     """
 
@@ -43,7 +46,9 @@ class View:
     pose_age: float
     over_power: int
     bad_packets: int
+    share: float
     jump: FloatArray
+    targets: FloatArray
     order: str
 
 
@@ -80,12 +85,19 @@ def _damaged(view: View, limits: TripSettings) -> str | None:
     return f"{view.bad_packets} damaged packets one after the other" if many else None
 
 
+def _shared(view: View, limits: TripSettings) -> str | None:
+    if view.share >= limits.share:
+        return None
+    arrive = f"only {100 * view.share:.0f} % of the robot's states arrive"
+    return f"{arrive}: another program talks to it, or the network loses packets"
+
+
 def _not_a_number(view: View, limits: TripSettings) -> str | None:
     state = view.state
     total = state.joints.sum() + state.joint_rates.sum() + state.gyro.sum() + state.quaternion.sum()
     if not np.isfinite(total):
         return "the robot sends what is not a number"
-    return None if np.isfinite(view.jump.sum()) else "the plan is not a number"
+    return None if np.isfinite(view.jump.sum() + view.targets.sum()) else "the plan is not a number"
 
 
 def _tilted(view: View, limits: TripSettings) -> str | None:
@@ -153,6 +165,7 @@ TRIPS: dict[str, tuple[Trip, Phase]] = {
     "remote": (_remote, Phase.DAMP),
     "state_lost": (_state_lost, Phase.DAMP),
     "damaged": (_damaged, Phase.DAMP),
+    "share": (_shared, Phase.DAMP),
     "not_a_number": (_not_a_number, Phase.DAMP),
     "tilt": (_tilted, Phase.DAMP),
     "speed": (_fast, Phase.DAMP),

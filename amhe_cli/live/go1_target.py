@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from types import TracebackType
 from typing import Any
 
@@ -16,7 +17,7 @@ import numpy as np
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.core.go1_settings import Go1Settings, deviations
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Measurements, State
 from amhe_cli.go1_link.clock import Clock
@@ -25,7 +26,7 @@ from amhe_cli.go1_link.motion import Targets
 from amhe_cli.go1_link.phase import Phase
 from amhe_cli.poses.feed import PoseFeed, TimedPose
 from amhe_cli.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
-from amhe_cli.poses.source import Pose
+from amhe_cli.poses.source import Pose, PoseError
 
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
@@ -46,6 +47,9 @@ class Go1Target:
         clock: Ours.
         period: Of control [s].
         box: Where the task has the box's centre at the start [m], shape (3,).
+
+    Attributes:
+        begun: The robot has been told to stand up.
     """
 
     truth: State | None = None
@@ -60,13 +64,14 @@ class Go1Target:
         self._start = 0.0
         self._time = 0.0
         self._plan = Plan(0.0, period, np.asarray(HOME)[None])
-        self._newest: dict[str, float] = {settings.trunk: -np.inf, settings.box: -np.inf}
+        self._newest = {name: _never(name) for name in (settings.trunk, settings.box)}
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []
         self._poses: list[tuple[float, Pose, Pose]] = []
         self._playing = False
         self._opened = ExitStack()
         self.misses = 0
+        self.begun = False
 
     def __enter__(self) -> Go1Target:
         with ExitStack() as opening:  # what is open already is closed again where the next step fails
@@ -115,6 +120,7 @@ class Go1Target:
             "hottest motor": f"{report.robot['hottest']:.0f} deg C",
             "trunk": f"{trunk[0][2]:.3f} m high; off the IMU by {tilt[0]:+.1f}, {tilt[1]:+.1f} degrees",
             "box": f"at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m of the task's frame",
+            **({"not by default": changed} if (changed := deviations(s)) else {}),
             **{f"note {number}": note for number, note in enumerate(report.notes, start=1)},
         }
 
@@ -126,20 +132,35 @@ class Go1Target:
 
         Raises:
             StoppedError: A trip, or the operator, came first.
+            PoseError: Box or poses are not any more as they were checked.
         """
+        self.begun = True
         say("the robot stands up")
         self._link.stand()
         self._wait_for(Phase.READY)
         if self._settings.arm == "auto":
             self._link.arm()
         else:
+            changed = deviations(self._settings)
+            stands = f"it stands, with {changed}" if changed else "it stands"
             say(
-                "it stands. Enter, or R2 on the remote: the run begins; any other key, or L2+B: motors damped"
+                f"{stands}. Enter, or R2 on the remote: the run begins; any other key, or L2+B: motors damped"
             )
         self._wait_for(Phase.RUN)
+        self._look_again()
         self._start = self._clock.now()
         self._robot.clear()
         self._poses.clear()
+
+    def _look_again(self) -> None:
+        """Refuse to begin where box or poses have changed since they were checked: an operator takes time."""
+        s = self._settings
+        self._collect()
+        age = self._clock.now() - self._oldest
+        if age > s.trips.pose_age:
+            raise PoseError(f"no pose of trunk or box for {1e3 * age:.0f} ms: the run does not begin")
+        place, _ = self._world.seen(self._offset(self._newest[s.box]))
+        check_place(place, self._box, s.place_tolerance)
 
     def _wait_for(self, phase: Phase) -> None:
         while not self._link.reached(phase):
@@ -175,7 +196,7 @@ class Go1Target:
         lead = 0.5e-3 * self.report.contact.get("round_trip_ms", 0.0)
         start = self._start + plan.start - plan.period - lead
         targets = Targets(start, plan.period, np.vstack((before, plan.targets)))
-        self._link.play(targets, min(self._newest.values()))
+        self._link.play(targets, self._oldest)
         self._plan, self._playing = plan, True
 
     def _sleep_to_the_next_period(self) -> None:
@@ -196,9 +217,10 @@ class Go1Target:
         """All that has come and is of the run: not older than its beginning."""
         self._robot += [sample for sample in self._link.samples() if sample["time"] >= self._start]
         for pose in self._feed.poses():
-            if pose.body in self._newest and pose.time - self._settings.pose_delay >= self._start:
-                self._newest[pose.body] = max(self._newest[pose.body], pose.time)
-                self._pair(pose)
+            exposed = replace(pose, time=pose.time - self._settings.pose_delay)
+            if pose.body in self._newest and exposed.time >= self._start:
+                self._newest[pose.body] = max(self._newest[pose.body], exposed, key=lambda one: one.time)
+                self._pair(exposed)
 
     def _pair(self, pose: TimedPose) -> None:
         """Join trunk and box of one frame; what finds no partner is left out."""
@@ -211,6 +233,11 @@ class Go1Target:
                 self._poses.append((time, pair[self._settings.trunk], pair[self._settings.box]))
                 return
         self._unpaired.append(pose)
+
+    @property
+    def _oldest(self) -> float:
+        """Of the older one of the newest poses of trunk and box [s]."""
+        return min(pose.time for pose in self._newest.values())
 
     def _offset(self, pose: TimedPose) -> Pose:
         s = self._settings
@@ -234,6 +261,10 @@ class Go1Target:
             time=self._time,
             robot_times=np.array([sample["time"] for sample in robot]) - self._start,
             **columns,
-            pose_times=np.array([pose[0] for pose in poses]) - self._start - self._settings.pose_delay,
+            pose_times=np.array([pose[0] for pose in poses]) - self._start,
             **seen,
         )
+
+
+def _never(body: str) -> TimedPose:
+    return TimedPose(body, -np.inf, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))

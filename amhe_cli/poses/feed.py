@@ -5,6 +5,7 @@ python -m amhe_cli.poses.feed CHANNEL
 
 from __future__ import annotations
 
+import ctypes
 import json
 import signal
 import sys
@@ -27,6 +28,7 @@ from amhe_cli.poses.udp import UdpPoses
 
 KINDS = ("natnet", "motioncapture", "ros2", "udp")
 _WAIT, _STEP, _START = 0.05, 0.005, 20.0
+_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,16 +179,27 @@ class _Sender:
 
     def __init__(self, channel: Channel, clock: Clock) -> None:
         self._channel, self._clock, self._map = channel, clock, ClockMap()
+        self._told: dict[str, bytes] = {}
 
     def say(self, message: dict[str, Any]) -> None:
         self._channel.send(json.dumps(message).encode())
 
     def pass_on(self, seen: Sighting) -> None:
+        told, before = seen.position.tobytes() + seen.orientation.tobytes(), self._told.get(seen.body)
+        self._told[seen.body] = told
+        if seen.stamp is None and told == before:  # a camera is never so still: the source has frozen
+            return
         arrival = self._clock.now()
         # the shortest way from a stamp to us is as long as the told age, at least
         time = (arrival if seen.stamp is None else self._map.see(seen.stamp, arrival)) - seen.age
         position, orientation = seen.position.tolist(), seen.orientation.tolist()
         self.say({"body": seen.body, "time": time, "position": position, "orientation": orientation})
+
+
+def _end_with_the_program() -> None:
+    """Be killed as soon as the program ends, however: a source that waits for ever does not see it."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def main() -> None:
@@ -196,6 +209,7 @@ def main() -> None:
         signal.SIGTERM,
     ):  # meant for the program, which still needs poses to sit down
         signal.signal(number, signal.SIG_IGN)
+    _end_with_the_program()
     channel, given = begun()
     options = FeedOptions(**given)
     sender = _Sender(channel, Clock(options.slow))

@@ -41,8 +41,9 @@ class NatNet:
             from natnet import NatNetClient
         except ImportError:
             raise PoseError("--pose natnet needs the package natnet: pip install 'amhe[mocap]'") from None
-        self._client = NatNetClient(
-            self._host, _own_address(self._host, self._port), command_port=self._port, use_multicast=False
+        motive = _address(self._host)
+        self._client = _listening_to(motive, NatNetClient)(
+            motive, _own_address(motive, self._port), command_port=self._port, use_multicast=False
         )
         self._client.on_data_description_received_event.handlers.append(self._describe)
         self._client.on_data_frame_received_event.handlers.append(self._frame)
@@ -90,9 +91,51 @@ class NatNet:
                 self._seen.append(seen)
 
 
+class _Ear(socket.socket):
+    """A UDP socket that hears one address only; `bind` first."""
+
+    heard: str = ""
+
+    def recvfrom(self, bufsize: int, flags: int = 0) -> tuple[bytes, Any]:  # type: ignore[override]
+        """Of that address; what others send is dropped."""
+        while True:
+            datagram, sender = super().recvfrom(bufsize, flags)
+            if sender[0] == self.heard:
+                return datagram, sender
+
+
+def _listening_to(motive: str, client: type) -> type:
+    """A client of the package whose sockets are at its own address, and hear Motive's only.
+
+    The package's own ones take datagrams from everybody, the one for data on every network of this computer.
+    """
+
+    class Client(client):
+        def _NatNetClient__create_socket(self, address: str = "", port: int = 0) -> socket.socket:  # noqa: N802
+            ear = _Ear(socket.AF_INET, socket.SOCK_DGRAM)
+            ear.heard = motive
+            ear.setblocking(False)
+            ear.bind((address or self.local_ip_address, port))
+            return ear
+
+    return Client
+
+
+def _address(host: str) -> str:
+    """Of a computer, as datagrams tell it.
+
+    Raises:
+        PoseError: There is no such computer.
+    """
+    try:
+        return socket.gethostbyname(host)
+    except OSError as error:
+        raise PoseError(f"no way to Motive on {host}: {error.strerror or error}") from error
+
+
 def _own_address(host: str, port: int) -> str:
-    """This computer's address in the network of another one."""
-    if ipaddress.ip_address(socket.gethostbyname(host)).is_loopback:
+    """This computer's address in the network of another one's address."""
+    if ipaddress.ip_address(host).is_loopback:
         return "127.0.0.1"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.connect((host, port))  # sends nothing

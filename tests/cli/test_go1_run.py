@@ -6,20 +6,27 @@ import json
 import multiprocessing
 import os
 import re
+import select
 import signal
 import socket
 import subprocess
 import sys
+import termios
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from amhe_cli.cli import at_the_robot
 from amhe_cli.cli.main import run
+from amhe_cli.go1_link.link import Report, StoppedError
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.poses.feed import KINDS
 from tests.emulator.emulating import Emulated, emulating
+from tests.poses.streaming import free_port
 
 ROOT = Path(__file__).parents[2]
 #: Little work, quick motions, and patience with a busy machine.
@@ -28,7 +35,7 @@ QUICK = [
     *("--set", "go1.stand_speed=2"), *("--set", "go1.sit_time=0.5"), *("--set", "go1.damp_time=0.3"),
     *("--set", "go1.trips.plan_age=1"), *("--set", "go1.trips.state_age=0.5"),
     *("--set", "go1.trips.pose_age=1"), *("--set", "go1.place_tolerance=0.3"),
-    *("--set", "go1.trips.target_jump=3"), "--threads", "1", "-q",
+    *("--set", "go1.trips.target_jump=1"), "--threads", "1", "-q",
 ]  # fmt: skip
 ROBOT = ["run", "--task", "t1", "--target", "go1", "--mode", "baseline"]
 
@@ -113,6 +120,34 @@ def test_a_fault_damps_fails_and_keeps_a_readable_log(capsys) -> None:
 
 
 @pytest.mark.slow
+def test_a_fault_before_it_runs_keeps_a_readable_log_too(capsys) -> None:
+    pytest.importorskip("natnet")
+    with emulating("--slow", "2", "--fault", "hot=0.1") as emulated:
+        assert run([*at(emulated), "-o", "out"]) == 1
+    assert "deg C hot" in capsys.readouterr().err
+    record = json.loads(Path("out/result.json").read_text())
+    assert (record["cycles"], record["link"]["trip"]) == (0, "temperature")
+    assert Path("out/report.html").exists()
+    assert not survey(Path("out/log.mcap")).problems
+
+
+@pytest.mark.parametrize(
+    ("reason", "begun", "ending"),
+    [("SIGINT", True, (True, None)), ("key", True, (False, "stopped")), ("key", False, None)],
+)
+def test_a_robot_that_is_stopped_on_the_way_has_an_ending(monkeypatch, reason, begun, ending) -> None:
+    error = StoppedError("stopped")
+    monkeypatch.setattr(at_the_robot, "ready", Mock(side_effect=error))
+    target = Mock(begun=begun, report=Report(reason=reason))
+    if ending is None:
+        with pytest.raises(StoppedError):
+            at_the_robot.attended(target, Mock(), Mock())
+        return
+    found = at_the_robot.attended(target, Mock(), Mock())
+    assert (found.interrupted, found.error and str(found.error)) == ending
+
+
+@pytest.mark.slow
 def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
     pytest.importorskip("natnet")
     with emulating("--slow", "2") as emulated:
@@ -132,6 +167,77 @@ def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
     assert not survey(Path("out/log.mcap")).problems
 
 
+@contextmanager
+def in_a_terminal(arguments: list[str]) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """`amhe` as the foreground of a terminal of its own, and the descriptor by which its keys are pressed."""
+    keys, stdin = os.openpty()
+    command = [sys.executable, "-c", _FOREGROUND, "-m", "amhe_cli", *arguments]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    try:
+        with subprocess.Popen(
+            command, text=True, env=environment, stdin=stdin, stderr=subprocess.PIPE, start_new_session=True
+        ) as process:
+            try:
+                yield process, keys
+            finally:
+                process.kill()
+    finally:
+        os.close(stdin)
+        os.close(keys)
+
+
+_FOREGROUND = """
+import fcntl, os, sys, termios
+fcntl.ioctl(0, termios.TIOCSCTTY, 0)
+os.execv(sys.executable, [sys.executable, *sys.argv[1:]])
+"""
+
+
+def read_until(process: subprocess.Popen[str], text: str) -> None:
+    assert process.stderr is not None
+    while text not in (line := process.stderr.readline()):
+        assert line, f"it ended before it said {text!r}"
+
+
+def test_keys_that_mean_something_to_a_terminal_come_as_keys(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-Z, Ctrl-backslash, Ctrl-S, Ctrl-Q: whoever presses one of them wants the robot to stop."""
+    keys, terminal = os.openpty()
+    with os.fdopen(terminal) as stdin:
+        monkeypatch.setattr(sys, "stdin", stdin)
+        before = termios.tcgetattr(terminal)
+        with at_the_robot._unseen_keys():
+            for key in (b"\x1a", b"\x1c", b"\x13", b"\x11", b" "):
+                os.write(keys, key)
+                assert select.select([terminal], [], [], 10.0)[0], key
+                assert os.read(terminal, 8) == key
+            within = termios.tcgetattr(terminal)
+            assert within[3] & termios.ISIG  # Ctrl-C still is a signal, also to a program that hangs
+            assert within[6][termios.VINTR] == b"\x03"
+        assert termios.tcgetattr(terminal) == before
+    os.close(keys)
+
+
+@pytest.mark.slow
+def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
+    port = str(free_port())
+    with emulating("--slow", "2", "--mocap", "udp", "--mocap-port", port) as emulated:
+        eyes = ["--pose", "udp", "--pose-host", "127.0.0.1", "--pose-port", port]
+        where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--slow", "2"]
+        arguments = [*ROBOT, *where, *QUICK, "-o", "out"]
+        arguments.remove("-q")
+        with in_a_terminal(arguments) as (process, keys):
+            read_until(process, ". Enter, or R2")
+            os.write(keys, b"\n")
+            read_until(process, "from the goal")
+            os.write(keys, b" ")
+            said = process.communicate(timeout=60)[1]
+    assert process.returncode == 1
+    assert "stopped, damp: key" in said
+    record = json.loads(Path("out/result.json").read_text())
+    assert (record["link"]["trip"], record["link"]["reason"]) == ("order", "key")
+    assert not survey(Path("out/log.mcap")).problems
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -139,10 +245,16 @@ def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
         ([*ROBOT, "--plant", "robot.xml"], "--plant is the robot of a simulation"),
         ([*ROBOT, "--video", "--set", "go1.arm=operator"], "--video films a simulated plant"),
         ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.arm=auto"], "for the emulator"),
+        ([*ROBOT, "--host", "192.0.2.1", "--slow", "2"], "--slow is for the emulator"),
+        (["calibrate", "--task", "t1", "--host", "192.0.2.1", "--slow", "2"], "--slow is for the emulator"),
         ([*ROBOT, "--pose", "motioncapture"], "vicon:"),
         ([*ROBOT, "--set", "go1.box=go1"], "same name"),
         ([*ROBOT, "--pose", "ros2", "--pose-host", "lab"], "number of a DDS domain"),
         ([*ROBOT, "--set", "go1.trips.tilt=-1"], "go1.trips.tilt"),
+        ([*ROBOT, "--set", "go1.trips.tilt=3"], "go1.trips.tilt"),
+        ([*ROBOT, "--set", "go1.trips.state_age=1000"], "go1.trips.state_age"),
+        ([*ROBOT, "--set", "go1.damping=0.05"], "go1.damping"),
+        ([*ROBOT, "--set", "go1.kd=[2,3,0.06]"], "go1.kd"),
         (["run", "--task", "t1", "--pose-port", "5"], "--pose-port is of a real robot"),
         (["run", "--task", "t1", "--dry-run"], "--dry-run is of a real robot"),
         (["probe", "--slow", "2"], "--slow is of a real robot"),

@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -164,36 +165,65 @@ def motive(request: pytest.FixtureRequest) -> Iterator[Motive]:
     server.close()
 
 
-def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
-    pytest.importorskip("natnet")
-    source = NatNet(*motive.address, 2.0)
+TURN = np.array([np.cos(0.3), 0.0, 0.0, np.sin(0.3)])
+
+
+@contextmanager
+def serving(motive: Motive) -> Iterator[None]:
+    """Frames at 100 Hz or so; the box is seen from 5.6 s on."""
     stop = threading.Event()
-    turn = np.array([np.cos(0.3), 0.0, 0.0, np.sin(0.3)])
 
     def serve() -> None:
         time_now = 5.0
         while not stop.wait(0.005):
             time_now += 0.01
             motive.serve(time_now)
-            box = Seen(np.array([0.6, 0.1, 0.15]), -turn, valid=time_now > 5.6)
-            motive.stream([Seen(np.array([1.0, 2.0, 0.3]), turn), box], time_now)
+            box = Seen(np.array([0.6, 0.1, 0.15]), -TURN, valid=time_now > 5.6)
+            motive.stream([Seen(np.array([1.0, 2.0, 0.3]), TURN), box], time_now)
 
     thread = threading.Thread(target=serve)
     thread.start()
     try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
+    pytest.importorskip("natnet")
+    with serving(motive), closing(NatNet(*motive.address, 2.0)) as source:
         source.connect()
         seen, end = {}, time.monotonic() + 5.0
         while len(seen) < 2 and time.monotonic() < end:
             seen |= {one.body: one for one in source.wait(0.05)}
-    finally:
-        stop.set()
-        thread.join()
-        source.close()
     np.testing.assert_allclose(seen["go1"].position, [1.0, 2.0, 0.3], atol=1e-6)
-    np.testing.assert_allclose(seen["go1"].orientation, turn, atol=1e-6)
-    np.testing.assert_allclose(seen["box"].orientation, -turn, atol=1e-6)
+    np.testing.assert_allclose(seen["go1"].orientation, TURN, atol=1e-6)
+    np.testing.assert_allclose(seen["box"].orientation, -TURN, atol=1e-6)
     assert seen["box"].stamp > 5.6
     assert seen["go1"].age == pytest.approx(0.004)
+
+
+def test_natnet_listens_at_one_address_and_to_one(motive: Motive) -> None:
+    pytest.importorskip("natnet")
+    there = Seen(np.array([9.0, 9.0, 9.0]), TURN)
+    with (
+        serving(motive),
+        closing(NatNet(*motive.address, 2.0)) as source,
+        closing(Motive("127.0.0.2", 0, ("go1", "box"))) as impostor,
+    ):
+        source.connect()
+        client = source._client
+        sockets = [client._NatNetClient__data_socket, client._NatNetClient__command_socket]
+        assert {one.getsockname()[0] for one in sockets} == {"127.0.0.1"}
+        impostor._clients = {one.getsockname(): 0.0 for one in sockets}
+        seen, end = [], time.monotonic() + 5.0
+        while len(seen) < 50 and time.monotonic() < end:
+            impostor.stream([there, there], 0.0)
+            impostor.serve(1.0)
+            seen += source.wait(0.05)
+    assert seen
+    assert not any(one.position[0] == 9.0 for one in seen)
 
 
 def test_a_frame_comes_as_late_as_it_says(motive: Motive) -> None:

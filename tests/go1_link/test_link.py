@@ -19,7 +19,9 @@ import pytest
 from amhe_cli.core.go1_settings import Go1Settings
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1_link import state, wire
+from amhe_cli.go1_link.child import Channel
 from amhe_cli.go1_link.clock import Clock
+from amhe_cli.go1_link.contact import Share
 from amhe_cli.go1_link.link import Link, StoppedError
 from amhe_cli.go1_link.motion import Targets
 from amhe_cli.go1_link.phase import Phase
@@ -175,6 +177,76 @@ def test_an_operator_who_stops(puppet: Puppet, how: str) -> None:
     assert link.report.trip == "order"
 
 
+def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -> None:
+    """A child's own standard input is another one."""
+    keys, terminal = socket.socketpair()
+    ours = os.dup(0)
+    with keys, terminal:
+        os.dup2(keys.fileno(), 0)
+        try:
+            with a_link(puppet, keys=0) as link:
+                link.connect()
+                link.stand()
+                wait_for(link, Phase.READY)
+                terminal.send(b"\n")
+                wait_for(link, Phase.RUN)
+                terminal.send(b" ")
+                puppet.wait(damps)
+        finally:
+            os.dup2(ours, 0)
+            os.close(ours)
+    assert link.report.reason == "key"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGTTIN, signal.SIGQUIT])
+def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
+    puppet: Puppet, number: signal.Signals
+) -> None:
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        assert link._child is not None
+        sender = link._child.process.pid
+        assert os.getsid(sender) == sender  # keys of our terminal do not reach it as signals
+        os.kill(sender, number)
+        puppet.wait(damps)
+    assert link.report.reason == number.name
+
+
+def test_a_sender_that_dies_is_stood_in_for(puppet: Puppet) -> None:
+    """Motors follow the last command that they got for good."""
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        assert link._child is not None
+        link._child.process.kill()
+        link._child.process.wait()
+        with pytest.raises(LinkError, match="has died"):
+            wait_for(link, Phase.READY)
+    end = time.monotonic() + 10.0
+    while puppet.heard[-1][1].kd.max() > 0.0 and time.monotonic() < end:
+        time.sleep(0.01)
+    told = [command for _, command in puppet.heard]
+    last_driven = max(number for number, command in enumerate(told) if command.kp[0] > 0)
+    assert all(map(damps, told[last_driven + 1 : -1]))
+    assert len(told) - last_driven > 20
+    assert told[-1].kp.max() == told[-1].kd.max() == 0.0
+
+
+def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours, theirs = map(Channel, ends)
+    ours.send(b"never read")
+    theirs.send(b"last words")
+    theirs.close()
+    assert not ours.send(b"too late")
+    assert list(ours.received()) == [b"last words"]
+    assert not ours.open
+    ours.close()
+
+
 _PROGRAM = """
 import os, sys, time
 from amhe_cli.go1_link.clock import Clock
@@ -241,19 +313,76 @@ def test_a_second_sender_is_noticed(puppet: Puppet) -> None:
         link.connect()
 
 
+def test_a_robot_that_another_program_drives_is_left_alone(puppet: Puppet) -> None:
+    puppet.change = lambda sent: replace(sent, torques=np.full(12, 6.0))
+    with a_link(puppet) as link:
+        with pytest.raises(LinkError, match="driven already"):
+            link.connect()
+        heard = len(puppet.heard)
+        time.sleep(0.3)
+        assert len(puppet.heard) <= heard + 1
+    assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
+    assert len(puppet.heard) < 0.5 * QUICK.connect_time * QUICK.rate
+
+
+def test_a_second_sender_that_comes_later_damps(puppet: Puppet) -> None:
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        puppet.mangle = lambda packet: packet if state.decode(packet).tick % 2 else None
+        puppet.wait(damps)
+    assert link.report.trip == "share"
+
+
+def test_the_share_of_states_that_arrive() -> None:
+    share = Share()
+    assert {share.see(tick) for tick in range(1, 500)} == {1.0}
+    assert share.see(900) == 0.95  # a pause
+    assert [share.see(tick) for tick in range(901, 1101)][-1] == 1.0
+    assert [share.see(tick) for tick in range(1101, 1501, 2)][-1] == 0.5
+    assert share.see(1) == 1.0  # the robot has been switched off and on
+
+
 def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:
     puppet.change = lambda sent: replace(sent, modes=np.full(12, wire.SERVO))
     with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match="encrypted"):
         link.connect()
 
 
+@pytest.mark.parametrize("slow", [2.0, 0.5])
+def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: float) -> None:
+    with (
+        Link("127.0.0.1", puppet.port, HASTY, Clock(slow)) as link,
+        pytest.raises(LinkError, match="same --slow"),
+    ):
+        link.connect()
+
+
 @pytest.mark.parametrize(
-    ("change", "said"), [({"charge": 3}, "battery"), ({"temperatures": np.full(12, 88.0)}, "hot")]
+    ("change", "said"),
+    [
+        ({"charge": 3}, "battery"),
+        ({"temperatures": np.full(12, 88.0)}, "hot"),
+        ({"quaternion": np.array([np.cos(0.6), np.sin(0.6), 0.0, 0.0])}, "leans"),
+        ({"joint_rates": np.full(12, np.nan)}, "not a number"),
+        ({"remote": Remote(frozenset({"select"})).raw()}, "remote"),
+    ],
 )
 def test_a_robot_in_no_condition_is_refused(puppet: Puppet, change: dict, said: str) -> None:
     puppet.change = lambda sent: replace(sent, **change)
-    with a_link(puppet) as link, pytest.raises(LinkError, match=said):
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=said):
         link.connect()
+
+
+def test_a_motor_in_no_mode_to_be_driven_is_refused(puppet: Puppet) -> None:
+    """It has echoed its modes, and then switches itself off."""
+    with a_link(puppet) as link:
+        link.connect()
+        puppet.change = lambda sent: replace(sent, modes=np.full(12, 8))
+        with pytest.raises(LinkError, match="is in mode 8, too hot"):
+            while True:
+                link.connect()
 
 
 def test_no_such_host_is_one_line() -> None:

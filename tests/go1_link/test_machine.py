@@ -18,6 +18,7 @@ from amhe_cli.go1_link.machine import Inbox, Machine
 from amhe_cli.go1_link.motion import Sent, Targets
 from amhe_cli.go1_link.phase import Phase
 from amhe_cli.go1_link.remote import Remote
+from amhe_cli.go1_link.sender import next_tick
 from amhe_cli.go1_link.trips import TRIPS
 from tests.go1_link.makers import FOLDED, a_state
 
@@ -112,6 +113,19 @@ def test_it_waits_for_the_operator_and_then_for_the_first_plan() -> None:
     assert robot.machine.phase == Phase.RUN
 
 
+def test_a_key_of_the_remote_that_is_held_all_the_time_does_not_arm() -> None:
+    robot = Robot()
+    robot.change = {"remote": Remote(frozenset({"R2"})).raw()}
+    robot.until(Phase.READY)
+    robot.for_a_while(0.5)
+    assert robot.machine.phase == Phase.READY
+    robot.change = {"remote": Remote(frozenset({"start"})).raw()}  # that enters low-level mode, with others
+    robot.for_a_while(0.5)
+    assert robot.machine.phase == Phase.READY
+    robot.change = {"remote": Remote(frozenset({"R2"})).raw()}
+    robot.until(Phase.RUN, 0.1)
+
+
 def test_an_end_as_planned_sits_down_and_damps() -> None:
     robot = running()
     robot.inbox.finish = True
@@ -122,11 +136,24 @@ def test_an_end_as_planned_sits_down_and_damps() -> None:
     assert robot.machine.trip == ""
 
 
+@pytest.mark.parametrize("phase", [Phase.HOLD, Phase.STAND])
+def test_an_end_before_it_stands_damps_and_throws_nothing_up(phase: Phase) -> None:
+    """Sitting down begins with all feet under a robot that stands: one that lies would jump there."""
+    robot = Robot()
+    robot.until(phase)
+    robot.for_a_while(0.1)
+    robot.inbox.finish = True
+    assert is_damping(robot.step())
+    assert all(told.kp.max() == 0.0 for told in robot.until(Phase.OVER))
+    assert robot.machine.trip == ""
+
+
 CHANGES: dict[str, Callable[[Robot], None]] = {
     "order": lambda robot: setattr(robot.inbox, "stop", "SIGINT"),
     "remote": lambda robot: robot.change.update(remote=Remote(frozenset({"select"})).raw()),
     "state_lost": lambda robot: setattr(robot, "silent", True),
     "damaged": lambda robot: setattr(robot.inbox, "bad_packets", 25),
+    "share": lambda robot: setattr(robot.inbox, "share", 0.75),
     "not_a_number": lambda robot: robot.change.update(gyro=np.array([0.0, np.nan, 0.0])),
     "tilt": lambda robot: robot.change.update(quaternion=np.array([np.cos(0.5), 0.0, np.sin(0.5), 0.0])),
     "speed": lambda robot: robot.change.update(joint_rates=np.array([0.0] * 11 + [-19.0])),
@@ -199,6 +226,25 @@ def test_a_worse_fault_while_sitting_damps_at_once() -> None:
     assert robot.machine.trip == "plan_lost"  # the first cause
 
 
+@pytest.mark.parametrize(("value", "trip"), [(1.5, "target_jump"), (np.nan, "not_a_number")])
+def test_a_plan_is_looked_at_as_a_whole_when_it_comes(value: float, trip: str) -> None:
+    robot = running()
+    rows = np.tile(HOME + 0.1, (16, 1))
+    rows[12:, 4] += value
+    robot.plan = Targets(robot.now + TICK, 0.02, rows)
+    assert is_damping(robot.step())
+    assert robot.machine.trip == trip
+
+
+def test_targets_that_are_no_numbers_damp() -> None:
+    """Whatever led to them: they were taken for where the joints are."""
+    robot = running()
+    robot.machine._blend = (robot.now, 1.0, np.full(12, np.nan))
+    robot.inbox.plan = robot.plan = robot.machine._playing
+    assert is_damping(robot.step())
+    assert robot.machine.trip == "not_a_number"
+
+
 def test_short_power_is_no_trip() -> None:
     robot = running()
     CHANGES["power"](robot)
@@ -253,6 +299,13 @@ def test_targets_stay_within_joints_and_torques() -> None:
         assert (np.abs(60.0 * (targets - joints)) <= 0.7 * TORQUE_LIMIT + 1e-9).all()
 
 
+def test_a_joint_outside_of_its_limits_is_led_back_by_no_more_torque() -> None:
+    joints = np.where(np.arange(12) % 3 == 2, LOWEST - 0.5, HOME)
+    targets = allowed(np.array(HOME), joints, 60.0, 0.7)
+    np.testing.assert_allclose(60.0 * (targets - joints)[2::3], 0.7 * TORQUE_LIMIT[2::3])
+    assert (targets[2::3] < LOWEST[2::3]).all()
+
+
 def test_the_gains_are_those_of_the_planners_model() -> None:
     """Of other gains an identification makes another box, and the planner another motion."""
     model, told = planner_model(), running().step()
@@ -260,6 +313,13 @@ def test_the_gains_are_those_of_the_planners_model() -> None:
     np.testing.assert_allclose(told.kp, model.actuator_gainprm[at.servos, 0])
     servos = -model.actuator_biasprm[at.servos, 2]
     np.testing.assert_allclose(told.kd, servos + model.dof_damping[at.joints_v])
+
+
+@pytest.mark.parametrize(
+    ("late", "pause"), [(0.0, 0.002), (0.0005, 0.0015), (0.0019, 0.001), (0.002, 0.001), (0.1, 0.001)]
+)
+def test_a_late_packet_is_followed_by_none_at_once(late: float, pause: float) -> None:
+    assert next_tick(5.0, 5.0 + late, TICK) - (5.0 + late) == pytest.approx(pause)
 
 
 def test_what_was_sent_by_a_time() -> None:

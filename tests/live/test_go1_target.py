@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.control.controller import Plan
-from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.core.go1_settings import Go1Settings, deviations
 from amhe_cli.core.rotations import exp
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Measurements
@@ -63,6 +63,25 @@ def test_a_check_says_what_it_found_and_moves_nothing(puppet: Puppet) -> None:
     assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
 
 
+def test_what_is_not_by_default_is_told_before_arming(puppet: Puppet) -> None:
+    assert deviations(Go1Settings()) == ""
+    settings = Go1Settings.model_validate({"kd": (2, 3, 4), "trips": {"tilt": 1.2}})
+    assert deviations(settings) == "go1.kd [2, 3, 4] ([2, 3, 3]), go1.trips.tilt 1.2 (0.9)"
+    told: list[str] = []
+
+    def hear(text: str) -> None:
+        told.append(text)
+        if "Enter" in text:
+            puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"R2"})).raw())
+
+    with a_target(puppet, SETTINGS.model_copy(update={"arm": "operator"})) as (target, _):
+        found = target.check()
+        target.begin(hear)
+    for text in (found["not by default"], told[-1]):
+        assert "go1.stand_speed 3 (0.5)" in text
+        assert "go1.trips.pose_age 1 (0.19)" in text
+
+
 @pytest.mark.parametrize(
     ("stage", "said"),
     [
@@ -107,6 +126,37 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
     assert any(np.allclose(command.position, HOME + 0.05, atol=1e-4) for _, command in puppet.heard)
     assert target.report.trip == ""
     assert cameras.trunk is TRUNK
+
+
+def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: pytest.MonkeyPatch) -> None:
+    handed: list[float] = []
+    with a_target(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
+        target.check()
+        target.begin(lambda text: None)
+        measured = target.measure()
+        monkeypatch.setattr(target._link, "play", lambda plan, pose_time: handed.append(pose_time))
+        target.play(Plan(measured.time + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
+    assert handed[0] - target._start == pytest.approx(measured.pose_times[-1], abs=0.1)
+
+
+@pytest.mark.parametrize(("gone", "said"), [("box", "the task wants it"), ("poses", "does not begin")])
+def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone: str, said: str) -> None:
+    trips = PATIENT.model_copy(update={"pose_age": 0.5 if gone == "poses" else 1.0})
+    with a_target(puppet, SETTINGS.model_copy(update={"trips": trips, "gain_time": 1.0})) as (
+        target,
+        cameras,
+    ):
+        target.check()
+
+        def change(text: str) -> None:
+            if gone == "box":
+                cameras.move_box((0.5, 0.0, 0.0))
+            cameras.silent = gone == "poses"
+
+        with pytest.raises(PoseError, match=said):
+            target.begin(change)
+    driven = [told.position for _, told in puppet.heard if told.kp[0] > 0]
+    np.testing.assert_allclose(driven[-1], np.tile([0.0, 1.2, -2.6], 4), atol=0.05)  # it has sat down again
 
 
 @pytest.mark.parametrize("lost", ["poses", "robot"])

@@ -53,6 +53,11 @@ class Stage:
         self._stop.set()
         self._thread.join()
 
+    def move_box(self, by: tuple[float, float, float]) -> None:
+        """In the cameras' frame [m]."""
+        name, (place, turn) = self._bodies[1]
+        self._bodies[1] = name, (place + by, turn)
+
     def _send(self) -> None:
         clock = Clock()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:

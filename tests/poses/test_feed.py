@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -66,6 +71,28 @@ def test_poses_come_through_on_our_clock() -> None:
     assert np.ptp(late) < 0.01
 
 
+def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
+    port, seen, places = free_port(), [], iter((0.1, 0.1, 0.1, 0.2, 0.2, 0.1))
+    told = '{"body": "%s", "position": [1, 2, %s], "orientation": [1, 0, 0, 0]}'
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
+        PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 20.0)) as feed,
+    ):
+        client.connect(("127.0.0.1", port))
+        end = time.monotonic() + 10.0
+        while not seen and time.monotonic() < end:  # until it listens
+            with suppress(ConnectionRefusedError):
+                client.send((told % ("other", time.monotonic())).encode())
+            seen = feed.poses()
+            time.sleep(0.01)
+        for place in places:
+            client.send((told % ("go1", place)).encode())
+        client.send((told % ("last", 0.0)).encode())
+        while seen[-1].body != "last" and time.monotonic() < end:
+            seen += feed.poses()
+    assert [pose.position[2] for pose in seen if pose.body == "go1"] == [0.1, 0.2, 0.1]
+
+
 def test_a_body_that_never_comes_is_named_with_those_that_do() -> None:
     port = free_port()
     options = FeedOptions("udp", "127.0.0.1", port, ("go1", "crate"), 0.5)
@@ -90,6 +117,43 @@ def test_a_source_that_blocks_for_ever_is_given_up() -> None:
     with PoseFeed(options) as feed, pytest.raises(PoseError, match="no pose of 'go1' and 'box'"):
         feed.first()
     assert time.monotonic() - begun < 15.0
+
+
+_PROGRAM = """
+import sys, time
+from amhe_cli.poses.feed import FeedOptions, PoseFeed
+with PoseFeed(FeedOptions("udp", "127.0.0.1", int(sys.argv[1]), ("go1", "box"), 20.0)) as feed:
+    while not any("connecting" in message for message in feed._messages()):
+        time.sleep(0.01)
+    print(feed._child.process.pid, flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no child is told of it")
+def test_a_source_that_blocks_for_ever_ends_with_a_program_that_is_killed() -> None:
+    command = [sys.executable, "-c", _PROGRAM, str(free_port())]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as program:
+        assert program.stdout is not None
+        feed = int(program.stdout.readline())
+        os.kill(feed, signal.SIGSTOP)  # it does nothing any more, like one that waits for a camera
+        program.kill()
+    try:
+        end = time.monotonic() + 10.0
+        while _lives(feed) and time.monotonic() < end:
+            time.sleep(0.01)
+        assert not _lives(feed)
+    finally:
+        if _lives(feed):
+            os.kill(feed, signal.SIGKILL)
+
+
+def _lives(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
 
 
 def test_libmotioncapture_comes_through() -> None:
