@@ -34,5 +34,7 @@ def write_run(
     text = json.dumps(record, indent=2, allow_nan=False) + "\n"
     (folder / "result.json").write_text(text, encoding="utf-8")
     units = {p.name: p.unit for p in system.space.parameters}
-    page = run_page(task, history, record, origin, units, system.settings.control.period)
+    # by the computer's clock, as the times of cycles are
+    period = system.settings.control.period * record.get("link", {}).get("slow", 1.0)
+    page = run_page(task, history, record, origin, units, period)
     (folder / "report.html").write_text(page, encoding="utf-8")

@@ -29,7 +29,7 @@ def run_page(
         record: Content of result.json.
         origin: Provenance: versions, hashes, seed, command.
         units: Of the parameters, by name.
-        period: Of control [s].
+        period: Of control, by the computer's clock [s].
     """
     return template("run.html.j2").render(
         task=task,
