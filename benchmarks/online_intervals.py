@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 from amhe_cli.core.statistics import Z90
-from amhe_cli.evaluation.estimates import BEGUN, PAIR, SETTLED, change_of
+from amhe_cli.evaluation.estimates import BEGUN, SETTLED, change_of, deviations
 from amhe_cli.evaluation.results import Result
 from amhe_cli.evaluation.store import open_store
 
@@ -60,18 +60,15 @@ def _phases(results: list[Result]):
 
 
 def _parts(result: Result):
-    trace, change = result.trace, change_of(result)
-    believed, sd, truth = (
-        np.stack([trace[f"{of}/{name}"] for name in PAIR], axis=1) for of in ("belief", "belief_sd", "truth")
-    )
-    off, relative = np.log(believed / truth), sd / believed
+    time, change = result.trace["time"], change_of(result)
+    off, sd = deviations(result)
     end = np.inf if change is None else change
     for when, rows in (
-        ("before", (trace["time"] >= BEGUN) & (trace["time"] < end)),
-        ("after", trace["time"] >= end + SETTLED),
+        ("before", (time >= BEGUN) & (time < end)),
+        ("after", time >= end + SETTLED),
     ):
         if rows.any():
-            yield when, (off[rows], relative[rows])
+            yield when, (off[rows], sd[rows])
 
 
 def _told(held: np.ndarray) -> str:

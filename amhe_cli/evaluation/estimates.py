@@ -69,21 +69,25 @@ def change_of(result: Result) -> float | None:
     return float(result.trace["time"][min(rows) + 1]) if rows else None
 
 
-def _judged(result: Result) -> tuple[FloatArray, BoolArray, bool] | None:
-    """Errors of mass, friction and product (m, 3), whether either is held (m, 2), and whether resolved."""
+def deviations(result: Result) -> tuple[FloatArray, FloatArray]:
+    """Logarithms of believed over true mass and friction, and their sd, over time; shape (n, 2) each."""
     trace = result.trace
     believed, sd, truth = (
-        np.stack([trace[f"{kind}/{name}"] for name in PAIR], axis=1)
-        for kind in ("belief", "belief_sd", "truth")
+        np.stack([trace[f"{of}/{name}"] for name in PAIR], axis=1) for of in ("belief", "belief_sd", "truth")
     )
+    return np.log(believed / truth), sd / believed
+
+
+def _judged(result: Result) -> tuple[FloatArray, BoolArray, bool] | None:
+    """Errors of mass, friction and product (m, 3), whether either is held (m, 2), and whether resolved."""
+    off, sd = deviations(result)
     change = change_of(result)
-    since = trace["time"] - (BEGUN - SETTLED if change is None else change)
+    since = result.trace["time"] - (BEGUN - SETTLED if change is None else change)
     late = since >= SETTLED
     if not late.any():
         return None
-    off = np.log(believed / truth)
-    held = np.abs(off) <= Z90 * sd / believed  # the intervals are those of the logarithms
-    errors = np.column_stack((believed, believed.prod(axis=1))) / np.column_stack((truth, truth.prod(axis=1)))
+    held = np.abs(off) <= Z90 * sd  # the intervals are those of the logarithms
+    errors = np.expm1(np.column_stack((off, off.sum(axis=1))))
     at = int(np.argmin(np.abs(since - RESOLVED)))
-    resolved = bool((held[at] | (np.abs(errors[at, :2] - 1.0) <= NEAR)).all())
-    return errors[late] - 1.0, held[late], resolved
+    resolved = bool((held[at] | (np.abs(errors[at, :2]) <= NEAR)).all())
+    return errors[late], held[late], resolved

@@ -107,10 +107,8 @@ class InProcess:
     def submit(self, window: Window, at: float) -> None:
         """See `Worker`."""
         self._since, self._limit = time.monotonic(), self._patience
-        order = (
-            self._pipe,
-            (window, at, self._budget),
-        )  # a long window fills the pipe, and waits for a reader
+        # in a thread: a long window fills the pipe, and waits for a reader
+        order = self._pipe, (window, at, self._budget)
         threading.Thread(target=_send, args=order, daemon=True).start()
 
     def poll(self, now: float) -> tuple[News, ...]:
