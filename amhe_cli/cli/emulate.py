@@ -55,7 +55,10 @@ OFFSET = _Offset()
     help="natnet: where Motive listens; udp: where poses are sent to.  [default: 1510 or 1512]",
 )
 @click.option(
-    "--fault", default="", metavar="NAME=V,...", help="What goes wrong, such as loss=0.02,delay=5ms,hot=20."
+    "--fault",
+    default="",
+    metavar="NAME=V,...",
+    help="What goes wrong, such as loss=0.02,after=5,hot=20 (docs/go1.md).",
 )
 @click.option(
     "--slow",

@@ -22,7 +22,9 @@ _IDLE = 0.3
 _HEATING, _COOLING, _AIR, _SWITCH_OFF = 0.0015, 0.004, 28.0, 90.0
 #: Foot sensors count so much per newton, from a zero of their own.
 _PER_NEWTON, _ZERO = 1.2, np.array([12.0, -7.0, 20.0, 3.0])
-_CHARGE = 85
+#: Charge at the start [%], what 100 % hold [J], what electronics draw [W] and motors in standstill
+#: [W / (N m)^2], of our own making: one that stands empties its battery in an hour or so.
+_CHARGE, _CAPACITY, _STANDBY, _COPPER = 85.0, 4.7e5, 50.0, 0.25
 #: A box that has moved so far has begun to be pushed [m]: from then on the task's clock runs.
 _MOVED = 0.005
 _SERIAL, _VERSION = (0x0304, 0), (0x00010205, 0)
@@ -44,6 +46,7 @@ class Body:
         self._box_start = self._plant.state.box.position[:2]
         self._moving_since: float | None = None
         self._temperatures = np.full(12, _AIR + 4.0)
+        self._charge = _CHARGE
         self._modes = np.full(12, wire.DAMPED)
 
     @property
@@ -71,6 +74,7 @@ class Body:
         measured = self._plant.advance(position, STEP)
         torques = self._plant.torques
         self._warm_up(torques)
+        self._discharge(torques, measured.joint_rates[-1])
         self._change_what_is_due()
         return self._state(measured, torques), measured
 
@@ -89,6 +93,11 @@ class Body:
     def _warm_up(self, torques: FloatArray) -> None:
         heat = _HEATING * torques**2 - _COOLING * (self._temperatures - _AIR)
         self._temperatures += STEP * heat
+
+    def _discharge(self, torques: FloatArray, rates: FloatArray) -> None:
+        mechanical = np.maximum(torques * rates, 0.0)  # braking gives nothing back
+        power = _STANDBY + float(mechanical.sum() + _COPPER * np.sum(torques**2))
+        self._charge = max(0.0, self._charge - 100.0 * STEP * power / _CAPACITY)
 
     def _change_what_is_due(self) -> None:
         if not self._pending:
@@ -114,7 +123,7 @@ class Body:
             torques=torques,
             temperatures=np.floor(self._temperatures),
             foot_force=_ZERO + _PER_NEWTON * self._plant.foot_forces,
-            charge=_CHARGE,
+            charge=round(self._charge),
             serial=_SERIAL,
             version=_VERSION,
         )

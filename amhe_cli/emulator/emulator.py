@@ -144,6 +144,7 @@ class Emulator:
         state, measured = self._body.advance(self._port.command)
         driven = -1.0 if self._driven_since is None else self._body.time - self._driven_since
         faults = self._faults
+        self._port.undisturbed = driven < faults.after
         if driven >= faults.stale:
             state = replace(state, tick=1)
         if driven < faults.silence:

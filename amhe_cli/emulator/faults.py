@@ -1,4 +1,4 @@
-"""What can be made to go wrong: `--fault loss=0.02,delay=5ms,hot=10`."""
+"""What can be made to go wrong: `--fault loss=0.02,after=5,hot=10`."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ class Faults:
         loss, duplicate: Share of datagrams, either way.
         corrupt: Share of states that come damaged.
         delay: Of all datagrams, either way.
+        after: When these four begin; by default from the first datagram on.
         silence: States stop: the cable is pulled.
         stale: The robot's clock stands still.
         remote: Somebody presses L2 + B.
@@ -35,6 +36,7 @@ class Faults:
     duplicate: float = 0.0
     corrupt: float = 0.0
     delay: float = 0.0
+    after: float = -np.inf
     silence: float = np.inf
     stale: float = np.inf
     remote: float = np.inf

@@ -48,6 +48,7 @@ class RobotPort:
     Attributes:
         command: The newest good one; before the first, one that does nothing in damping mode.
         accepted, rejected: Datagrams so far.
+        undisturbed: Loss, duplicates, damage and delay have not begun.
         peer: Who sent last; None: nobody yet.
     """
 
@@ -59,6 +60,7 @@ class RobotPort:
         self._heard: list[Command] = []
         self.command = Command(wire.DAMPED)
         self.accepted = self.rejected = 0
+        self.undisturbed = faults.after > -np.inf
         self.peer: tuple[str, int] | None = None
 
     @property
@@ -95,8 +97,11 @@ class RobotPort:
         self._socket.close()
 
     def _delay(self, now: float, inward: bool, datagram: bytes) -> None:
-        for copy in self._dice.copies(datagram, inward):
-            heapq.heappush(self._waiting, (now + self._faults.delay, next(self._order), inward, copy))
+        copies, delay = [datagram], 0.0
+        if not self.undisturbed:
+            copies, delay = self._dice.copies(datagram, inward), self._faults.delay
+        for copy in copies:
+            heapq.heappush(self._waiting, (now + delay, next(self._order), inward, copy))
 
     def _deliver(self, now: float) -> None:
         while self._waiting and self._waiting[0][0] <= now:

@@ -85,6 +85,21 @@ def test_a_motor_that_works_hard_gets_hot_and_switches_itself_off() -> None:
     assert (told.modes == wire.OVERHEATED).any()
 
 
+def test_standing_takes_from_the_battery_what_an_hour_or_so_would_empty() -> None:
+    body = Body(T1, np.random.default_rng(0))
+    stands_up(body)
+    before = body._charge
+    for _ in range(1000):
+        told, _ = body.advance(servo(HOME))
+    left = body._charge
+    assert 0.5 < 100.0 / (before - left) / 3600.0 < 2.5
+    assert told.charge == round(left) < 86
+    body._charge = 1e-4
+    for _ in range(10):
+        told, _ = body.advance(servo(HOME))
+    assert told.charge == 0
+
+
 def test_time_based_changes_count_from_the_first_push() -> None:
     body = Body(find_task("t3"), np.random.default_rng(0))
     mass = body.parameters["box_mass"]
@@ -143,6 +158,24 @@ def test_a_lossy_late_line_loses_delays_and_damages() -> None:
         assert 50 < len(good) < 110
         assert 5 < bad < 50
     port.close()
+
+
+def test_a_line_is_good_until_its_faults_begin() -> None:
+    with (
+        emulating("--fault", "loss=1,after=0.2") as emulated,
+        socket.socket(type=socket.SOCK_DGRAM) as client,
+    ):
+        client.settimeout(5.0)
+        client.connect(("127.0.0.1", emulated.port))
+        client.send(command.encode(servo(FOLDED, kp=0.0)))  # drives nothing yet
+        ticks = [state.decode(client.recv(2000)).tick for _ in range(400)]
+        client.send(command.encode(servo(FOLDED, kp=1.0)))
+        client.settimeout(0.5)
+        with pytest.raises(TimeoutError):
+            while True:
+                ticks.append(state.decode(client.recv(2000)).tick)
+    assert (np.diff(ticks) == 1).all()
+    assert 590 < len(ticks) < 1000  # 200 after the command, and what was on the way before it
 
 
 @pytest.mark.parametrize("text", ["los=0.1", "loss", "delay=soon"])

@@ -1,11 +1,13 @@
-"""What docs/go1.md says of the trips is what they are."""
+"""What docs/go1.md says of trips and faults is what they are."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import fields
 from pathlib import Path
 
 from amhe_cli.core.go1_settings import TripSettings
+from amhe_cli.emulator.faults import Faults
 from amhe_cli.go1_link.phase import Phase
 from amhe_cli.go1_link.trips import TRIPS
 
@@ -18,3 +20,9 @@ def test_every_trip_and_every_threshold_is_explained() -> None:
         assert rows[name].startswith("damp" if then == Phase.DAMP else "hold"), name
     for name in TripSettings.model_fields:
         assert f"`{name}`" in PAGE, name
+
+
+def test_every_fault_is_explained() -> None:
+    section = PAGE.split("## What can go wrong on the emulator")[1].split("\n## ")[0]
+    told = set(re.findall(r"`(\w+)`", section.split("| sort |")[1]))
+    assert told == {fault.name for fault in fields(Faults)}
