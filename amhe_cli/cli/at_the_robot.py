@@ -121,7 +121,6 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
     """
     from amhe_cli.core.errors import AmheError
     from amhe_cli.live.drive import Ending
-    from amhe_cli.live.go1_target import SIGNALS
 
     try:
         with ready(target, session):
@@ -129,7 +128,7 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
     except AmheError as error:
         if not target.begun:
             raise
-        return Ending(interrupted=True) if target.report.reason in SIGNALS else Ending(error=error)
+        return Ending(interrupted=True) if _by_signal(target) else Ending(error=error)
 
 
 def attendant(
@@ -140,18 +139,24 @@ def attendant(
     @contextmanager
     def attend(target: Any, recorder: Recorder, history: History) -> Iterator[None]:
         from amhe_cli.go1_link.link import StoppedError
-        from amhe_cli.live.go1_target import SIGNALS
 
         try:
             with ready(target, session):
                 yield
         except StoppedError:
-            if target.report.reason in SIGNALS:
+            if _by_signal(target):
                 raise KeyboardInterrupt from None
             raise
         link.update(link_record(target, recorder, history))
 
     return attend
+
+
+def _by_signal(target: Any) -> bool:
+    """Whether it was Ctrl-C, or the like, that ended it: no error."""
+    from amhe_cli.live.go1_target import SIGNALS
+
+    return target.report.reason in SIGNALS
 
 
 def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, Any]:
