@@ -12,7 +12,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.logs import read_truth
-from amhe_cli.online.arrival import arrival_of, check_names
+from amhe_cli.online.arrival import arrival_of
 from amhe_cli.online.horizon import MovingHorizon
 from amhe_cli.online.replay import ReplayProblem, windows
 from amhe_cli.report.belief_file import read_belief
@@ -42,7 +42,6 @@ def open_replay(
         EstimationError: It is too short for any window.
     """
     opened = open_system(system, source, assignments, config)
-    check_names(opened.space, opened.settings.mhe)
     known = read_belief(belief, opened) if belief else None
     (log,) = understood(opened, source, system)
     steps = windows(opened, log)

@@ -30,7 +30,6 @@ from amhe_cli.live.judge import Judge
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.target import SimTarget
 from amhe_cli.live.workers import PATIENCE, InProcess, InStep
-from amhe_cli.online.arrival import check_names
 from amhe_cli.online.horizon import MovingHorizon, check_window
 from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
@@ -220,7 +219,6 @@ def belief_source(
     if options.mode != "adaptive":
         return FixedBelief(lambda: fixed)
     settings, mhe = system.settings, system.settings.mhe
-    check_names(system.space, mhe)
     check_window(mhe, system.model.opt.timestep)
     buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
     factory = partial(estimator_of, options)

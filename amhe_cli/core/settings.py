@@ -91,6 +91,9 @@ class IdentifySettings(_Group):
     step: Annotated[float, Field(gt=0, le=1)] = 0.05
     """Least sampling sd where residuals jitter, as behind chaotic contact, as a share of the parameter:
     smaller steps measure the jitter."""
+    model_error: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
+    """What the model itself gets wrong of a parameter (sd, as a share of it; of a linear one in prior sd), as
+    logs with known parameters tell. No log averages it away: it is added to the noise's sd."""
     bootstrap: Annotated[int, Field(ge=0)] = 200
     """Resamples of the clip bootstrap."""
     profile_points: Annotated[int, Field(ge=0)] = 11

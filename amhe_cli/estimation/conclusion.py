@@ -76,7 +76,8 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     ratio = step_ratio(problem, finding, study)
     own = study.posterior.covariance
     rough = np.diag(own) * (np.nan_to_num(np.maximum(1.0 / ratio, 1.0), nan=1.0) ** 2 - 1.0)
-    extra = systematic(study.posterior, compared, shifts) + rough
+    wrong = space.in_z([setting.model_error.get(name, 0.0) for name in space.names])
+    extra = systematic(study.posterior, compared, shifts) + rough + wrong**2
     wider = np.sqrt(1.0 + extra * problem.active / np.diag(own))
     covariance = own * np.outer(wider, wider)  # what is known together stays so
     points = 0 if hurried else setting.profile_points

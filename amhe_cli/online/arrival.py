@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import Belief, ParameterSpace
-from amhe_cli.core.settings import MheSettings
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,15 +61,3 @@ def reported(space: ParameterSpace, arrival: Arrival, systematic: Mapping[str, f
     """
     along = space.in_z([systematic.get(name, 0.0) for name in space.names])
     return replace(arrival, covariance=arrival.covariance + np.outer(along, along))
-
-
-def check_names(space: ParameterSpace, settings: MheSettings) -> None:
-    """Refuse settings of no parameter.
-
-    Raises:
-        ConfigError: Its text lists the parameters.
-    """
-    for what, names in (("prior weight", settings.prior_weight), ("systematic", settings.systematic)):
-        for name in names:
-            if name not in space.names:
-                raise ConfigError(f"{what}: {one_of('parameter', name, space.names)}")

@@ -86,6 +86,7 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, war
     planned = plan(file, entry, spec, plain)
     keyframe = _keyframe(file, entry, plain)
     unknowns_of(file, entry, plain)
+    _refuse_strangers(file, entry)
     file.raise_problems()
     for name, parameter in entry.parameters.items():
         if not planned.has_commands() and any(target.set == "command_delay" for target in parameter.targets):
@@ -116,6 +117,18 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, war
         settings=entry.settings,
         keyframe=keyframe,
     )
+
+
+def _refuse_strangers(file: YamlFile, entry: SystemEntry) -> None:
+    """Settings by parameter are of parameters that there are."""
+    mhe, identify = entry.settings.mhe, entry.settings.identify
+    for group, setting, given in (
+        ("mhe", "prior_weight", mhe.prior_weight),
+        ("mhe", "systematic", mhe.systematic),
+        ("identify", "model_error", identify.model_error),
+    ):
+        for name in set(given) - set(entry.parameters):
+            file.problem(("settings", group, setting, name), one_of("parameter", name, entry.parameters))
 
 
 def _warn_of_unset(where: str, joints: list[str], keyframe: int | None) -> None:

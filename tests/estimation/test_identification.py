@@ -53,6 +53,18 @@ def test_the_seed_decides_and_threads_do_not(pendulum, swing):
     assert (one.belief.estimate != other.belief.estimate).any()
 
 
+def test_what_the_model_has_wrong_is_added_and_moves_nothing(pendulum, swing):
+    log, identify_settings = swing(3.0), pendulum.settings.identify
+    wrong = identify_settings.model_copy(update={"model_error": {"load_mass": 0.05}})
+    settings = pendulum.settings.model_copy(update={"identify": wrong})
+    plain = identify(pendulum, [log], None, IdentifyOptions())
+    honest = identify(replace(pendulum, settings=settings), [log], None, IdentifyOptions())
+    np.testing.assert_array_equal(plain.belief.estimate, honest.belief.estimate)
+    before, after = (np.sqrt(np.diag(result.belief.covariance)) for result in (plain, honest))
+    assert after[0] == pytest.approx(np.hypot(before[0], 0.05), rel=1e-6)
+    np.testing.assert_allclose(after[1:], before[1:])
+
+
 class CutError(RuntimeError):
     """Stands for a machine that goes down."""
 

@@ -184,6 +184,9 @@ def test_wrong_overrides_are_named_as_settings(written: Write) -> None:
         ({"clips": {"held_out_length": float("inf")}}, "setting clips.held_out_length: "),
         ({"cost": {"huber": float("inf")}}, "setting cost.huber: "),
         ({"logs": {"max_gap": -1.0}}, "setting logs.max_gap: "),
+        ({"identify": {"model_error": {"q": 0.1}}}, "setting identify.model_error.q: no parameter 'q'"),
+        ({"mhe": {"systematic": {"q": 0.1}}}, "setting mhe.systematic.q: no parameter 'q'"),
+        ({"mhe": {"prior_weight": {"q": 1.0}}}, "setting mhe.prior_weight.q: no parameter 'q'"),
     ],
 )
 def test_settings_that_make_no_sense_are_one_line(written: Write, overrides: dict, said: str) -> None:
