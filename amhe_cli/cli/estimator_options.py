@@ -53,7 +53,8 @@ _ESTIMATOR = {
         "--iterations",
         type=options.WholeNumber(min=1),
         metavar="L",
-        help="Iterations of one update.  [default: 1 for linearised, 4 for logrank]",
+        help="Iterations of one update, at most.  [default: 3 for linearised, 4 for logrank; 1 for "
+        "linearised where first states are taken as recorded, as for go1_push]",
     ),
     "learning_rate": click.option(
         "--learning-rate",

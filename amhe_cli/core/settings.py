@@ -122,7 +122,8 @@ class MheSettings(_Group):
     samples: Annotated[int, Field(ge=4)] | None = None
     """Rollouts B of one iteration; None: 8 for linearised (which adds one at the mean), 32 for logrank."""
     iterations: Annotated[int, Field(ge=1)] | None = None
-    """Iterations L_MHE of one update; None: 1 for linearised, 4 for logrank."""
+    """Iterations L_MHE of one update, at most; None: 3 for linearised, 1 where first states are taken as
+    recorded; 4 for logrank."""
     learning_rate: Annotated[float, Field(gt=0, le=1)] = 0.5
     """alpha of logrank: how far an iteration moves the mean and the variance of the samples."""
     prior_weight: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
@@ -169,7 +170,8 @@ class MheSettings(_Group):
     @property
     def iteration_count(self) -> int:
         """L_MHE."""
-        return self.iterations or {"linearised": 1, "logrank": 4}[self.method]
+        own = 3 if self.first_state == "estimated" else 1
+        return self.iterations or {"linearised": own, "logrank": 4}[self.method]
 
     def idle(self, names: Iterable[str]) -> list[str]:
         """Those of these settings that act with the other method only."""

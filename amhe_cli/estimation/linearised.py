@@ -49,7 +49,8 @@ class Linearisation:
         residual: Residuals at (z, first), or their mean over the samples about it, shape (c, R).
         centre: Residuals at (z, first) itself, shape (c, R).
         gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
-        bend: Mean square of what is not linear in the samples, shape (c, R).
+        curves: What is not linear in the h pairs of samples, 0 in those that diverged, shape (h, c, R).
+        bend: Its mean square, shape (c, R).
         first: What was known of the first-state errors, and sampled.
         completed: Clips that could be linearised, shape (c,).
         rollouts, diverged: How many were run, and how many of them diverged.
@@ -59,6 +60,7 @@ class Linearisation:
     residual: FloatArray
     centre: FloatArray
     gain: FloatArray
+    curves: FloatArray
     bend: FloatArray
     first: FirstStates
     completed: BoolArray
@@ -102,7 +104,8 @@ def linearise(
     gain[:, d:] = np.linalg.inv(first.shape).transpose(0, 2, 1) @ gain[:, d:]
     # and a pair is lopsided: what the slope makes of its middle is no bend
     middle = 0.5 * (candidates[:half] + candidates[half:-1]) - z
-    lift, bend = _bent(even - np.einsum("hd,cdr->hcr", middle, gain[:, :d]), pairs)
+    curves = even - np.einsum("hd,cdr->hcr", middle, gain[:, :d])
+    lift, bend = _bent(curves, pairs)
     if averaged:
         bend = bend - lift**2
     completed = residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half)
@@ -111,6 +114,7 @@ def linearise(
         residual=residuals.flat[-1] + averaged * lift,
         centre=residuals.flat[-1],
         gain=gain,
+        curves=curves * pairs.T[:, :, None],
         bend=bend,
         first=first,
         completed=completed,

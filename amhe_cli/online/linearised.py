@@ -25,7 +25,10 @@ _JUMP_LEAVES = 0.5
 
 
 def linearised_update(task: Task) -> Outcome:
-    """Each iteration samples about the mean so far, and starts again from the same arrival cost."""
+    """Each iteration samples about the mean so far, and starts again from the same arrival cost.
+
+    The last is the one whose step is shorter than an sd.
+    """
     cost, arrival, counts = task.cost, task.arrival, task.cost.clips.counts
     moved, noise, done = arrival, task.noise, 0
     rollouts = diverged = 0
@@ -46,6 +49,8 @@ def linearised_update(task: Task) -> Outcome:
         step, covariance = _step(task, arrival, said, moved.z)
         after = rms(said.start + step @ said.slope, counts)
         moved = Arrival(cost.system.space.clip(moved.z + step), covariance)
+        if step @ np.linalg.solve(covariance, step) < 1.0:
+            break  # slopes from there would hardly be others
     return Outcome(moved, noise, before, after, surprise, excited, rollouts, diverged, done)
 
 
@@ -100,18 +105,34 @@ def _said(task: Task, slopes: Linearisation, d: int) -> tuple[_Said, Noise]:
 
     A window that no parameters explain says less than its sensors promise.
     """
-    cost, residual = task.cost, slopes.residual[0]
-    first = _alone(slopes, d, _weights(cost, residual, task.noise))
+    cost, residual, nuisances = task.cost, slopes.residual[0], _nuisances(task, slopes, d)
+    first = _alone(slopes, d, nuisances, _weights(cost, residual, task.noise))
     noise, own = _heard(task.noise, cost, first.left)
-    said = _alone(slopes, d, _weights(cost, first.left, noise.at_least(own)))
+    said = _alone(slopes, d, nuisances, _weights(cost, first.left, noise.at_least(own)))
     return said, _heard(task.noise, cost, said.left)[0]
 
 
-def _alone(slopes: Linearisation, d: int, weight: FloatArray) -> _Said:
+def _nuisances(task: Task, slopes: Linearisation, d: int) -> FloatArray:
+    """What bends the window as a whole, each with a factor ~ N(0, 1) of its own, shape (n, R).
+
+    The errors of the first state, and what is not linear in the samples: as white noise alone it would be
+    averaged away over the window, and what is learnt far from the truth be believed for good. z ~ N(0, P)
+    makes of a bend z^2 / 2 a mean square of 3 P^2 / 4; samples have a quarter, and lie
+    nearer where P is wide. Where first states are taken as recorded, `mhe.information` stands for all this.
+    """
+    first = slopes.gain[0, d:]
+    if not len(first):
+        return first
+    inside = np.linalg.inv(_shape(task))
+    further = np.trace(inside @ task.arrival.covariance @ inside.T) / d
+    curves = max(1.0, float(further)) * np.sqrt(3.0 / len(slopes.curves)) * slopes.curves[:, 0]
+    return np.concatenate((first, curves))
+
+
+def _alone(slopes: Linearisation, d: int, nuisances: FloatArray, weight: FloatArray) -> _Said:
     """Under one weight of each residual (R,); the system's prior keeps apart what the window cannot tell."""
-    residual, straight = slopes.residual[0], 1.0 / (1.0 + slopes.bend[0])
-    gz, gx = slopes.gain[0, :d], slopes.gain[0, d:]
-    heard = weight * straight
+    residual, gz, gx = slopes.residual[0], slopes.gain[0, :d], nuisances
+    heard = weight / (1.0 + slopes.bend[0])
     wz, wx = gz * heard, gx * heard
     ridge: FloatArray = np.linalg.solve(
         wx @ gx.T + np.eye(len(gx)), np.column_stack((wx @ residual, wx @ gz.T))

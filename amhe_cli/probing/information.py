@@ -59,6 +59,7 @@ def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
         residual=found.residual / factor,
         centre=found.centre / factor,
         gain=found.gain / factor,
+        curves=found.curves / factor,
         bend=found.bend / factor**2,
     )
 

@@ -152,8 +152,9 @@ def test_the_options_tell_the_defaults_of_the_library_and_of_go1_push() -> None:
         assert text in options[name].help  # type: ignore[attr-defined]
     for name, count in (("samples", "sample_count"), ("iterations", "iteration_count")):
         ours, papers = (getattr(MheSettings(method=m), count) for m in ("linearised", "logrank"))
-        text = f"[default: {ours} for linearised, {papers} for logrank]"
+        text = f"[default: {ours} for linearised, {papers} for logrank"
         assert text in options[name].help  # type: ignore[attr-defined]
+    assert go1.iteration_count == 1
 
 
 def test_options_become_settings_and_overrule_set(capsys) -> None:

@@ -30,7 +30,7 @@ signals:
   state: {topic: /joint_states, joints: [x], noise: {position: 0.001}}
   force: {topic: /force, actuators: [push], quantity: effort}
 settings:
-  mhe: {step: 0.05}
+  mhe: {step: 0.03}
 """
 
 #: Makes a log: (seconds, mass and damping over time, force over time) -> Trajectory.

@@ -15,6 +15,7 @@ from amhe_cli.online.arrival import arrival_of
 from amhe_cli.online.horizon import Estimate, MovingHorizon
 from amhe_cli.online.replay import replay, windows
 from amhe_cli.online.update import Outcome, Task
+from amhe_cli.system.load import load_system
 from amhe_cli.system.system import System
 
 
@@ -45,6 +46,23 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say(constant, drive) -> N
     spread = np.log([e.theta for e in ends]).std(axis=0)
     said = np.mean([e.sd / e.theta for e in ends], axis=0)
     assert (said < 3.0 * spread).all(), said / spread
+
+
+def test_intervals_hold_a_truth_that_is_far_from_the_prior(folder, drive) -> None:
+    # what the first windows say of it, they say by slopes of another place
+    unsure = {"mass": {"drift": 0.0}, "damping": {"drift": 0.0, "prior_sd": 1.0, "bounds": [0.05, 20]}}
+    system, truth = load_system(folder, {"parameters": unsure}), np.array([2.0, 0.3])
+    logs = [drive(1.5, damping=lambda t: truth[1], seed=seed) for seed in range(30)]
+    ends = [estimates(system, log, seed)[-1] for seed, log in enumerate(logs)]
+    held = np.array([(e.lower < truth) & (truth < e.upper) for e in ends]).mean(axis=0)
+    assert (held > 0.65).all(), held  # a quarter, were a window's bend no more than noise
+
+
+def test_an_update_iterates_while_its_steps_are_long(constant, drive) -> None:
+    found = estimates(constant, drive(3.0))
+    once = 1 + 2 * (2 + 2)  # parameters, and position and velocity of the first state
+    assert found[0].rollouts == 2 * once
+    assert [e.rollouts for e in found[-5:]] == [once] * 5
 
 
 def test_a_jump_is_seen_and_followed(cart, drive) -> None:
