@@ -221,25 +221,25 @@ def belief_source(
     settings, mhe = system.settings, system.settings.mhe
     check_window(mhe, system.model.opt.timestep)
     buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
-    factory = partial(estimator_of, options)
+    factory = partial(estimator_of, options, start)
     budget = slow * (mhe.budget or mhe.update_period)
     worker = InProcess(factory, budget, slow * PATIENCE) if options.live else InStep(factory, mhe.latency)
     return AdaptiveBelief(fixed, buffer, Sampler(settings.control.period), worker, mhe.update_period)
 
 
-def estimator_of(options: RunOptions, belief: Belief | None = None) -> MovingHorizon:
+def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:
     """The estimator of an adaptive run; also in another process, which has nothing but what is given here.
 
     Args:
         options: Of the run.
+        start: What is believed there.
         belief: To go on from, where an estimator has ended; None: that of the run's start.
     """
-    task = find_task(options.task)
-    system = system_of(options, task)
+    system = system_of(options, find_task(options.task))
     threads = 1 if options.live else options.threads
     engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
     rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])
-    return MovingHorizon(system, engine, rng, belief or _start_belief(options, task, system))
+    return MovingHorizon(system, engine, rng, belief or start)
 
 
 def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:

@@ -1,8 +1,10 @@
-"""From a belief off by 2x: `amhe probe` against a straight push, and what is identified from each.
+"""From a belief off by 2x: `amhe probe` against straight pushes, and what is identified from each.
 
     python benchmarks/probing.py --seeds 15
 
-What has a file is not done again: stop it, and go on later. `--report` only prints the table.
+A straight push has the estimator beside the controller, as the probe has; one that is `held` believes what it
+believed at the start. What has a file is not done again: stop it, and go on later. `--report` only prints
+the table.
 """
 
 from __future__ import annotations
@@ -25,8 +27,10 @@ from amhe_cli.probing.motions import APPROACH, STEADY
 from amhe_cli.probing.plan import Plan, parts_of
 from amhe_cli.probing.probe import ProbeOptions, achieved
 from amhe_cli.probing.push import PushProbe
+from amhe_cli.probing.pushing import ProbeTask
 from amhe_cli.report.belief_file import belief_text
 from amhe_cli.report.record import plain
+from amhe_cli.run_assembly import RunOptions
 
 PROJECT = Path(__file__).resolve().parent.parent
 #: Half of what is true of T1's box, with the spread of the system's own prior.
@@ -37,6 +41,17 @@ POWERS = {name: row for name, row in zip(TRUTH, np.eye(3), strict=True)} | {
     "m mu": np.array([1.0, 0.0, 1.0]),
     "m / mu": np.array([1.0, 0.0, -1.0]),
 }
+
+
+#: What is pushed, and what its plan calls it.
+PUSHES = {"probe": "probe", "straight": "straight", "held": "straight"}
+
+
+class HeldProbe(PushProbe):
+    """One whose controller goes on believing what it believed at the start."""
+
+    def _run_options(self, task: ProbeTask, seed: int, mode: str) -> RunOptions:
+        return super()._run_options(task, seed, "baseline" if mode == "adaptive" else mode)
 
 
 def main() -> None:
@@ -51,17 +66,17 @@ def main() -> None:
     arguments.out.mkdir(parents=True, exist_ok=True)
     belief = arguments.out / "belief.yaml"
     belief.write_text(belief_text(_belief()))
-    for which in () if arguments.report else ("probe", "straight"):
+    for which in () if arguments.report else PUSHES:
         for seed in range(arguments.seeds):
             run(which, seed, arguments, belief)
     print(table(arguments.out))
 
 
 def run(which: str, seed: int, arguments: argparse.Namespace, belief: Path) -> None:
-    """The probe or the straight push of one seed: designed, run, asked, identified from; a file for each."""
+    """The probe or a straight push of one seed: designed, run, asked, identified from; a file for each."""
     threads = arguments.threads or 1
     options = ProbeOptions(seconds=arguments.seconds, belief=belief, seed=seed, threads=threads)
-    probe = PushProbe(options)
+    probe = (HeldProbe if which == "held" else PushProbe)(options)
     log = arguments.out / f"{seed}-{which}.mcap"
     if which == "probe":
         plan = _kept(arguments.out / f"{seed}.plan.json", lambda: designed(probe))
@@ -129,20 +144,36 @@ def table(out: Path) -> str:
         "|---|---|---|---|---|---|---|---|",
     ]
     plans = _all(out, "*.plan.json")
-    for which in ("probe", "straight"):
+    for which, planned in PUSHES.items():
         told, found = (_all(out, f"*-{which}.{end}.json") for end in ("told", "found"))
         for name, powers in POWERS.items():
             sds = [
                 _sd([one[key] for one in many], powers)
-                for many, key in ((plans, which), (told, "achieved"), (found, "covariance"))
+                for many, key in ((plans, planned), (told, "achieved"), (found, "covariance"))
             ]
             lines.append(f"| {which} | {len(found)} | {name} | {' | '.join(sds)} | {_errors(found, name)} |")
     motions = [plan["motion"] for plan in plans]
     lines += [
         "",
+        "Sd of m / mu of a straight push over that of the probe of the same seed, median: "
+        + ", ".join(f"{which} {_gain(out, which):.2f}" for which in PUSHES if which != "probe")
+        + ".",
         "Chosen: " + ", ".join(f"{name} {motions.count(name)}" for name in dict.fromkeys(motions)) + ".",
     ]
     return "\n".join(lines)
+
+
+def _gain(out: Path, which: str) -> float:
+    """How much better the probe tells mass from friction, by what the logs are worth."""
+    pairs = []
+    for path in sorted(out.glob("*-probe.told.json")):
+        both = [path, path.with_name(path.name.replace("probe", which))]
+        told = [json.loads(file.read_text())["achieved"] for file in both if file.exists()]
+        if len(told) == 2 and None not in told:
+            powers = POWERS["m / mu"]
+            ours, other = (float(np.sqrt(powers @ np.array(one) @ powers)) for one in told)
+            pairs.append(other / ours)
+    return float(np.median(pairs)) if pairs else float("nan")
 
 
 def _all(out: Path, pattern: str) -> list[dict]:

@@ -86,11 +86,15 @@ class PushProbe:
         )
 
     def run(self, plan: Plan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
-        """See `Probe`: closed-loop on the task's own box, or the robot's, under the belief."""
+        """See `Probe`: closed-loop on the task's own box, or the robot's.
+
+        The controller begins with the belief, and an estimator beside it brings that up to date: a robot that
+        pushes a heavy box as if it were light stalls, and tells less.
+        """
         motion = next(motion for motion in MOTIONS if motion.name == plan.parts[-1].name)
         if not self._robot:
             task = self._as_it_is(motion, plan.seconds)
-            return self._record(self._open(task, self._options.seed, "baseline"), path, stopped, say)
+            return self._record(self._open(task, self._options.seed, "adaptive"), path, stopped, say)
         run = self.on_robot(motion, plan.seconds, self._robot)
         try:
             return self._record(run, path, stopped, say, self._robot.attend)
@@ -105,7 +109,7 @@ class PushProbe:
             ConfigError: What the wire's options or the settings do not allow.
         """
         task = self._as_it_is(motion, seconds)
-        options = self._run_options(task, self._options.seed, "baseline")
+        options = self._run_options(task, self._options.seed, "adaptive")
         return open_go1_run(replace(options, target="go1"), robot.wire, task)
 
     def _told(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:

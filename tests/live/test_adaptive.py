@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.assembly import LogSource, open_system, trajectories
+from amhe_cli.control.tasks import Believed, find_task
 from amhe_cli.core.parameters import Belief, belief_of
 from amhe_cli.core.trajectory import Window
 from amhe_cli.live.belief import AdaptiveBelief
@@ -233,14 +234,23 @@ def test_a_late_estimator_is_told_once_and_its_last_belief_stays(adaptive: tuple
     assert belief.at(2.0) == {"box_mass": 2.0}
 
 
+def test_the_estimator_begins_with_what_the_controller_believes() -> None:
+    task = replace(find_task("t1"), baseline=Believed(3.3, 0.44))  # as a probe has its own
+    belief = open_run(RunOptions("t1", mode="adaptive", assignments=QUICK), task).episode.belief
+    theta = SPACE.space.theta_of(belief._worker._estimator._arrival.z)  # type: ignore[attr-defined]
+    assert theta == pytest.approx([3.3, 1.0, 0.44])
+    assert belief.at(0.0)["box_mass"] == pytest.approx(3.3)
+
+
 def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cycle]]) -> None:
     source = LogSource((adaptive[0],), {}, None, None, None)
     system = open_system(None, source, QUICK)
     (log,) = trajectories(system, source)
     options = RunOptions("t1", mode="adaptive", seed=5, assignments=QUICK)
     window = Window(log, 60, 125)
-    here = estimator_of(options).update(window, 1.0)
-    worker = InProcess(partial(estimator_of, options), budget=1.0, patience=20.0, starting=60.0)
+    start = belief_of(system.name, system.space, np.zeros(3), np.eye(3), {})
+    here = estimator_of(options, start).update(window, 1.0)
+    worker = InProcess(partial(estimator_of, options, start), budget=1.0, patience=20.0, starting=60.0)
     try:
         ready(worker)
         worker.submit(window, 1.0)
