@@ -144,7 +144,8 @@ class MheSettings(_Group):
     start_sd: _Positive = 0.2
     """Floor under the sd of a belief that is loaded for live use, as a share of each value."""
     excitation: Annotated[float, Field(ge=0)] = 0.1
-    """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing."""
+    """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing, but
+    for one that tells of a jump: a light box that turns out to be a heavy one hardly answers to samples."""
     jump: _Positive = 3.0
     """A window that wants the parameters this many sd from the belief tells of a jump."""
     jump_windows: Annotated[int, Field(ge=1)] = 1

@@ -23,8 +23,8 @@ from amhe_cli.online.logrank import logrank_update
 from amhe_cli.online.update import Noise, Outcome, Task, Update
 from amhe_cli.system.system import System
 
-#: What became of a window. 'gap': a signal was silent in it; 'still': it says nothing; 'diverged': the mean,
-#: or too many of the samples, could not be rolled out.
+#: What became of a window. 'gap': a signal was silent in it; 'still': it says nothing, and tells of no jump;
+#: 'diverged': the mean, or too many of the samples, could not be rolled out.
 Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 
 UPDATES: Mapping[str, Update] = {"linearised": linearised_update, "logrank": logrank_update}
@@ -158,9 +158,9 @@ class MovingHorizon:
         self._row = 0
         if not np.isfinite(outcome.before + outcome.after):
             return "diverged"
-        if outcome.excitation < self._settings.excitation:
-            return "still"
         self._row = row if outcome.surprise > self._settings.jump else 0
+        if outcome.excitation < self._settings.excitation and not jumped:
+            return "still"
         self._arrival, self._noise = outcome.arrival, outcome.noise
         return "jump" if jumped else "updated"
 

@@ -88,6 +88,7 @@ def test_a_jump_may_have_to_be_told_by_windows_in_a_row(cart, drive) -> None:
         ([1, 1, 4, 4, 1, 1], [3]),
         ([1, 1, 4, 4, 4, 1], [3, 4]),  # it has not arrived yet
         ([1, 1, 4, -1, 4, 1], []),  # a window that says nothing breaks the row
+        ([1, 1, -4, -4, 1, 1], [3]),  # the samples hardly move them, and yet they surprise
     ],
 )
 def test_jumps_are_told_by_windows_in_a_row(cart, drive, surprises: list[float], jumps: list[int]) -> None:
