@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -9,6 +10,8 @@ from amhe_cli.live import messages
 from amhe_cli.live.episode import Cycle, Episode
 from amhe_cli.live.history import History
 from amhe_cli.live.recorder import Recorder
+
+logger = logging.getLogger(__name__)
 
 #: Called after each cycle with it and its row of the history.
 OnCycle = Callable[[Cycle, dict[str, float]], None]
@@ -30,7 +33,7 @@ class Ending:
 def drive(
     episode: Episode, recorder: Recorder, history: History, stopped: Callable[[], bool], on_cycle: OnCycle
 ) -> Ending:
-    """Run the episode, record every cycle, and say how it ended.
+    """Run the episode, record every cycle, and say how it ended; what the estimator failed at is warned of.
 
     Args:
         episode: To run.
@@ -53,6 +56,8 @@ def drive(
         return Ending(error=error)
     finally:
         episode.belief.close()
+        for trouble in history.told:
+            logger.warning(trouble)
     recorder.say(time, *_verdict(episode))
     return Ending()
 

@@ -61,6 +61,14 @@ class History:
         }
 
     @property
+    def told(self) -> list[str]:
+        """Troubles of the estimator, each with its first time and how often: 'at 3.2 s it died; 2 times'."""
+        return [
+            f"at {times[0]:.1f} s {text}{f'; {len(times)} times' if len(times) > 1 else ''}"
+            for text, times in self.troubles.items()
+        ]
+
+    @property
     def cycles(self) -> int:
         """How many there are."""
         return len(self._rows)

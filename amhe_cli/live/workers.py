@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import multiprocessing
 import os
 import threading
@@ -17,8 +16,6 @@ from amhe_cli.core.trajectory import Window
 from amhe_cli.live.episode import News
 from amhe_cli.online.horizon import Estimate, MovingHorizon
 
-logger = logging.getLogger(__name__)
-
 #: Makes the estimator, from a belief or from that of the run's start; picklable, since it may run in another
 #: process.
 Factory = Callable[[Belief | None], MovingHorizon]
@@ -26,6 +23,8 @@ Factory = Callable[[Belief | None], MovingHorizon]
 _NICE = 10
 #: An update that takes longer hangs [s].
 PATIENCE = 2.0
+#: So many deaths and hangs in a row, and no other estimator is begun.
+_MOST_FAILURES = 5
 
 
 class Worker(Protocol):
@@ -97,12 +96,13 @@ class InProcess:
         self._factory, self._budget = factory, budget
         self._patience, self._starting = patience, starting
         self._good: Belief | None = None
+        self._failures = 0
         self._start()
 
     @property
     def ready(self) -> bool:
         """See `Worker`."""
-        return self._since is None
+        return self._since is None and not self._given_up
 
     def submit(self, window: Window, at: float) -> None:
         """See `Worker`."""
@@ -113,12 +113,14 @@ class InProcess:
 
     def poll(self, now: float) -> tuple[News, ...]:
         """See `Worker`."""
+        if self._given_up:
+            return ()
         try:
             if self._pipe.poll():
                 answer = self._pipe.recv()
                 self._since = None
                 if isinstance(answer, Estimate):
-                    self._good = answer.belief
+                    self._good, self._failures = answer.belief, 0
                 return () if answer is None else (_news(now, answer),)
         except (OSError, EOFError):
             return self._again(now, f"the estimator died (exit code {self._ended()})")
@@ -131,6 +133,10 @@ class InProcess:
         self._process.kill()
         self._process.join()
         self._pipe.close()
+
+    @property
+    def _given_up(self) -> bool:
+        return self._failures >= _MOST_FAILURES
 
     def _start(self) -> None:
         context = multiprocessing.get_context("spawn")
@@ -146,10 +152,12 @@ class InProcess:
         return self._process.exitcode
 
     def _again(self, now: float, what: str) -> tuple[News, ...]:
-        """Begin anew from the belief in force."""
+        """Begin anew from the belief in force; not for ever, as each start takes the controller's cores."""
         self.close()
+        self._failures += 1
+        if self._given_up:
+            return (News(now, None, f"{what}; the last good belief stays, and no other estimator begins"),)
         self._start()
-        logger.warning(f"{what}: the last good belief stays in force, and a new estimator begins")
         return (News(now, None, f"{what}; the last good belief stays"),)
 
 

@@ -131,19 +131,17 @@ class MovingHorizon:
         cost = MatchingCost(self._system, [window], self._engine, self._system.settings.cost)
         share = min(1.0, elapsed / window.duration)
         late = _never if budget is None else (lambda: time.perf_counter() - begun > budget)
+        samples = self._affordable(budget)
         outcome = self._update(
-            Task(
-                cost, self._arrival, self._surprised, self._noise, share, setting,
-                self._affordable(budget), self._rng, late,
-            )
-        )  # fmt: skip
-        self._took = self._timed(outcome, time.perf_counter() - begun)
+            Task(cost, self._arrival, self._surprised, self._noise, share, setting, samples, self._rng, late)
+        )
+        self._took = self._timed(outcome, samples, time.perf_counter() - begun)
         return self._estimate(at, self._judge(outcome), outcome, begun)
 
-    def _timed(self, outcome: Outcome, seconds: float) -> tuple[float, float]:
-        """Seconds per rollout, and rollouts of an iteration beside its samples."""
+    def _timed(self, outcome: Outcome, samples: int, seconds: float) -> tuple[float, float]:
+        """Seconds per rollout, and rollouts of an iteration beside the samples that were asked for."""
         each = outcome.rollouts / outcome.iterations
-        return seconds / outcome.rollouts, max(0.0, each - self._settings.sample_count)
+        return seconds / outcome.rollouts, max(0.0, each - samples)
 
     def _affordable(self, budget: float | None) -> int:
         """Samples of an iteration, in pairs."""

@@ -40,7 +40,7 @@ def logrank_update(task: Task) -> Outcome:
         mean, sigma = learned(samples, costs, mean, sigma, setting.elites, setting.learning_rate)  # line 28
         rollouts, diverged = rollouts + costs.size, diverged + int((~residuals.completed).sum())
         done += 1
-        if (sigma <= floor).all():  # lines 29-30
+        if (sigma <= floor).all():  # lines 29-32
             break
     belief = Arrival(mean, np.diag(sigma**2))  # line 33
     return Outcome(belief, task.noise, before, after, 0.0, excited, rollouts, diverged, done)

@@ -72,7 +72,7 @@ def information_where_it_points(
 
     What a log tells is to be asked where its truth is; a belief may be far from it. The first steps take
     first states as recorded, which is cheaper; the last ones fit them, or a push without surges, whose mass
-    hardly shows, is led astray by them.
+    hardly shows, is led astray by them. It is that of the place from which the last step sets out.
     """
     space = system.space
     z = np.zeros(len(space))

@@ -49,11 +49,5 @@ def _estimator(history: History) -> dict[str, Any] | None:
         "sd": dict(zip(last.belief.names, last.sd, strict=True)),
         "update_ms": quantiles(np.array([e.update_ms for e in found if e.rollouts])),
         "diverged": sum(e.diverged for e in found),
-        "troubles": [_trouble(text, times) for text, times in history.troubles.items()],
+        "troubles": history.told,
     }
-
-
-def _trouble(text: str, times: list[float]) -> str:
-    """'at 3.2 s the estimator died ...', and how often."""
-    often = f"; {len(times)} times" if len(times) > 1 else ""
-    return f"at {times[0]:.1f} s {text}{often}"

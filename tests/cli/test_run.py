@@ -260,3 +260,12 @@ def test_an_interrupted_run_keeps_what_it_has(number: int, code: int) -> None:
     assert "interrupted" in out
     assert json.loads(Path("out/result.json").read_text())["interrupted"] is True
     assert run(["inspect", "out/log.mcap", "--strict"]) == 0
+
+
+def test_an_estimator_that_is_late_is_warned_of(capsys) -> None:
+    few = ["--duration", "0.9", "--threads", "1", *QUICK, "-o", "late", "--strict"]
+    often = ["--update-period", "0.05", "--set", "mhe.latency=0.12"]
+    assert run(["run", "--task", "t1", "--mode", "adaptive", *few, *often]) == 3
+    warnings = json.loads(Path("late/result.json").read_text())["warnings"]
+    assert any("the estimator is late" in text for text in warnings)
+    assert "the estimator is late" in capsys.readouterr().err

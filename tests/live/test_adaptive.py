@@ -21,7 +21,7 @@ from amhe_cli.live.buffer import Buffer
 from amhe_cli.live.episode import Cycle, News
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.workers import InProcess, InStep
-from amhe_cli.online.horizon import Estimate
+from amhe_cli.online.horizon import Estimate, MovingHorizon
 from amhe_cli.run_assembly import RunOptions, estimator_of, open_run
 from amhe_cli.run_files import recorder_of
 
@@ -183,6 +183,21 @@ def test_whatever_becomes_of_the_estimator_the_controller_goes_on(order: str, sa
         (three,) = wait(worker)
         assert three.estimate.time == 5.0
         assert three.estimate.theta[0] > one.estimate.theta[0] + 0.5, "it goes on from the last good belief"
+    finally:
+        worker.close()
+
+
+def dies(belief: Belief | None) -> MovingHorizon:
+    os._exit(3)
+
+
+def test_an_estimator_that_dies_again_and_again_is_given_up() -> None:
+    worker = InProcess(dies, budget=0.2)
+    try:
+        told = [wait(worker)[0].text for _ in range(5)]
+        assert all("died (exit code 3)" in text for text in told)
+        assert [("no other estimator" in text) for text in told] == [False] * 4 + [True]
+        assert not worker.ready and worker.poll(2.0) == ()
     finally:
         worker.close()
 

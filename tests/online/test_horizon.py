@@ -177,6 +177,17 @@ def test_an_update_with_less_time_than_it_took_before_has_fewer_samples(cart, dr
     assert third.rollouts == first.rollouts
 
 
+def test_a_budget_is_kept_to_by_the_updates_after_it(cart, drive) -> None:
+    engine = CpuEngine(cart.model, cart.edits, cart.input_spec, 1, cart.senses)
+    estimator = MovingHorizon(with_mhe(cart, samples=16), engine, np.random.default_rng(0))
+    samples, counts = 16, []
+    for _ in range(4):  # 10 ms for each rollout, of which the mean is one
+        outcome = Outcome(estimator._arrival, estimator._noise, 1.0, 1.0, 0.0, 1.0, samples + 1, 0, 1)
+        estimator._took = estimator._timed(outcome, samples, 0.01 * (samples + 1))
+        counts.append(samples := estimator._affordable(0.1))
+    assert counts == [8] * 4
+
+
 def test_what_the_model_has_wrong_widens_what_is_told_and_moves_nothing(cart, drive) -> None:
     log, off = drive(3.0), 0.2
     plain, told = (
