@@ -171,7 +171,7 @@ def _gain(out: Path, which: str) -> float:
         told = [json.loads(file.read_text())["achieved"] for file in both if file.exists()]
         if len(told) == 2 and None not in told:
             powers = POWERS["m / mu"]
-            ours, other = (float(np.sqrt(powers @ np.array(one) @ powers)) for one in told)
+            ours, other = (_along(one, powers) for one in told)
             pairs.append(other / ours)
     return float(np.median(pairs)) if pairs else float("nan")
 
@@ -182,8 +182,13 @@ def _all(out: Path, pattern: str) -> list[dict]:
 
 def _sd(covariances: list, powers: np.ndarray) -> str:
     """Median over the seeds of the sd of log of a product of parameters to these powers."""
-    sds = [np.sqrt(powers @ np.array(one) @ powers) for one in covariances if one is not None]
+    sds = [_along(one, powers) for one in covariances if one is not None]
     return f"{np.median(sds):.1%}" if sds else "-"
+
+
+def _along(covariance: list, powers: np.ndarray) -> float:
+    """Sd of the log of a product of parameters to these powers."""
+    return float(np.sqrt(powers @ np.array(covariance) @ powers))
 
 
 def _errors(found: list, name: str) -> str:

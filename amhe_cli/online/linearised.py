@@ -41,7 +41,7 @@ def linearised_update(task: Task) -> Outcome:
         if not slopes.completed[0]:
             after = np.inf
             break
-        said, noise = _said(task, slopes, moved.z.size)
+        said, noise = _said(task, slopes, shape)
         if done == 1:
             before, surprise = rms(slopes.residual[0], counts), _surprise(task, said)
             arrival = task.surprised(surprise)
@@ -100,19 +100,20 @@ class _Said:
         return self.start + self.wanted @ self.slope
 
 
-def _said(task: Task, slopes: Linearisation, d: int) -> tuple[_Said, Noise]:
-    """Fit the window alone, for d parameters, twice: the weights need what the fit leaves.
+def _said(task: Task, slopes: Linearisation, shape: FloatArray) -> tuple[_Said, Noise]:
+    """Fit the window alone, whose samples had a shape (d, d), twice: the weights need what the fit leaves.
 
     A window that no parameters explain says less than its sensors promise.
     """
-    cost, residual, nuisances = task.cost, slopes.residual[0], _nuisances(task, slopes, d)
+    cost, residual, d = task.cost, slopes.residual[0], len(shape)
+    nuisances = _nuisances(slopes, shape, task.arrival.covariance)
     first = _alone(slopes, d, nuisances, _weights(cost, residual, task.noise))
     noise, own = _heard(task.noise, cost, first.left)
     said = _alone(slopes, d, nuisances, _weights(cost, first.left, noise.at_least(own)))
     return said, _heard(task.noise, cost, said.left)[0]
 
 
-def _nuisances(task: Task, slopes: Linearisation, d: int) -> FloatArray:
+def _nuisances(slopes: Linearisation, shape: FloatArray, covariance: FloatArray) -> FloatArray:
     """What bends the window as a whole, each with a factor ~ N(0, 1) of its own, shape (n, R).
 
     The errors of the first state, and what is not linear in the samples: as white noise alone it would be
@@ -120,11 +121,11 @@ def _nuisances(task: Task, slopes: Linearisation, d: int) -> FloatArray:
     makes of a bend z^2 / 2 a mean square of 3 P^2 / 4; samples have a quarter, and lie
     nearer where P is wide. Where first states are taken as recorded, `mhe.information` stands for all this.
     """
-    first = slopes.gain[0, d:]
+    first = slopes.gain[0, len(shape) :]
     if not len(first):
         return first
-    inside = np.linalg.inv(_shape(task))
-    further = np.trace(inside @ task.arrival.covariance @ inside.T) / d
+    inside = np.linalg.inv(shape)
+    further = np.trace(inside @ covariance @ inside.T) / len(shape)
     curves = max(1.0, float(further)) * np.sqrt(3.0 / len(slopes.curves)) * slopes.curves[:, 0]
     return np.concatenate((first, curves))
 
