@@ -20,17 +20,17 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 
 from amhe_cli.assembly import LogSource, identify_problem
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.probing.design import accuracy
-from amhe_cli.probing.motions import APPROACH, STEADY
-from amhe_cli.probing.plan import Plan, parts_of
-from amhe_cli.probing.probe import ProbeOptions, achieved
+from amhe_cli.probing.information import information_at
+from amhe_cli.probing.motions import STEADY, Motion, named_motion
+from amhe_cli.probing.probe import ProbeOptions, achieved, engine_of, read, tiles
 from amhe_cli.probing.push import PushProbe
-from amhe_cli.probing.pushing import ProbeTask
 from amhe_cli.report.belief_file import belief_text
 from amhe_cli.report.record import plain
-from amhe_cli.run_assembly import RunOptions
+from amhe_cli.system.system import System
 
 PROJECT = Path(__file__).resolve().parent.parent
 #: Half of what is true of T1's box, with the spread of the system's own prior.
@@ -47,13 +47,6 @@ POWERS = {name: row for name, row in zip(TRUTH, np.eye(3), strict=True)} | {
 PUSHES = {"probe": "probe", "straight": "straight", "held": "straight"}
 
 
-class HeldProbe(PushProbe):
-    """One whose controller goes on believing what it believed at the start."""
-
-    def _run_options(self, task: ProbeTask, seed: int, mode: str) -> RunOptions:
-        return super()._run_options(task, seed, "baseline" if mode == "adaptive" else mode)
-
-
 def main() -> None:
     """Run what is missing, then print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -65,7 +58,7 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     belief = arguments.out / "belief.yaml"
-    belief.write_text(belief_text(_belief()))
+    belief.write_text(belief_text(off_by_two()))
     for which in () if arguments.report else PUSHES:
         for seed in range(arguments.seeds):
             run(which, seed, arguments, belief)
@@ -76,18 +69,16 @@ def run(which: str, seed: int, arguments: argparse.Namespace, belief: Path) -> N
     """The probe or a straight push of one seed: designed, run, asked, identified from; a file for each."""
     threads = arguments.threads or 1
     options = ProbeOptions(seconds=arguments.seconds, belief=belief, seed=seed, threads=threads)
-    probe = (HeldProbe if which == "held" else PushProbe)(options)
-    log = arguments.out / f"{seed}-{which}.mcap"
+    probe, log = PushProbe(options), arguments.out / f"{seed}-{which}.mcap"
+    motion, mode = STEADY, "baseline" if which == "held" else "adaptive"
     if which == "probe":
-        plan = _kept(arguments.out / f"{seed}.plan.json", lambda: designed(probe))
-    _kept(
-        log.with_suffix(".told.json"),
-        lambda: told(probe, plan["motion"] if which == "probe" else STEADY.name, log, options),
-    )
-    _kept(log.with_suffix(".found.json"), lambda: identified(log, belief, seed, threads))
+        motion = named_motion(kept(arguments.out / f"{seed}.plan.json", lambda: designed(probe))["motion"])
+    kept(log.with_suffix(".told.json"), lambda: told(probe, motion, mode, log, options))
+    kept(log.with_suffix(".truth.json"), lambda: {"known": at_the_truth(probe.system, log, options)})
+    kept(log.with_suffix(".found.json"), lambda: identified(log, belief, seed, threads))
 
 
-def _kept(file: Path, make: Callable[[], dict]) -> dict:
+def kept(file: Path, make: Callable[[], dict]) -> dict:
     """What is in a file, made before where there is none."""
     if not file.exists():
         text = json.dumps(plain(make()), indent=2)
@@ -106,16 +97,21 @@ def designed(probe: PushProbe) -> dict[str, object]:
     }
 
 
-def told(probe: PushProbe, name: str, log: Path, options: ProbeOptions) -> dict[str, object]:
-    """Push; the covariance that the log is worth."""
-    nothing = accuracy(probe.system.space, np.zeros((1, len(TRUTH), len(TRUTH))))
-    parts = [(APPROACH.name, "", APPROACH.seconds), (name, "", options.seconds - APPROACH.seconds)]
-    ending = probe.run(Plan(parts_of(parts), nothing, nothing, ""), log, lambda: False, lambda text: None)
+def told(probe: PushProbe, motion: Motion, mode: str, log: Path, options: ProbeOptions) -> dict[str, object]:
+    """Push; the covariance that the log is worth where it points."""
+    ending = probe.push(motion, options.seconds, log, mode=mode)
     known = achieved(probe.system, log, options)
     return {
         "error": ending.error and str(ending.error),
         "achieved": None if known is None else known.covariance,
     }
+
+
+def at_the_truth(system: System, log: Path, options: ProbeOptions) -> FloatArray:
+    """The covariance that a log is worth at the true parameters, which its own estimate does not move."""
+    windows, truth = tiles(system, read(system, log)), system.space.z_of(np.array(list(TRUTH.values())))
+    found = information_at(system, windows, engine_of(system, options.threads), truth, options.rng(9))
+    return accuracy(system.space, found.matrix.sum(axis=0)[None]).covariance
 
 
 def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, object]:
@@ -130,7 +126,8 @@ def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, ob
     return {"parameters": rows, "covariance": result.belief.covariance}
 
 
-def _belief() -> Belief:
+def off_by_two() -> Belief:
+    """Half of the truth, with the spread of the system's own prior."""
     names = tuple(BELIEVED)
     sd = np.array([0.5, 0.2, 0.5])
     estimate = np.array(list(BELIEVED.values()))
@@ -138,40 +135,42 @@ def _belief() -> Belief:
 
 
 def table(out: Path) -> str:
-    """Median errors, coverage and sd of both motions over the seeds that are there, in Markdown."""
+    """Medians over the seeds that are there: sd, errors, how often 90 % intervals hold; in Markdown."""
     lines = [
-        "| motion | seeds | known | expected sd | achieved sd | identify: sd | median error | 90 % holds |",
-        "|---|---|---|---|---|---|---|---|",
+        "| motion | seeds | known | expected | achieved | at the truth | identify | error | 90 % holds |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     plans = _all(out, "*.plan.json")
     for which, planned in PUSHES.items():
-        told, found = (_all(out, f"*-{which}.{end}.json") for end in ("told", "found"))
+        told, true, found = (_all(out, f"*-{which}.{end}.json") for end in ("told", "truth", "found"))
         for name, powers in POWERS.items():
-            sds = [
-                _sd([one[key] for one in many], powers)
-                for many, key in ((plans, planned), (told, "achieved"), (found, "covariance"))
-            ]
+            columns = (plans, planned), (told, "achieved"), (true, "known"), (found, "covariance")
+            sds = [_sd([one[key] for one in many], powers) for many, key in columns]
             lines.append(f"| {which} | {len(found)} | {name} | {' | '.join(sds)} | {_errors(found, name)} |")
     motions = [plan["motion"] for plan in plans]
     lines += [
         "",
         "Sd of m / mu of a straight push over that of the probe of the same seed, median: "
-        + ", ".join(f"{which} {_gain(out, which):.2f}" for which in PUSHES if which != "probe")
+        + "; ".join(f"{which} {_gains(out, which)}" for which in PUSHES if which != "probe")
         + ".",
         "Chosen: " + ", ".join(f"{name} {motions.count(name)}" for name in dict.fromkeys(motions)) + ".",
     ]
     return "\n".join(lines)
 
 
-def _gain(out: Path, which: str) -> float:
+def _gains(out: Path, which: str) -> str:
+    achieved, truth = _gain(out, which, "told", "achieved"), _gain(out, which, "truth", "known")
+    return f"achieved {achieved:.2f}, at the truth {truth:.2f}"
+
+
+def _gain(out: Path, which: str, end: str, key: str) -> float:
     """How much better the probe tells mass from friction, by what the logs are worth."""
     pairs = []
-    for path in sorted(out.glob("*-probe.told.json")):
+    for path in sorted(out.glob(f"*-probe.{end}.json")):
         both = [path, path.with_name(path.name.replace("probe", which))]
-        told = [json.loads(file.read_text())["achieved"] for file in both if file.exists()]
-        if len(told) == 2 and None not in told:
-            powers = POWERS["m / mu"]
-            ours, other = (_along(one, powers) for one in told)
+        known = [json.loads(file.read_text())[key] for file in both if file.exists()]
+        if len(known) == 2 and None not in known:
+            ours, other = (along(one, POWERS["m / mu"]) for one in known)
             pairs.append(other / ours)
     return float(np.median(pairs)) if pairs else float("nan")
 
@@ -182,11 +181,11 @@ def _all(out: Path, pattern: str) -> list[dict]:
 
 def _sd(covariances: list, powers: np.ndarray) -> str:
     """Median over the seeds of the sd of log of a product of parameters to these powers."""
-    sds = [_along(one, powers) for one in covariances if one is not None]
+    sds = [along(one, powers) for one in covariances if one is not None]
     return f"{np.median(sds):.1%}" if sds else "-"
 
 
-def _along(covariance: list, powers: np.ndarray) -> float:
+def along(covariance: list, powers: np.ndarray) -> float:
     """Sd of the log of a product of parameters to these powers."""
     return float(np.sqrt(powers @ np.array(covariance) @ powers))
 

@@ -65,6 +65,11 @@ MOTIONS = (
 )
 
 
+def named_motion(name: str) -> Motion:
+    """One of `MOTIONS`."""
+    return next(motion for motion in MOTIONS if motion.name == name)
+
+
 class Score:
     """What is commanded when: the approach, then a motion over and over.
 

@@ -18,7 +18,7 @@ from amhe_cli.live.drive import Ending, drive
 from amhe_cli.live.history import History
 from amhe_cli.probing.design import accuracy, criterion, ensemble
 from amhe_cli.probing.information import information_at
-from amhe_cli.probing.motions import APPROACH, MOTIONS, STEADY, Motion
+from amhe_cli.probing.motions import APPROACH, MOTIONS, STEADY, Motion, named_motion
 from amhe_cli.probing.plan import Plan, parts_of
 from amhe_cli.probing.probe import ProbeOptions, Say, believing, engine_of, read, tiles
 from amhe_cli.probing.pushing import ProbeTask, probe_task
@@ -91,16 +91,28 @@ class PushProbe:
         The controller begins with the belief, and an estimator beside it brings that up to date: a robot that
         pushes a heavy box as if it were light stalls, and tells less.
         """
-        motion = next(motion for motion in MOTIONS if motion.name == plan.parts[-1].name)
+        motion = named_motion(plan.parts[-1].name)
         if not self._robot:
-            task = self._as_it_is(motion, plan.seconds)
-            return self._record(self._open(task, self._options.seed, "adaptive"), path, stopped, say)
+            return self.push(motion, plan.seconds, path, stopped, say)
         run = self.on_robot(motion, plan.seconds, self._robot)
         try:
             return self._record(run, path, stopped, say, self._robot.attend)
         except AmheError as error:  # it never came to run: the plan is worth keeping
             path.unlink(missing_ok=True)
             return Ending(error=error)
+
+    def push(
+        self,
+        motion: Motion,
+        seconds: float,
+        path: Path,
+        stopped: Callable[[], bool] = lambda: False,
+        say: Say = lambda text: None,
+        mode: str = "adaptive",
+    ) -> Ending:
+        """Any motion in simulation, for so long [s] with the approach; `baseline` holds on to the belief."""
+        task = self._as_it_is(motion, seconds)
+        return self._record(self._open(task, self._options.seed, mode), path, stopped, say)
 
     def on_robot(self, motion: Motion, seconds: float, robot: Robot) -> Run:
         """A motion on the robot; nothing is sent yet.
@@ -122,7 +134,7 @@ class PushProbe:
         run = self._open(self._probe(motion, seconds, box), seed, "true")
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rehearsal.mcap"
-            ending = self._record(run, path, lambda: False, lambda text: None)
+            ending = self._record(run, path)
             log = read(system, path)
         windows = [w for w in tiles(system, log) if w.start * log.dt >= APPROACH.seconds]
         if ending.error is not None or not windows:
@@ -154,7 +166,12 @@ class PushProbe:
         return open_run(self._run_options(task, seed, mode), task)
 
     def _record(
-        self, run: Run, path: Path, stopped: Callable[[], bool], say: Say, attend: Attend = _nobody
+        self,
+        run: Run,
+        path: Path,
+        stopped: Callable[[], bool] = lambda: False,
+        say: Say = lambda text: None,
+        attend: Attend = _nobody,
     ) -> Ending:
         """Run to the end; a fall is an ending too."""
         history = History(run.task)

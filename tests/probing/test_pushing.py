@@ -12,7 +12,7 @@ from amhe_cli.control.objective import BUMPER
 from amhe_cli.control.path import Path
 from amhe_cli.go1.legs import HOME
 from amhe_cli.go1.state import Body, State
-from amhe_cli.probing.motions import FASTEST, MOTIONS, WIDEST_OFFSET, Motion, Phase, Score
+from amhe_cli.probing.motions import FASTEST, MOTIONS, WIDEST_OFFSET, Motion, Phase, Score, named_motion
 from amhe_cli.probing.pushing import ScoreHelm
 
 TRY = Motion("try", "", (Phase(1.0, 0.25), Phase(0.5, -0.1), Phase(2.0, 0.2, 0.1)))
@@ -39,7 +39,7 @@ def test_a_score_repeats_its_motion_behind_the_approach() -> None:
 
 
 def test_surges_keep_step_with_the_trot() -> None:
-    surge = next(motion for motion in MOTIONS if motion.name == "surge")
+    surge = named_motion("surge")
     assert surge.seconds == pytest.approx(Gait().period)
 
 

@@ -1,0 +1,91 @@
+"""What tells mass from friction: ways to push a box, and what each log is worth at the truth.
+
+    python benchmarks/probing_motions.py --seeds 3
+
+A controller that is `held` believes half of what is true; one that is `learning` has the estimator beside it.
+What has a file is not done again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import numpy as np
+from probing import POWERS, along, at_the_truth, kept, off_by_two
+
+from amhe_cli.probing.motions import STEADY, Motion, Phase, named_motion
+from amhe_cli.probing.probe import ProbeOptions
+from amhe_cli.probing.push import PushProbe
+from amhe_cli.report.belief_file import belief_text
+
+OUT = Path(__file__).resolve().parent.parent / "amhe-out" / "benchmarks" / "probing-motions"
+#: What is looked at.
+KNOWN = ("box_mass", "m mu", "m / mu")
+#: The run's mode for what the controller believes.
+MODES = {"held": "baseline", "learning": "adaptive"}
+
+
+def turns(*phases: tuple[float, float]) -> Motion:
+    """Speeds [m/s], each for so long [s], over and over, steering along the line."""
+    return Motion("turns", "speeds by turns", tuple(Phase(seconds, speed) for speed, seconds in phases))
+
+
+MOTIONS = {
+    "0.2 m/s, steady": STEADY,
+    "0.4 m/s, steady": turns((0.4, 1.0)),
+    "0.4 / 0.1 m/s, 0.25 s each": turns((0.4, 0.25), (0.1, 0.25)),
+    "0.5 / 0.1, 0.25 s each (`surge`)": named_motion("surge"),
+    "the same, left and right (`sides`)": named_motion("sides"),
+    "0.5 / 0, 0.25 s each": turns((0.5, 0.25), (0.0, 0.25)),
+    "0.4 / 0, 0.5 s each": turns((0.4, 0.5), (0.0, 0.5)),
+    "0.4 for 1 s, 0 for 0.5 s": turns((0.4, 1.0), (0.0, 0.5)),
+}
+
+
+def main() -> None:
+    """Push in all ways that are missing, then print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--out", type=Path, default=OUT)
+    arguments = parser.parse_args()
+    arguments.out.mkdir(parents=True, exist_ok=True)
+    belief = arguments.out / "belief.yaml"
+    belief.write_text(belief_text(off_by_two()))
+    print("Posterior sd of mass / mu m / m/mu, median over the seeds.\n")
+    print("| motion | " + " | ".join(MODES) + " |\n|---|" + "---|" * len(MODES))
+    for title in MOTIONS:
+        cells = []
+        for believes in MODES:
+            options = [
+                ProbeOptions(belief=belief, seed=seed, threads=arguments.threads)
+                for seed in range(arguments.seeds)
+            ]
+            cells.append(cell([told(title, believes, one, arguments.out) for one in options]))
+        print(f"| {title} | {' | '.join(cells)} |", flush=True)
+
+
+def told(title: str, believes: str, options: ProbeOptions, out: Path) -> list:
+    """Push once; the covariance that the log is worth."""
+    name = f"{list(MOTIONS).index(title)}-{believes}-{options.seed}"
+
+    def push() -> dict[str, object]:
+        probe, log = PushProbe(options), out / f"{name}.mcap"
+        probe.push(MOTIONS[title], options.seconds, log, mode=MODES[believes])
+        return {"motion": title, "known": at_the_truth(probe.system, log, options)}
+
+    return kept(out / f"{name}.json", push)["known"]
+
+
+def cell(covariances: list[list]) -> str:
+    """Median sd in percent of all that is looked at."""
+    sds = [np.median([100.0 * along(one, POWERS[name]) for one in covariances]) for name in KNOWN]
+    return " / ".join(f"{sd:.2g}" for sd in sds)
+
+
+if __name__ == "__main__":
+    main()
