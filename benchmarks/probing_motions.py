@@ -37,9 +37,9 @@ def turns(*phases: tuple[float, float]) -> Motion:
 MOTIONS = {
     "0.2 m/s, steady": STEADY,
     "0.4 m/s, steady": turns((0.4, 1.0)),
-    "0.4 / 0.1 m/s, 0.25 s each": turns((0.4, 0.25), (0.1, 0.25)),
-    "0.5 / 0.1, 0.25 s each (`surge`)": named_motion("surge"),
+    "0.4 / 0.1 m/s, 0.25 s each (`surge`)": named_motion("surge"),
     "the same, left and right (`sides`)": named_motion("sides"),
+    "0.5 / 0.1, 0.25 s each": turns((0.5, 0.25), (0.1, 0.25)),
     "0.5 / 0, 0.25 s each": turns((0.5, 0.25), (0.0, 0.25)),
     "0.4 / 0, 0.5 s each": turns((0.4, 0.5), (0.0, 0.5)),
     "0.4 for 1 s, 0 for 0.5 s": turns((0.4, 1.0), (0.0, 0.5)),

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +14,12 @@ from amhe_cli.evaluation.ablations import ablations
 from amhe_cli.evaluation.cells import Cell, Setting, setting_of
 from amhe_cli.evaluation.estimates import change_of
 from amhe_cli.evaluation.goals import goals
+from amhe_cli.evaluation.store import Study
 from amhe_cli.evaluation.summary import Groups
 from amhe_cli.report.evaluation import curves, formats, tables
 from amhe_cli.report.evaluation.drawing import drawn
 from amhe_cli.report.evaluation.figures import drawings
+from amhe_cli.report.evaluation.page import study_page
 from amhe_cli.report.evaluation.paths import one_leg_figure
 from tests.evaluation.cells_at_play import result
 
@@ -66,6 +69,19 @@ def test_goals_say_what_was_missed(groups: Groups) -> None:
     missed = {(row[0], row[2]) for row in made(groups, "goals").rows if row[-1] == "NO"}
     assert ("t4 adaptive", "S_R − true's") in missed
     assert ("t4 adaptive", "J / true's − 1") not in missed
+
+
+def test_the_page_begins_with_what_was_missed(groups: Groups) -> None:
+    every = tables.tables(groups, ablations(groups, DEFAULTS), goals(groups))
+    code = {name: "1" for name in ("amhe", "sources", "mujoco", "numpy")}
+    machine = {name: "1" for name in ("python", "processor", "cores")}
+    page = study_page(Study(code, DEFAULTS, machine=machine), groups, {}, every, [])
+    goal_rows = made(groups, "goals").rows
+    missed = sum(row[-1] == "NO" for row in goal_rows)
+    assert 0 < missed < len(goal_rows)
+    assert f"{len(goal_rows) - missed} of {len(goal_rows)} goals reached" in page
+    assert page.count('class="bad">t') == missed
+    assert re.search(r"t4 adaptive: S_R − true&#39;s is .* %; the goal is ≥ 0", page)
 
 
 def test_the_operating_point_of_an_ablation_is_marked(groups: Groups) -> None:

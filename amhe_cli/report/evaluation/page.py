@@ -28,13 +28,20 @@ def study_page(
         tables: To show, in order.
         pictures: Likewise.
     """
+    judged = [
+        dict(zip(table.head, row, strict=True))
+        for table in tables
+        if table.name == "goals"
+        for row in table.rows
+    ]
     return template("study.html.j2").render(
         study=study,
         setting=words(study.setting),
         cells=sum(group.n for group in groups),
         seeds=sorted({group.n for group in groups.at_base()}),
         failures=failures,
-        goals=next((table for table in tables if table.name == "goals"), None),
+        goals=judged,
+        missed=[goal for goal in judged if goal["reached"] == "NO"],
         tables=tables,
         pictures=pictures,
     )
