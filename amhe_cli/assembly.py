@@ -168,7 +168,7 @@ def open_system(
     name: str | None, source: LogSource, assignments: Sequence[str] = (), config: Path | None = None
 ) -> System:
     """Load the system that the user named, or else the one that the logs name, with its topics remapped."""
-    folder = find_system(name or system_of(source.paths))
+    folder = find_system(name) if name else _folder_of(source.paths)
     settings = overrides.gathered(config, os.environ, assignments)
     own = _own_overrides(source.paths) if name is None else {}
     return _remapped(load_system(folder, overrides.merged(own, settings)), source.topics)
@@ -197,6 +197,17 @@ def system_of(logs: Sequence[Path]) -> str:
     if names:
         return names[0]
     return DEFAULT_SYSTEM
+
+
+def _folder_of(logs: Sequence[Path]) -> Path:
+    name = system_of(logs)
+    try:
+        return find_system(name)
+    except ConfigError:
+        raise ConfigError(
+            f"{_listed(logs)}: about the system {name!r}, which does not come with amhe: "
+            f"give its folder with --system DIR"
+        ) from None
 
 
 def inspections(source: LogSource, system: str | None) -> list[Inspection]:

@@ -90,6 +90,7 @@ def kept(file: Path, make: Callable[[], dict]) -> dict:
 def designed(probe: PushProbe) -> dict[str, object]:
     """The chosen motion, and the covariances that are expected of it and of the straight push."""
     plan = probe.design(lambda text: None)
+    assert plan.plain is not None
     return {
         "motion": plan.parts[-1].name,
         "probe": plan.expected.covariance,

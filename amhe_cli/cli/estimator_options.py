@@ -47,7 +47,8 @@ _ESTIMATOR = {
         "--samples",
         type=options.WholeNumber(min=4),
         metavar="B",
-        help="Rollouts of one iteration.  [default: 8 for linearised, 32 for logrank]",
+        help="Rollouts of one iteration; linearised takes two for each unknown, or more, and one at the "
+        "mean.  [default: 8 for linearised, 32 for logrank]",
     ),
     "iterations": click.option(
         "--iterations",
@@ -67,7 +68,8 @@ _ESTIMATOR = {
         multiple=True,
         callback=_weights,
         metavar="NAME=W",
-        help="How firmly a parameter is held at its last estimate; repeat for more.  [default: 0]",
+        help="How firmly a parameter is held at its last estimate; repeat for more.  "
+        "[default: 0; of go1_push box_inertia_scale=30]",
     ),
 }
 

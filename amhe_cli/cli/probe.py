@@ -86,6 +86,7 @@ def probe(
     from amhe_cli.report.probe_table import print_achieved, print_plan
     from amhe_cli.report.provenance import provenance
     from amhe_cli.report.record import plain
+    from amhe_cli.system.load import bundled_systems
 
     session.hush_mujoco()
     asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, assignments, config)
@@ -127,7 +128,8 @@ def probe(
     if session.json:
         session.print_json(record)
     elif (folder / LOG).exists():
-        print_achieved(record, folder, session.console())
+        own = "" if opened.system.folder in bundled_systems().values() else f" --system {system}"
+        print_achieved(record, f"amhe identify {folder / LOG}{own}", session.console())
     if error:
         raise error
 

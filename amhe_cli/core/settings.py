@@ -161,7 +161,7 @@ class MheSettings(_Group):
     budget: _Positive | None = None
     """Most time that one live update may take [s]; None: the update period."""
     latency: Annotated[float, Field(ge=0)] = 0.1
-    """Simulation in lock-step: time from a window's end until its belief is in force [s]."""
+    """Simulation in lock-step: time from a window's end until its belief is there, for the next plan [s]."""
 
     @property
     def sample_count(self) -> int:

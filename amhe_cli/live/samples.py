@@ -51,20 +51,20 @@ class Sampler:
 
     Args:
         period: Of control [s].
-        sample_period: The least between two samples of joints and IMU [s].
+        sample_period: One sample of joints and IMU is taken in each [s].
     """
 
     def __init__(self, period: float, sample_period: float = 0.01) -> None:
         self._period, self._sample_period = period, sample_period
         self._last: Cycle | None = None
-        self._told = -np.inf
+        self._told = self._reached = -np.inf
         self._followed = (np.empty(0), np.empty((0, 12)))
         self._in_force: Plan | None = None
 
     def take(self, cycle: Cycle) -> CycleSamples:
         """The samples that a cycle brought; to be asked once for each cycle, in their order."""
         measured = cycle.measured
-        rows = _thinned(measured.robot_times, self._sample_period)
+        rows = self._thinned(measured.robot_times)
         rows = rows[self._new(measured.robot_times[rows], measured)]
         poses = np.flatnonzero(self._new(measured.pose_times, measured))
         times, commands = self._commands(cycle)
@@ -82,6 +82,13 @@ class Sampler:
         self._in_force = self._last.plan if self._last is not None else None  # from now on
         self._last = cycle
         return samples
+
+    def _thinned(self, times: FloatArray) -> IntArray:
+        """Indices of the first sample in each period: stamps jitter, and packets are lost."""
+        number = np.floor(times / self._sample_period + 1e-6)
+        reached = np.maximum.accumulate(np.append(self._reached, number))
+        self._reached = float(reached[-1])
+        return np.flatnonzero(number > reached[:-1])
 
     def _new(self, times: FloatArray, measured: Measurements) -> np.ndarray:
         """Samples that are not older than the first command."""
@@ -134,15 +141,6 @@ class Sampler:
         missed = np.arange(last.estimate.time + self._period, now - 1e-6, self._period)
         played = [last.played if self._in_force is None else self._in_force.at(float(t)) for t in missed]
         return np.append(missed, now), np.array([*played, cycle.played])
-
-
-def _thinned(times: FloatArray, period: float) -> IntArray:
-    """Indices of samples that lie at the ends of periods [s]; all where they are further apart."""
-    if times.size < 2:
-        return np.arange(times.size)
-    step = float(times[1] - times[0])
-    number = np.floor(times / period + 1e-6)
-    return np.flatnonzero(number > np.floor((times - step) / period + 1e-6))
 
 
 def _share(times: FloatArray, start: float, end: float) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -102,10 +103,12 @@ class InProcess:
     @property
     def ready(self) -> bool:
         """See `Worker`."""
-        return self._since is None and not self._given_up
+        return self._since is None
 
     def submit(self, window: Window, at: float) -> None:
-        """See `Worker`."""
+        """See `Worker`; nobody is asked any more once it has given up."""
+        if self._given_up:
+            return
         self._since, self._limit = time.monotonic(), self._patience
         # in a thread: a long window fills the pipe, and waits for a reader
         order = self._pipe, (window, at, self._budget)
@@ -156,6 +159,7 @@ class InProcess:
         self.close()
         self._failures += 1
         if self._given_up:
+            self._since = None
             return (News(now, None, f"{what}; the last good belief stays, and no other estimator begins"),)
         self._start()
         return (News(now, None, f"{what}; the last good belief stays"),)
@@ -183,8 +187,12 @@ def _send(pipe: Connection, order: tuple[Window, float, float]) -> None:
 def _serve(pipe: Connection, factory: Factory, belief: Belief | None) -> None:
     """The process: windows in, estimates out, until the pipe ends. None says that it is ready."""
     os.nice(_NICE)
-    estimator = factory(belief)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the run, which ends us
     with suppress(EOFError, OSError):  # nobody wants to know any more
+        try:
+            estimator = factory(belief)
+        except Exception as error:
+            return pipe.send(f"{type(error).__name__}: {error}")
         pipe.send(None)
         while True:
             pipe.send(_updated(estimator, *pipe.recv()))

@@ -114,7 +114,7 @@ def _tell_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: flo
     ]
     rest = f" and in {len(gaps) - len(shown)} shorter gaps" if len(gaps) > len(shown) else ""
     logger.warning(
-        "%s: topic %r: no data of signal %r %s%s, in all %s of %s s: no clip or window crosses it",
+        "%s: topic %r: no data of signal %r %s%s, in all %s of %s s: no clip crosses it",
         path, signal.topic, signal.name, ", ".join(shown), rest,
         f"{dt * missing.sum():.2f}", f"{dt * missing.size:.2f}",
     )  # fmt: skip

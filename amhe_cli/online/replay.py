@@ -112,7 +112,8 @@ def windows(system: System, trajectory: Trajectory) -> list[Window]:
     longest = trajectory.steps - 2
     if longest < LEAST:
         raise EstimationError(
-            f"{trajectory.source}: its {trajectory.duration:.3g} s hold no window; record a longer log"
+            f"{trajectory.source}: {trajectory.duration:.3g} s hold no window; record a longer log, "
+            f"or take more of it (--from, --to)"
         )
     if longest < length:
         logger.warning(
@@ -120,6 +121,11 @@ def windows(system: System, trajectory: Trajectory) -> list[Window]:
             "with --window", trajectory.source, trajectory.duration, setting.window, longest * dt,
         )  # fmt: skip
         length = longest
+    if every > length:
+        logger.warning(
+            "an update every %g s from windows of %g s: what lies between them is not looked at; choose a "
+            "longer --window or a shorter --update-period", every * dt, length * dt,
+        )  # fmt: skip
     return [Window(trajectory, stop - length, length) for stop in range(length, trajectory.steps - 1, every)]
 
 
@@ -180,5 +186,5 @@ def caution(done: Replay) -> None:
     if usual > period:
         logger.warning(
             "an update takes %.0f ms, and the update period is %g ms: live, this machine would not keep up; "
-            "choose a longer --update-period, a shorter --window or fewer --samples", usual, period,
+            "choose a longer --update-period or a shorter --window", usual, period,
         )  # fmt: skip

@@ -77,7 +77,7 @@ class DriveProbe:
         return Plan(
             parts_of([(tried[best].name, "sines within the limits of the controls", options.seconds)]),
             accuracy(space, chosen),
-            accuracy(space, np.zeros_like(chosen) if plain is None else plain),
+            None if plain is None else accuracy(space, plain),
             tried[0].name,
         )
 

@@ -37,13 +37,13 @@ class Plan:
     Args:
         parts: What is done, in order.
         expected: How well parameters will be known from it and the prior.
-        plain: The same of equally long plain motion.
+        plain: The same of equally long plain motion; None where that cannot be done.
         plain_title: What that is.
     """
 
     parts: tuple[Part, ...]
     expected: Accuracy
-    plain: Accuracy
+    plain: Accuracy | None
     plain_title: str
 
     @property

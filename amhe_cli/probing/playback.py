@@ -45,16 +45,18 @@ class Playback:
             controls: Input vectors of each at `times`, shape (p, n, nu).
             rng: Draws the sensors' noise.
         """
-        system, held = self.system, max(1, round(COMMANDED / self.dt))
-        inputs = np.repeat(controls, held, axis=1)
+        system, last = self.system, controls.shape[1] - 1
+        steps = round((last + 1) * COMMANDED / self.dt)  # of any length: a plant's may not divide the 20 ms
+        playing = np.minimum((np.arange(steps) * self.dt / COMMANDED + 1e-9).astype(np.int64), last)
+        inputs = controls[:, playing]
         qpos, _ = home(system.model, system.keyframe, system.input_spec)
-        count, steps = inputs.shape[:2]
+        count = len(inputs)
         start = np.tile(qpos, (count, 1)), np.zeros((count, system.model.nv))
         rollouts = self.engine.rollout(theta, *start, inputs, np.full(count, steps))
         sources = {"qpos": rollouts.qpos, "qvel": rollouts.qvel, "sensordata": rollouts.sensordata}
         # the first instant has no sensor data: the logs begin with the second, row 0 of the rollouts
         measured = np.arange(0, steps - 1, max(1, round(MEASURED / self.dt)))
-        commanded = np.append(0, np.arange(held - 1, steps - 1, held))
+        commanded = np.append(0, np.flatnonzero(np.diff(playing)))
         logs: list[Trajectory | None] = []
         for i in range(count):
             series = {

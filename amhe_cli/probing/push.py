@@ -55,7 +55,7 @@ class PushProbe:
         if robot and options.box:
             raise ConfigError("--box: the box of a real robot is as it is; leave it out")
         if robot:  # what it refuses is refused before the rehearsals
-            self.on_robot(STEADY, options.seconds, robot)
+            self.on_robot(STEADY, options.seconds, robot).episode.belief.close()
 
     def design(self, say: Say) -> Plan:
         """See `Probe`."""
@@ -77,11 +77,11 @@ class PushProbe:
                 "give another one with --belief"
             )
         best = int(np.argmax([criterion(told, space.prior_precision) for told in found]))
-        chosen = MOTIONS[best]
+        chosen, plain = MOTIONS[best], found[MOTIONS.index(STEADY)]
         return Plan(
             parts_of([(m.name, m.title, s) for m, s in ((APPROACH, APPROACH.seconds), (chosen, room))]),
             accuracy(space, found[best]),
-            accuracy(space, found[MOTIONS.index(STEADY)]),
+            accuracy(space, plain) if plain.any() else None,
             "straight push",
         )
 

@@ -31,7 +31,7 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or pass --force to write into it")
     ancestor = next(path for path in (out, *out.absolute().parents) if path.exists())
-    if not os.access(ancestor, os.W_OK):
+    if not ancestor.is_dir() or not os.access(ancestor, os.W_OK | os.X_OK):
         raise ConfigError(f"{out}: cannot be written; choose another folder with -o")
     return out
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from rich import box
@@ -24,14 +23,14 @@ def print_plan(record: Mapping[str, Any], console: Console) -> None:
     print_known(record, {"prior": "prior sd", "expected": "expected", "plain": f"{seconds} {plain}"}, console)
 
 
-def print_achieved(record: Mapping[str, Any], folder: Path, console: Console) -> None:
-    """Print what the log tells beside what was expected, and what to do with it; content of result.json."""
+def print_achieved(record: Mapping[str, Any], then: str, console: Console) -> None:
+    """Print what the log tells beside what was expected, and the command that comes then; of result.json."""
     console.print()
     if all("achieved_sd" in row for row in record["parameters"]):
         columns = {"prior": "prior sd", "expected": "expected", "achieved": "achieved"}
         print_known(record, columns, console)
         console.print()
-    console.print(Text(f"next: amhe identify {folder / 'probe.mcap'}", overflow="fold"), soft_wrap=True)
+    console.print(Text(f"next: {then}", overflow="fold"), soft_wrap=True)
 
 
 def print_known(known: Mapping[str, Any], columns: Mapping[str, str], console: Console) -> None:
@@ -54,7 +53,9 @@ def print_known(known: Mapping[str, Any], columns: Mapping[str, str], console: C
 
 
 def _sds(row: Mapping[str, Any], columns: Mapping[str, str], relative: bool, unit: str) -> Sequence[str]:
-    sds = [row[f"{key}_sd"] for key in columns]
-    if relative:
-        return [numbers.percent(sd) for sd in sds]
-    return [numbers.quantity(numbers.rounded(sd, sd), unit) for sd in sds]
+    def shown(sd: float | None) -> str:
+        if sd is None:
+            return "-"
+        return numbers.percent(sd) if relative else numbers.quantity(numbers.rounded(sd, sd), unit)
+
+    return [shown(row.get(f"{key}_sd")) for key in columns]

@@ -82,11 +82,11 @@ def _diverged(record: Mapping[str, Any]) -> Iterator[Statement]:
 
 
 def windows_line(record: Mapping[str, Any]) -> str:
-    """'68 windows: 61 moved the belief (2 jumps); 5 say nothing, 2 cross a gap'."""
+    """'68 windows: 61 moved the belief (2 jumps); 5 say nothing, 2 begin in a gap'."""
     jumps = f" ({record['jumps']} jump{'s' * (record['jumps'] != 1)})" if record["jumps"] else ""
     passed = [
         f"{record[key]} {text}"
-        for key, text in (("still", "say nothing"), ("gaps", "cross a gap"), ("lost", "diverged"))
+        for key, text in (("still", "say nothing"), ("gaps", "begin in a gap"), ("lost", "diverged"))
         if record[key]
     ]
     rest = f"; {', '.join(passed)}" if passed else ""

@@ -10,8 +10,11 @@ from typing import Any
 import pytest
 
 from amhe_cli.cli.main import run
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.live.drive import Ending
 from amhe_cli.logs import read_metadata, survey
+from amhe_cli.probing.drive import DriveProbe
+from amhe_cli.probing.multisine import Multisine
 from amhe_cli.probing.push import PushProbe
 from tests.conftest import MODELS, PENDULUM_TRUTH
 
@@ -86,6 +89,43 @@ def test_the_probes_log_identifies_another_pendulum() -> None:
     told = {r["name"]: r for r in json.loads(Path("probe/result.json").read_text())["parameters"]}
     for name, row in found.items():
         assert 0.4 < told[name]["achieved_sd"] / (row["sd"] / row["estimate"]) < 2.5, "as identify has it"
+
+
+def test_a_plants_step_need_not_divide_the_commands_period() -> None:
+    plant = other_pendulum(Path("other.xml"))
+    text = plant.read_text()
+    assert 'timestep="0.002"' in text
+    plant.write_text(text.replace('timestep="0.002"', 'timestep="0.012"'))
+    assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
+    (commands,) = (t for t in survey(Path("probe/probe.mcap")).topics if "command" in t.name)
+    assert commands.count == pytest.approx(150, abs=1)
+    assert commands.rate == pytest.approx(50.0, rel=0.3), "a step of 12 ms takes each when it can"
+    first, last = commands.first_ns["header"], commands.last_ns["header"]
+    assert 1e-9 * (last - first) == pytest.approx(3.0, abs=0.04)
+
+
+def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
+    shutil.copytree(MODELS / "pendulum", "mine")
+    own = ["mine" if word == "pendulum" else word for word in PENDULUM]
+    assert run([*own, "-o", "probe"]) == 0
+    assert "next: amhe identify probe/probe.mcap --system mine" in capsys.readouterr().out
+    assert run(["mhe-replay", "probe/probe.mcap", "-q", "--system", "mine", "-o", "replay"]) == 0
+    shutil.move("mine", "elsewhere")
+    assert run(["mhe-replay", "probe/probe.mcap", "-q", "-o", "again"]) == 2
+    assert "about the system 'mine', which does not come with amhe" in capsys.readouterr().err
+
+
+def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> None:
+    told = DriveProbe._told
+
+    def only_quick(self: DriveProbe, one: Multisine, draws: FloatArray) -> FloatArray | None:
+        return None if one.name == "slow sine" else told(self, one, draws)
+
+    monkeypatch.setattr(DriveProbe, "_told", only_quick)
+    assert run([*PENDULUM, "--plan-only", "-o", "plan"]) == 0
+    (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("load_mass"))
+    assert row.split()[-1] == "-"
+    assert "plain_sd" not in json.loads(Path("plan/plan.json").read_text())["parameters"][0]
 
 
 def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:

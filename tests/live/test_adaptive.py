@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import time
 from dataclasses import replace
 from functools import partial
@@ -11,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from amhe_cli.assembly import LogSource, open_system, trajectories
 from amhe_cli.control.tasks import Believed, find_task
@@ -93,7 +96,7 @@ def test_the_buffer_holds_what_the_log_holds(adaptive: tuple[Path, list[Cycle]])
         stop = round((cycle.estimate.time - 1e-9 * log.start_ns) / log.dt)
         for key, logged in log.series.items():
             live = window.trajectory[key]
-            ours, theirs = slice(window.start, window.stop), slice(stop - 125, stop)
+            ours, theirs = slice(window.start, window.stop + 1), slice(stop - 125, stop + 1)
             # a sample halfway between two steps may count for either
             assert live.sampled[ours].sum() == pytest.approx(logged.sampled[theirs].sum(), abs=1), key
             np.testing.assert_allclose(live.values[ours], logged.values[theirs], atol=1e-9, err_msg=key)
@@ -197,9 +200,57 @@ def test_an_estimator_that_dies_again_and_again_is_given_up() -> None:
         told = [wait(worker)[0].text for _ in range(5)]
         assert all("died (exit code 3)" in text for text in told)
         assert [("no other estimator" in text) for text in told] == [False] * 4 + [True]
-        assert not worker.ready and worker.poll(2.0) == ()
+        assert worker.ready, "it is not late: nobody is asked"
+        worker.submit("fine", 3.0)  # type: ignore[arg-type]
+        assert worker.ready and worker.poll(3.1) == ()
     finally:
         worker.close()
+
+
+def breaks(belief: Belief | None) -> MovingHorizon:
+    raise ValueError("no such model")
+
+
+def test_why_an_estimator_cannot_begin_is_told() -> None:
+    worker = InProcess(breaks, budget=0.2)
+    try:
+        told = [one.text for _ in range(2) for one in wait(worker)]
+        assert "ValueError: no such model" in told[0]
+        assert "died (exit code 0)" in told[1]
+    finally:
+        worker.close()
+
+
+def test_a_ctrl_c_is_for_the_run_and_leaves_the_estimator_alone(capfd: pytest.CaptureFixture[str]) -> None:
+    worker = InProcess(Puppet, budget=0.2)
+    try:
+        ready(worker)
+        assert worker._process.pid is not None
+        os.kill(worker._process.pid, signal.SIGINT)
+        time.sleep(0.2)
+        worker.submit("fine", 3.0)  # type: ignore[arg-type]
+        (one,) = wait(worker)
+        assert one.estimate.time == 3.0
+    finally:
+        worker.close()
+    assert "Traceback" not in capfd.readouterr().err
+
+
+@given(
+    jitter=st.floats(0.0, 4e-4),
+    lost=st.floats(0.0, 0.2),
+    seed=st.integers(0, 2**31),
+)
+def test_one_sample_of_the_joints_is_taken_in_each_period_whatever_the_stamps(
+    jitter: float, lost: float, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    times = 0.002 * np.arange(1000) + rng.uniform(0.0, jitter, 1000)
+    times = times[rng.random(1000) >= lost]
+    sampler = Sampler(0.02, 0.01)
+    kept = np.concatenate([part[sampler._thinned(part)] for part in np.array_split(times, 100)])
+    periods = np.floor(times / 0.01 + 1e-6)
+    np.testing.assert_array_equal(np.floor(kept / 0.01 + 1e-6), np.unique(periods))
 
 
 def test_a_window_that_fills_the_pipe_of_a_hung_estimator_holds_nobody_up() -> None:

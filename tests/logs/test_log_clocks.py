@@ -311,7 +311,7 @@ def test_the_time_that_gaps_cost_is_told(tmp_path: Path, caplog: pytest.LogCaptu
     gappy = [t for i, t in enumerate(stamps) if not 400 < i < 700 and not 800 < i < 830]
     read(log_of(tmp_path / "b", gappy, gappy))
     assert "topic '/js': no data of signal 'j' from 4.01 to 7.00 s (2.99 s), from 8.01" in warnings(caplog)
-    assert "in all 3.28 of 10.00 s: no clip or window crosses it" in warnings(caplog)
+    assert "in all 3.28 of 10.00 s: no clip crosses it" in warnings(caplog)
 
 
 def test_a_slow_topic_may_be_silent_for_five_periods(tmp_path: Path) -> None:

@@ -25,6 +25,8 @@ def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
     assert reserve(tmp_path, "identify", force=True) == tmp_path
     with pytest.raises(ConfigError, match="is a file"):
         reserve(tmp_path / "mine.txt", "identify", force=True)
+    with pytest.raises(ConfigError, match="cannot be written"):
+        reserve(tmp_path / "mine.txt" / "out", "identify", force=False)
 
 
 def test_a_new_folder_appears_whole(tmp_path: Path) -> None:
