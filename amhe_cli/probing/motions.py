@@ -55,7 +55,7 @@ STEADY = Motion("steady", "push on at one speed", (Phase(1.0, 0.2),))
 def _surges(offset: float | None, count: int) -> tuple[Phase, ...]:
     """The trot's stride is 0.5 s: one surge in the first half of each.
 
-    0.5 m/s tell no more, and take a robot's joint targets to where its link trips (`target_jump`).
+    0.5 m/s tell hardly more, and take a robot's joint targets to where its link trips (`target_jump`).
     """
     return (Phase(0.25, 0.4, offset), Phase(0.25, 0.1, offset)) * count
 
