@@ -51,6 +51,8 @@ class Measures:
 class Judge:
     """Watches an episode, one true state a control period, and says when it is over.
 
+    A state after periods that brought none stands for them, too: a late controller must not look cheap.
+
     Args:
         task: That is done.
         behaviour: Whose running cost counts.
@@ -78,11 +80,12 @@ class Judge:
     def watch(self, state: State) -> bool:
         """Take in one state; True when the episode is over."""
         place = self._task.path.place(state.box.position[:2])
+        periods = 1 if not self._left else max(1, round((state.time - self._time) / self._period))
         self._time = state.time
         self._goal_error = float(np.hypot(*(state.box.position[:2] - self._task.path.goal)))
-        self._left.append(float(place.left))
-        self._charge(state)
-        self._judge_speed(state, float(place.progress))
+        self._left += periods * [float(place.left)]
+        self._charge(state, periods)
+        self._judge_speed(state, float(place.progress), periods)
         self.fell = has_fallen(state)
         self.arrived = not self.fell and self._has_arrived(state.time)
         return self.over
@@ -112,17 +115,18 @@ class Judge:
             terms=dict(self._terms),
         )
 
-    def _charge(self, state: State) -> None:
+    def _charge(self, state: State, periods: int) -> None:
         terms = self._behaviour.running_cost(state)
         self.last_cost = sum(terms.values())
         for name, value in terms.items():
-            self._terms[name] = self._terms.get(name, 0.0) + value
+            self._terms[name] = self._terms.get(name, 0.0) + periods * value
 
-    def _judge_speed(self, state: State, progress: float) -> None:
+    def _judge_speed(self, state: State, progress: float, periods: int) -> None:
         task = self._task
         self._tapering |= not task.one_leg and progress > task.path.length - TAPER
         if state.time >= task.judged_from and not self._tapering:
-            self._speed_errors.append(heading_velocity(state.trunk)[0] - task.commanded_speed(progress))
+            error = heading_velocity(state.trunk)[0] - task.commanded_speed(progress)
+            self._speed_errors += periods * [error]
 
     def _has_arrived(self, time: float) -> bool:
         if self._goal_error >= NEAR:

@@ -66,6 +66,17 @@ def arriving(at: float, off: float = 0.0) -> Callable[[float], State]:
     return lambda t: state(t, GOAL - [0.0, off] if t >= at - 1e-9 else GOAL - [1.0, 0.0])
 
 
+def test_periods_without_a_state_are_charged_to_the_next_one() -> None:
+    whole, late = judge(), judge()
+    for k, time in enumerate(times(4.0)):
+        at = state(PERIOD * (3 * (k // 3) + 3), GOAL - [1.0, 0.0], speed=0.01 * (k // 3))
+        whole.watch(replace(at, time=time))
+        if k % 3 == 2:
+            late.watch(replace(at, time=time))
+    for name in ("cost", "speed_rmse", "path_rmse_m"):
+        assert getattr(late.measures(), name) == pytest.approx(getattr(whole.measures(), name), rel=0.02)
+
+
 @pytest.mark.parametrize("off", [0.0, 0.049])
 def test_arrival_is_half_a_second_near_the_goal(off: float) -> None:
     by = judge()
