@@ -126,7 +126,7 @@ class InProcess:
                     self._good, self._failures = answer.belief, 0
                 return () if answer is None else (_news(now, answer),)
         except (OSError, EOFError):
-            return self._again(now, f"the estimator died (exit code {self._ended()})")
+            return self._again(now, f"the estimator died{self._ended()}")
         if self._since is not None and time.monotonic() - self._since > self._limit:
             return self._again(now, f"the estimator hung for {self._limit:g} s")
         return ()
@@ -150,9 +150,10 @@ class InProcess:
         self._since: float | None = time.monotonic()
         self._limit = self._starting
 
-    def _ended(self) -> int | None:
+    def _ended(self) -> str:
         self._process.join(0.1)
-        return self._process.exitcode
+        code = self._process.exitcode
+        return "" if code is None else f" (exit code {code})"
 
     def _again(self, now: float, what: str) -> tuple[News, ...]:
         """Begin anew from the belief in force; not for ever, as each start takes the controller's cores."""
