@@ -217,12 +217,11 @@ def inspections(source: LogSource, system: str | None) -> list[Inspection]:
 
 def _inspection(source: LogSource, system: str | None) -> Inspection:
     found = survey(source.paths[0], msg_path=source.msg_path)
-    name = system or found.metadata.get("system")
-    if not name:
+    if not system and not found.metadata.get("system"):
         if source.topics or source.start is not None or source.end is not None:
             raise ConfigError("--topic, --from and --to are about a system's signals: name it with --system")
         return Inspection(found)
-    held = open_system(name, source)
+    held = open_system(system, source)
     checks = tuple(_checked(held, signal, source) for signal in held.signals)
     if any(check.problem for check in checks):
         return Inspection(found, held.name, checks)

@@ -18,6 +18,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from common import RESULTS
 
 from amhe_cli.assembly import LogSource, identify_problem
 from amhe_cli.core.arrays import FloatArray
@@ -32,7 +33,6 @@ from amhe_cli.report.belief_file import belief_text
 from amhe_cli.report.record import plain
 from amhe_cli.system.system import System
 
-PROJECT = Path(__file__).resolve().parent.parent
 #: Half of what is true of T1's box, with the spread of the system's own prior.
 BELIEVED = {"box_mass": 2.0, "box_inertia_scale": 1.0, "floor_friction": 0.3}
 TRUTH = {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
@@ -53,7 +53,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=15)
     parser.add_argument("--for", dest="seconds", type=float, default=10.0)
     parser.add_argument("--threads", type=int, default=os.cpu_count())
-    parser.add_argument("--out", type=Path, default=PROJECT / "amhe-out" / "benchmarks" / "probing")
+    parser.add_argument("--out", type=Path, default=RESULTS / "probing")
     parser.add_argument("--report", action="store_true")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
@@ -160,8 +160,12 @@ def table(out: Path) -> str:
 
 
 def _gains(out: Path, which: str) -> str:
-    achieved, truth = _gain(out, which, "told", "achieved"), _gain(out, which, "truth", "known")
-    return f"achieved {achieved:.2f}, at the truth {truth:.2f}"
+    asked = {
+        "achieved": ("told", "achieved"),
+        "at the truth": ("truth", "known"),
+        "identify": ("found", "covariance"),
+    }
+    return ", ".join(f"{what} {_gain(out, which, *where):.2f}" for what, where in asked.items())
 
 
 def _gain(out: Path, which: str, end: str, key: str) -> float:

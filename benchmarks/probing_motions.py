@@ -15,6 +15,7 @@ from pathlib import Path
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
+from common import RESULTS
 from probing import POWERS, along, at_the_truth, kept, off_by_two
 
 from amhe_cli.probing.motions import STEADY, Motion, Phase, named_motion
@@ -22,7 +23,6 @@ from amhe_cli.probing.probe import ProbeOptions
 from amhe_cli.probing.push import PushProbe
 from amhe_cli.report.belief_file import belief_text
 
-OUT = Path(__file__).resolve().parent.parent / "amhe-out" / "benchmarks" / "probing-motions"
 #: What is looked at.
 KNOWN = ("box_mass", "m mu", "m / mu")
 #: The run's mode for what the controller believes.
@@ -51,7 +51,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
-    parser.add_argument("--out", type=Path, default=OUT)
+    parser.add_argument("--out", type=Path, default=RESULTS / "probing-motions")
     arguments = parser.parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
     belief = arguments.out / "belief.yaml"

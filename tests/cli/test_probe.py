@@ -113,6 +113,8 @@ def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
     shutil.move("mine", "elsewhere")
     assert run(["mhe-replay", "probe/probe.mcap", "-q", "-o", "again"]) == 2
     assert "about the system 'mine', which does not come with amhe" in capsys.readouterr().err
+    assert run(["inspect", "probe/probe.mcap"]) == 2
+    assert "about the system 'mine', which does not come with amhe" in capsys.readouterr().err
 
 
 def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> None:
