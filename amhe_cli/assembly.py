@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.errors import ConfigError, LogError, one_of
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.signals import Signal
 from amhe_cli.core.trajectory import Trajectory
 from amhe_cli.logs import Survey, read_metadata, read_trajectory, survey
-from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system import overrides
 from amhe_cli.system.load import bundled_systems, find_system, load_system
 from amhe_cli.system.system import System

@@ -9,13 +9,13 @@ import numpy as np
 
 from amhe_cli.assembly import LogSource, open_system, told_truth, understood
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.estimation.online.arrival import arrival_of
+from amhe_cli.estimation.online.horizon import MovingHorizon
+from amhe_cli.estimation.online.replay import ReplayProblem, windows
 from amhe_cli.logs import read_truth
-from amhe_cli.online.arrival import arrival_of
-from amhe_cli.online.horizon import MovingHorizon
-from amhe_cli.online.replay import ReplayProblem, windows
-from amhe_cli.report.belief_file import read_belief
 from amhe_cli.system.load import bundled_root
 from amhe_cli.system.system import System
 

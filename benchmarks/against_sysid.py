@@ -28,10 +28,10 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.estimation.clips import ClipPool, whole
-from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_trajectory
-from amhe_cli.matching import MatchingCost
+from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 

@@ -22,7 +22,7 @@ from rich.table import Table
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.rollout import RolloutEngine, Rollouts
-from amhe_cli.run_assembly import Run, RunOptions, open_run
+from amhe_cli.robots.go1.run import Run, RunOptions, open_run
 
 DEFAULTS = {"samples": 8, "horizon": 16, "knots": 4, "loops": 3}
 #: One number changed at a time.

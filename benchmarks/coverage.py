@@ -31,9 +31,9 @@ from common import (
 
 from amhe_cli.core.trajectory import Trajectory
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.estimation.identification import IdentifyOptions, identify
-from amhe_cli.online.horizon import MovingHorizon
-from amhe_cli.online.replay import replay, windows
+from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
+from amhe_cli.estimation.online.horizon import MovingHorizon
+from amhe_cli.estimation.online.replay import replay, windows
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 

@@ -15,7 +15,7 @@ from typing import Any
 from common import DATA, over_seeds, show
 
 from amhe_cli.core.trajectory import Trajectory
-from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_trajectory
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System

@@ -17,18 +17,18 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from common import PROJECT, paired, show
 
-from amhe_cli.eval_assembly import EvalOptions, planned, run_cell, study_of
-from amhe_cli.evaluation.cells import Cell
-from amhe_cli.evaluation.conduct import conduct
-from amhe_cli.evaluation.store import start
-from amhe_cli.executors import pool_of
+from amhe_cli.core.executors import pool_of
+from amhe_cli.study.cells import Cell
+from amhe_cli.study.conduct import conduct
+from amhe_cli.study.plan import EvalOptions, planned, run_cell, study_of
+from amhe_cli.study.store import start
 
 #: Throughput of eval over that of bare processes.
 GOAL = 0.95
 #: A process that does nothing but run episodes.
 BARE = """
 import sys
-from amhe_cli.run_assembly import RunOptions, open_run
+from amhe_cli.robots.go1.run import RunOptions, open_run
 for seed in sys.argv[2:]:
     run = open_run(RunOptions("t1", "true", seed=int(seed), duration=float(sys.argv[1])))
     for cycle in run.episode.cycles():

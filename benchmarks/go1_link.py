@@ -30,18 +30,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from amhe_cli.control.tasks import find_task
-from amhe_cli.core.go1_settings import Go1Settings
-from amhe_cli.emulator.emulator import Emulator, EmulatorOptions
-from amhe_cli.emulator.faults import Faults
-from amhe_cli.go1.legs import HOME
-from amhe_cli.go1_link import command, state, wire
-from amhe_cli.go1_link.clock import Clock
-from amhe_cli.go1_link.command import Command
-from amhe_cli.go1_link.link import Link
-from amhe_cli.go1_link.motion import Targets
-from amhe_cli.go1_link.phase import Phase
-from amhe_cli.go1_link.state import RobotState
+from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
+from amhe_cli.robots.go1.emulator.faults import Faults
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link import command, state, wire
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.motion import Targets
+from amhe_cli.robots.go1.link.phase import Phase
+from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.settings import Go1Settings
+from amhe_cli.robots.go1.tasks import find_task
 
 #: The trips keep their defaults; only standing up and sitting down are in a hurry.
 SETTINGS = {"gain_time": 0.3, "stand_speed": 3.0, "sit_time": 1.0, "damp_time": 0.3, "arm": "auto"}
@@ -266,7 +266,7 @@ def _wait(link: Link, phase: Phase) -> None:
 
 def _plan(stop: threading.Event, work: Counter[str]) -> None:
     """T1 again and again, as fast as it goes, the estimator in its own process; counts what both did."""
-    from amhe_cli.run_assembly import RunOptions, belief_source, open_run
+    from amhe_cli.robots.go1.run import RunOptions, belief_source, open_run
 
     # by the clock, so that the estimator has a process; on a busy computer it is slow, and does not hang
     asked = RunOptions("t1", "adaptive", threads=1, realtime=True)

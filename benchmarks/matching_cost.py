@@ -21,8 +21,8 @@ from amhe_cli.core.rotations import exp
 from amhe_cli.core.trajectory import Series, Trajectory
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.cpu import _groups as length_groups
-from amhe_cli.estimation.clips import ClipPool, whole
-from amhe_cli.matching import MatchingCost
+from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 

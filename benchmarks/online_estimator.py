@@ -23,10 +23,10 @@ from rich.table import Table
 from amhe_cli.assembly import LogSource
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.rollout import RolloutEngine, Rollouts
-from amhe_cli.online.replay import ReplayProblem, replay
+from amhe_cli.estimation.online.replay import ReplayProblem, replay
 from amhe_cli.replay_assembly import open_replay
-from amhe_cli.run_assembly import RunOptions, open_run
-from amhe_cli.run_files import recorder_of
+from amhe_cli.robots.go1.recording import recorder_of
+from amhe_cli.robots.go1.run import RunOptions, open_run
 
 PROJECT = Path(__file__).resolve().parent.parent
 #: What is compared: name, settings.

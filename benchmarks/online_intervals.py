@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.table import Table
 
 from amhe_cli.core.statistics import Z90
-from amhe_cli.evaluation.estimates import BEGUN, SETTLED, change_of, deviations
-from amhe_cli.evaluation.results import Result
-from amhe_cli.evaluation.store import open_store
+from amhe_cli.study.estimates import BEGUN, SETTLED, change_of, deviations
+from amhe_cli.study.results import Result
+from amhe_cli.study.store import open_store
 
 STUDY = Path(__file__).resolve().parent.parent / "docs" / "results" / "main"
 #: Tried, as a share of mass and friction.

@@ -18,10 +18,10 @@ import numpy as np
 from common import RESULTS
 from probing import POWERS, along, at_the_truth, kept, off_by_two
 
-from amhe_cli.probing.motions import STEADY, Motion, Phase, named_motion
-from amhe_cli.probing.probe import ProbeOptions
-from amhe_cli.probing.push import PushProbe
-from amhe_cli.report.belief_file import belief_text
+from amhe_cli.core.belief_file import belief_text
+from amhe_cli.estimation.design.probe import ProbeOptions
+from amhe_cli.robots.go1.probing.motions import STEADY, Motion, Phase, named_motion
+from amhe_cli.robots.go1.probing.push import PushProbe
 
 #: What is looked at.
 KNOWN = ("box_mass", "m mu", "m / mu")

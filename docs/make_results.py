@@ -12,10 +12,10 @@ import re
 import sys
 from pathlib import Path
 
-from amhe_cli.control.tasks import TASKS
-from amhe_cli.evaluation.store import Store, open_store
-from amhe_cli.report.evaluation.files import write_study
-from amhe_cli.run_assembly import MODES
+from amhe_cli.report.study.files import write_study
+from amhe_cli.robots.go1.run import MODES
+from amhe_cli.robots.go1.tasks import TASKS
+from amhe_cli.study.store import Store, open_store
 
 DOCS = Path(__file__).parent
 STUDIES = DOCS / "results"

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.image import imsave
 
-from amhe_cli.go1.video import Film, strip
-from amhe_cli.live.scenery import scenery_of
-from amhe_cli.run_assembly import RunOptions, open_run
+from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.robots.go1.scenery import scenery_of
+from amhe_cli.robots.go1.video import Film, strip
 
 #: Of one picture [pixels]; more is drawn, and the middle kept.
 SIZE, WIDTH = (640, 320), 400

@@ -68,7 +68,7 @@ def pendulum_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def plant() -> mujoco.MjModel:
     """The Go1's plant, its box out of the robot's way."""
-    from amhe_cli.go1.model import plant_model
-    from tests.playing import FAR
+    from amhe_cli.robots.go1.model import plant_model
+    from tests.robots.go1.playing import FAR
 
     return plant_model(FAR)

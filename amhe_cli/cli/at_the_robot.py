@@ -13,11 +13,11 @@ from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.go1_assembly import WireOptions
-    from amhe_cli.live.drive import Ending
-    from amhe_cli.live.history import History
+    from amhe_cli.live.loop import Ending
     from amhe_cli.live.recorder import Recorder
-    from amhe_cli.run_assembly import Run, RunOptions
+    from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.link.open import WireOptions
+    from amhe_cli.robots.go1.run import Run, RunOptions
 
 POSES = ("natnet", "motioncapture", "ros2", "udp")
 _PORT = options.WholeNumber(1, 65535)
@@ -56,7 +56,7 @@ def opened(asked: RunOptions, wire: Mapping[str, Any]) -> Run | None:
     Raises:
         ConfigError: Options that do not go together.
     """
-    from amhe_cli.go1_assembly import open_go1_run
+    from amhe_cli.robots.go1.link.open import open_go1_run
 
     reached = wire_of(asked.target, wire)
     return open_go1_run(asked, reached) if reached else None
@@ -69,7 +69,7 @@ def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
         ConfigError: Options that do not go together.
     """
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.go1_assembly import WireOptions
+    from amhe_cli.robots.go1.link.open import WireOptions
 
     given = {name: value for name, value in wire.items() if value}
     if target != "go1":
@@ -101,7 +101,7 @@ def ready(target: Any, session: Session) -> Iterator[None]:
         StoppedError: A trip, or the operator, came before it stood ready.
         LinkError, PoseError: Something is not as it should be.
     """
-    from amhe_cli.live.go1_target import Go1Target
+    from amhe_cli.robots.go1.link.target import Go1Target
 
     if not isinstance(target, Go1Target):
         yield
@@ -120,7 +120,7 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
         LinkError, PoseError: Before anything moved.
     """
     from amhe_cli.core.errors import AmheError
-    from amhe_cli.live.drive import Ending
+    from amhe_cli.live.loop import Ending
 
     try:
         with ready(target, session):
@@ -138,7 +138,7 @@ def attendant(
 
     @contextmanager
     def attend(target: Any, recorder: Recorder, history: History) -> Iterator[None]:
-        from amhe_cli.go1_link.link import StoppedError
+        from amhe_cli.robots.go1.link.link import StoppedError
 
         try:
             with ready(target, session):
@@ -154,7 +154,7 @@ def attendant(
 
 def _by_signal(target: Any) -> bool:
     """Whether it was Ctrl-C, or the like, that ended it: no error."""
-    from amhe_cli.live.go1_target import SIGNALS
+    from amhe_cli.robots.go1.link.target import SIGNALS
 
     return target.report.reason in SIGNALS
 
@@ -162,7 +162,7 @@ def _by_signal(target: Any) -> bool:
 def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, Any]:
     """What result.json says of the link, which the log's last diagnostics say too; {} for a simulation."""
     from amhe_cli.live import messages
-    from amhe_cli.live.go1_target import Go1Target
+    from amhe_cli.robots.go1.link.target import Go1Target
 
     if not isinstance(target, Go1Target):
         return {}

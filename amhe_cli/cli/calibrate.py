@@ -12,7 +12,7 @@ from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.live.go1_calibration import Offsets
+    from amhe_cli.robots.go1.link.calibration import Offsets
 
 #: The file of settings that is written.
 SETTINGS = "offsets.yaml"
@@ -45,9 +45,9 @@ def calibrate(
     """
     import json
 
-    from amhe_cli.go1_assembly import open_calibration
     from amhe_cli.report.folder import filling, reserve
-    from amhe_cli.run_assembly import RunOptions
+    from amhe_cli.robots.go1.link.open import open_calibration
+    from amhe_cli.robots.go1.run import RunOptions
 
     session.hush_mujoco()
     reached = at_the_robot.wire_of("go1", wire)

@@ -107,11 +107,11 @@ def emulate(
     go1.box_offset the rigid bodies: the same --config suits both.
     """
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.emulator.emulator import Emulator, EmulatorOptions
-    from amhe_cli.emulator.faults import parse_faults
-    from amhe_cli.go1_link.priority import ROBOT, take_priority
-    from amhe_cli.poses import natnet, udp
-    from amhe_cli.run_assembly import RunOptions, task_and_system
+    from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
+    from amhe_cli.robots.go1.emulator.faults import parse_faults
+    from amhe_cli.robots.go1.link.priority import ROBOT, take_priority
+    from amhe_cli.robots.go1.poses import natnet, udp
+    from amhe_cli.robots.go1.run import RunOptions, task_and_system
 
     session.hush_mujoco()
     asked = RunOptions(task, target="go1", assignments=assignments, config=config)

@@ -11,7 +11,7 @@ from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.evaluation.store import Store
+    from amhe_cli.study.store import Store
 
 #: What --tasks is without the option: the paper's five.
 TASKS = ("t1", "t2", "t3", "t4", "t5")
@@ -117,12 +117,12 @@ def evaluate(
     Exit code 1 where a cell brought no result.
     """
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.eval_assembly import EvalOptions, planned, run_cell, study_of
-    from amhe_cli.evaluation.conduct import conduct
-    from amhe_cli.evaluation.store import open_store, start
-    from amhe_cli.executors import pool_of
+    from amhe_cli.core.executors import pool_of
     from amhe_cli.report.folder import reserve
     from amhe_cli.report.provenance import machine, now
+    from amhe_cli.study.conduct import conduct
+    from amhe_cli.study.plan import EvalOptions, planned, run_cell, study_of
+    from amhe_cli.study.store import open_store, start
 
     if report:
         _tell(session, open_store(report), 0)
@@ -130,7 +130,7 @@ def evaluate(
     if resume and out is None:
         raise click.UsageError("--resume goes on in a folder: name it with -o OUT")
     from amhe_cli.cli.eval_progress import eval_progress
-    from amhe_cli.control.tasks import LONGEST
+    from amhe_cli.robots.go1.tasks import LONGEST
 
     longest = LONGEST if duration is None else duration
     wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, assignments, config)
@@ -153,9 +153,9 @@ def evaluate(
 
 def _tell(session: Session, store: Store, left: int) -> None:
     """Write and print what the cells say; fail where some brought nothing."""
-    from amhe_cli.control.tasks import TASKS as ALL
-    from amhe_cli.report.evaluation.files import write_study
-    from amhe_cli.run_assembly import MODES
+    from amhe_cli.report.study.files import write_study
+    from amhe_cli.robots.go1.run import MODES
+    from amhe_cli.robots.go1.tasks import TASKS as ALL
 
     report = write_study(store, ALL, MODES)
     if session.json:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from amhe_cli.evaluation.results import Result
+    from amhe_cli.study.results import Result
 
 #: Called with each result.
 OnResult: TypeAlias = "Callable[[Result], None]"

@@ -81,9 +81,9 @@ def identify(
     """
     from amhe_cli.assembly import LogSource, identify_problem
     from amhe_cli.cli.progress import progress
-    from amhe_cli.estimation.identification import IdentifyOptions
-    from amhe_cli.estimation.identification import identify as run
-    from amhe_cli.executors import executor_of
+    from amhe_cli.core.executors import executor_of
+    from amhe_cli.estimation.offline.identification import IdentifyOptions
+    from amhe_cli.estimation.offline.identification import identify as run
     from amhe_cli.report.folder import reserve
     from amhe_cli.report.identification import write_identification
     from amhe_cli.report.provenance import provenance

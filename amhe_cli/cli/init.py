@@ -39,8 +39,8 @@ def init(
     Its system.yaml is commented: the signals matched to joints by name, candidate parameters, and what
     was guessed. Read it, correct it, then: amhe identify LOG --system DIR.
     """
+    from amhe_cli.init.folder import init_system
     from amhe_cli.report.folder import reserve
-    from amhe_cli.system.init import init_system
 
     session.hush_mujoco()
     folder = reserve(out, "init", force)

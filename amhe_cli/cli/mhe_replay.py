@@ -50,9 +50,9 @@ def mhe_replay(
     from amhe_cli.assembly import LogSource
     from amhe_cli.cli.replay_progress import replay_progress
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.online.fits import replay_fits
-    from amhe_cli.online.prediction import predictions
-    from amhe_cli.online.replay import caution, replayed
+    from amhe_cli.estimation.online.fits import replay_fits
+    from amhe_cli.estimation.online.prediction import predictions
+    from amhe_cli.estimation.online.replay import caution, replayed
     from amhe_cli.replay_assembly import bundled_log, open_replay
     from amhe_cli.report.folder import reserve
     from amhe_cli.report.provenance import estimator_provenance

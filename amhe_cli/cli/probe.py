@@ -12,7 +12,7 @@ from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.probing.design import Accuracy
+    from amhe_cli.estimation.design.design import Accuracy
 
 #: The log that is written.
 LOG = "probe.mcap"
@@ -78,14 +78,14 @@ def probe(
     (--target go1: read docs/go1.md first) it is all planned before anything is sent.
     """
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.probing.assembly import open_probe, robot_to_probe
-    from amhe_cli.probing.plan import known_record, plan_record
-    from amhe_cli.probing.probe import ProbeOptions, achieved
-    from amhe_cli.probing.robot import Robot
+    from amhe_cli.estimation.design.plan import known_record, plan_record
+    from amhe_cli.estimation.design.probe import ProbeOptions, achieved
     from amhe_cli.report.folder import filling, reserve
     from amhe_cli.report.probe_table import print_achieved, print_plan
     from amhe_cli.report.provenance import provenance
     from amhe_cli.report.record import plain
+    from amhe_cli.robots.go1.probing.open import open_probe, robot_to_probe
+    from amhe_cli.robots.go1.probing.robot import Robot
     from amhe_cli.system.load import bundled_systems
 
     session.hush_mujoco()

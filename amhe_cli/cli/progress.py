@@ -12,7 +12,7 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from amhe_cli.estimation.result import Iteration
+    from amhe_cli.estimation.offline.result import Iteration
 
 #: Called after each iteration with its record and the total expected.
 OnIteration: TypeAlias = "Callable[[Iteration, int], None]"

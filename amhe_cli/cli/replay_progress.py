@@ -12,7 +12,7 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from amhe_cli.online.horizon import Estimate
+    from amhe_cli.estimation.online.horizon import Estimate
 
 #: Called with each estimate.
 OnEstimate: TypeAlias = "Callable[[Estimate], None]"

@@ -96,17 +96,17 @@ def run(
     """
     from amhe_cli.cli.run_progress import run_progress
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.control.tasks import LONGEST
-    from amhe_cli.live.drive import drive
-    from amhe_cli.live.history import History
+    from amhe_cli.live.loop import drive
     from amhe_cli.report import run_words
     from amhe_cli.report.folder import filling, reserve
     from amhe_cli.report.provenance import run_provenance
     from amhe_cli.report.run import write_run
     from amhe_cli.report.run_record import run_record
     from amhe_cli.report.run_table import print_run
-    from amhe_cli.run_assembly import RunOptions, open_run
-    from amhe_cli.run_files import film_of, recorder_of
+    from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.recording import film_of, recorder_of
+    from amhe_cli.robots.go1.run import RunOptions, open_run
+    from amhe_cli.robots.go1.tasks import LONGEST
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration

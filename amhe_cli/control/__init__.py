@@ -1,1 +1,1 @@
-"""Floor 3: how a legged robot is moved."""
+"""MPOPI, its splines, the controller, and the protocols of what it controls."""

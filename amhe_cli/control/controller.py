@@ -6,16 +6,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from amhe_cli.control.behaviour import Behaviour, Move
 from amhe_cli.control.mpopi import JOINTS, Mpopi, Scores, Step
-from amhe_cli.control.objective import Reference
+from amhe_cli.control.protocols import Behaviour, Move
 from amhe_cli.control.splines import spline_basis
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.settings import ControlSettings
 from amhe_cli.engine.rollout import RolloutEngine, Rollouts
-from amhe_cli.go1.legs import LOWER, UPPER
-from amhe_cli.go1.model import Layout
-from amhe_cli.go1.state import Body, State, coordinates, state_of
+from amhe_cli.robots.go1.behaviours.objective import Reference
+from amhe_cli.robots.go1.kinematics import LOWER, UPPER
+from amhe_cli.robots.go1.model import Layout
+from amhe_cli.robots.go1.state import Body, State, coordinates, state_of
 
 
 @dataclass(frozen=True, slots=True, eq=False)

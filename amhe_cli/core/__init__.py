@@ -1,1 +1,1 @@
-"""Floor 0, the words of the house: plain values and arithmetic, no files, no simulator."""
+"""Values that everybody uses; numpy only."""

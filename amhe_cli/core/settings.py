@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from amhe_cli.core.go1_settings import Go1Settings
+from amhe_cli.robots.go1.settings import Go1Settings
 
 
 def _ordered(pair: tuple[float, float]) -> tuple[float, float]:

@@ -1,1 +1,1 @@
-"""Floor 1: rollouts of many candidate parameters at once."""
+"""Rollouts of many candidate parameters at once."""

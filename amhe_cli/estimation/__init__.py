@@ -1,1 +1,1 @@
-"""Floor 3: methods that find parameters, and say how well they are known."""
+"""Methods that find parameters, and say how well they are known."""

@@ -1,1 +1,1 @@
-"""Floor 4: the loop of target, estimator and controller, what it logs, and how well it did."""
+"""The loop of target, estimator and controller, and what it records."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
+from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.buffer import Buffer
 from amhe_cli.live.episode import BeliefSource, Cycle, News
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.workers import Worker
-from amhe_cli.online.horizon import Estimate
 
 
 class FixedBelief:

@@ -9,14 +9,14 @@ from typing import Protocol
 
 import numpy as np
 
-from amhe_cli.control.behaviour import Behaviour
 from amhe_cli.control.controller import Controller, Plan
-from amhe_cli.control.state_estimator import StateEstimator
+from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.go1.state import GRAVITY, Measurements, State
-from amhe_cli.live.judge import Judge
+from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.target import Target
-from amhe_cli.online.horizon import Estimate
+from amhe_cli.robots.go1.judge import Judge
+from amhe_cli.robots.go1.state import GRAVITY, Measurements, State
+from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,13 +12,13 @@ from types import TracebackType
 
 import numpy as np
 
-from amhe_cli.control.tasks import Task
-from amhe_cli.go1.legs import JOINTS
+from amhe_cli.estimation.online import messages as estimates
 from amhe_cli.live import messages
 from amhe_cli.live.episode import Cycle
 from amhe_cli.live.samples import CycleSamples, Sampler
 from amhe_cli.logs import LogWriter
-from amhe_cli.online import messages as estimates
+from amhe_cli.robots.go1.kinematics import JOINTS
+from amhe_cli.robots.go1.tasks import Task
 
 #: Topics whose content is not a matter of the seed alone.
 WALL_CLOCK = ("/amhe/timing", "/diagnostics")

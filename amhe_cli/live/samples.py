@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.go1.state import Body, Measurements
 from amhe_cli.live.episode import Cycle
+from amhe_cli.robots.go1.state import Body, Measurements
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,8 +9,8 @@ import numpy as np
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.go1.plant import Plant
-from amhe_cli.go1.state import Measurements, State, merged
+from amhe_cli.robots.go1.plant import Plant
+from amhe_cli.robots.go1.state import Measurements, State, merged
 
 
 class Target(Protocol):

@@ -14,8 +14,8 @@ from typing import Protocol
 
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.trajectory import Window
+from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.live.episode import News
-from amhe_cli.online.horizon import Estimate, MovingHorizon
 
 #: Makes the estimator, from a belief or from that of the run's start; picklable, since it may run in another
 #: process.

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from amhe_cli.logs.messages.writer import LogWriter
+from amhe_cli.logs.read import read_trajectory
 from amhe_cli.logs.survey import Survey, TopicSurvey, read_metadata, survey
-from amhe_cli.logs.trajectory import read_trajectory
 from amhe_cli.logs.truth import read_truth
-from amhe_cli.logs.writer import LogWriter
 
 __all__ = [
     "LogWriter",

@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
-from amhe_cli.logs.decode import SignalSamples
-from amhe_cli.logs.raw import messages
+from amhe_cli.logs.containers.raw import messages
+from amhe_cli.logs.messages.decode import SignalSamples
 
 logger = logging.getLogger(__name__)
 

@@ -8,11 +8,11 @@ from difflib import get_close_matches
 
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.decode import SignalDecoder
-from amhe_cli.logs.definitions import Definitions
-from amhe_cli.logs.folder import Log
-from amhe_cli.logs.raw import Channel, messages
-from amhe_cli.logs.split import Splitter
+from amhe_cli.logs.containers.folder import Log
+from amhe_cli.logs.containers.raw import Channel, messages
+from amhe_cli.logs.messages.decode import SignalDecoder
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.split import Splitter
 
 logger = logging.getLogger(__name__)
 

@@ -10,8 +10,8 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.decode import SignalSamples
-from amhe_cli.logs.raw import messages
+from amhe_cli.logs.containers.raw import messages
+from amhe_cli.logs.messages.decode import SignalSamples
 
 #: A quaternion whose norm is off by more than this is not a rotation but damage or no data.
 _NORM = 0.05

@@ -10,13 +10,13 @@ import numpy as np
 
 from amhe_cli.core.arrays import IntArray
 from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_words, timeline
-from amhe_cli.logs.decode import SignalSamples, nanoseconds, time_leaves
-from amhe_cli.logs.definitions import Definitions
-from amhe_cli.logs.folder import open_log
-from amhe_cli.logs.layout import Layout
-from amhe_cli.logs.message_types import TYPES, TypeInfo
-from amhe_cli.logs.raw import Batch, Channel, messages, readable
-from amhe_cli.logs.split import Group, Splitter
+from amhe_cli.logs.containers.folder import open_log
+from amhe_cli.logs.containers.raw import Batch, Channel, messages, readable
+from amhe_cli.logs.messages.decode import SignalSamples, nanoseconds, time_leaves
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.layout import Layout
+from amhe_cli.logs.messages.split import Group, Splitter
+from amhe_cli.logs.messages.types import TYPES, TypeInfo
 
 #: Messages that it takes to judge a topic's clock by.
 _ENOUGH = 10

@@ -23,7 +23,7 @@ from amhe_cli.logs.clocks import (
     step_words,
     timeline,
 )
-from amhe_cli.logs.decode import SignalDecoder, SignalSamples
+from amhe_cli.logs.messages.decode import SignalDecoder, SignalSamples
 from amhe_cli.logs.physics import checked
 
 logger = logging.getLogger(__name__)

@@ -10,7 +10,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.trajectory import read_trajectory
+from amhe_cli.logs.read import read_trajectory
 
 #: A JointState whose names are the parameters, and whose positions are their values.
 TOPIC = "/amhe/truth"

@@ -19,7 +19,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Belief
-from amhe_cli.estimation.result import Fit, Iteration, ParameterResult
+from amhe_cli.estimation.offline.result import Fit, Iteration, ParameterResult
 
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it tells users about its font cache
 

@@ -9,8 +9,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from amhe_cli.estimation.result import Identification
-from amhe_cli.report.belief_file import belief_text
+from amhe_cli.core.belief_file import belief_text
+from amhe_cli.estimation.offline.result import Identification
 from amhe_cli.report.folder import filling
 from amhe_cli.report.page import identification_page
 from amhe_cli.system.export import identified_assets, identified_xml

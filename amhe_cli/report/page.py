@@ -11,7 +11,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from amhe_cli.estimation.result import VERDICTS, Fit, Identification, ParameterResult
+from amhe_cli.estimation.offline.result import VERDICTS, Fit, Identification, ParameterResult
 from amhe_cli.report import figures, numbers, words
 
 #: Clips whose fit is drawn, and how many of them are open at once.

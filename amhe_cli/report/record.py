@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.result import HeldOut, Identification, ParameterResult
+from amhe_cli.estimation.offline.result import HeldOut, Identification, ParameterResult
 
 #: Fields of a parameter that are plain numbers or words, in the order of result.json.
 _PARAMETER_FIELDS = (

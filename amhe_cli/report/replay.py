@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from amhe_cli.estimation.result import Fit
-from amhe_cli.online.prediction import Prediction
-from amhe_cli.online.replay import Replay
+from amhe_cli.estimation.offline.result import Fit
+from amhe_cli.estimation.online.prediction import Prediction
+from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report.folder import filling
 from amhe_cli.report.replay_log import write_log
 from amhe_cli.report.replay_page import replay_page

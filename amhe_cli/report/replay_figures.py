@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.online.replay import Replay
+from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report.figures import IDENTIFIED, INITIAL, INK, MEASURED, Grid, styled, svg, thinned
 
 #: Of what a window was marked with: a jump is a line, the others are shaded for as long as they last.

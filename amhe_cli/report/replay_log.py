@@ -10,12 +10,12 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.signals import Signal
 from amhe_cli.core.trajectory import Trajectory
+from amhe_cli.estimation.online import messages
+from amhe_cli.estimation.online.horizon import Estimate
+from amhe_cli.estimation.online.prediction import Prediction
+from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.live.messages import ERROR, OK, WARN, write_diagnostics
 from amhe_cli.logs import LogWriter
-from amhe_cli.online import messages
-from amhe_cli.online.horizon import Estimate
-from amhe_cli.online.prediction import Prediction
-from amhe_cli.online.replay import Replay
 from amhe_cli.report.provenance import attachments
 from amhe_cli.report.replay_words import MARKS
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from amhe_cli.estimation.result import Fit
-from amhe_cli.online.replay import Replay
+from amhe_cli.estimation.offline.result import Fit
+from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report import figures, replay_figures, replay_words
 from amhe_cli.report.page import template
 

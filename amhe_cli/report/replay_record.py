@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.identifiability import combinations
-from amhe_cli.estimation.result import Combination
-from amhe_cli.online.replay import Replay
+from amhe_cli.estimation.offline.identifiability import combinations
+from amhe_cli.estimation.offline.result import Combination
+from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report.record import plain, quantiles
 from amhe_cli.report.words import MAX_COMBINATIONS, sharper
 

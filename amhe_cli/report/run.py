@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from amhe_cli.control.tasks import Task
-from amhe_cli.live.history import History
 from amhe_cli.report.run_page import run_page
+from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.tasks import Task
 from amhe_cli.system.system import System
 
 

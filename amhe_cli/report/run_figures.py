@@ -8,9 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from amhe_cli.control.tasks import Task
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.live.history import History
 from amhe_cli.report.figures import (
     IDENTIFIED,
     INITIAL,
@@ -24,6 +22,8 @@ from amhe_cli.report.figures import (
     thinned,
 )
 from amhe_cli.report.run_words import TERMS
+from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.tasks import Task
 
 GOAL, BOX = "#15803d", "#b45309"
 #: The view from above is no higher than this [inch], and shows no less than this [m].

@@ -7,10 +7,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from amhe_cli.control.tasks import Task
-from amhe_cli.live.history import History
 from amhe_cli.report import run_figures, run_words
 from amhe_cli.report.page import template
+from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.tasks import Task
 
 
 def run_page(

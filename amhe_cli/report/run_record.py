@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.live.drive import Ending
-from amhe_cli.live.history import History
-from amhe_cli.live.judge import Measures
+from amhe_cli.live.loop import Ending
 from amhe_cli.report.record import plain, quantiles
+from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.judge import Measures
 
 
 def run_record(measures: Measures, history: History, ending: Ending) -> dict[str, Any]:

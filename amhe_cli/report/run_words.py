@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from amhe_cli.control.tasks import Task
-from amhe_cli.live.judge import CLOSE_ENOUGH, ON_TIME
 from amhe_cli.report import numbers
+from amhe_cli.robots.go1.judge import CLOSE_ENOUGH, ON_TIME
+from amhe_cli.robots.go1.tasks import Task
 
 #: Terms of the running cost, as a reader knows them.
 TERMS = {

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from amhe_cli.estimation.result import HeldOut, Identification, ParameterResult
+from amhe_cli.estimation.offline.result import HeldOut, Identification, ParameterResult
 from amhe_cli.report import numbers, words
 
 #: Colour of each verdict.

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from amhe_cli.estimation.result import VERDICTS, Combination, HeldOut, Identification, ParameterResult
+from amhe_cli.estimation.offline.result import VERDICTS, Combination, HeldOut, Identification, ParameterResult
 from amhe_cli.report import numbers
 
 #: Residuals this many times the declared noise are worth a word.

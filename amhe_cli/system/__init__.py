@@ -1,1 +1,1 @@
-"""What is known of a robot and its surroundings: models, unknowns, signals. The room of MuJoCo's models."""
+"""A system: the model, its unknowns, and how logged signals meet the model."""

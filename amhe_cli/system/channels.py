@@ -6,10 +6,10 @@ import mujoco
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.signals import QUANTITIES
+from amhe_cli.core.yaml_file import YamlFile
 from amhe_cli.system import driven, measured
 from amhe_cli.system.schema import SignalEntry, SystemEntry
 from amhe_cli.system.wiring import Plan, chosen, signal_of
-from amhe_cli.system.yaml_file import YamlFile
 
 #: What a topic that is only read is asked for, by the end of its type's name.
 _CARRIED = {

@@ -12,6 +12,7 @@ import mujoco
 import amhe_cli
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.settings import MheSettings
+from amhe_cli.core.yaml_file import YamlFile, merged
 from amhe_cli.system.boxes import resize_boxes
 from amhe_cli.system.cautions import caution
 from amhe_cli.system.channels import plan
@@ -20,7 +21,6 @@ from amhe_cli.system.schema import SystemEntry, keys_at, validated
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import id_of
 from amhe_cli.system.unknowns import generalise, unknowns_of
-from amhe_cli.system.yaml_file import YamlFile, merged
 
 logger = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.yaml_file import YamlFile, merged, scalar
+from amhe_cli.core.yaml_file import YamlFile, merged, scalar
 
 __all__ = ["from_environment", "from_file", "gathered", "merged", "parse_set"]
 

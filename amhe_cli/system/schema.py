@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from amhe_cli.core.errors import one_of
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.signals import QUANTITIES
-from amhe_cli.system.yaml_file import Place, YamlFile, at_place
+from amhe_cli.core.yaml_file import Place, YamlFile, at_place
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]

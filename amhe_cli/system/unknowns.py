@@ -11,11 +11,11 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.yaml_file import Place, YamlFile
 from amhe_cli.system.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.inertia import PSEUDO_NAMES
 from amhe_cli.system.schema import ParameterEntry, SystemEntry, TargetEntry
 from amhe_cli.system.targets import SETTERS, Cells, cells_of, id_of, rows_of, selector_of
-from amhe_cli.system.yaml_file import Place, YamlFile
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
 LOG_PRIOR_SD = 0.5

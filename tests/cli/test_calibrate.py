@@ -12,8 +12,8 @@ import pytest
 
 from amhe_cli.cli.main import run
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.poses.calibration import offset_of
-from tests.emulator.emulating import Emulated, emulating
+from amhe_cli.robots.go1.poses.calibration import offset_of
+from tests.robots.go1.emulator.emulating import Emulated, emulating
 
 ROOT = Path(__file__).parents[2]
 TRUNK = (0.03, -0.012, -0.045, 0.02, -0.035, 0.3)

@@ -16,11 +16,11 @@ from amhe_cli.cli.eval_progress import eval_progress
 from amhe_cli.cli.main import run
 from amhe_cli.cli.session import Session
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.eval_assembly import EvalOptions, code, planned, run_cell, study_of
-from amhe_cli.evaluation.cells import Cell, setting_of
-from amhe_cli.evaluation.store import open_store
+from amhe_cli.study.cells import Cell, setting_of
+from amhe_cli.study.plan import EvalOptions, code, planned, run_cell, study_of
+from amhe_cli.study.store import open_store
 from tests.clusters import Cluster
-from tests.evaluation.cells_at_play import result
+from tests.study.cells_at_play import result
 
 ROOT = Path(__file__).parents[2]
 #: Little work: a run of five cycles.
@@ -44,7 +44,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def no_figures(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of other things: figures take seconds."""
-    monkeypatch.setattr("amhe_cli.report.evaluation.files.drawings", lambda *of: [])
+    monkeypatch.setattr("amhe_cli.report.study.files.drawings", lambda *of: [])
 
 
 def cells_of(folder: Path) -> dict[str, object]:
@@ -148,7 +148,7 @@ def test_ctrl_c_keeps_what_is_done_and_a_study_goes_on(done: Path, tmp_path: Pat
 
 @pytest.mark.usefixtures("no_figures")
 def test_a_cell_that_breaks_is_recorded_and_the_command_fails(monkeypatch, capsys) -> None:
-    monkeypatch.setattr("amhe_cli.eval_assembly.run_cell", breaking)
+    monkeypatch.setattr("amhe_cli.study.plan.run_cell", breaking)
     assert run(["eval", *GRID, *QUICK, "-q", "-o", "out"]) == 1
     err = capsys.readouterr().err
     where = "t5 baseline, control.horizon=8, control.samples=5, seed 0"
@@ -158,8 +158,8 @@ def test_a_cell_that_breaks_is_recorded_and_the_command_fails(monkeypatch, capsy
 
 def breaking(request):
     """A plant that breaks in one cell."""
-    from amhe_cli.evaluation.results import blank
-    from tests.evaluation.cells_at_play import record
+    from amhe_cli.study.results import blank
+    from tests.study.cells_at_play import record
 
     cell = request["cell"]
     broken = (cell["task"], cell["mode"]) == ("t5", "baseline")
@@ -220,7 +220,7 @@ def test_a_study_of_other_code_is_not_mixed_with_this(done: Path, capsys) -> Non
 
 def test_where_no_scheduler_answers_the_command_fails_in_one_line(monkeypatch, capsys) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("amhe_cli.executors.PATIENCE", 0.5)
+    monkeypatch.setattr("amhe_cli.core.executors.PATIENCE", 0.5)
     assert run(["eval", *GRID, "-q", "-o", "out", "--cluster", "tcp://127.0.0.1:9"]) == 1
     assert "no scheduler answers at tcp://127.0.0.1:9" in the_line(capsys)
 

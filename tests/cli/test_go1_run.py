@@ -22,11 +22,11 @@ import pytest
 
 from amhe_cli.cli import at_the_robot
 from amhe_cli.cli.main import run
-from amhe_cli.go1_link.link import Report, StoppedError
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.poses.feed import KINDS
-from tests.emulator.emulating import Emulated, emulating
-from tests.poses.streaming import free_port
+from amhe_cli.robots.go1.link.link import Report, StoppedError
+from amhe_cli.robots.go1.poses.feed import KINDS
+from tests.robots.go1.emulator.emulating import Emulated, emulating
+from tests.robots.go1.poses.streaming import free_port
 
 ROOT = Path(__file__).parents[2]
 #: Little work, quick motions, and patience with a busy machine.

@@ -12,8 +12,8 @@ import pytest
 from amhe_cli.cli.main import amhe, run
 from amhe_cli.core.settings import LogSettings, MheSettings
 from amhe_cli.core.signals import Signal
+from amhe_cli.estimation.online.horizon import UPDATES, MovingHorizon
 from amhe_cli.logs import read_metadata, read_trajectory, survey
-from amhe_cli.online.horizon import UPDATES, MovingHorizon
 from amhe_cli.system.load import bundled_root, find_system, load_system
 from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
 

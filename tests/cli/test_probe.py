@@ -11,11 +11,11 @@ import pytest
 
 from amhe_cli.cli.main import run
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.live.drive import Ending
+from amhe_cli.estimation.design.drive import DriveProbe
+from amhe_cli.estimation.design.multisine import Multisine
+from amhe_cli.live.loop import Ending
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.probing.drive import DriveProbe
-from amhe_cli.probing.multisine import Multisine
-from amhe_cli.probing.push import PushProbe
+from amhe_cli.robots.go1.probing.push import PushProbe
 from tests.conftest import MODELS, PENDULUM_TRUTH
 
 #: Little work: the plans need not be good.
@@ -184,7 +184,7 @@ def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
     rehearsed = PushProbe.run
 
     def falls(*arguments: Any) -> Ending:
-        monkeypatch.setattr("amhe_cli.live.judge.FALLEN_HEIGHT", 10.0)
+        monkeypatch.setattr("amhe_cli.robots.go1.judge.FALLEN_HEIGHT", 10.0)
         return rehearsed(*arguments)
 
     monkeypatch.setattr(PushProbe, "run", falls)
@@ -198,6 +198,6 @@ def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
 
 def test_falls_in_every_rehearsal_are_said_before_anything_moves(monkeypatch, capsys) -> None:
     Path("quick.yaml").write_text(QUICK_SETTINGS)
-    monkeypatch.setattr("amhe_cli.live.judge.FALLEN_HEIGHT", 10.0)
+    monkeypatch.setattr("amhe_cli.robots.go1.judge.FALLEN_HEIGHT", 10.0)
     assert run(["probe", "--for", "2", "-o", "probe", *QUICK]) == 1
     assert "no rehearsal told anything" in capsys.readouterr().err

@@ -13,12 +13,12 @@ import pytest
 from amhe_cli.cli import options
 from amhe_cli.cli import run as command
 from amhe_cli.cli.main import run
-from amhe_cli.control.tasks import TASKS
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.go1 import video
-from amhe_cli.go1.plant import Plant
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.run_assembly import MODES
+from amhe_cli.robots.go1 import video
+from amhe_cli.robots.go1.plant import Plant
+from amhe_cli.robots.go1.run import MODES
+from amhe_cli.robots.go1.tasks import TASKS
 
 ROOT = Path(__file__).parents[2]
 
@@ -137,7 +137,7 @@ def test_a_belief_that_does_not_suit_is_refused(capsys, system: str, mass: float
 
 
 def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
-    monkeypatch.setattr("amhe_cli.live.judge.FALLEN_HEIGHT", 10.0)
+    monkeypatch.setattr("amhe_cli.robots.go1.judge.FALLEN_HEIGHT", 10.0)
     assert run(["run", "--task", "t1", "-o", "out", *QUICK]) == 1
     out, err = capsys.readouterr()
     assert "the robot fell" in out

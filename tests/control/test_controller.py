@@ -8,15 +8,15 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from amhe_cli.control.behaviour import Behaviour
 from amhe_cli.control.controller import Controller, Plan
-from amhe_cli.control.objective import Reference
+from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.settings import ControlSettings
 from amhe_cli.engine.rollout import Rollouts
-from amhe_cli.go1.legs import HOME, LOWER, UPPER
-from amhe_cli.go1.model import home, layout, planner_model
-from amhe_cli.go1.state import Body, State, state_of
+from amhe_cli.robots.go1.behaviours.objective import Reference
+from amhe_cli.robots.go1.kinematics import HOME, LOWER, UPPER
+from amhe_cli.robots.go1.model import home, layout, planner_model
+from amhe_cli.robots.go1.state import Body, State, state_of
 
 MODEL = planner_model()
 AT = layout(MODEL)

@@ -16,17 +16,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amhe_cli.assembly import LogSource, open_system, trajectories
-from amhe_cli.control.tasks import Believed, find_task
 from amhe_cli.core.parameters import Belief, belief_of
 from amhe_cli.core.trajectory import Window
+from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.live.belief import AdaptiveBelief
 from amhe_cli.live.buffer import Buffer
 from amhe_cli.live.episode import Cycle, News
 from amhe_cli.live.samples import Sampler
 from amhe_cli.live.workers import InProcess, InStep
-from amhe_cli.online.horizon import Estimate, MovingHorizon
-from amhe_cli.run_assembly import RunOptions, estimator_of, open_run
-from amhe_cli.run_files import recorder_of
+from amhe_cli.robots.go1.recording import recorder_of
+from amhe_cli.robots.go1.run import RunOptions, estimator_of, open_run
+from amhe_cli.robots.go1.tasks import Believed, find_task
 
 QUICK = ("control.samples=5", "control.horizon=8", "mhe.samples=6")
 

@@ -10,17 +10,17 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.control import tasks
-from amhe_cli.control.tasks import Task
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.go1.changes import Change
-from amhe_cli.go1.legs import HOME
-from amhe_cli.go1.model import Box, home, plant_model
-from amhe_cli.go1.plant import Plant
-from amhe_cli.go1.state import State
 from amhe_cli.live.episode import Cycle, resistance
-from amhe_cli.run_assembly import Run, RunOptions, measured, open_run, task_and_system
+from amhe_cli.robots.go1 import tasks
+from amhe_cli.robots.go1.changes import Change
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.model import Box, home, plant_model
+from amhe_cli.robots.go1.plant import Plant
+from amhe_cli.robots.go1.run import Run, RunOptions, measured, open_run, task_and_system
+from amhe_cli.robots.go1.state import State
+from amhe_cli.robots.go1.tasks import Task
 
 PERIOD = 0.02
 

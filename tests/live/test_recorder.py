@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from amhe_cli.assembly import LogSource, inspections, open_system, trajectories
-from amhe_cli.control.tasks import TASKS
-from amhe_cli.go1.legs import JOINTS
 from amhe_cli.live.recorder import WALL_CLOCK, Recorder
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.run_assembly import RunOptions, open_run
-from amhe_cli.run_files import recorder_of
+from amhe_cli.robots.go1.kinematics import JOINTS
+from amhe_cli.robots.go1.recording import recorder_of
+from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.robots.go1.tasks import TASKS
 
 QUICK = ("control.samples=5", "control.horizon=8")
 

@@ -10,11 +10,11 @@ import pytest
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.go1.legs import HOME
-from amhe_cli.go1.model import plant_model
-from amhe_cli.go1.plant import Plant
-from amhe_cli.go1.state import Measurements, merged
 from amhe_cli.live.target import SimTarget
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.model import plant_model
+from amhe_cli.robots.go1.plant import Plant
+from amhe_cli.robots.go1.state import Measurements, merged
 
 PERIOD = 0.02
 STAND = np.full(12, -1.0)

@@ -17,7 +17,8 @@ from rosbags.highlevel import AnyReader
 
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import LogWriter, compression, read_metadata, read_trajectory, survey
+from amhe_cli.logs import LogWriter, read_metadata, read_trajectory, survey
+from amhe_cli.logs.containers import compression
 from tests.logs.log_makers import (
     DT,
     JOINTS,

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
 
-from amhe_cli.logs.definitions import Definitions
-from amhe_cli.logs.layout import MalformedMessageError, walk
-from amhe_cli.logs.raw import Channel, batch_of
-from amhe_cli.logs.split import Splitter
+from amhe_cli.logs.containers.raw import Channel, batch_of
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.layout import MalformedMessageError, walk
+from amhe_cli.logs.messages.split import Splitter
 from tests.logs.log_makers import ROS1, ROS2
 
 FLOATS, STRINGS = ("float32", "float64"), ("string", "wstring")

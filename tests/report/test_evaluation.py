@@ -9,19 +9,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.control.tasks import TASKS
-from amhe_cli.evaluation.ablations import ablations
-from amhe_cli.evaluation.cells import Cell, Setting, setting_of
-from amhe_cli.evaluation.estimates import change_of
-from amhe_cli.evaluation.goals import goals
-from amhe_cli.evaluation.store import Study
-from amhe_cli.evaluation.summary import Groups
-from amhe_cli.report.evaluation import curves, formats, tables
-from amhe_cli.report.evaluation.drawing import drawn
-from amhe_cli.report.evaluation.figures import drawings
-from amhe_cli.report.evaluation.page import study_page
-from amhe_cli.report.evaluation.paths import one_leg_figure
-from tests.evaluation.cells_at_play import result
+from amhe_cli.report.study import curves, formats, tables
+from amhe_cli.report.study.drawing import drawn
+from amhe_cli.report.study.figures import drawings
+from amhe_cli.report.study.page import study_page
+from amhe_cli.report.study.paths import one_leg_figure
+from amhe_cli.robots.go1.tasks import TASKS
+from amhe_cli.study.ablations import ablations
+from amhe_cli.study.cells import Cell, Setting, setting_of
+from amhe_cli.study.estimates import change_of
+from amhe_cli.study.goals import goals
+from amhe_cli.study.store import Study
+from amhe_cli.study.summary import Groups
+from tests.study.cells_at_play import result
 
 MODES = ("true", "baseline", "stale", "adaptive")
 DEFAULTS = {"control.samples": 8}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from amhe_cli.estimation.result import HeldOut, Identification
+from amhe_cli.estimation.offline.result import HeldOut, Identification
 from amhe_cli.report import words
 from amhe_cli.report.page import identification_page
 from amhe_cli.report.record import identification_record, plain

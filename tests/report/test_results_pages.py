@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from amhe_cli.evaluation.cells import Cell
-from amhe_cli.evaluation.store import Study, start
-from tests.evaluation.cells_at_play import CODE, record
+from amhe_cli.study.cells import Cell
+from amhe_cli.study.store import Study, start
+from tests.study.cells_at_play import CODE, record
 
 ROOT = Path(__file__).parents[2]
 
@@ -21,7 +21,7 @@ def pages(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     spec.loader.exec_module(script)
     monkeypatch.setattr(script, "STUDIES", tmp_path / "results")
     monkeypatch.setattr(script, "PAGES", (tmp_path / "page.md",))
-    monkeypatch.setattr("amhe_cli.report.evaluation.files.drawings", lambda *of: [])
+    monkeypatch.setattr("amhe_cli.report.study.files.drawings", lambda *of: [])
     return script
 
 

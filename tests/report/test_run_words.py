@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from amhe_cli.control.tasks import find_task
 from amhe_cli.report import run_words
+from amhe_cli.robots.go1.tasks import find_task
 
 RECORD: dict[str, Any] = {
     "error": None, "fell": False, "interrupted": False, "success": True, "arrived": True, "on_time": True,

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.go1.legs import HOME, HOME_HEIGHT
-from amhe_cli.go1.model import Box, home, layout, planner_model, plant_model
+from amhe_cli.robots.go1.kinematics import HOME, HOME_HEIGHT
+from amhe_cli.robots.go1.model import Box, home, layout, planner_model, plant_model
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.yaml_file import YamlFile, scalar
 from amhe_cli.system.load import bundled_root, find_system, load_system
-from amhe_cli.system.yaml_file import YamlFile, scalar
 
 Write = Callable[..., Path]
 

@@ -1,0 +1,1 @@
+"""Which excitation makes the parameters visible: information, plans, playback."""

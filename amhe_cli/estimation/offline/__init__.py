@@ -1,0 +1,1 @@
+"""SPI: search over clips of all logs, posterior, checks and verdicts."""

@@ -1,0 +1,172 @@
+"""SPI's search as the paper has it: CMA-ES (the `cmaes` package) over the matching cost and the prior."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from cmaes import CMA
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.result import Iteration
+from amhe_cli.matching.cost import MatchingCost, quadratic_prior
+
+#: What a `cmaes.CMA` remembers between generations besides its constants, and what a checkpoint keeps.
+MEMORY = ("_mean", "_C", "_sigma", "_p_sigma", "_pc", "_g", "_funhist_values")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Where a CMA-ES search stands; all that a checkpoint needs.
+
+    Args:
+        start: Number of the current start, from 0.
+        starts: How many there are.
+        number: Iterations done, of all starts.
+        generation: Iterations done of this start.
+        memory: MEMORY of the current start's CMA; empty before its first generation.
+        best_value: Value of z on the tiles; inf while there is nothing better than the first start's mean.
+        z: Best of the finished starts and of what was known before them; the mean of the first start while
+            there is none. What is reported if the search is cut short here, shape (d,).
+        scale: Channel -> residual sd over declared noise sd.
+        record: One entry an iteration.
+        done: Nothing is left to do.
+    """
+
+    start: int
+    starts: int
+    number: int
+    generation: int
+    memory: Mapping[str, FloatArray]
+    best_value: float
+    z: FloatArray
+    scale: Mapping[str, float] = field(default_factory=dict)
+    record: tuple[Iteration, ...] = ()
+    done: bool = False
+
+
+def start(problem: Problem, starts: int, after: search.State | None = None) -> State:
+    """Before the first generation; `after` carries a failed linearised search's record over."""
+    zero = np.zeros(len(problem.system.space))
+    state = State(0, starts, 0, 0, {}, np.inf, zero)
+    if after is None:
+        return state
+    known = np.stack((after.z, zero))  # a rescue gives back nothing worse than what it was called for
+    values = _on_tiles(problem, known)
+    best = int(np.argmin(values))
+    return replace(
+        state,
+        number=after.number,
+        record=after.record,
+        scale=after.scale,
+        z=known[best],
+        best_value=float(values[best]),
+    )
+
+
+def total(problem: Problem, state: State) -> int:
+    """Expected number of iterations."""
+    return (
+        state.number
+        - state.generation
+        + (state.starts - state.start) * problem.settings.identify.cmaes_iterations
+    )
+
+
+def advance(problem: Problem, state: State) -> State:
+    """One generation: draw clips, ask, evaluate all candidates on the same clips, tell."""
+    rng = problem.rng(1, state.start, state.generation)
+    windows = problem.pool.draw(rng, problem.clip_count)
+    cost = problem.cost(windows, state.scale)
+    optimizer = _restored(problem, state, rng)
+    free = np.flatnonzero(problem.active)
+    asked = np.zeros((optimizer.population_size + 1, state.z.size))
+    asked[:-1, free] = [optimizer.ask() for _ in range(optimizer.population_size)]
+    asked[-1, free] = optimizer.mean
+    residuals = cost.residuals(asked)
+    worth = problem.coverage(windows) * cost.clips.counts.sum()
+    costs = cost.rescaled(residuals, [1.0] * len(cost.clips.observed))
+    costs = np.where(residuals.completed.all(axis=1), costs, np.inf)
+    prior = problem.system.space.prior_precision
+    values = worth * costs + quadratic_prior(asked, np.zeros_like(state.z), prior)
+    finite = np.where(np.isfinite(values), values, 1e300)  # cmaes sorts, and wants numbers
+    optimizer.tell([(z[free], value) for z, value in zip(asked[:-1], finite[:-1], strict=True)])
+    mean = asked[-1].copy()
+    mean[free] = optimizer.mean
+    declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
+    best = int(np.argmin(values))
+    entry = Iteration(
+        number=state.number + 1,
+        method=f"cmaes, start {state.start + 1}",
+        cost=float(cost.rescaled(residuals, declared)[best]),
+        sigma=float(optimizer._sigma * np.sqrt(np.diag(optimizer._C)).mean()),
+        rollouts=residuals.completed.size,
+        diverged=int((~residuals.completed).sum()),
+        theta=tuple(float(t) for t in problem.system.space.theta_of(mean)),
+    )
+    moved = replace(
+        state,
+        number=state.number + 1,
+        generation=state.generation + 1,
+        memory={name: np.array(getattr(optimizer, name), dtype=float) for name in MEMORY},
+        z=mean if np.isinf(state.best_value) else state.z,
+        scale=_scale(cost, residuals.values, best, declared),
+        record=(*state.record, entry),
+    )
+    over = moved.generation >= problem.settings.identify.cmaes_iterations or optimizer.should_stop()
+    return _finish_start(problem, moved, mean) if over else moved
+
+
+def _restored(problem: Problem, state: State, rng: np.random.Generator) -> CMA:
+    """The optimizer as the last generation left it, with this generation's own random numbers."""
+    free = np.flatnonzero(problem.active)
+    lower, upper = problem.system.space.bounds
+    mean = np.zeros(free.size)
+    if state.start:
+        mean = problem.rng(2, state.start).normal(0.0, 0.7, free.size)
+    optimizer = CMA(
+        mean=np.clip(mean, lower[free] + 1e-9, upper[free] - 1e-9),
+        sigma=0.5,
+        bounds=np.stack((lower[free], upper[free]), axis=1),
+        seed=int(rng.integers(2**31)),
+        population_size=problem.settings.identify.samples,
+    )
+    for name, value in state.memory.items():
+        setattr(optimizer, name, value if value.ndim else type(getattr(optimizer, name))(value))
+    return optimizer
+
+
+def _scale(
+    cost: MatchingCost, values: tuple[FloatArray, ...], best: int, before: list[float]
+) -> dict[str, float]:
+    """Residual sd over declared noise sd of each channel, of the best candidate."""
+    scale = {}
+    for observed, residual, factor in zip(cost.clips.observed, values, before, strict=True):
+        count = max(int(observed.mask.sum()) * observed.width, 1)
+        scale[observed.channel.key] = factor * max(float(np.sqrt((residual[best] ** 2).sum() / count)), 1e-6)
+    return scale
+
+
+def _on_tiles(problem: Problem, z: FloatArray) -> FloatArray:
+    """By what starts are compared: cost of candidates (p, d) on every tile, with the prior, shape (p,)."""
+    cost = problem.cost(problem.tiles)
+    prior = quadratic_prior(z, np.zeros(z.shape[1]), problem.system.space.prior_precision)
+    return cost.costs(z) + prior / cost.clips.counts.sum()
+
+
+def _finish_start(problem: Problem, state: State, mean: FloatArray) -> State:
+    """Keep the better of this start's mean and what was known before."""
+    value = float(_on_tiles(problem, mean[None])[0])
+    better = value < state.best_value
+    return replace(
+        state,
+        start=state.start + 1,
+        generation=0,
+        memory={},
+        z=mean if better else state.z,
+        best_value=min(value, state.best_value),
+        done=state.start + 1 >= state.starts,
+    )

@@ -1,0 +1,120 @@
+"""After the search: how well the estimate is known, how well it predicts, and what to show."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.statistics import correlation
+from amhe_cli.core.trajectory import Window
+from amhe_cli.estimation.offline import cma
+from amhe_cli.estimation.offline.contradictions import (
+    disagreements,
+    report_drift,
+    report_misfit,
+    report_unsettled,
+    shifts_of,
+    systematic,
+)
+from amhe_cli.estimation.offline.fits import fits
+from amhe_cli.estimation.offline.identifiability import Evidence, combinations, profiles, verdicts
+from amhe_cli.estimation.offline.posterior import bootstrap_sd
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.result import ClipCount, HeldOut, Identification
+from amhe_cli.estimation.offline.study import Finding, step_ratio, study_of
+from amhe_cli.matching.cost import MatchingCost
+
+
+def conclude(
+    problem: Problem, finding: Finding, validation: list[Window], *, interrupted: bool, hurried: bool
+) -> Identification:
+    """Everything that is reported of a finished, or interrupted, search.
+
+    Args:
+        problem: What was searched.
+        finding: Where the search ended.
+        validation: Clips that were not fitted.
+        interrupted: The search was cut short by the user.
+        hurried: Leave out what takes long: the comparison of the logs' halves, contact variants, profiles.
+    """
+    system = problem.system
+    evidence = _evidence(problem, finding, hurried)
+    return Identification(
+        system=system.name,
+        method="cmaes" if isinstance(finding, cma.State) else "linearised",
+        parameters=verdicts(system.space, evidence),
+        belief=belief_of(system.name, system.space, finding.z, evidence.covariance, {}),
+        correlations=correlation(evidence.covariance),
+        combinations=combinations(system.space, evidence.covariance, problem.active),
+        held_out=validate(problem, validation, finding),
+        iterations=finding.record,
+        rollouts=sum(i.rollouts for i in finding.record),
+        diverged=sum(i.diverged for i in finding.record),
+        clips=ClipCount(
+            fitted=len(problem.tiles),
+            held_out=len(validation),
+            motionless=problem.pool.motionless,
+            across_gaps=problem.pool.across_gaps,
+        ),
+        noise_scale=evidence.noise_scale,
+        fits=fits(problem, finding.z, validation or list(problem.tiles), bool(validation)),
+        interrupted=interrupted,
+        logs=tuple(dict.fromkeys(s.trajectory.source for s in problem.pool.stretches)),
+    )
+
+
+def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
+    """All that can be said of how well the estimate is known."""
+    space, setting = problem.system.space, problem.settings.identify
+    study = study_of(problem, finding)
+    compared = disagreements(problem, finding, study, with_halves=not hurried)
+    report_misfit(study)
+    report_unsettled(problem, finding, study)
+    report_drift(space, compared)
+    shifts = {} if hurried else shifts_of(problem, finding, study)
+    ratio = step_ratio(problem, finding, study)
+    own = study.posterior.covariance
+    rough = np.diag(own) * (np.nan_to_num(np.maximum(1.0 / ratio, 1.0), nan=1.0) ** 2 - 1.0)
+    wrong = space.in_z([setting.model_error.get(name, 0.0) for name in space.names])
+    extra = systematic(study.posterior, compared, shifts) + rough + wrong**2
+    wider = np.sqrt(1.0 + extra * problem.active / np.diag(own))
+    covariance = own * np.outer(wider, wider)  # what is known together stays so
+    points = 0 if hurried else setting.profile_points
+    return Evidence(
+        z=finding.z,
+        covariance=covariance,
+        active=problem.active,
+        step_ratio=ratio,
+        bootstrap=bootstrap_sd(
+            finding.z, study.found, study.weight, space.prior_precision, setting.bootstrap, problem.rng(4)
+        ),
+        disagreements=compared,
+        shifts=shifts,
+        profiles=profiles(
+            space, study.cost_beside, finding.z, np.sqrt(np.diag(covariance)), problem.active, points
+        ),
+        noise_scale=study.scale,
+    )
+
+
+def validate(problem: Problem, windows: list[Window], finding: Finding) -> HeldOut | None:
+    """Costs and errors on clips that were not fitted, from their recorded first states."""
+    if not windows:
+        return None
+    cost = MatchingCost(problem.system, windows, problem.engine, problem.settings.cost)
+    z = np.stack((finding.z, np.zeros_like(finding.z)))
+    costs, position, orientation = cost.costs(z), cost.errors(z, "position"), cost.errors(z, "orientation")
+    return HeldOut(
+        clips=len(windows),
+        cost=float(costs[0]),
+        initial_cost=float(costs[1]),
+        position_error_m=_mean(position[0]),
+        initial_position_error_m=_mean(position[1]),
+        orientation_error_rad=_mean(orientation[0]),
+        initial_orientation_error_rad=_mean(orientation[1]),
+    )
+
+
+def _mean(errors: FloatArray) -> float:
+    return float(errors.mean()) if errors.size and not np.isnan(errors).all() else float("nan")

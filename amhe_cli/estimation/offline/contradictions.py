@@ -1,0 +1,191 @@
+"""Whether parts of the data, or unmeasured details of the model, want another estimate.
+
+Noise makes parts of a log disagree by chance, a wrong model beyond it; that is how it shows itself.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.trajectory import Window
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.variants import contact_variants
+from amhe_cli.estimation.core.information import Information, information, objective
+from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.identifiability import NOTED, SURPRISE, share, size
+from amhe_cli.estimation.offline.posterior import Posterior, by_kind, disagreement, posterior
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.study import Finding, Study, study_of
+from amhe_cli.matching.cost import MatchingCost
+
+logger = logging.getLogger(__name__)
+
+#: A next step of this many sd is a search cut short; residuals of this many noise sd are a wrong model.
+UNSETTLED, MISFIT = 2.0, 3.0
+HALVES = "the first and second half of the logs"
+#: Iterations that each half gets to find its own estimate, and the clips that it must have.
+REFITS, FEWEST_CLIPS = 2, 3
+
+
+def disagreements(
+    problem: Problem, finding: Finding, study: Study, *, with_halves: bool
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Estimates from one part of the data against another: under a right model they agree.
+
+    Returns:
+        What is compared -> (difference, its sd), each (d,) in z.
+    """
+    prior = problem.system.space.prior_precision
+    kinds = [_kind(o.channel.key) for o in study.slopes.cost.clips.observed]
+    alone = by_kind(finding.z, study.slopes, study.weight, prior, kinds)
+    names = list(alone)
+    compared = {
+        f"{one} and {other} data": disagreement(alone[one], alone[other])
+        for i, one in enumerate(names)
+        for other in names[i + 1 :]
+    }
+    if with_halves and (parts := _halves(problem, finding)) is not None:
+        compared[HALVES] = parts
+    logs = _later_logs(problem.tiles)
+    if _both(logs):
+        earlier, later = (
+            posterior(finding.z, study.found, study.weight * side, prior) for side in (~logs, logs)
+        )
+        compared["the earlier and the later logs"] = disagreement(later, earlier)
+    return compared
+
+
+def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray] | None:
+    """What the second half of the logs wants more than the first, and the sd of that, each (d,).
+
+    Each half is searched by itself, from the recorded first states: where they differ much, the misfit of
+    their compromise looks like noise, and would hide that they do. So would first states fitted to it.
+    """
+    late = np.array([w.start + 0.5 * w.length > 0.5 * (w.trajectory.steps - 1) for w in problem.tiles])
+    if not _both(late):
+        return None
+    means, variances = [], []
+    for rows in (np.flatnonzero(late), np.flatnonzero(~late)):
+        part = replace(problem, only=tuple(problem.tiles[i] for i in rows))
+        state = search.restart(part, finding.z)
+        for _ in range(REFITS):
+            state = search.advance(part, state)
+        found = study_of(part, state).posterior
+        means.append(state.z + found.step)
+        variances.append(np.diag(found.data_covariance))
+    return means[0] - means[1], np.sqrt(variances[0] + variances[1])
+
+
+def _both(side: BoolArray) -> bool:
+    """Enough clips on either side to compare them."""
+    return min(side.sum(), (~side).sum()) >= FEWEST_CLIPS
+
+
+def _later_logs(tiles: Sequence[Window]) -> BoolArray:
+    """Which clips are of the second half of the logs; none where there is one log."""
+    order = {source: i for i, source in enumerate(dict.fromkeys(w.trajectory.source for w in tiles))}
+    return np.array([2 * order[w.trajectory.source] >= len(order) > 1 for w in tiles])
+
+
+def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, FloatArray]:
+    """Where the estimate would move if unmeasured details of contact were others.
+
+    A detail that the log itself speaks against, even with another estimate and other first states, is taken
+    only as far as the log allows: to where the misfit would have risen by SURPRISE squared.
+    """
+    system, prior = problem.system, problem.system.space.prior_precision
+    least = _misfit(study, study.slopes.cost, study.found, study.posterior.step)
+    shifts = {}
+    for name, model in contact_variants(system.model).items():
+        engine = CpuEngine(model, system.edits, system.input_spec, problem.threads, system.senses)
+        cost = MatchingCost(system, problem.tiles, engine, problem.settings.cost, study.scale)
+        slopes, first = study.slopes, study.slopes.first.mean[None]
+        residuals = cost.residuals(finding.z[None], first if first.shape[2] else None)
+        both = slopes.completed & residuals.completed[0]
+        shifted = slopes.residual + residuals.flat[0] - slopes.centre
+        moved = information(replace(slopes, residual=shifted, completed=both))
+        there = posterior(finding.z, moved, study.weight * both, prior)
+        rise = _misfit(study, cost, moved, there.step) - least
+        share = allowed(rise)
+        told = name if share == 1.0 else f"{name}, as far as the log allows it,"
+        shifts[told] = share * (there.step - study.posterior.step)
+    return shifts
+
+
+def allowed(rise: float) -> float:
+    """Share of a change of the model that raises the misfit by no more than SURPRISE squared.
+
+    Misfit rises with the square of the change; where all of the change raises it by less, it is 1.
+    """
+    return SURPRISE / float(np.sqrt(max(rise, SURPRISE**2)))
+
+
+def _misfit(study: Study, cost: MatchingCost, found: Information, step: FloatArray) -> float:
+    """Weighted squared residuals a step (d,) from the estimate, first states moved along."""
+    z, first = cost.system.space.clip(study.z + step)[None], found.first(step[None])
+    residuals = cost.residuals(z, first if first.shape[2] else None)
+    return float(objective(cost, residuals, first, study.found.times, study.weight)[0])
+
+
+def systematic(
+    found: Posterior,
+    disagreements: Mapping[str, tuple[FloatArray, FloatArray]],
+    shifts: Mapping[str, FloatArray],
+) -> FloatArray:
+    """Variance of z beyond what noise explains, shape (d,).
+
+    Where parts of the data disagree by more than chance, or details of contact that nobody measured move
+    the estimate, no part is known to be right: half the largest difference is added as a standard deviation,
+    as random-effects models do. So is the step that an unfinished search has left to go.
+    """
+    contradicted = np.zeros(len(found.step))
+    for difference, chance in (*disagreements.values(), *((shift, found.sd) for shift in shifts.values())):
+        beyond = np.maximum(difference**2 - (SURPRISE * chance) ** 2, 0.0)
+        contradicted = np.maximum(contradicted, 0.25 * beyond)
+    return contradicted + found.step**2
+
+
+def report_unsettled(problem: Problem, finding: Finding, study: Study) -> None:
+    """Warn of a search that stopped on its way; on a rough cost the steps never get short."""
+    space = problem.system.space
+    left = np.abs(study.posterior.step) / study.posterior.sd
+    moving = isinstance(finding, search.State) and not (finding.settled or problem.rough)
+    if moving or left.max() > UNSETTLED:
+        logger.warning(
+            f"the search stopped before it settled ({space.names[int(left.argmax())]} was still moving): "
+            f"give it more with --set identify.iterations"
+        )
+
+
+def report_misfit(study: Study) -> None:
+    """Warn of channels that the model does not explain."""
+    for key, scale in study.scale.items():
+        if scale > MISFIT:
+            logger.warning(
+                f"the model misses {key} by {scale:.1f} times its declared noise: something is missing in it "
+                f"(a delay, a gain, play, a contact), or the noise is declared too small"
+            )
+
+
+def report_drift(space: ParameterSpace, disagreements: Mapping[str, tuple[FloatArray, FloatArray]]) -> None:
+    """Warn where the logs' first and second half want different parameters."""
+    if HALVES not in disagreements:
+        return
+    difference, sd = disagreements[HALVES]
+    for i in map(int, np.flatnonzero(np.abs(difference) > SURPRISE * sd)):
+        if share(space, i, difference[i]) >= NOTED:
+            logger.warning(
+                f"{space.names[i]} drifts within the logs: their second half wants "
+                f"{size(space, i, difference[i])} against the first ({abs(difference[i]) / sd[i]:.1f} sd): "
+                f"one constant value does not describe them"
+            )
+
+
+def _kind(key: str) -> str:
+    return key.rsplit(".", 1)[1].replace("_", " ")

@@ -1,0 +1,71 @@
+"""Measured against predicted, for figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.trajectory import Window
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.result import Fit
+from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.matching.windows import Observed
+
+#: Clips that are drawn: the best, a middling and the worst of those given.
+SHOWN = 3
+
+
+def fits(problem: Problem, z: FloatArray, windows: Sequence[Window], held_out: bool) -> tuple[Fit, ...]:
+    """Best, middling and worst clip under z (d,), each channel a Fit."""
+    cost = MatchingCost(problem.system, windows, problem.engine, problem.settings.cost)
+    order = np.argsort(cost.clip_costs(cost.residuals(z[None]))[0])
+    picks = order[np.unique(np.linspace(0, len(order) - 1, SHOWN).round().astype(int))]
+    chosen = [windows[i] for i in picks]
+    cost = MatchingCost(problem.system, chosen, problem.engine, problem.settings.cost)
+    predicted, _ = cost.predict(np.stack((np.zeros_like(z), z)))
+    return tuple(
+        fit_of(observed, values[:, i], window, i, held_out)
+        for i, window in enumerate(chosen)
+        for observed, values in zip(cost.clips.observed, predicted, strict=True)
+        if observed.mask[i].any()
+    )
+
+
+def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, held_out: bool) -> Fit:
+    """Channel on clip i, its initial and identified predictions of shape (2, samples, columns)."""
+    keep = observed.mask[i]
+    measured, (initial, identified) = observed.measured[i, keep], predicted[:, keep]
+    columns = window.trajectory[observed.channel.key].columns
+    if observed.channel.kind == "rotation":
+        zero = measured[0]
+        measured, initial, identified = (_turn(zero, q) for q in (measured, initial, identified))
+        columns = ("x", "y", "z")
+    dt = window.trajectory.dt
+    name = Path(window.trajectory.source).name
+    return Fit(
+        clip=f"{name} {window.start * dt:.2f}-{window.stop * dt:.2f} s",
+        channel=observed.channel.key,
+        unit="rad" if observed.channel.kind == "rotation" else observed.channel.unit,
+        columns=tuple(columns),
+        time=(observed.rows[i, keep] + 1) * dt,
+        measured=measured,
+        initial=initial,
+        identified=identified,
+        valid=np.ones(int(keep.sum()), dtype=bool),
+        noise=observed.noise,
+        held_out=held_out,
+    )
+
+
+def _turn(zero: FloatArray, q: FloatArray) -> FloatArray:
+    """Rotation vectors from `zero` to q, unwrapped along time so that no curve jumps by a turn."""
+    vectors = rotations.difference(q, np.broadcast_to(zero, q.shape))
+    for k in range(1, len(vectors)):
+        angle = np.linalg.norm(vectors[k])
+        if angle > 1e-9 and np.dot(vectors[k], vectors[k - 1]) < 0.0 and angle > 0.5 * np.pi:
+            vectors[k] *= (angle - 2.0 * np.pi) / angle
+    return vectors

@@ -1,0 +1,217 @@
+"""SPI, offline identification (the paper's section III-B): from logs and a system to an `Identification`."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from amhe_cli.core.errors import EstimationError
+from amhe_cli.core.parameters import Belief
+from amhe_cli.core.trajectory import Trajectory, Window
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.spread import SpreadEngine
+from amhe_cli.estimation.offline import cma, search
+from amhe_cli.estimation.offline.checkpoint import Checkpoint
+from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
+from amhe_cli.estimation.offline.conclusion import conclude, validate
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.result import Identification, Iteration
+from amhe_cli.estimation.offline.study import Finding
+from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifyOptions:
+    """How to search.
+
+    Args:
+        method: 'linearised' or 'cmaes'.
+        seed: Of every random draw.
+        threads: CPU threads; results do not depend on them.
+        max_time: Stop after this many seconds with the best so far; None: no limit.
+        checkpoint: File to save the search in after every iteration, and to resume from.
+        prior: A belief to start from instead of the system's own prior.
+        executor: Whose workers roll out; None: threads of this process. Results do not depend on it.
+    """
+
+    method: str = "linearised"
+    seed: int = 0
+    threads: int = 1
+    max_time: float | None = None
+    checkpoint: Path | None = None
+    prior: Belief | None = None
+    executor: Executor | None = None
+
+
+def identify(
+    system: System,
+    training: Sequence[Trajectory],
+    held_out: Sequence[Trajectory] | None,
+    options: IdentifyOptions,
+    on_iteration: Callable[[Iteration, int], None] = lambda iteration, total: None,
+) -> Identification:
+    """Find the parameters under which rollouts match the logs, and how well they are known.
+
+    Args:
+        system: Model, parameters, signals, settings.
+        training: The logs to fit.
+        held_out: Logs used only to validate; None holds out a share of the training logs.
+        options: How to search.
+        on_iteration: Called after each iteration with its record and the expected total.
+
+    Returns:
+        The result; `interrupted` where Ctrl-C or the time limit cut the search short.
+
+    Raises:
+        EstimationError: No clip of the logs can be used.
+    """
+    if options.prior is not None:
+        system = replace(system, space=system.space.with_prior(options.prior))
+    problem, validation = _pose(system, training, held_out, options)
+    watch = _Watch(on_iteration, options.max_time)
+    kept = Checkpoint(options.checkpoint, problem, options.method)
+    finding = _search(problem, validation, options.method, watch, kept)
+    try:
+        return conclude(problem, finding, validation, interrupted=watch.interrupted, hurried=watch.stopped)
+    except KeyboardInterrupt:
+        logger.warning("interrupted while the result was examined: its checks are not complete")
+        return conclude(problem, finding, validation, interrupted=True, hurried=True)
+
+
+def _pose(
+    system: System,
+    training: Sequence[Trajectory],
+    held_out: Sequence[Trajectory] | None,
+    options: IdentifyOptions,
+) -> tuple[Problem, list[Window]]:
+    """The problem, and the clips to validate on."""
+    clips = system.settings.clips
+    if held_out:
+        fit, held = [whole(log) for log in training], [whole(log) for log in held_out]
+    else:
+        fit, held = split_held_out(training, clips.held_out)
+    problem = Problem(
+        system, ClipPool(system, fit, clips), _engine(system, options), options.seed, options.threads
+    )
+    if not problem.tiles:
+        raise EstimationError(_no_clips(problem.pool))
+    validation = ClipPool(system, held, clips)
+    low, high = clips.length
+    windows = validation.tiles(clips.held_out_length or 0.5 * (low + high), clips.held_out_first_only)
+    if held and not windows:
+        logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")
+    if not problem.active.all():
+        for name in np.array(system.space.names)[~problem.active]:
+            logger.warning(
+                f"{name} reaches the model but no measurement of these logs: it is held at its prior, "
+                f"because this motion cannot tell it"
+            )
+    return problem, windows
+
+
+def _engine(system: System, options: IdentifyOptions) -> RolloutEngine:
+    about = (system.model, system.edits, system.input_spec)
+    if options.executor is not None:
+        return SpreadEngine(options.executor, *about, system.senses)
+    return CpuEngine(*about, options.threads, system.senses)
+
+
+def _no_clips(pool: ClipPool) -> str:
+    return (
+        f"no clip of these logs can be used: {pool.motionless} are motionless, {pool.across_gaps} cross "
+        f"gaps; record a log in which the system moves, or loosen `clips.still` or `logs.max_gap`"
+    )
+
+
+class _Watch:
+    """Time, interruption and progress of a search."""
+
+    def __init__(self, on_iteration: Callable[[Iteration, int], None], max_time: float | None) -> None:
+        self._on_iteration, self._limit = on_iteration, max_time
+        self._began = time.monotonic()
+        self._late = False
+        self.interrupted = False
+
+    def saw(self, iteration: Iteration, total: int) -> None:
+        self._on_iteration(iteration, total)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether to stop with the best so far."""
+        if self._limit is not None and not self._late and time.monotonic() - self._began > self._limit:
+            self._late = True
+            logger.warning(
+                f"stopped after {self._limit:g} s as asked (--max-time): the search had not settled"
+            )
+        return self.interrupted or self._late
+
+
+def _search(
+    problem: Problem, validation: list[Window], method: str, watch: _Watch, kept: Checkpoint
+) -> Finding:
+    """Run the method, and CMA-ES from several starts where the linearised one did not help."""
+    if not problem.active.any():
+        return replace(search.start(problem), stage="done", settled=True)  # nothing to look for
+    saved = kept.load()
+    if isinstance(saved, cma.State):
+        return _run(cma.advance, cma.total, problem, saved, watch, kept)
+    if method == "cmaes":
+        return _run(cma.advance, cma.total, problem, cma.start(problem, 1), watch, kept)
+    found = _run(search.advance, search.total, problem, saved or search.start(problem), watch, kept)
+    if watch.stopped or not _needs_rescue(problem, found, validation):
+        return found
+    starts = problem.settings.identify.cmaes_starts
+    logger.warning(
+        f"the linearised search did not lower the held-out cost: searching with CMA-ES from {starts} starts"
+    )
+    return _run(cma.advance, cma.total, problem, cma.start(problem, starts, found), watch, kept)
+
+
+S = TypeVar("S", search.State, cma.State)
+
+
+def _run(
+    advance: Callable[[Problem, S], S],
+    total: Callable[[Problem, S], int],
+    problem: Problem,
+    state: S,
+    watch: _Watch,
+    kept: Checkpoint,
+) -> S:
+    """Advance until done, out of time, or interrupted; a finished iteration is never lost."""
+    try:
+        while not state.done and not watch.stopped:
+            state = advance(problem, state)
+            kept.save(state)
+            watch.saw(state.record[-1], total(problem, state))
+    except KeyboardInterrupt:
+        watch.interrupted = True
+        logger.warning("interrupted: the result is the best so far, the search had not settled")
+    return state
+
+
+#: A held-out cost above this is bad: residuals of twice their noise.
+_BAD = 4.0
+
+
+def _needs_rescue(problem: Problem, finding: search.State, validation: list[Window]) -> bool:
+    """The held-out cost stayed bad, or got worse by more than its scatter.
+
+    Who begins at the truth cannot gain.
+    """
+    found = validate(problem, validation, finding)
+    if found is None:
+        return False
+    if found.cost > _BAD:
+        return found.cost > 0.98 * found.initial_cost
+    return found.cost > 1.2 * found.initial_cost

@@ -1,0 +1,127 @@
+"""An identification problem: the system, the clips of its logs, and an engine to roll them out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.settings import Settings
+from amhe_cli.core.trajectory import Window
+from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.estimation.core.shape import sampling_width
+from amhe_cli.estimation.offline.clips import ClipPool
+from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.system.system import System
+
+#: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
+OUT_OF_REACH = 1e-2
+#: Random clips drawn even from a log too short for them side by side.
+FEWEST = 8
+#: Even over odd response to small steps from which a model is rough.
+ROUGH = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """What a search needs.
+
+    Args:
+        system: Model, parameters with their prior, signals.
+        pool: Source of clips to fit.
+        engine: Rollout engine.
+        seed: Of every random draw.
+        threads: CPU threads of the engines.
+        only: Fit these clips alone, a part of the problem.
+    """
+
+    system: System
+    pool: ClipPool
+    engine: RolloutEngine
+    seed: int
+    threads: int = 1
+    only: tuple[Window, ...] = ()
+
+    @property
+    def settings(self) -> Settings:
+        """The system's settings."""
+        return self.system.settings
+
+    def cost(self, windows: Sequence[Window], scale: Mapping[str, float] | None = None) -> MatchingCost:
+        """Matching cost on some clips, with the noise that the data have shown."""
+        return MatchingCost(self.system, windows, self.engine, self.settings.cost, scale)
+
+    def rng(self, *place: int) -> np.random.Generator:
+        """A generator of its own for each place of the search: nothing to store, the same on resuming."""
+        return np.random.default_rng([self.seed, *place])
+
+    @cached_property
+    def _all_tiles(self) -> Sequence[Window]:
+        """Every usable tile; the pool counts what it drops, so it is asked once."""
+        low, high = self.settings.clips.length
+        return self.only or self.pool.tiles(0.5 * (low + high))
+
+    @cached_property
+    def tiles(self) -> tuple[Window, ...]:
+        """The fitted logs cut into clips, each instant used once; thinned evenly where there are many."""
+        tiles, most = self._all_tiles, 4 * self.settings.clips.count
+        if len(tiles) > most and not self.only:
+            tiles = [tiles[i] for i in np.linspace(0, len(tiles) - 1, most).round().astype(int)]
+        return tuple(tiles)
+
+    @cached_property
+    def clip_count(self) -> int:
+        """Random clips of one iteration: no more than the logs hold side by side, but some."""
+        return min(self.settings.clips.count, max(FEWEST, len(self.tiles)))
+
+    def coverage(self, windows: Sequence[Window]) -> float:
+        """Time in the fitted logs over time in these clips: how often each clip's information counts."""
+        return self.moving_time / sum(w.duration for w in windows)
+
+    @cached_property
+    def moving_time(self) -> float:
+        """Time of the fitted logs that clips can use [s]."""
+        return sum(w.duration for w in self._all_tiles)
+
+    @cached_property
+    def active(self) -> BoolArray:
+        """Parameters that these logs can feel at all, shape (d,)."""
+        d = len(self.system.space)
+        clips = self.tiles[:: max(1, len(self.tiles) // 8)]
+        steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d), -0.5 * np.eye(d)))
+        residuals = self.cost(clips).residuals(self.system.space.clip(steps))
+        moved = np.abs(residuals.flat - residuals.flat[0]).max(axis=(1, 2))[1:].reshape(2, d)
+        diverged = np.any(~residuals.completed, axis=1)[1:].reshape(2, d)  # then it was felt
+        return (moved > OUT_OF_REACH).any(axis=0) | diverged.any(axis=0)
+
+    @cached_property
+    def rough(self) -> bool:
+        """Whether residuals jitter under steps of half a percent, as behind chaotic contact."""
+        d = len(self.system.space)
+        steps = np.diag(self.system.space.in_z(0.005) * self.active)
+        candidates = self.system.space.clip(np.concatenate((np.zeros((1, d)), steps, -steps)))
+        residuals = self.cost(self.tiles[:: max(1, len(self.tiles) // 8)]).residuals(candidates)
+        centre, plus, minus = np.split(residuals.flat, [1, d + 1])
+        odd = ((plus - minus) ** 2).sum(axis=(0, 2))  # (c,)
+        even = ((plus + minus - 2.0 * centre) ** 2).sum(axis=(0, 2))
+        return bool(np.median(even) > ROUGH * np.median(odd))
+
+
+def spread_floor(problem: Problem) -> FloatArray:
+    """Smallest sampling sd of z, shape (d,): a share of the parameter, or of a linear one's prior sd.
+
+    On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
+    ones they are exact, and large steps are not.
+    """
+    return sampling_width(problem.system.space, problem.settings.identify.step if problem.rough else 1e-4)
+
+
+def first_floor(problem: Problem) -> float:
+    """Smallest sampling sd of a first state along any direction, in its recorded sd.
+
+    On rough costs slopes from narrower samples are jitter, and would count as knowledge of the first state.
+    """
+    return 0.7 if problem.rough else 0.0

@@ -1,0 +1,236 @@
+"""SPI's search as steps from state to state, so that it can be watched, cut short and resumed to the bit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.settings import IdentifySettings
+from amhe_cli.core.trajectory import Window
+from amhe_cli.estimation.core.information import Information, information, objective, split
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
+from amhe_cli.estimation.core.shape import (
+    WIDEST,
+    adapted,
+    bounded,
+    changed,
+    coordinates,
+    diagonal,
+    sampling_sd,
+)
+from amhe_cli.estimation.offline.problem import Problem, first_floor, spread_floor
+from amhe_cli.estimation.offline.result import Iteration
+from amhe_cli.matching.cost import MatchingCost, quadratic_prior
+
+Stage = Literal["explore", "polish", "done"]
+
+#: A step shorter than this, in posterior sd, has settled.
+SETTLED = 0.3
+#: A step may leave the middle of the samples by this many of their sd.
+REACH = 3.0
+#: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
+LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
+#: Near its minimum a rough cost cannot tell a good step from none: the longest that completes is taken.
+BLIND_LINE = np.array([1.0, 0.5, 0.2])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Where a linearised search stands; all that a checkpoint needs.
+
+    Args:
+        stage: 'explore' re-draws random clips each iteration, 'polish' uses every tile.
+        number: Iterations done.
+        z: Estimate, shape (d,).
+        shape: Of the sampling, shape (d, d).
+        scale: Channel -> residual sd over declared noise sd.
+        record: One entry an iteration.
+        settled: The last step was short, and the samples no wider than the posterior.
+        trail: Where each step of polishing a rough cost ended, shape (k, d).
+        first: What is known of the tiles' first states; None: what was recorded.
+    """
+
+    stage: Stage
+    number: int
+    z: FloatArray
+    shape: FloatArray
+    scale: Mapping[str, float] = field(default_factory=dict)
+    record: tuple[Iteration, ...] = ()
+    settled: bool = False
+    trail: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
+    first: FirstStates | None = None
+
+    @property
+    def done(self) -> bool:
+        """Nothing is left to do."""
+        return self.stage == "done"
+
+
+def start(problem: Problem) -> State:
+    """The prior mean, and a spread of half the prior."""
+    return State("explore", 0, np.zeros(len(problem.system.space)), diagonal(WIDEST, problem.active))
+
+
+def total(problem: Problem, state: State) -> int:
+    """Most iterations that the search may take."""
+    return problem.settings.identify.iterations
+
+
+def restart(problem: Problem, z: FloatArray) -> State:
+    """Polishing from z (d,), for a problem that is part of a solved one."""
+    return State("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
+
+
+def advance(problem: Problem, state: State) -> State:
+    """One iteration: draw clips, linearise, step, and decide what comes next."""
+    setting = problem.settings.identify
+    exploring = state.stage == "explore"
+    rng = problem.rng(0, state.number)
+    windows = problem.pool.draw(rng, problem.clip_count) if exploring else problem.tiles
+    cost = problem.cost(windows, state.scale)
+    nx = cost.nx if _fits_first_states(setting.first_state, exploring) else 0
+    first = state.first or FirstStates.recorded(len(windows), nx)
+    slopes = linearise(cost, state.z, first, state.shape, setting.samples, rng, averaged=problem.rough)
+    found = information(slopes)
+    taken = gauss_newton(problem, cost, state, found, windows)
+    shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
+    number = state.number + 1
+    trail = state.trail
+    if problem.rough and not exploring:
+        trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
+    settled = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
+    stage = _next_stage(state, number, settled, setting)
+    z = _averaged(trail) if stage == "done" and len(trail) else taken.z
+    return replace(
+        state,
+        stage=stage,
+        number=number,
+        z=z,
+        trail=trail,
+        settled=settled,
+        shape=shape,
+        scale=noise_scale(cost, found, state.scale),
+        record=(*state.record, _entry(problem, state, taken, slopes)),
+        # the tiles are the same next time; random clips are not
+        first=None if exploring else found.first_states(z - state.z, first_floor(problem)),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """A Gauss-Newton step that was tried and accepted.
+
+    Args:
+        z: Where it ended, shape (d,).
+        moved: Length of the step, in posterior sd.
+        far: The full step left the region that was sampled, and was shortened.
+        cost: In units of the declared noise.
+    """
+
+    z: FloatArray
+    moved: float
+    far: bool
+    cost: float
+    rollouts: int
+    diverged: int
+
+
+def gauss_newton(
+    problem: Problem, cost: MatchingCost, state: State, found: Information, windows: Sequence[Window]
+) -> Step:
+    """Step towards the minimum of the linearised cost plus prior; the true cost decides how far."""
+    prior = problem.system.space.prior_precision
+    weight = clip_weights(cost, found) * problem.coverage(windows)
+    hessian = np.einsum("c,cij->ij", weight, found.matrix) + prior
+    gradient = np.einsum("c,ci->i", weight, found.score) + prior @ state.z
+    step = -np.linalg.solve(hessian, gradient) * problem.active
+    reach = np.abs(coordinates(state.shape, step[None])).max() / REACH
+    blind = problem.rough and state.stage == "polish"
+    line = BLIND_LINE if blind else LINE
+    tried = problem.system.space.clip(state.z + line[:, None] * step / max(1.0, reach))
+    first = found.first(tried - state.z)
+    residuals = cost.residuals(tried, first if first.shape[2] else None)
+    values = objective(cost, residuals, first, found.times, weight)
+    values = values + quadratic_prior(tried, np.zeros_like(state.z), prior)
+    best = int(np.argmax(np.isfinite(values)) if blind else np.argmin(values))
+    declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
+    moved = tried[best] - state.z
+    return Step(
+        z=tried[best],
+        moved=float(np.sqrt(moved @ hessian @ moved)),
+        far=bool(reach > 1.0),
+        cost=float(cost.rescaled(residuals, declared)[best]),
+        rollouts=residuals.completed.size,
+        diverged=int((~residuals.completed).sum()),
+    )
+
+
+def _reshaped(
+    problem: Problem, state: State, taken: Step, straight: Information, windows: Sequence[Window]
+) -> FloatArray:
+    """Where to sample next: narrower, along the posterior; wider where the step wanted out.
+
+    The posterior is that of `straight` samples: wide ones bend, and would keep themselves wide.
+    """
+    floor = spread_floor(problem)
+    if taken.far:
+        return bounded(4.0 * state.shape @ state.shape.T, floor, problem.active)
+    known = straight.matrix.sum(axis=0) * problem.coverage(windows)
+    covariance = np.linalg.inv(known + problem.system.space.prior_precision)
+    return adapted(covariance, state.shape, floor, problem.active)
+
+
+def clip_weights(cost: MatchingCost, found: Information) -> FloatArray:
+    """1 for a clip that counts, 0 for one that diverged or is among the worst, shape (c,)."""
+    weight = found.completed.astype(float)
+    misfit = (found.residual**2).sum(axis=1) / cost.clips.counts
+    drop = int(np.floor(cost.settings.trim * len(misfit)))
+    if drop:
+        weight[np.argsort(np.where(found.completed, misfit, np.inf))[-drop:]] = 0.0
+    return weight
+
+
+def noise_scale(cost: MatchingCost, found: Information, before: Mapping[str, float]) -> dict[str, float]:
+    """Residual sd over declared noise sd of each channel, after the first states have been fitted."""
+    keep = clip_weights(cost, found) > 0.0
+    total = max(float(cost.clips.counts[keep].sum()), 1.0)
+    spent = float((found.first_offset[keep] ** 2).sum()) / total  # what fitting the first states hid
+    scale = {}
+    for observed, values in zip(cost.clips.observed, split(cost, found.residual), strict=True):
+        count = observed.mask[keep].sum() * observed.width
+        misfit = (values[keep] ** 2).sum() / max(count, 1) + spent
+        key = observed.channel.key
+        scale[key] = float(before.get(key, 1.0) * np.sqrt(max(misfit, 1e-12)))
+    return scale
+
+
+def _averaged(trail: FloatArray) -> FloatArray:
+    """Mean of the later steps: each is an estimate from its own samples, and their scatter averages out."""
+    return trail[len(trail) // 3 :].mean(axis=0)
+
+
+def _fits_first_states(when: str, exploring: bool) -> bool:
+    return when == "always" or (when == "polish" and not exploring)
+
+
+def _next_stage(state: State, number: int, settled: bool, setting: IdentifySettings) -> Stage:
+    if state.stage == "explore":
+        late = number >= setting.iterations - setting.polish
+        return "polish" if (settled and number >= 3) or late else "explore"
+    return "done" if settled or number >= setting.iterations else "polish"
+
+
+def _entry(problem: Problem, state: State, taken: Step, found: Linearisation) -> Iteration:
+    return Iteration(
+        number=state.number + 1,
+        method=f"linearised, {state.stage}",
+        cost=taken.cost,
+        sigma=float(sampling_sd(state.shape)[problem.active].mean()) if problem.active.any() else 0.0,
+        rollouts=found.rollouts + taken.rollouts,
+        diverged=found.diverged + taken.diverged,
+        theta=tuple(float(t) for t in problem.system.space.theta_of(taken.z)),
+    )

@@ -1,0 +1,190 @@
+"""The estimator over a recorded trajectory: the newest window at each update, as if it were live."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import EstimationError
+from amhe_cli.core.trajectory import Trajectory, Window
+from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.estimation.online.arrival import Arrival
+from amhe_cli.estimation.online.horizon import LEAST, Estimate, MovingHorizon, check_window
+from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReplayProblem:
+    """All that a replay starts from.
+
+    Args:
+        system: What is estimated.
+        engine: Of rollouts.
+        estimator: Before its first window.
+        start: What it believes there.
+        windows: What it is to see.
+        truth: Parameter -> what the log calls true at each window's end, shape (windows,), NaN where it does
+            not say.
+        begun: Where the trajectory begins in the log [s].
+    """
+
+    system: System
+    engine: RolloutEngine
+    estimator: MovingHorizon
+    start: Arrival
+    windows: Sequence[Window]
+    truth: Mapping[str, FloatArray]
+    begun: float
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """A log that was replayed.
+
+    Args:
+        system: What it is about.
+        start: What was believed before.
+        windows: One for each estimate.
+        estimates: At least one; their times count from the log's start.
+        truth: Parameter -> what the log calls true at each estimate, shape (n,), NaN where it does not say.
+        seconds: Time that it took.
+        interrupted: There would have been more windows.
+    """
+
+    system: System
+    start: Arrival
+    windows: Sequence[Window]
+    estimates: Sequence[Estimate]
+    truth: Mapping[str, FloatArray]
+    seconds: float
+    interrupted: bool
+
+    @property
+    def times(self) -> FloatArray:
+        """Of the estimates, from the log's start [s], shape (n,)."""
+        return self.column("time")
+
+    @property
+    def real_time_factor(self) -> float:
+        """Seconds of log replayed in one second."""
+        first, last = self.windows[0], self.windows[-1]
+        return (last.stop - first.start) * first.trajectory.dt / max(self.seconds, 1e-9)
+
+    @property
+    def start_theta(self) -> FloatArray:
+        """Parameters as they were believed before, shape (d,)."""
+        return self.system.space.theta_of(self.start.z)
+
+    @property
+    def update_ms(self) -> FloatArray:
+        """Time of each update [ms], NaN where nothing was rolled out, shape (n,)."""
+        return np.where(self.column("rollouts") > 0, self.column("update_ms"), np.nan)
+
+    @cached_property
+    def marks(self) -> Counter[str]:
+        """How many windows had each mark."""
+        return Counter(e.mark for e in self.estimates)
+
+    def column(self, field: str) -> FloatArray:
+        """One field of every estimate, shape (n,) or (n, d)."""
+        return np.array([getattr(e, field) for e in self.estimates])
+
+
+def windows(system: System, trajectory: Trajectory) -> list[Window]:
+    """The window before each update, one update period apart; of a shorter log, all of it.
+
+    Raises:
+        ConfigError: The window is shorter than any can be.
+        EstimationError: The log is too short for any window.
+    """
+    setting, dt = system.settings.mhe, trajectory.dt
+    check_window(setting, dt)
+    length, every = round(setting.window / dt), round(setting.update_period / dt)
+    longest = trajectory.steps - 2
+    if longest < LEAST:
+        raise EstimationError(
+            f"{trajectory.source}: {trajectory.duration:.3g} s hold no window; record a longer log, "
+            f"or take more of it (--from, --to)"
+        )
+    if longest < length:
+        logger.warning(
+            "%s: its %.3g s hold no window of %g s: one of %.3g s is used; choose a shorter one "
+            "with --window", trajectory.source, trajectory.duration, setting.window, longest * dt,
+        )  # fmt: skip
+        length = longest
+    if every > length:
+        logger.warning(
+            "an update every %g s from windows of %g s: what lies between them is not looked at; choose a "
+            "longer --window or a shorter --update-period", every * dt, length * dt,
+        )  # fmt: skip
+    return [Window(trajectory, stop - length, length) for stop in range(length, trajectory.steps - 1, every)]
+
+
+def replay(estimator: MovingHorizon, steps: Sequence[Window], begun: float = 0.0) -> Iterator[Estimate]:
+    """One estimate after the other, at times from `begun` [s] on."""
+    for window in steps:
+        yield estimator.update(window, begun + window.stop * window.trajectory.dt)
+
+
+def replayed(
+    problem: ReplayProblem, on_estimate: Callable[[Estimate], None], stopped: Callable[[], bool]
+) -> Replay:
+    """All of a log, or as much as there is until `stopped`; at least one window.
+
+    Args:
+        problem: What to replay; its estimator is at its end afterwards.
+        on_estimate: Called with each estimate.
+        stopped: Asked after each.
+    """
+    estimates: list[Estimate] = []
+    begun = time.perf_counter()
+    for estimate in replay(problem.estimator, problem.windows, problem.begun):
+        estimates.append(estimate)
+        on_estimate(estimate)
+        if stopped():
+            break
+    count = len(estimates)
+    return Replay(
+        system=problem.system,
+        start=problem.start,
+        windows=problem.windows[:count],
+        estimates=estimates,
+        truth={name: values[:count] for name, values in problem.truth.items()},
+        seconds=time.perf_counter() - begun,
+        interrupted=count < len(problem.windows),
+    )
+
+
+def caution(done: Replay) -> None:
+    """Warn of what a reader of the estimates must know."""
+    source, count, marks = done.windows[0].trajectory.source, len(done.windows), done.marks
+    if marks["gap"]:
+        logger.warning(
+            "%s: %d of %d windows lack a signal to start from, or an input: the belief waits there, and "
+            "grows less sure", source, marks["gap"], count,
+        )  # fmt: skip
+    if marks["diverged"]:
+        logger.warning(
+            "%s: in %d of %d windows the rollouts diverged, and taught nothing",
+            source,
+            marks["diverged"],
+            count,
+        )
+    if not any(e.updated for e in done.estimates):
+        logger.warning("%s: no window moved the belief: it says what it said at the start", source)
+    took = done.update_ms[np.isfinite(done.update_ms)]
+    usual, period = float(np.median(took)) if took.size else 0.0, 1e3 * done.system.settings.mhe.update_period
+    if usual > period:
+        logger.warning(
+            "an update takes %.0f ms, and the update period is %g ms: live, this machine would not keep up; "
+            "choose a longer --update-period or a shorter --window", usual, period,
+        )  # fmt: skip

@@ -1,1 +1,0 @@
-"""Floor 1: the Unitree Go1, its numbers, kinematics and models."""

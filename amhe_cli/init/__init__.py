@@ -1,0 +1,1 @@
+"""Writes a first system folder from a model and its logs."""

@@ -1,0 +1,190 @@
+"""A first system folder from a model and logs, with every guess written down beside what was guessed."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.errors import AmheError, ConfigError
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.init.model import add_servos, copy_model
+from amhe_cli.init.parameters import guess_parameters
+from amhe_cli.init.signals import (
+    NOISE,
+    Guess,
+    Topic,
+    fields_example,
+    foreign,
+    guess_signals,
+    notes_on,
+    single_joints,
+)
+from amhe_cli.init.text import system_text
+from amhe_cli.logs import read_trajectory, survey
+from amhe_cli.system.load import FILE_NAME, load_system
+from amhe_cli.system.model_file import compiled, read_spec
+
+#: Seconds of log that the noise is estimated from.
+_LISTEN = 60.0
+
+
+def init_system(
+    model_path: Path, logs: Sequence[Path], out: Path, msg_path: Path | None = None, force: bool = False
+) -> list[str]:
+    """Write a system folder that `amhe identify` can use at once.
+
+    Args:
+        model_path: MJCF or URDF; it is copied with its files.
+        logs: Logs of the robot; the noise is estimated from the first one.
+        out: Folder to write; it appears whole or not at all.
+        msg_path: Folder of `.msg` files for types that the logs do not define.
+        force: Write into a folder that is not empty.
+
+    Returns:
+        What was guessed, in sentences.
+
+    Raises:
+        ConfigError: The model cannot be read, or nothing in the logs is a part of it.
+        LogError: A log cannot be read.
+    """
+    if out.exists() and not force and any(out.iterdir()):
+        raise ConfigError(f"{out}: is not empty; choose another folder, or pass --force")
+    topics = _topics(logs, msg_path)
+    spec = read_spec(model_path)
+    model = compiled(spec)
+    urdf = model_path.suffix.lower() == ".urdf"
+    notes: list[str] = []
+    added = urdf and not model.nactuator
+    if added:
+        notes += add_servos(spec, model, topics)
+        model = compiled(spec)
+    guesses = guess_signals(model, topics)
+    parameters = guess_parameters(model, guesses, guessed_gains=added)
+    _refuse_nothing(model, topics, guesses, parameters)
+    notes += notes_on(model, topics, guesses)
+    skeletons = _skeletons(model, topics, guesses)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
+        folder = Path(scratch)
+        name = copy_model(spec, model_path, folder, rewrite=urdf)
+        head = (name, model_path.name, [str(log) for log in logs])
+        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
+        heard = _listen(folder, logs[0], guesses, topics, msg_path)
+        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
+        load_system(folder, warn=False)  # what is written is valid, or it is not written
+        for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+            place = out / file.relative_to(folder)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+    said = [f"{guess.name}: {guess.why}" for guess in (*guesses, *parameters)]
+    return [*said, *heard, *notes]
+
+
+def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
+    """Topics that can be read in every log, as the first one shows them."""
+    surveys = [survey(log, msg_path=msg_path) for log in logs]
+    common = set.intersection(*({topic.name for topic in seen.topics} for seen in surveys))
+    return [
+        Topic(seen.name, seen.type, seen.rate, seen.entries, seen.quantities)
+        for seen in surveys[0].topics
+        if seen.name in common and seen.problem is None and seen.rate > 0.0
+    ]
+
+
+def _refuse_nothing(
+    model: mujoco.MjModel,
+    topics: Sequence[Topic],
+    guesses: Sequence[Guess],
+    parameters: Sequence[Guess],
+) -> None:
+    measured = any("joints" in guess.entry or "body" in guess.entry for guess in guesses)
+    if measured and parameters:
+        return
+    own = foreign(topics)
+    joints = single_joints(model)
+    if own and not measured and joints and not any(_of_another(topic, joints) for topic in topics):
+        raise ConfigError(_needs_fields(model, own))
+    entries = sorted({entry for topic in topics for entry in topic.entries})
+    raise ConfigError(
+        "nothing in the log is a part of this model: the model has the joints "
+        f"{', '.join(single_joints(model)) or '(none)'}; the log names {', '.join(entries) or '(nothing)'}; "
+        "rename the model's joints or bodies as the log does"
+    )
+
+
+def _of_another(topic: Topic, joints: Sequence[str]) -> bool:
+    """Joint states in which no name resembles one of these joints."""
+    resembling = any(name in joint or joint in name for name in topic.entries for joint in joints)
+    return topic.type.endswith("/JointState") and not resembling
+
+
+def _needs_fields(model: mujoco.MjModel, topics: Sequence[Topic]) -> str:
+    """What to do where only types that are not built in can hold the joints' positions."""
+    named = ", ".join(f"{topic.name} ({topic.type})" for topic in topics)
+    return "\n".join(
+        (
+            f"no topic gives joint positions; {named} needs fields: where the numbers are in its messages",
+            f"write a {FILE_NAME} by hand (docs/systems.md), with a signal such as this and the true paths:",
+            *(f"  {line}" for line in fields_example(model, topics[0])),
+        )
+    )
+
+
+def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess]) -> list[list[str]]:
+    """A signal to complete for each type that is not built in, where joints are still without a state."""
+    measured = {name for guess in guesses for name in guess.entry.get("joints", ())}
+    if measured.issuperset(single_joints(model)):
+        return []
+    return [fields_example(model, topic) for topic in foreign(topics)]
+
+
+def _listen(
+    folder: Path, log: Path, guesses: Sequence[Guess], topics: Sequence[Topic], msg_path: Path | None
+) -> list[str]:
+    """Set each signal's noise to what the log itself shows; a signal that cannot be read keeps the guess."""
+    rates = {topic.name: topic.rate for topic in topics}
+    said: list[str] = []
+    signals = {signal.name: signal for signal in load_system(folder, warn=False).signals}
+    for guess in guesses:
+        signal = signals[guess.name]
+        compared = tuple(key for key, sd in guess.noise.items() if sd is not None)
+        if not compared:
+            continue
+        try:
+            dt = 1.0 / rates[signal.topic]
+            wanted = replace(signal, quantities=compared)
+            trajectory = read_trajectory(log, [wanted], dt, LogSettings(), end=_LISTEN, msg_path=msg_path)
+        except AmheError as error:
+            said.append(f"{guess.name}: its noise is a guess, because {error}")
+            continue
+        for key in compared:
+            series = trajectory[signal.key(key)]
+            guess.noise[key] = _noise(key, np.asarray(series.values), np.asarray(series.valid))
+    return said
+
+
+def _noise(quantity: str, values: np.ndarray, valid: np.ndarray) -> float:
+    """Noise sd of a series, from its third differences: smooth motion has next to none.
+
+    Velocities count three times: most logs filter or differentiate them, and they would outweigh poses.
+    Never below a quarter of the usual noise: no model is that good.
+    """
+    if quantity == "orientation":
+        steps = rotations.difference(values[1:], values[:-1])
+        third = np.diff(steps, 2, axis=0)
+    else:
+        third = np.diff(values, 3, axis=0)
+    whole = np.lib.stride_tricks.sliding_window_view(valid, 4).all(axis=-1) if valid.size >= 4 else valid[:0]
+    usual = NOISE[quantity]
+    if not whole.any():
+        return usual
+    # 1.4826: sd from the median of a normal distribution; 20 = 1 + 9 + 9 + 1; 1.2: interpolation has averaged
+    sd = 1.2 * 1.4826 * float(np.median(np.abs(third[whole]))) / np.sqrt(20.0)
+    sd *= 3.0 if "velocity" in quantity else 1.0
+    return float(f"{np.clip(sd, usual / 4.0, usual * 100.0):.2g}")

@@ -1,0 +1,199 @@
+"""Candidate parameters of a model: what is usually not known of a robot and its surroundings."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from amhe_cli.init.names import words
+from amhe_cli.init.signals import Guess, free_bodies, joint_of
+from amhe_cli.system.driven import commanded
+from amhe_cli.system.targets import names_of
+
+#: More actuated joints than this share one parameter of each kind.
+_OWN_PARAMETERS = 3
+#: Prior sd (log scale) and range of a number that the model has, and of one that it leaves at zero.
+_KNOWN, _UNKNOWN = (0.5, 10.0), (1.0, 100.0)
+#: More ends of chains than this are feet, not tools: their masses are known.
+_TOOLS = 2
+#: Prior sd (log scale) of the gains that a model file gives its actuators.
+GAIN_SD = 0.1
+#: Prior sd (log scale) of a servo's gains that nobody has measured: a factor of 4.5 either way at one sd.
+_GUESSED_GAIN = 1.5
+#: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and no model says so.
+_DELAY, _DELAY_SD, _LONGEST_DELAY = 0.01, 0.01, 0.1
+#: Words in the name of a body that is carried, and the share of its link's mass that it must have.
+_CARRIED, _WORTHWHILE = {"payload", "load", "tool"}, 0.05
+_KINDS = (
+    ("damping", "dof_damping", "viscous: torque per speed"),
+    ("friction_loss", "dof_frictionloss", "dry: torque against any motion"),
+    ("armature", "dof_armature", "inertia of rotor and gears, seen at the joint"),
+)
+
+
+def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool) -> list[Guess]:
+    """Parameters to start with.
+
+    Args:
+        model: The model.
+        signals: What the log has: only joints that it moves and measures get parameters.
+        guessed_gains: The actuators were added by us, so that a servo's gains are unknown.
+    """
+    moved = [name for guess in signals for name in guess.entry.get("actuators", ())]
+    measured = {name for guess in signals for name in guess.entry.get("joints", ())}
+    joints = [j for j in dict.fromkeys(joint_of(model, name) for name in moved) if j and j in measured]
+    joints = joints or sorted(measured)
+    gains = [*_guessed_gains(model, moved)] if guessed_gains else []
+    return [
+        *_joint_parameters(model, joints),
+        *_masses(model, joints, signals),
+        *_frictions(model, signals),
+        *(gains or _gain(moved)),
+        *(_delay() if moved else ()),
+    ]
+
+
+def _joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[Guess]:
+    groups = [[joint] for joint in joints] if len(joints) <= _OWN_PARAMETERS else [list(joints)]
+    for group in groups:
+        own = f"{group[0]}_" if len(group) == 1 < len(joints) else ""
+        of = f"of joint {group[0]}" if len(group) == 1 else f"of {len(group)} joints alike"
+        for kind, field, meaning in _KINDS:
+            dofs = [int(model.joint(joint).dofadr[0]) for joint in group]
+            values = np.array(getattr(model, field)[dofs])
+            unknown = not np.all(values > 0.0)
+            # of the right size, no more: damping that stops a motion in a second, friction worth 1 rad/s^2, a
+            # tenth of the inertia in the rotor
+            scale = 0.1 if kind == "armature" else 1.0
+            nominal = float(scale * np.median(model.dof_M0[dofs]) if unknown else np.median(values))
+            targets = [{"joint": joint, "set": kind} for joint in group]
+            note = "the model has none: a guess from the joint's inertia" if unknown else "from the model"
+            yield Guess(f"{own}{kind}", _entry(nominal, unknown, targets), f"{meaning}, {of}; {note}")
+
+
+def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:
+    """Masses of the free bodies that are measured, and of the last link of each actuated chain."""
+    measured = {guess.entry.get("body") for guess in signals}
+    bodies = [body for body in free_bodies(model) if body in measured]
+    links = {int(model.joint(joint).bodyid[0]) for joint in joints}
+    ends = sorted({_carried(model, link) for link in links if not _carries_links(model, link)})
+    if len(ends) <= _TOOLS:
+        bodies += [model.body(row).name for row in ends]
+    for body in dict.fromkeys(name for name in bodies if name):
+        mass = float(model.body(body).mass[0])
+        if mass > 0.0:
+            free = "; motion without a known force cannot tell it" if body in free_bodies(model) else ""
+            entry = _entry(mass, False, [{"body": body, "set": "mass"}], 0.3)
+            yield Guess(f"{body}_mass", entry, f"of body {body}, inertia carried along{free}; from the model")
+
+
+def _carried(model: mujoco.MjModel, link: int) -> int:
+    """What a link carries: the body welded to it that is called so, else the one at the far end, else itself.
+
+    Frames and other parts of next to no mass are left out.
+    """
+    parts = [int(row) for row in np.flatnonzero(model.body_weldid == model.body_weldid[link])]
+    floor = _WORTHWHILE * float(model.body_mass[parts].max())
+    parts = [row for row in parts if model.body(row).name and model.body_mass[row] > floor]
+    called = [row for row in parts if _CARRIED & set(words(model.body(row).name))]
+    leaves = [row for row in parts if row not in {int(model.body_parentid[other]) for other in parts}]
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    away = np.linalg.norm(data.xipos - data.xpos[link], axis=1)
+    return max(called or leaves or [link], key=lambda row: away[row].item())
+
+
+def _carries_links(model: mujoco.MjModel, link: int) -> bool:
+    """Another joint hangs on this link."""
+    weld = model.body_weldid
+    parent_weld = weld[model.body_parentid]
+    return bool(np.any((parent_weld == weld[link]) & (weld != weld[link])))
+
+
+def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Guess]:
+    """One friction for each contact pair; without pairs one for free bodies and all that is fixed."""
+    if not free_bodies(model):
+        return
+    for name in names_of(model, "pair"):
+        nominal = float(model.pair_friction[model.pair(name).id, 0])
+        why = "sliding friction of the contact pair"
+        yield Guess(
+            f"{name}_friction", _entry(nominal, False, [{"pair": name, "set": "sliding_friction"}]), why
+        )
+    if model.npair:
+        return
+    colliding = (model.geom_contype | model.geom_conaffinity) != 0
+    bodies = [int(row) for row in dict.fromkeys(model.geom_bodyid[colliding])]
+    fixed = [row for row in bodies if int(model.body_weldid[row]) == 0]
+    moving = [row for row in bodies if row not in fixed]
+    names = [model.body(row).name for row in fixed + moving]
+    if fixed and moving and all(names):
+        nominal = float(np.median(model.geom_friction[colliding, 0]))
+        targets = [{"body": name, "set": "sliding_friction"} for name in names]
+        why = "of every contact: MuJoCo takes the larger friction of both geoms, so both are set"
+        yield Guess("friction", _entry(nominal, False, targets), why)
+
+
+def _gain(actuators: Sequence[str]) -> list[Guess]:
+    if not actuators:
+        return []
+    targets = [{"actuator": name, "set": "gain", "mode": "scale"} for name in actuators]
+    entry = _entry(1.0, False, targets, GAIN_SD) | {"unit": "-"}
+    why = (
+        "of all actuators: the scale that every mass and torque is measured by, and known only as well as "
+        "its prior; delete it if the gains were measured"
+    )
+    return [Guess("gain_scale", entry, why)]
+
+
+def _guessed_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[Guess]:
+    """Stiffness and damping of each servo; a motor's gain is 1 and no guess."""
+    for name in actuators:
+        row = model.actuator(name).id
+        if commanded(model, row) == "effort":
+            continue
+        note = "a guess from the joint's inertia: put the drive's data sheet in its place"
+        gains = (
+            ("gain", float(model.actuator_gainprm[row, 0]), f"the servo's kp, {note}"),
+            (
+                "actuator_damping",
+                float(-model.actuator_biasprm[row, 2]),
+                f"the servo's kv, {note}; the log shows only the sum of it and the joint's damping",
+            ),
+        )
+        for kind, nominal, why in gains:
+            entry = _entry(nominal, True, [{"actuator": name, "set": kind}], _GUESSED_GAIN)
+            yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why)
+
+
+def _delay() -> Iterator[Guess]:
+    """The delay of all commands: left out, its lag is explained by dampings and gains that are wrong."""
+    entry = {
+        "nominal": _DELAY,
+        "bounds": [0.0, _LONGEST_DELAY],
+        "scale": "linear",
+        "prior_sd": _DELAY_SD,
+        "targets": [{"set": "command_delay"}],
+    }
+    why = "seconds by which every command acts later; a guess: real servos have 5 to 20 ms"
+    yield Guess("command_delay", entry, why)
+
+
+def _entry(
+    nominal: float, unknown: bool, targets: list[dict[str, Any]], sd: float | None = None
+) -> dict[str, Any]:
+    own_sd, factor = _UNKNOWN if unknown else _KNOWN
+    return {
+        "nominal": _short(nominal),
+        "bounds": [_short(nominal / factor), _short(nominal * factor)],
+        "scale": "log",
+        "prior_sd": sd or own_sd,
+        "targets": targets,
+    }
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.3g}")

@@ -1,0 +1,254 @@
+"""Which topic of a log is which part of a model, to judge by names and types."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+
+from amhe_cli.init.names import is_command, matched, names_the_same, words
+from amhe_cli.system.driven import commanded
+from amhe_cli.system.targets import names_of
+
+#: Noise sd to start from [SI]; the log's own takes its place where it can be estimated.
+NOISE = {
+    "position": 0.002,
+    "velocity": 0.05,
+    "orientation": 0.01,
+    "linear_velocity": 0.1,
+    "angular_velocity": 0.2,
+    "linear_acceleration": 0.5,
+}
+#: Types that carry a pose, the best first: an odometry has the twist too.
+_POSES = ("Odometry", "PoseWithCovarianceStamped", "PoseStamped", "TransformStamped", "Pose", "TFMessage")
+#: Packages whose types, where they are not built in, hold no state of joints.
+_STATELESS = {
+    *("std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "visualization_msgs", "diagnostic_msgs"),
+    *("rcl_interfaces", "rosgraph_msgs", "builtin_interfaces", "tf2_msgs", "trajectory_msgs", "action_msgs"),
+    *("stereo_msgs", "shape_msgs", "dynamic_reconfigure", "bond", "actionlib_msgs", "lifecycle_msgs"),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One readable topic of a log.
+
+    Args:
+        name, type: As the log declares them.
+        rate: Messages per second.
+        entries: Joints or child frames that it names; '[n]' for an array of n numbers.
+        quantities: What can be taken from it, keys of QUANTITIES.
+    """
+
+    name: str
+    type: str
+    rate: float
+    entries: tuple[str, ...]
+    quantities: tuple[str, ...]
+
+
+@dataclass
+class Guess:
+    """One entry of the file to be written.
+
+    Args:
+        name: Its key.
+        entry: Its keys and values, noise left out.
+        why: What was guessed, in one sentence.
+        noise: Quantity -> sd; None: it sets the state and is not compared.
+    """
+
+    name: str
+    entry: dict[str, Any]
+    why: str
+    noise: dict[str, float | None] = field(default_factory=dict)
+
+
+def guess_signals(model: mujoco.MjModel, topics: Sequence[Topic]) -> list[Guess]:
+    """Signals that a log has for a model."""
+    guesses = [*_joint_states(model, topics), *_commands(model, topics)]
+    guesses += [*_bodies(model, topics), *_imus(model, topics)]
+    for index, guess in enumerate(guesses):
+        taken = {other.name for other in guesses[:index]}
+        base, number = guess.name, 1
+        while guess.name in taken:
+            number += 1
+            guess.name = f"{base}_{number}"
+    return guesses
+
+
+def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess]) -> list[str]:
+    """Sentences about what was not found, and which topics were not used."""
+    measured = {name for guess in guesses for name in guess.entry.get("joints", ())}
+    lost = [name for name in single_joints(model) if name not in measured]
+    notes = [f"no topic measures joint {', '.join(lost)}: each clip starts it at zero"] if lost else []
+    if not any("actuators" in guess.entry for guess in guesses):
+        idle = "the actuators hold the control 0" if model.nactuator else "nothing drives the joints"
+        notes += [f"no command topic was found: {idle}"] if measured else []
+        notes += [
+            f"if {guess.entry['topic']} holds the motors' torques, they can drive the model. Add the signal "
+            f"torque: {{topic: {guess.entry['topic']}, joint_force: [{', '.join(guess.entry['joints'])}]}}"
+            for guess in guesses
+            if "joints" in guess.entry
+        ]
+    free = {guess.entry.get("body") for guess in guesses}
+    notes += [
+        f"no topic gives the pose of free body {body}" for body in free_bodies(model) if body not in free
+    ]
+    used = {guess.entry["topic"] for guess in guesses}
+    return notes + [f"not used: {topic.name} ({topic.type})" for topic in topics if topic.name not in used]
+
+
+def foreign(topics: Sequence[Topic]) -> list[Topic]:
+    """Topics of a robot's own types, which may hold its state: not built in, and of no common package."""
+    own = [topic for topic in topics if not topic.quantities]
+    return [topic for topic in own if topic.type.split("/")[0] not in _STATELESS]
+
+
+def fields_example(model: mujoco.MjModel, topic: Topic) -> list[str]:
+    """Lines of a signal that takes joint positions from a foreign type, to be corrected by hand."""
+    joints = single_joints(model)
+    paths = {
+        key: [f'"motorState[{index}].{path}"' for index in range(len(joints))]
+        for key, path in (("position", "q"), ("velocity", "dq"))
+    }
+    return [
+        "states:",
+        f"  topic: {topic.name}",
+        f"  type: {topic.type}",
+        f"  joints: [{', '.join(joints)}]",
+        *(
+            f"  {'fields: {' if key == 'position' else '         '}{key}: [{', '.join(names)}]"
+            f"{',' if key == 'position' else '}'}"
+            for key, names in paths.items()
+        ),
+        "  noise: {position: 0.002, velocity: null}",
+    ]
+
+
+def single_joints(model: mujoco.MjModel) -> list[str]:
+    """Names of hinge and slide joints."""
+    single = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+    return [name for name in names_of(model, "joint") if int(model.joint(name).type[0]) in single]
+
+
+def free_bodies(model: mujoco.MjModel) -> list[str]:
+    """Names of bodies with a free joint."""
+    free = int(mujoco.mjtJoint.mjJNT_FREE)
+    rows = (int(model.jnt_bodyid[row]) for row in range(model.njnt) if int(model.jnt_type[row]) == free)
+    return [name for name in (model.body(row).name for row in rows) if name]
+
+
+def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:
+    """The joint that an actuator drives."""
+    row = model.actuator(actuator).id
+    at_joint = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+    if int(model.actuator_trntype[row]) not in at_joint:
+        return None
+    return model.joint(int(model.actuator_trnid[row, 0])).name or None
+
+
+def _joint_states(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
+    """The fewest topics that between them measure the most joints."""
+    left = {name: (name,) for name in single_joints(model)}
+    states = [t for t in topics if t.type.endswith("/JointState") and not is_command(t.name, t.type)]
+    while left and states:
+        found = {topic.name: matched(left, topic.entries) for topic in states}
+        best = max(states, key=lambda topic: len(found[topic.name]))
+        names = found[best.name]
+        if not names:
+            return
+        states.remove(best)
+        left = {name: aliases for name, aliases in left.items() if name not in names}
+        entry = {"topic": best.name, "type": best.type, "joints": _plain_names(names)}
+        why = f"{best.name} names {len(names)} of the model's {len(single_joints(model))} joints"
+        noise = {key: NOISE[key] if key in best.quantities else None for key in ("position", "velocity")}
+        yield Guess("joints", entry, why, noise)
+
+
+def _commands(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
+    left = {name: (name, joint_of(model, name) or name) for name in names_of(model, "actuator")}
+    for topic in topics:
+        if not left or not is_command(topic.name, topic.type):
+            continue
+        quantity = commanded(model, model.actuator(next(iter(left))).id)
+        if topic.type.endswith("MultiArray") and f"[{len(left)}]" in topic.entries:
+            names, quantity = {name: name for name in left}, "value"
+            why = f"{topic.name} has as many numbers as there are actuators, taken in the model's order"
+        elif topic.type.endswith(("/JointState", "/JointTrajectory")):
+            names = matched(left, topic.entries)
+            why = f"{topic.name} is taken for commands because of its name or type; its {quantity} is used"
+        else:
+            continue
+        if names:
+            left = {name: aliases for name, aliases in left.items() if name not in names}
+            entry = {"topic": topic.name, "type": topic.type, "actuators": _plain_names(names)}
+            yield Guess("command", entry | {"quantity": quantity}, why)
+
+
+def _bodies(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
+    """Poses of free bodies, of mocap bodies, and of bodies that a topic calls by their name."""
+    poses = [
+        (topic, frame)
+        for kind in _POSES
+        for topic in topics
+        if topic.type.endswith(f"/{kind}") and not is_command(topic.name, topic.type)
+        for frame in (topic.entries if kind == "TFMessage" else (None,))
+    ]
+    free = free_bodies(model)
+    for body in [*free, *(name for name in names_of(model, "body") if name not in free)]:
+        named = [pose for pose in poses if names_the_same(body, _pose_words(*pose))]
+        stamped = [pose for pose in poses if pose[1] is None]
+        alone = len(free) == 1 and len({topic.name for topic, _ in stamped}) == 1
+        chosen = named or (stamped if body in free and alone else [])
+        if body == "world" or not chosen:
+            continue
+        topic, frame = chosen[0]
+        poses = [pose for pose in poses if pose not in ((topic, frame), (topic, None))]
+        yield _pose_guess(model, body, body in free, topic, frame, bool(named))
+
+
+def _pose_words(topic: Topic, frame: str | None) -> list[str]:
+    return (
+        words(frame) if frame else [*words(topic.name), *(w for entry in topic.entries for w in words(entry))]
+    )
+
+
+def _pose_guess(
+    model: mujoco.MjModel, body: str, free: bool, topic: Topic, frame: str | None, named: bool
+) -> Guess:
+    kind = "mocap" if model.body(body).mocapid[0] >= 0 else "body"
+    entry = {"topic": topic.name, "type": topic.type, kind: body}
+    if frame:
+        entry["child_frame"] = frame
+    why = f"{topic.name} is {'named like' if named else 'the only pose, and taken for that of'} body {body}"
+    if kind == "mocap":
+        return Guess(body, entry, why)
+    noise: dict[str, float | None] = {key: NOISE[key] for key in ("position", "orientation")}
+    if free:
+        twist = "linear_velocity" in topic.quantities
+        noise |= {key: NOISE[key] if twist else None for key in ("linear_velocity", "angular_velocity")}
+    return Guess(body, entry, why, noise)
+
+
+def _imus(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
+    """An IMU whose name is in that of a site, or the only one of both."""
+    imus = [topic for topic in topics if topic.type.endswith("/Imu")]
+    sites = [name for name in names_of(model, "site") if "imu" in words(name)]
+    for topic in imus:
+        alike = [
+            site for site in sites if len(imus) == len(sites) == 1 or names_the_same(site, words(topic.name))
+        ]
+        if len(alike) == 1:
+            noise: dict[str, float | None] = {
+                k: NOISE[k] for k in ("angular_velocity", "linear_acceleration")
+            }
+            entry = {"topic": topic.name, "type": topic.type, "site": alike[0]}
+            yield Guess("imu", entry, f"{topic.name} is taken for the IMU at site {alike[0]}", noise)
+
+
+def _plain_names(names: dict[str, str]) -> Iterable[str]:
+    """A list where model and log agree on every name, else a mapping."""
+    return list(names) if all(own == logged for own, logged in names.items()) else names

@@ -1,0 +1,76 @@
+"""The text of a first `system.yaml`: every guess with its reason as a comment."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from amhe_cli.init.signals import Guess
+
+_SKELETON = "this type is not built in: correct the paths of its numbers to use it"
+
+
+def system_text(
+    model: str,
+    original: str,
+    logs: Sequence[str],
+    guesses: Sequence[Guess],
+    parameters: Sequence[Guess],
+    notes: Sequence[str],
+    skeletons: Sequence[Sequence[str]] = (),
+) -> str:
+    """Text of a `system.yaml`.
+
+    Args:
+        model: Model file, in the same folder.
+        original: What it was made from.
+        logs: Logs that the guesses are from.
+        guesses: Signals.
+        parameters: Parameters, and
+        notes: What a user should know of.
+        skeletons: Signals to complete by hand, as lines; written as comments.
+    """
+    names = ", ".join(Path(log).name for log in logs)
+    lines = [
+        f"# A first system, guessed by `amhe init` from {original} and {names}.",
+        "# Read it, correct it, then: amhe identify LOG --system THIS_FOLDER",
+        *(f"#   {note}" for note in notes),
+        f"model: {_flow(model)}",
+        "",
+        "# The unknowns. nominal and prior_sd are what is believed before a log is read; prior_sd is the",
+        "# standard deviation of log(value) with scale: log (0.5 is a factor of 1.65), else of the value.",
+        "parameters:",
+        *(line for guess in parameters for line in _parameter(guess)),
+        "",
+        "# noise: standard deviation of the measurement [SI]; null: it sets the state and is not compared.",
+        "signals:",
+        *(line for guess in guesses for line in _signal(guess)),
+        *(f"  # {line}" for skeleton in skeletons for line in (_SKELETON, *skeleton)),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _parameter(guess: Guess) -> Iterator[str]:
+    yield f"  {_flow(guess.name)}:  # {guess.why}"
+    for key, value in guess.entry.items():
+        if key != "targets":
+            yield f"    {key}: {_flow(value)}"
+    yield "    targets:"
+    yield from (f"      - {_flow(target)}" for target in guess.entry["targets"])
+
+
+def _signal(guess: Guess) -> Iterator[str]:
+    yield f"  {_flow(guess.name)}:  # {guess.why}"
+    yield from (f"    {key}: {_flow(value)}" for key, value in guess.entry.items())
+    if guess.noise:
+        yield f"    noise: {_flow(guess.noise)}"
+
+
+def _flow(value: Any) -> str:
+    """A value on one line of YAML."""
+    plain = dict(value) if isinstance(value, Mapping) else value
+    text = yaml.safe_dump(plain, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...").strip()

@@ -1,0 +1,171 @@
+"""From a path to the files of a log, told apart by their first bytes, never by their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+from tempfile import NamedTemporaryFile
+from typing import Any
+
+import yaml
+
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.logs.containers import bag_file, mcap_file, sqlite_file
+from amhe_cli.logs.containers.compression import decompress, unfold_file
+from amhe_cli.logs.containers.raw import Batch, Channel, LogFile, batch_of, readable
+
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_METADATA_LIMIT = 2**24
+
+
+_READERS: tuple[tuple[bytes, Callable[[Path], LogFile]], ...] = (
+    (mcap_file.MAGIC, mcap_file.McapFile),
+    (b"SQLite format 3\0", sqlite_file.SqliteFile),
+    (bag_file.MAGIC, bag_file.BagFile),
+)
+
+
+@dataclass(frozen=True)
+class Log:
+    """All files of one recording, read one after the other.
+
+    Args:
+        path: What the user named.
+        files: Its parts, in order.
+        notes: What is wrong with the folder.
+        packed: Each message is compressed by itself (rosbag2's compression mode 'message').
+    """
+
+    path: Path
+    files: tuple[LogFile, ...]
+    notes: tuple[str, ...] = ()
+    packed: bool = False
+
+    @property
+    def format(self) -> str:
+        """Name of the format, for people."""
+        formats = " + ".join(dict.fromkeys(file.format for file in self.files))
+        return f"{formats} ({len(self.files)} files)" if len(self.files) > 1 else formats
+
+    def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
+        """Yield the messages of the named topics (None: all)."""
+        for file in self.files:
+            for batch in file.batches(topics):
+                yield _unpacked(batch) if self.packed else batch
+
+    @property
+    def channels(self) -> list[Channel]:
+        """Every declared channel; complete once `batches` has been read to its end."""
+        return list(dict.fromkeys(channel for file in self.files for channel in file.channels))
+
+    @property
+    def problems(self) -> list[str]:
+        """What was damaged, in words; complete once `batches` has been read to its end."""
+        return [*self.notes, *(problem for file in self.files for problem in file.problems)]
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """The `amhe` metadata record, of all files merged."""
+        return {key: value for file in self.files for key, value in file.metadata.items()}
+
+
+def open_log(path: Path) -> Log:
+    """Open a file, or a rosbag2 folder with all its parts.
+
+    Raises:
+        ConfigError: If there is no such path.
+        LogError: If it is no log.
+    """
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file or folder")
+    if not path.is_dir():
+        return Log(path, (_open_file(path),))
+    metadata = path / "metadata.yaml"
+    if not metadata.exists():
+        return _open_bare_folder(path)
+    return _open_folder(path, _information(metadata))
+
+
+def _open_file(path: Path) -> LogFile:
+    with path.open("rb") as file:
+        head = file.read(16)
+    if not head:
+        raise LogError(f"{path}: the file is empty")
+    if head.startswith(_ZSTD):
+        return _open_packed(path)
+    for magic, reader in _READERS:
+        if head.startswith(magic):
+            return reader(path)
+    if any(magic.startswith(head) for magic, _ in _READERS):
+        raise LogError(f"{path}: the file ends after {len(head)} bytes")
+    raise LogError(f"{path}: neither MCAP, nor a rosbag2 .db3, nor a ROS 1 .bag (judged by its first bytes)")
+
+
+def _open_packed(path: Path) -> LogFile:
+    with NamedTemporaryFile(prefix="amhe-", suffix=path.stem) as unfolded:
+        unfold_file(path, unfolded.file)  # type: ignore[arg-type]
+        unfolded.flush()
+        # The readers keep the file open, so that its name may go away at once.
+        return _open_file(Path(unfolded.name))
+
+
+def _open_bare_folder(path: Path) -> Log:
+    inner = [file for file in path.iterdir() if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
+    if not inner:
+        raise LogError(f"{path}: a folder without metadata.yaml, .mcap or .db3 file is no log")
+    inner.sort(key=lambda file: [int(n) for n in re.findall(r"\d+", file.name)])
+    note = f"the folder has no metadata.yaml: {', '.join(file.name for file in inner)} taken as its parts"
+    return _open_parts(path, inner, [note], packed=False)
+
+
+def _open_folder(path: Path, information: dict[str, Any]) -> Log:
+    parts = [path / PurePath(name).name for name in information["relative_file_paths"]]
+    present = [part for part in parts if part.exists()]
+    if not present:
+        raise LogError(f"{path}: none of the files that metadata.yaml names is there: {parts[0].name}, ...")
+    notes = [f"{part.name} is missing: its messages are lost" for part in parts if part not in present]
+    packed = str(information.get("compression_mode") or "").lower() == "message"
+    return _open_parts(path, present, notes, packed)
+
+
+def _open_parts(path: Path, parts: list[Path], notes: list[str], packed: bool) -> Log:
+    files: list[LogFile] = []
+    for part in parts:
+        try:
+            with readable(part):
+                files.append(_open_file(part))
+        except LogError as error:
+            if len(parts) == 1:
+                raise
+            notes.append(str(error))
+    if not files:
+        raise LogError(f"{path}: none of its files can be read: {notes[-1]}")
+    return Log(path, tuple(files), tuple(notes), packed)
+
+
+def _information(metadata: Path) -> dict[str, Any]:
+    if metadata.stat().st_size > _METADATA_LIMIT:
+        raise LogError(f"{metadata}: too large to be a rosbag2 metadata.yaml")
+    try:
+        information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        files = information["relative_file_paths"]
+    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+        raise LogError(
+            f"{metadata}: not a rosbag2 metadata.yaml; remove it to read the files beside it as they are"
+        ) from error
+    if not isinstance(files, list) or not files or not all(isinstance(name, str) for name in files):
+        raise LogError(f"{metadata}: it names no file")
+    return information
+
+
+def _unpacked(batch: Batch) -> Batch:
+    ends = batch.starts + batch.lengths
+    payloads = [
+        decompress("zstd", batch.buffer[start:end].tobytes())
+        for start, end in zip(batch.starts.tolist(), ends.tolist(), strict=True)
+    ]
+    return replace(
+        batch_of(batch.channel, [], [], payloads), log_ns=batch.log_ns, publish_ns=batch.publish_ns
+    )

@@ -1,0 +1,219 @@
+"""MCAP containers, whole or damaged.
+
+Each chunk carries a checksum of its messages, which is always verified; a chunk that fails is left out
+and said so. Only a chunk that the end of the file cuts off is used without: its whole records before the
+cut, as far as they agree with the chunk's header. A file that was written
+without checksums cannot tell a flipped bit in a payload.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from mmap import ACCESS_READ, mmap
+from pathlib import Path
+
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel as ChannelRecord
+from mcap.records import Metadata, Schema
+from numpy.typing import NDArray
+
+from amhe_cli.logs.containers.mcap_index import MAGIC as MAGIC
+from amhe_cli.logs.containers.mcap_index import (
+    PARSE_ERRORS,
+    RECORD,
+    Contents,
+    Piece,
+    contents,
+    span_ns,
+    stream,
+    unfolded,
+    unfolded_start,
+)
+from amhe_cli.logs.containers.raw import Batch, Channel, DefinitionFormat, messages, normal_type
+
+#: A message record up to its payload.
+_MESSAGE = np.dtype(
+    [("opcode", "u1"), ("size", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_ns", "<u8"),
+     ("publish_ns", "<u8")]
+)  # fmt: skip
+_BATCH_BYTES = 2**25
+_FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl", "ros1msg": "ros1msg"}
+
+
+class McapFile:
+    """An MCAP file; see LogFile."""
+
+    format = "MCAP"
+
+    def __init__(self, path: Path) -> None:
+        with path.open("rb") as file:
+            self._data = mmap(file.fileno(), 0, access=ACCESS_READ)
+        self.channels: list[Channel] = []
+        self.problems: list[str] = []
+        self.metadata: dict[str, str] = {}
+        self._schemas: dict[int, Schema] = {}
+        self._by_id: dict[int, Channel] = {}
+        self._broken_chunks = 0
+        self._read = 0
+        self._latest_ns = 0
+        self._first_ns: int | None = None
+
+    def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
+        """Yield the messages of the named topics (None: all), chunk by chunk."""
+        found = contents(self._data)
+        self.problems += found.problems
+        for opcode, body in found.declarations:
+            self._declare(opcode, body)
+        for piece in found.pieces:
+            if not piece.is_chunk:
+                yield from self._records(self._data, piece.start, piece.stop, topics)
+            elif (data := self._unfold(piece)) is not None:
+                yield from self._records(data, 0, len(data), topics)
+        if found.cut is not None and (data := self._unfold_start(found.cut)):
+            yield from self._records(data, 0, len(data), topics)
+        self._note_metadata(found)
+        self._conclude(found)
+
+    def read_metadata(self) -> dict[str, str]:
+        """The record named 'amhe', without decoding any message."""
+        found = contents(self._data)
+        for piece in found.pieces if not found.intact else ():  # is a chunk to blame?
+            if piece.is_chunk and self._unfold(piece) is None:
+                break
+        self._note_metadata(found)
+        return self.metadata
+
+    def _conclude(self, found: Contents) -> None:
+        if not found.whole and not found.summarised:
+            seconds = (self._latest_ns - (self._first_ns or 0)) / 1e9
+            self.problems.append(
+                f"recovered {messages(self._read)} up to t = {seconds:.1f} s; the file was not closed "
+                "(recorder crashed or copy incomplete)"
+            )
+        elif not found.closed:
+            self.problems.append(
+                f"the end of the file is missing, but its {messages(self._read)} are all there"
+            )
+        elif found.expected is not None and found.expected > self._read:
+            self.problems.append(
+                f"{found.expected - self._read} of {messages(found.expected)} lost to damage"
+            )
+
+    def _note_metadata(self, found: Contents) -> None:
+        """Take the metadata, unless the checksum over the file is wrong and no chunk is to blame."""
+        if found.metadata and not found.intact and not self._broken_chunks:
+            self.problems.append("the file's checksum is wrong: its metadata record is not used")
+            return
+        for body in found.metadata:
+            try:
+                record = Metadata.read(stream(body))
+            except PARSE_ERRORS:
+                self.problems.append("a metadata record is damaged and not used")
+                continue
+            if record.name == "amhe":
+                self.metadata |= record.metadata
+
+    def _unfold(self, chunk: Piece) -> bytes | None:
+        """Records of a chunk; None, with a note, if it is damaged."""
+        try:
+            return unfolded(self._data, chunk)
+        except PARSE_ERRORS as error:
+            self._broken_chunks += 1
+            span = span_ns(self._data, chunk)
+            origin = self._first_ns if self._first_ns is not None or span is None else span[0]
+            when = (
+                ""
+                if span is None
+                else " (t = {:.2f} to {:.2f} s)".format(*((t - (origin or 0)) / 1e9 for t in span))
+            )
+            self.problems.append(f"a chunk at byte {chunk.start - 9}{when} is lost: {error}")
+            return None
+
+    def _unfold_start(self, position: int) -> bytes | None:
+        """Whole records of a chunk that the end of the file cuts off, with a note; None if there are none."""
+        try:
+            data = unfolded_start(self._data, position)
+        except PARSE_ERRORS:
+            return None  # that the file is cut off is noted already
+        if data:
+            self.problems.append(f"the chunk at byte {position} is used up to the cut, without its checksum")
+        return data
+
+    def _records(
+        self, data: bytes | mmap, start: int, stop: int, topics: Collection[str] | None
+    ) -> Iterator[Batch]:
+        buffer = np.frombuffer(data, np.uint8)
+        places: list[int] = []
+        position, flush_at = start, start + _BATCH_BYTES
+        unpack, message = RECORD.unpack_from, int(Opcode.MESSAGE)
+        try:
+            while position < stop:  # the one loop over all messages: only what each needs is in it
+                opcode, size = unpack(data, position)
+                after = position + 9 + size
+                if after > stop:
+                    raise ValueError(f"the record at byte {position} is cut off")
+                if opcode == message:
+                    places.append(position)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._declare(opcode, bytes(data[position + 9 : after]))
+                position = after
+                if position > flush_at:
+                    yield from self._flush(buffer, places, topics)
+                    places, flush_at = [], position + _BATCH_BYTES
+        except PARSE_ERRORS as error:
+            self.problems.append(f"records are damaged: {error}")
+        yield from self._flush(buffer, places, topics)
+
+    def _flush(
+        self, buffer: NDArray[np.uint8], places: list[int], topics: Collection[str] | None
+    ) -> Iterator[Batch]:
+        starts = np.array(places, dtype=np.int64)
+        starts = starts[starts + _MESSAGE.itemsize <= buffer.size]
+        rows = np.lib.stride_tricks.sliding_window_view(buffer, _MESSAGE.itemsize)[starts]
+        heads = rows.view(_MESSAGE)[:, 0]
+        sound = heads["size"] >= _MESSAGE.itemsize - 9
+        starts, heads = starts[sound], heads[sound]
+        self._count(heads["log_ns"])
+        for number in np.unique(heads["channel"]).tolist():
+            mine = np.flatnonzero(heads["channel"] == number)
+            channel = self._by_id.get(number)
+            if channel is None:
+                self.problems.append(f"{messages(mine.size)} of a channel whose declaration is lost")
+            elif topics is None or channel.topic in topics:
+                yield Batch(
+                    channel,
+                    heads["log_ns"][mine].astype(np.int64),
+                    heads["publish_ns"][mine].astype(np.int64),
+                    buffer,
+                    starts[mine] + _MESSAGE.itemsize,
+                    heads["size"][mine].astype(np.int64) - (_MESSAGE.itemsize - 9),
+                )
+
+    def _count(self, log_ns: NDArray[np.uint64]) -> None:
+        if not log_ns.size:
+            return
+        self._read += log_ns.size
+        first, last = int(log_ns.min()), int(log_ns.max())
+        self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
+        self._latest_ns = max(self._latest_ns, last)
+
+    def _declare(self, opcode: int, body: bytes) -> None:
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream(body))
+            self._schemas[schema.id] = schema
+            return
+        record = ChannelRecord.read(stream(body))
+        if record.id in self._by_id:
+            return
+        schema = self._schemas.get(record.schema_id)
+        text = schema.data.decode("utf-8", "replace") if schema else ""
+        channel = Channel(
+            record.topic,
+            normal_type(schema.name) if schema else "",
+            record.message_encoding,
+            text,
+            _FORMATS.get(schema.encoding, "") if schema else "",
+        )
+        self._by_id[record.id] = channel
+        self.channels.append(channel)

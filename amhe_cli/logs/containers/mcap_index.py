@@ -1,0 +1,248 @@
+"""Where the pieces of an MCAP file are, and whether they are intact.
+
+Chunks are found in file order and, where the file was closed, through its summary as well, so that damage
+between chunks costs one chunk and not the rest of the file.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from mmap import mmap
+from typing import NamedTuple
+
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import EndOfFile
+from mcap.opcode import Opcode
+from mcap.records import ChunkIndex, Statistics
+
+from amhe_cli.logs.containers.compression import LIMIT, decompress, decompress_start
+
+MAGIC = b"\x89MCAP0\r\n"
+RECORD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQI")
+_LOG_NS = struct.Struct("<Q")
+#: Bytes of a message before its payload.
+_STAMPED = 22
+_FOOTER = struct.Struct("<QQI")
+#: What parsing a damaged record raises.
+PARSE_ERRORS = (ValueError, struct.error, EndOfFile)
+
+
+class Piece(NamedTuple):
+    """A chunk's body, or a run of records outside of chunks."""
+
+    start: int
+    stop: int
+    is_chunk: bool
+
+
+@dataclass(slots=True)
+class Contents:
+    """What a walk over the file finds.
+
+    Args:
+        pieces: In file order.
+        metadata: Bodies of the metadata records.
+        declarations: (opcode, body) of the schemas and channels that the summary repeats.
+        expected: Messages there should be, where the file says so.
+        whole: The data section was walked to its end.
+        closed: The file ends as a closed file does.
+        summarised: There is an intact summary.
+        intact: No checksum over the whole data section denies it.
+        problems: What is damaged, in words.
+        cut: Where the record begins at which the walk ended, if the file ends within it.
+    """
+
+    pieces: list[Piece] = field(default_factory=list)
+    metadata: list[bytes] = field(default_factory=list)
+    declarations: list[tuple[int, bytes]] = field(default_factory=list)
+    expected: int | None = None
+    whole: bool = False
+    closed: bool = False
+    summarised: bool = False
+    intact: bool = True
+    problems: list[str] = field(default_factory=list)
+    cut: int | None = None
+
+
+def contents(data: mmap) -> Contents:
+    """Walk over a file without unfolding its chunks.
+
+    Raises:
+        ValueError: If its messages are outside of chunks and the checksum over them is wrong.
+    """
+    found = Contents(closed=data[-len(MAGIC) :] == MAGIC)
+    indexed = _summary(data, found)
+    chunks: dict[int, Piece] = {}
+    loose: list[Piece] = []
+    stop = len(MAGIC)
+    try:
+        for opcode, start, stop in _split(data, len(MAGIC), len(data)):
+            if opcode == Opcode.CHUNK:
+                chunks[start - 9] = Piece(start, stop, True)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE):
+                _extend(loose, start - 9, stop)
+            elif opcode == Opcode.METADATA:
+                found.metadata.append(data[start:stop])
+            elif opcode == Opcode.DATA_END:
+                found.whole = True
+                (crc,) = struct.unpack_from("<I", data, start)
+                found.intact = not crc or zlib.crc32(memoryview(data)[: start - 9]) == crc
+                break
+    except PARSE_ERRORS as error:
+        found.problems.append(f"the file is damaged or cut off: {error}")
+        found.cut = None if found.closed else stop
+    for offset, stop in indexed.items():
+        chunks.setdefault(offset, Piece(offset + 9, stop, True))
+    if chunks and not found.whole:
+        loose = []  # the walk went astray: these records may be anything
+    if loose and not found.intact:
+        raise ValueError("its checksum is wrong and it has no chunks: no message in it can be trusted")
+    found.pieces = sorted([*chunks.values(), *loose])
+    return found
+
+
+def unfolded(data: mmap, chunk: Piece) -> bytes:
+    """Records of a chunk, decompressed, checksum verified.
+
+    Raises:
+        ValueError: If the chunk is damaged, or larger than the limit.
+    """
+    if chunk.stop > len(data):
+        raise ValueError("the file ends within it")
+    head = _head(data, chunk)
+    records = decompress(head.kind, data[head.at : head.stop], head.size)
+    if head.crc and zlib.crc32(records) != head.crc:
+        raise ValueError("its checksum is wrong")
+    return records
+
+
+def unfolded_start(data: mmap, position: int) -> bytes:
+    """Whole records of a chunk before the end of the file cuts it off.
+
+    Its checksum cannot be verified, so it takes a header that agrees with itself, and stamps that agree
+    with it; the first record that does not ends the recovery.
+
+    Raises:
+        ValueError: If there is no such chunk, or it is damaged.
+    """
+    opcode, length = RECORD.unpack_from(data, position)
+    if opcode != Opcode.CHUNK:
+        raise ValueError("it is no chunk")
+    chunk = Piece(position + 9, position + 9 + length, True)
+    head, span = _head(data, chunk), span_ns(data, chunk)
+    if span is None or head.stop != chunk.stop:
+        raise ValueError("its header is damaged")
+    # Where a machine lost power, its last pages may be there in length but not in content.
+    records = decompress_start(head.kind, data[head.at :].rstrip(b"\0"), head.size)
+    at = 0
+    while at + 9 <= len(records):
+        opcode, size = RECORD.unpack_from(records, at)
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE) or at + 9 + size > len(records):
+            break
+        if opcode == Opcode.MESSAGE and not (
+            size >= _STAMPED and span[0] <= _LOG_NS.unpack_from(records, at + 15)[0] <= span[1]
+        ):
+            break
+        at += 9 + size
+    return records[:at]
+
+
+class _Head(NamedTuple):
+    """What a chunk says of its records: compression, size once unfolded, checksum, begin and end."""
+
+    kind: str
+    size: int
+    crc: int
+    at: int
+    stop: int
+
+
+def _head(data: mmap, chunk: Piece) -> _Head:
+    start, stop = chunk.start, chunk.stop
+    opcode, length = RECORD.unpack_from(data, start - 9)
+    if opcode != Opcode.CHUNK or length != stop - start or length < _CHUNK.size + 12:
+        raise ValueError("its header is damaged")
+    _, _, size, crc = _CHUNK.unpack_from(data, start)
+    at = start + _CHUNK.size
+    (name_length,) = struct.unpack_from("<I", data, at)
+    if name_length > 16 or at + 12 + name_length > stop:
+        raise ValueError("its header is damaged")
+    name = data[at + 4 : at + 4 + name_length].decode("utf-8")
+    at += 12 + name_length
+    (packed,) = struct.unpack_from("<Q", data, at - 8)
+    if at + packed > stop:
+        raise ValueError("its header is damaged")
+    return _Head(name, size, crc, at, at + packed)
+
+
+def span_ns(data: mmap, chunk: Piece) -> tuple[int, int] | None:
+    """First and last stamp [ns] that a chunk claims to hold; None where that makes no sense."""
+    if chunk.start + 16 > len(data):
+        return None
+    first, last = struct.unpack_from("<QQ", data, chunk.start)
+    return (first, last) if first <= last < first + 10**15 else None
+
+
+def stream(body: bytes) -> ReadDataStream:
+    """A record's body, as the records of `mcap` want it."""
+    return ReadDataStream(BytesIO(body))
+
+
+def _summary(data: mmap, found: Contents) -> dict[int, int]:
+    """Note what the summary at the end says; return start and end of each chunk record."""
+    at = len(data) - len(MAGIC) - _FOOTER.size - 9
+    if not found.closed or at < len(MAGIC):
+        return {}
+    opcode, size = RECORD.unpack_from(data, at)
+    start, _, crc = _FOOTER.unpack_from(data, at + 9)
+    if opcode == Opcode.FOOTER and size == _FOOTER.size and start == 0:
+        return {}
+    damaged = opcode != Opcode.FOOTER or size != _FOOTER.size or start > at
+    if damaged or (crc and zlib.crc32(data[start : at + 9 + _FOOTER.size - 4]) != crc):
+        found.problems.append("the summary at the end of the file is damaged and not used")
+        return {}
+    chunks: dict[int, int] = {}
+    try:
+        for opcode, first, stop in _split(data, start, at):
+            if opcode == Opcode.CHUNK_INDEX:
+                index = ChunkIndex.read(stream(data[first:stop]))
+                chunks[index.chunk_start_offset] = index.chunk_start_offset + index.chunk_length
+            elif opcode == Opcode.STATISTICS:
+                found.expected = Statistics.read(stream(data[first:stop])).message_count
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                found.declarations.append((opcode, data[first:stop]))
+    except PARSE_ERRORS:
+        found.problems.append("the summary at the end of the file is damaged and not used")
+        return {}
+    found.summarised = True
+    return chunks
+
+
+def _extend(runs: list[Piece], start: int, stop: int) -> None:
+    """Join neighbouring loose records into one run."""
+    if runs and runs[-1].stop == start:
+        start = runs.pop().start
+    runs.append(Piece(start, stop, False))
+
+
+def _split(data: mmap, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
+    """Opcode, start and end of each record's body.
+
+    Raises:
+        ValueError: Where a record does not end within the bytes that there are.
+    """
+    position = start
+    while position < stop:
+        if position + 9 > stop:
+            raise ValueError(f"the record at byte {position} is cut off")
+        opcode, size = RECORD.unpack_from(data, position)
+        first = position + 9
+        position = first + size
+        if size > LIMIT or position > stop or opcode == 0:
+            raise ValueError(f"the record at byte {first - 9} is cut off")
+        yield opcode, first, position

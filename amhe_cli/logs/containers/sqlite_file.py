@@ -1,0 +1,151 @@
+"""rosbag2's sqlite3 storage (.db3), whole or damaged.
+
+SQLite keeps no checksums. Its structure is checked, and rows that contradict the index of stamps are left
+out, but a flipped bit inside a message's payload cannot be noticed.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sqlite3
+from collections.abc import Collection, Iterator
+from pathlib import Path
+from shutil import copyfileobj
+from tempfile import NamedTemporaryFile
+from typing import IO
+from urllib.parse import quote
+
+from amhe_cli.logs.containers.compression import LIMIT
+from amhe_cli.logs.containers.raw import Batch, Channel, DefinitionFormat, batch_of, messages, normal_type
+
+_FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl"}
+_BATCH = 4096
+
+
+class SqliteFile:
+    """A .db3 file; see LogFile."""
+
+    format = "rosbag2 sqlite3"
+
+    def __init__(self, path: Path) -> None:
+        self.channels: list[Channel] = []
+        self.problems: list[str] = []
+        self.metadata: dict[str, str] = {}
+        self._size = path.stat().st_size
+        self._completed = _completed(path)
+        if self._completed is not None:
+            self.problems.append("the file is cut off (copy incomplete)")
+            path = Path(self._completed.name)
+        # A journal beside the file means that the recorder crashed; sqlite then needs to see it.
+        journal = path.with_name(path.name + "-wal")
+        mode = "mode=ro" if journal.exists() and journal.stat().st_size else "immutable=1"
+        self._database = sqlite3.connect(f"file:{quote(str(path.absolute()))}?{mode}", uri=True)
+        # Without this, sqlite refuses a file that is shorter than its header says.
+        self._database.execute("PRAGMA writable_schema=ON")
+        self._database.execute("PRAGMA cell_size_check=ON")
+        self._database.text_factory = lambda text: text.decode("utf-8", "replace")
+
+    def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
+        """Yield the messages of the named topics (None: all), in the order they were recorded."""
+        by_id = self._topics()
+        suspect = self._suspect_rows()
+        wanted = {number: c for number, c in by_id.items() if topics is None or c.topic in topics}
+        pending: dict[int, list[tuple[int, bytes]]] = {number: [] for number in wanted}
+        read = first = last = 0
+        try:
+            for number, topic, stamp, data in self._rows(wanted):
+                if number in suspect or not isinstance(stamp, int) or not isinstance(data, bytes):
+                    self.problems.append(f"message {number} is damaged and left out")
+                    continue
+                rows = pending[topic]
+                rows.append((stamp, data))
+                first, last, read = first or stamp, stamp, read + 1
+                if len(rows) == _BATCH:
+                    yield _batch(wanted[topic], rows)
+                    rows.clear()
+        except sqlite3.DatabaseError:
+            self.problems.append(
+                f"recovered {messages(read)} up to t = {(last - first) / 1e9:.1f} s; the rest is lost"
+            )
+        for topic, rows in pending.items():
+            if rows:
+                yield _batch(wanted[topic], rows)
+
+    def read_metadata(self) -> dict[str, str]:
+        """Nothing: the format has no place for it."""
+        return {}
+
+    def _topics(self) -> dict[int, Channel]:
+        definitions: dict[str, tuple[str, str, str]] = {}
+        try:
+            for name, encoding, text, digest in self._database.execute(
+                "SELECT topic_type, encoding, encoded_message_definition, type_description_hash "
+                "FROM message_definitions"
+            ):
+                definitions[name] = str(encoding), str(text), str(digest or "")
+        except sqlite3.OperationalError:
+            pass  # recorders before ROS 2 Iron wrote no definitions
+        channels: dict[int, Channel] = {}
+        for number, topic, kind, encoding in self._database.execute(
+            "SELECT id, name, type, serialization_format FROM topics"
+        ):
+            language, text, digest = definitions.get(kind, ("", "", ""))
+            channels[number] = Channel(
+                str(topic), normal_type(str(kind)), str(encoding), text, _FORMATS.get(language, ""), digest
+            )
+        self.channels = list(channels.values())
+        return channels
+
+    def _rows(self, wanted: Collection[int]) -> sqlite3.Cursor:
+        # Along the table, not the index: a damaged index must not reorder or hide messages.
+        marks = ",".join("?" * len(wanted))
+        return self._database.execute(
+            f"SELECT id, topic_id, timestamp, data FROM messages NOT INDEXED WHERE topic_id IN ({marks})",
+            tuple(wanted),
+        )
+
+    def _suspect_rows(self) -> set[int]:
+        """Rows whose stamp contradicts the index."""
+        if self._size > LIMIT or self._completed is not None:
+            return set()  # a check as long as the reading itself, or one that finds only what is known
+        try:
+            report = [line for (line,) in self._database.execute("PRAGMA integrity_check(1000)")]
+        except sqlite3.DatabaseError as error:
+            report = [str(error)]
+        if report == ["ok"]:
+            return set()
+        self.problems.append(f"the database is damaged ({report[0].splitlines()[-1]})")
+        return {int(row) for line in report for row in re.findall(r"row (\d+) missing from index", line)}
+
+
+def _batch(channel: Channel, rows: list[tuple[int, bytes]]) -> Batch:
+    times, payloads = zip(*rows, strict=True)
+    return batch_of(channel, times, times, payloads)
+
+
+def _completed(path: Path) -> IO[bytes] | None:
+    """A copy of a cut-off file at its full length; None if the file is not cut off.
+
+    sqlite would read the missing bytes as zeros, and those pass as measurements. Pages of 0xFF instead are
+    no valid pages, and as payload they are NaN.
+    """
+    with path.open("rb") as file:
+        head = file.read(100)
+        page = int.from_bytes(head[16:18], "big")
+        page = 65536 if page == 1 else page
+        missing = page * int.from_bytes(head[28:32], "big") - path.stat().st_size
+        if len(head) == 100 and missing <= 0:
+            return None
+        if len(head) < 100 or missing > LIMIT:
+            raise ValueError("the database is cut off, and too much of it is missing")
+        file.seek(0)
+        copy = NamedTemporaryFile(prefix="amhe-", suffix=".db3")  # noqa: SIM115 (lives as long as the reader)
+        copyfileobj(file, copy)
+        copy.truncate(path.stat().st_size // page * page)
+        copy.seek(0, os.SEEK_END)
+        missing += path.stat().st_size % page
+        for start in range(0, missing, 2**20):
+            copy.write(b"\xff" * min(2**20, missing - start))
+        copy.flush()
+    return copy

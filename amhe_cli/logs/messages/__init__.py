@@ -1,0 +1,1 @@
+"""Message definitions, their layout in memory, decoding and writing."""

@@ -1,0 +1,286 @@
+"""From messages to arrays: the quantities of one signal at the stamps of its messages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.errors import ConfigError, LogError, one_of
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs.containers.raw import Batch, Channel
+from amhe_cli.logs.messages.layout import Layout, Leaf
+from amhe_cli.logs.messages.split import Group
+from amhe_cli.logs.messages.types import DERIVED, TYPES, TypeInfo
+
+_Bytes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SignalSamples:
+    """What the messages of a signal say, sorted by the time they were logged.
+
+    Args:
+        log_ns, publish_ns: Stamps of recorder and sender [ns], shape (n,).
+        header_ns: Stamp in the message itself [ns], shape (n,); 0 where there is none.
+        delay_ns: How much later than its stamp a sample acts (trajectory points) [ns], shape (n,).
+        values: quantity -> (n, k), NaN where a message does not say.
+        columns: quantity -> names of the k columns.
+        has_header: The message type carries a stamp.
+    """
+
+    log_ns: IntArray
+    publish_ns: IntArray
+    header_ns: IntArray
+    delay_ns: IntArray
+    values: Mapping[str, FloatArray]
+    columns: Mapping[str, tuple[str, ...]]
+    has_header: bool
+
+    def pick(self, index: NDArray) -> SignalSamples:
+        """The same for some of the messages: a mask or an order, shape (n,) or (m,)."""
+        return SignalSamples(
+            self.log_ns[index],
+            self.publish_ns[index],
+            self.header_ns[index],
+            self.delay_ns[index],
+            {quantity: values[index] for quantity, values in self.values.items()},
+            self.columns,
+            self.has_header,
+        )
+
+
+@dataclass(slots=True)
+class _Columns:
+    """Where one group of messages keeps everything that is wanted of it: leaves, None where absent."""
+
+    stamp: tuple[Leaf, Leaf] | None
+    delay: tuple[Leaf, Leaf] | None
+    values: dict[str, list[Leaf | None]]
+    unknown: dict[str, Leaf]
+
+
+@dataclass(slots=True)
+class _Parts:
+    """Arrays of the groups read so far, one entry a group."""
+
+    order: list[IntArray] = field(default_factory=list)
+    log_ns: list[IntArray] = field(default_factory=list)
+    publish_ns: list[IntArray] = field(default_factory=list)
+    header_ns: list[IntArray] = field(default_factory=list)
+    delay_ns: list[IntArray] = field(default_factory=list)
+    values: dict[str, list[FloatArray]] = field(default_factory=dict)
+
+
+class SignalDecoder:
+    """Collects the samples of one signal from the groups of its channel.
+
+    Raises:
+        LogError: If the channel's type is another one than the signal's, or cannot give its quantities.
+    """
+
+    def __init__(self, signal: Signal, channel: Channel) -> None:
+        if signal.type is not None and signal.type != channel.type:
+            raise LogError(f"topic {signal.topic!r} carries {channel.type}, not {signal.type}")
+        self._signal = signal
+        self.type = channel.type
+        self._topic = f"topic {signal.topic!r} ({channel.type})"
+        self.info = self._info(channel.type)
+        self._wanted = self._quantities()
+        self._names: tuple[str, ...] = signal.names
+        self._columns: dict[str, tuple[str, ...]] = {}
+        self._seen: set[str] = set()
+        self._parts = _Parts(values={quantity: [] for quantity in self._wanted})
+        self._recipes: dict[int, tuple[Layout, list[_Columns]]] = {}
+        self.count = 0
+        self._has_header = False
+        self.odd = 0
+        self.not_finite: dict[str, int] = dict.fromkeys(self._wanted, 0)
+
+    def feed(self, batch: Batch, groups: Sequence[Group]) -> None:
+        """Take the samples of one batch, as the splitter grouped it."""
+        for group in groups:
+            key = id(group.layout)
+            if key not in self._recipes:
+                # Holding the layout keeps its id from being given to another one.
+                self._recipes[key] = (group.layout, self._recipe(group.layout))
+            for columns in self._recipes[key][1]:
+                self._take(columns, group, batch)
+        self.count += batch.starts.size
+
+    def samples(self) -> SignalSamples:
+        """Everything collected.
+
+        Raises:
+            LogError: If a wanted entry or quantity never came.
+        """
+        self._check_complete()
+        parts = self._parts
+        joined = SignalSamples(
+            np.concatenate(parts.log_ns),
+            np.concatenate(parts.publish_ns),
+            np.concatenate(parts.header_ns),
+            np.concatenate(parts.delay_ns),
+            {quantity: np.concatenate(values) for quantity, values in parts.values.items()},
+            self._columns,
+            self._has_header,
+        )
+        return joined.pick(np.lexsort((np.concatenate(parts.order), joined.log_ns)))
+
+    # -- what is wanted -------------------------------------------------------------------------------
+
+    def _info(self, type_name: str) -> TypeInfo:
+        known = TYPES.get(type_name)
+        if not self._signal.fields and known is None:
+            raise LogError(f"{self._topic}: this type is not built in; name its fields in the signal")
+        if known is None or self._signal.fields:
+            return TypeInfo(self._signal.fields, {q: paths for q, paths in self._signal.fields.items()})
+        return known
+
+    def _quantities(self) -> tuple[str, ...]:
+        """The quantities to decode: those asked for, and those that these are computed from."""
+        fields = self.info.fields
+        wanted: list[str] = []
+        for quantity in self._signal.quantities:
+            source = DERIVED.get(quantity, "")
+            if quantity not in fields and source not in fields:
+                raise LogError(f"{self._topic}: {one_of('quantity', quantity, fields)}")
+            wanted += [name for name in (quantity, source) if name in fields]
+        if "orientation" in fields and "position" in fields:
+            wanted.append("orientation")  # says whether the pose was lost, and turns the twist
+        if self.info.twist_in_child and "linear_velocity" in wanted:
+            wanted.append("position")  # says whether the twist is in the frame that ROS defines
+        return tuple(dict.fromkeys(wanted))
+
+    # -- where it lies --------------------------------------------------------------------------------
+
+    def _recipe(self, layout: Layout) -> list[_Columns]:
+        """One entry for each sample that a message of this layout holds."""
+        info = self.info
+        if info.names is not None:
+            self._seen |= set(layout.names(info.names))
+        if info.elements is None:
+            return [self._at(layout, "", "")]
+        prefixes = [f"{info.elements}[{i}]." for i in range(layout.counts.get(info.elements, 0))]
+        if info.names is None:
+            return [self._at(layout, prefix, prefix) for prefix in self._of_child(layout, prefixes)]
+        return [self._at(layout, prefix, "") for prefix in prefixes]
+
+    def _of_child(self, layout: Layout, prefixes: Sequence[str]) -> list[str]:
+        """The transforms of the wanted frame."""
+        frames = {prefix: layout.strings[f"{prefix}child_frame_id"].lstrip("/") for prefix in prefixes}
+        self._seen |= set(frames.values())
+        if self._signal.child_frame is None:
+            raise ConfigError(
+                f"signal {self._signal.name!r}: name the child_frame that is wanted of {self._topic}; "
+                f"there is: {', '.join(sorted(self._seen))}"
+            )
+        return [p for p, frame in frames.items() if frame == self._signal.child_frame.lstrip("/")]
+
+    def _at(self, layout: Layout, prefix: str, stamped: str) -> _Columns:
+        values = {quantity: self._leaves(layout, prefix, quantity) for quantity in self._wanted}
+        unknown = {
+            quantity: layout.columns(path)[0]
+            for quantity, path in (self.info.unknown or {}).items()
+            if quantity in self._wanted
+        }
+        stamp = time_leaves(layout, f"{stamped}header.stamp") or time_leaves(layout, f"{stamped}stamp")
+        self._has_header |= stamp is not None
+        return _Columns(stamp, time_leaves(layout, f"{prefix}time_from_start"), values, unknown)
+
+    def _leaves(self, layout: Layout, prefix: str, quantity: str) -> list[Leaf | None]:
+        found = [layout.columns(prefix + path) for path in self.info.fields[quantity]]
+        if self.info.names is not None:
+            return self._by_name(layout, found[0], quantity)
+        leaves = [leaf for leaves in found for leaf in leaves]
+        if not all(found) and quantity in self._signal.fields:
+            missing = self.info.fields[quantity][[bool(f) for f in found].index(False)]
+            raise LogError(f"{self._topic}: {one_of('number field', missing, layout.leaves)}")
+        names = self.info.columns.get(quantity, ())
+        if len(names) != len(leaves):
+            names = tuple(f"[{i}]" for i in range(len(leaves)))
+        return self._sized(quantity, names, leaves)
+
+    def _by_name(self, layout: Layout, array: list[Leaf], quantity: str) -> list[Leaf | None]:
+        names = layout.names(self.info.names or "")
+        if not names and not self._names:
+            return self._sized(quantity, tuple(f"[{i}]" for i in range(len(array))), array)
+        self._names = self._names or names
+        self._columns[quantity] = self._names
+        if len(array) != len(names):
+            self.odd += bool(array)
+            return [None] * len(self._names)
+        place = dict(zip(names, array, strict=True))
+        return [place.get(name) for name in self._names]
+
+    def _sized(self, quantity: str, names: tuple[str, ...], leaves: Sequence[Leaf]) -> list[Leaf | None]:
+        """Hold every message to the number of columns that the first one had."""
+        fixed = self._columns.setdefault(quantity, names) if leaves else self._columns.get(quantity, ())
+        if len(fixed) == len(leaves):
+            return list(leaves)
+        self.odd += 1
+        return [None] * len(fixed)
+
+    # -- taking it ------------------------------------------------------------------------------------
+
+    def _take(self, columns: _Columns, group: Group, batch: Batch) -> None:
+        rows, members = group.rows, group.members
+        size = members.size
+        zero = np.zeros(size, dtype=np.int64)
+        parts = self._parts
+        parts.order.append(self.count + members)
+        parts.log_ns.append(batch.log_ns[members])
+        parts.publish_ns.append(batch.publish_ns[members])
+        parts.header_ns.append(nanoseconds(rows, columns.stamp) if columns.stamp else zero)
+        parts.delay_ns.append(nanoseconds(rows, columns.delay) if columns.delay else zero)
+        for quantity, leaves in columns.values.items():
+            block = _gather(rows, leaves)
+            present = [leaf is not None for leaf in leaves]
+            self.not_finite[quantity] += int((~np.isfinite(block[:, present])).any(axis=1).sum())
+            if quantity in columns.unknown:
+                block[_gather(rows, [columns.unknown[quantity]])[:, 0] == -1.0] = np.nan
+            parts.values[quantity].append(block)
+
+    def _check_complete(self) -> None:
+        if not self._parts.log_ns:
+            frame = self._signal.child_frame
+            if frame is not None and self._seen:
+                raise LogError(f"{self._topic}: {one_of('child frame', frame, self._seen)}")
+            raise LogError(f"{self._topic}: no readable message")
+        if self.info.names is not None:
+            for name in self._signal.names:
+                if name not in self._seen:
+                    raise LogError(f"{self._topic}: {one_of('joint', name, self._seen)}")
+        for quantity, blocks in self._parts.values.items():
+            width = len(self._columns.get(quantity, ()))
+            self._parts.values[quantity] = [
+                block if block.shape[1] == width else np.full((len(block), width), np.nan) for block in blocks
+            ]
+
+
+def time_leaves(layout: Layout, path: str) -> tuple[Leaf, Leaf] | None:
+    """Seconds and nanoseconds of the time at `path`; None where there is none."""
+    seconds, nanoseconds = layout.leaves.get(f"{path}.sec"), layout.leaves.get(f"{path}.nanosec")
+    return (seconds, nanoseconds) if seconds and nanoseconds else None
+
+
+def nanoseconds(rows: _Bytes, stamp: tuple[Leaf, Leaf]) -> IntArray:
+    """A time of every message [ns], shape (n,)."""
+    seconds, nanoseconds = (_read(rows, leaf).astype(np.int64) for leaf in stamp)
+    return seconds * 10**9 + nanoseconds
+
+
+def _gather(rows: _Bytes, leaves: Sequence[Leaf | None]) -> FloatArray:
+    block = np.full((len(rows), len(leaves)), np.nan)
+    for i, leaf in enumerate(leaves):
+        if leaf is not None:
+            block[:, i] = _read(rows, leaf)
+    return block
+
+
+def _read(rows: _Bytes, leaf: Leaf) -> NDArray:
+    """One number of every message, as a strided view."""
+    return np.ndarray(len(rows), leaf.dtype, rows, leaf.offset, (rows.strides[0],))

@@ -1,0 +1,139 @@
+"""Message definitions: from the log, from a folder of .msg files, or the ones that come with rosbags.
+
+Only definitions are parsed. No code is generated from them, so a log cannot make us run anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.logs.containers.raw import Channel, normal_type
+
+#: Type -> its fields in order: (name, rosbags' description of the field's type).
+Types: TypeAlias = Mapping[str, Sequence[tuple[str, Any]]]
+
+
+class Definitions:
+    """What is known about message types, with the log's own word first.
+
+    Args:
+        msg_path: Folder of .msg files for types that the log does not define.
+
+    Raises:
+        ConfigError: If the folder is missing, holds no .msg file, or one of them does not parse.
+    """
+
+    def __init__(self, msg_path: Path | None = None) -> None:
+        self._folder = _read_folder(msg_path) if msg_path else {}
+        self._cache: dict[Channel, Types] = {}
+
+    def of(self, channel: Channel) -> Types:
+        """All types that decoding `channel` may need.
+
+        Raises:
+            LogError: If the channel is in a foreign encoding, or its type is not defined anywhere.
+        """
+        if channel not in self._cache:
+            self._cache[channel] = self._lookup(channel)
+        return self._cache[channel]
+
+    def problem(self, channel: Channel) -> str | None:
+        """Why `channel` cannot be decoded, in words; None if it can."""
+        try:
+            self.of(channel)
+        except LogError as error:
+            return str(error)
+        return None
+
+    def _lookup(self, channel: Channel) -> Types:
+        topic = f"topic {channel.topic!r}"
+        if channel.encoding not in ("cdr", "ros1"):
+            raise LogError(
+                f"{topic} is encoded as {channel.encoding!r}; only ROS messages (cdr, ros1) are read"
+            )
+        try:
+            own = _parse(replace(channel, topic=""))
+        except Exception as error:  # rosbags' parser raises many kinds on malformed text
+            if channel.type not in _bundled(channel.encoding) and channel.type not in self._folder:
+                raise LogError(f"{topic}: the definition of {channel.type} in the log is damaged") from error
+            own = {}
+        types = {**_bundled(channel.encoding), **self._folder, **own}
+        if channel.type not in types:
+            raise LogError(
+                f"{topic}: the log has no definition of {channel.type}; "
+                f"give the folder that holds {channel.type.split('/')[-1]}.msg with --msg-path"
+            )
+        return types
+
+
+@lru_cache(maxsize=256)
+def _parse(channel: Channel) -> Types:
+    """The log's own definition; nothing where it has none or a damaged one.
+
+    Raises:
+        Exception: Of many kinds, if the text does not parse.
+    """
+    if not channel.definition.strip():
+        return {}
+    types = _parsed_text(channel)
+    if channel.digest and _digest(channel, types) != channel.digest:
+        raise ValueError("its hash is wrong")
+    return _fields(types)
+
+
+def _digest(channel: Channel, types: Mapping[str, Any]) -> str:
+    """What the recorder should have written as the definition's hash."""
+    store = get_typestore(Stores.EMPTY)
+    store.fielddefs.update(types)  # only looked up: registering would generate and run code
+    if channel.encoding == "ros1":
+        return store.generate_msgdef(channel.type)[1] if channel.digest != "*" else "*"
+    return store.hash_rihs01(channel.type)
+
+
+def _parsed_text(channel: Channel) -> dict[str, Any]:
+    if channel.definition_format != "ros2idl":
+        return dict(get_types_from_msg(channel.definition, channel.type))
+    separator = "=" * 80 + "\n"
+    types: dict[str, Any] = {}
+    for part in channel.definition.split(separator):
+        text = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
+        if text.strip():
+            types |= get_types_from_idl(text)
+    return types
+
+
+def _fields(types: Mapping[str, Any]) -> Types:
+    return {name: fields for name, (_, fields) in types.items()}
+
+
+@cache
+def _bundled(encoding: str) -> Types:
+    store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.LATEST)
+    types: dict[str, Any] = {name: entry[1] for name, entry in store.fielddefs.items()}
+    tf = "tf2_msgs/msg/TFMessage"
+    if tf not in types:  # ROS 1's store has only the parts of it
+        types |= _fields(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", tf))
+    return types
+
+
+def _read_folder(folder: Path) -> Types:
+    files = sorted(folder.rglob("*.msg"))
+    if not files:
+        raise ConfigError(f"--msg-path {folder}: no such folder, or no .msg file in it")
+    types: dict[str, Any] = {}
+    for file in files:
+        parents = [part for part in file.relative_to(folder.parent).parts[:-1] if part != "msg"]
+        package = parents[-1] if parents else folder.resolve().name
+        name = normal_type(f"{package}/{file.stem}")
+        try:
+            types.update(_fields(get_types_from_msg(file.read_text(encoding="utf-8"), name)))
+        except Exception as error:  # rosbags' parser raises many kinds on malformed text
+            raise ConfigError(f"--msg-path: {file} is not a message definition: {error}") from error
+    return types

@@ -1,0 +1,80 @@
+"""Sort the messages of a channel by their layout, so that each group can be read at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from amhe_cli.core.arrays import IntArray
+from amhe_cli.logs.containers.raw import Batch, Channel
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.layout import Layout, MalformedMessageError, walk
+
+_Bytes = NDArray[np.uint8]
+#: Layouts remembered for each message length, the latest ones.
+_CACHED_LAYOUTS = 64
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Messages of one batch that share a layout: rows (n, length), and which of the batch they are."""
+
+    layout: Layout
+    rows: _Bytes
+    members: IntArray
+
+
+class Splitter:
+    """Sorts the messages of one channel by layout, and counts those that are damaged."""
+
+    def __init__(self, channel: Channel, definitions: Definitions) -> None:
+        self._channel = channel
+        self._types = definitions.of(channel)
+        self._layouts: dict[int, list[Layout]] = {}
+        self.damaged = 0
+        self.reason = ""
+
+    def split(self, batch: Batch) -> Iterator[Group]:
+        """Yield groups that together hold every intact message of the batch."""
+        for length in np.unique(batch.lengths).tolist():
+            members = np.flatnonzero(batch.lengths == length)
+            if length == 0:
+                self._damage("it is empty", members.size)
+                continue
+            rows = np.lib.stride_tricks.sliding_window_view(batch.buffer, length)[batch.starts[members]]
+            yield from self._same_length(rows, members)
+
+    def _same_length(self, rows: _Bytes, members: IntArray) -> Iterator[Group]:
+        known = self._layouts.setdefault(rows.shape[1], [])
+        for layout in known:
+            hits = layout.matches(rows)
+            if hits.all():
+                yield Group(layout, rows, members)
+                return
+            if hits.any():
+                yield Group(layout, rows[hits], members[hits])
+                rows, members = rows[~hits], members[~hits]
+        while members.size:
+            layout = self._walk(rows[0])
+            if layout is None:
+                rows, members = rows[1:], members[1:]
+                continue
+            known.append(layout)
+            hits = layout.matches(rows)
+            yield Group(layout, rows[hits], members[hits])
+            rows, members = rows[~hits], members[~hits]
+        del known[:-_CACHED_LAYOUTS]
+
+    def _walk(self, message: _Bytes) -> Layout | None:
+        try:
+            return walk(message, self._channel.type, self._types, self._channel.encoding)
+        except MalformedMessageError as error:
+            self._damage(str(error), 1)
+            return None
+
+    def _damage(self, reason: str, count: int) -> None:
+        self.damaged += count
+        self.reason = self.reason or reason

@@ -1,0 +1,168 @@
+"""From a log to a trajectory: decode what is asked for, choose clocks, convert to SI, resample."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.logs.collect import collect
+from amhe_cli.logs.containers.folder import open_log
+from amhe_cli.logs.containers.raw import readable
+from amhe_cli.logs.differentiate import angular_velocity, derivative
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.types import DERIVED
+from amhe_cli.logs.physics import twist_looks_global
+from amhe_cli.logs.resample import longest_bridge, resample
+from amhe_cli.logs.tracks import Track, grid_of, on_one_clock, tracks_of
+
+logger = logging.getLogger(__name__)
+
+#: A signal that is missing for a larger share of the log is worth a warning, which names so many gaps.
+_LOSS = 0.05
+_GAPS_SHOWN = 3
+
+
+def read_trajectory(
+    path: Path,
+    signals: Sequence[Signal],
+    dt: float,
+    settings: LogSettings,
+    *,
+    start: float | None = None,
+    end: float | None = None,
+    msg_path: Path | None = None,
+) -> Trajectory:
+    """Read the given signals of one log onto one uniform clock.
+
+    Row 0 is the first instant at which every signal has begun, in phase with the first message of the
+    state topic that begins last: a log recorded at multiples of `dt` is taken over as it is. Commands are
+    held until the next one, states interpolated, orientations along the arc; silences longer than
+    `settings.max_gap` (or five periods of the topic) stay invalid.
+
+    An odometry's linear velocity is turned from its child frame into the world. A TwistStamped, whose frame
+    ROS leaves to the sender, is taken as it is: linear velocity in the world, angular in the body's frame.
+
+    Args:
+        path: A .mcap, .db3 or .bag file, or a rosbag2 folder.
+        signals: What to read; topics that are not named are not decoded.
+        dt: Step of the clock [s].
+        settings: Clock and gap settings.
+        start: Where to begin [s], counted from row 0.
+        end: Where to stop [s], counted from row 0.
+        msg_path: Folder of .msg files for types that the log does not define.
+
+    Raises:
+        ConfigError: If the path does not exist, or a signal or option makes no sense.
+        LogError: If the log is unreadable, or lacks a topic, joint or quantity that is asked for.
+    """
+    if not signals or not dt > 0:
+        raise ConfigError("reading a log takes at least one signal and a positive time step")
+    with readable(path):
+        log = open_log(path)
+        decoders = collect(log, signals, Definitions(msg_path))
+        tracks = on_one_clock(path, tracks_of(path, signals, decoders, settings), settings)
+        grid, start_ns = grid_of(path, tracks, dt, start, end)
+        series: dict[str, Series] = {}
+        for track in tracks:
+            found = _series(path, track, grid, start_ns, settings)
+            _tell_gaps(path, track.signal, found, dt)
+            series |= found
+    return Trajectory(dt, series, str(path), start_ns, log.metadata)
+
+
+def _series(
+    path: Path, track: Track, grid: FloatArray, start_ns: int, settings: LogSettings
+) -> dict[str, Series]:
+    signal = track.signal
+    times = (track.times.stamps_ns - start_ns) / 1e9
+    bridge = longest_bridge(times, settings.max_gap, signal.is_input)
+    series: dict[str, Series] = {}
+    for quantity in signal.quantities:
+        values, columns, derived = _values(path, track, quantity, times, bridge)
+        series[signal.key(quantity)] = resample(
+            times,
+            values,
+            columns,
+            grid,
+            bridge=bridge,
+            hold=signal.is_input,
+            rotation=quantity == "orientation",
+            derived=derived,
+        )
+    return series
+
+
+def _tell_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: float) -> None:
+    """Warn where a signal is missing for more than a small part of the log."""
+    missing = ~np.all([one.valid for one in series.values()], axis=0)
+    if missing.mean() <= _LOSS:
+        return
+    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    gaps = sorted(edges.reshape(-1, 2).tolist(), key=lambda gap: gap[0] - gap[1])
+    shown = [
+        f"from {dt * begin:.2f} to {dt * end:.2f} s ({dt * (end - begin):.2f} s)"
+        for begin, end in sorted(gaps[:_GAPS_SHOWN])
+    ]
+    rest = f" and in {len(gaps) - len(shown)} shorter gaps" if len(gaps) > len(shown) else ""
+    logger.warning(
+        "%s: topic %r: no data of signal %r %s%s, in all %s of %s s: no clip crosses it",
+        path, signal.topic, signal.name, ", ".join(shown), rest,
+        f"{dt * missing.sum():.2f}", f"{dt * missing.size:.2f}",
+    )  # fmt: skip
+
+
+def _values(
+    path: Path, track: Track, quantity: str, times: FloatArray, bridge: float
+) -> tuple[FloatArray, tuple[str, ...], bool]:
+    """Bring one quantity into our convention; differentiate it where the topic lacks it.
+
+    Returns:
+        Samples (m, k), names of the columns, whether they were differentiated.
+    """
+    known: Mapping[str, FloatArray] = track.samples.values
+    if quantity in known and np.isfinite(known[quantity]).any():
+        values = known[quantity]
+        if quantity == "linear_velocity" and track.twist_in_child:
+            values = rotations.rotate(known["orientation"], values)
+            if twist_looks_global(times, known, values):
+                logger.warning(
+                    "%s: topic %r: its twist fits its positions better as a velocity in the world frame, but "
+                    "ROS defines it in the child frame, and so it was read",
+                    path,
+                    track.signal.topic,
+                )
+        return values, track.samples.columns[quantity], False
+    source = DERIVED.get(quantity, "")
+    if source not in known or not np.isfinite(known[source]).any():
+        raise LogError(f"{path}: topic {track.signal.topic!r} carries no {quantity}")
+    logger.info("%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source)
+    columns = ("x", "y", "z") if source == "orientation" else track.samples.columns[source]
+    return _differentiated(times, known[source], source, bridge), columns, True
+
+
+def _differentiated(times: FloatArray, values: FloatArray, source: str, bridge: float) -> FloatArray:
+    if source == "orientation":
+        slopes = np.full((times.size, 3), np.nan)
+        present = np.isfinite(values).all(axis=1)
+        slopes[present] = angular_velocity(times[present], values[present], bridge)
+        return slopes
+    slopes = np.full(values.shape, np.nan)
+    finite = np.isfinite(values)
+    for columns in _columns_alike(finite):
+        present = finite[:, columns[0]]
+        slopes[np.ix_(present, columns)] = derivative(times[present], values[present][:, columns], bridge)
+    return slopes
+
+
+def _columns_alike(finite: np.ndarray) -> list[IntArray]:
+    _, kind = np.unique(finite, axis=1, return_inverse=True)
+    return [np.flatnonzero(kind.ravel() == k) for k in range(int(kind.max(initial=-1)) + 1)]

@@ -1,0 +1,1 @@
+"""The rollout-matching cost: windows, their first states, residuals, costs."""

@@ -1,0 +1,191 @@
+"""The rollout-matching cost: the one place where predictions meet measurements.
+
+    J(theta) = trimmed mean over clips of (1 / count) sum over steps, channels of rho(|| r ||^2)
+    r = (measured - predicted) / noise sd;  rotations: log(measured^-1 predicted)
+
+the paper's equations (1) and (4), made robust (rho is the pseudo-Huber loss), and normalised by count so
+that costs compare across clip lengths. Identification, moving-horizon estimation, probing and the live
+fit monitor all use it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.settings import CostSettings
+from amhe_cli.core.statistics import pseudo_huber, trimmed_mean
+from amhe_cli.core.trajectory import Window
+from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.states import integrated
+from amhe_cli.matching.windows import Clips, Observed, prepare
+from amhe_cli.system.system import Channel, System
+
+#: Rollout records of one engine call stay below this many bytes; more candidates are run in turns.
+RECORD_BYTES = 256 * 2**20
+
+
+@dataclass(frozen=True, eq=False)
+class Residuals:
+    """Whitened residuals of p candidates on c clips.
+
+    Args:
+        values: Per channel, shape (p, c, samples, k); zero where nothing was measured.
+        completed: False where a rollout diverged, shape (p, c).
+    """
+
+    values: tuple[FloatArray, ...]
+    completed: BoolArray
+
+    @cached_property
+    def flat(self) -> FloatArray:
+        """All channels side by side, shape (p, c, R)."""
+        p, c = self.completed.shape
+        return np.concatenate([v.reshape(p, c, -1) for v in self.values], axis=-1)
+
+
+class MatchingCost:
+    """How well candidate parameters explain a fixed set of clips.
+
+    Args:
+        system: What to compare, and how.
+        windows: The clips; every candidate is rolled out on all of them.
+        engine: The rollout engine.
+        settings: Robustness.
+        noise_scale: Channel -> factor on its declared noise sd, where the data showed another.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        windows: Sequence[Window],
+        engine: RolloutEngine,
+        settings: CostSettings,
+        noise_scale: Mapping[str, float] | None = None,
+    ) -> None:
+        self.system, self.engine, self.settings = system, engine, settings
+        self.clips: Clips = prepare(system, windows, noise_scale or {}, settings.smoothing)
+
+    @property
+    def nx(self) -> int:
+        """Number of first-state coordinates whose measurement error is known."""
+        return int(self.clips.first_sd.size)
+
+    def predict(
+        self, z: FloatArray, first: FloatArray | None = None
+    ) -> tuple[tuple[FloatArray, ...], BoolArray]:
+        """Roll out and pick what the channels measure, at the times they measured it.
+
+        Args:
+            z: Candidates, shape (p, d).
+            first: First-state errors in units of their sd, shape (p, c, nx); None starts every clip
+                from its recorded state.
+
+        Returns:
+            Per channel, predicted values (p, c, samples, columns), and the completed mask (p, c).
+        """
+        turns = max(1, int(np.ceil(len(z) * self.clips.record_bytes / RECORD_BYTES)))
+        parts = [
+            self._predict(z[rows], None if first is None else first[rows])
+            for rows in np.array_split(np.arange(len(z)), turns)
+        ]
+        channels = zip(*(values for values, _ in parts), strict=True)
+        return tuple(np.concatenate(c) for c in channels), np.concatenate([done for _, done in parts])
+
+    def _predict(self, z: FloatArray, first: FloatArray | None) -> tuple[tuple[FloatArray, ...], BoolArray]:
+        clips, count = self.clips, (len(z), len(self.clips.windows))
+        theta = self.system.space.theta_of(self.system.space.clip(z))
+        qpos, qvel = self._first_states(first, count)
+        rollouts = self.engine.rollout(
+            np.repeat(theta, count[1], axis=0),
+            qpos.reshape(-1, qpos.shape[-1]),
+            qvel.reshape(-1, qvel.shape[-1]),
+            clips.inputs_under(self.system.edits.delays(theta)),
+            np.tile(clips.lengths, count[0]),
+        )
+        picked = tuple(o.pick(rollouts, count) for o in clips.observed)
+        return picked, rollouts.completed.reshape(count)
+
+    def _first_states(
+        self, first: FloatArray | None, count: tuple[int, int]
+    ) -> tuple[FloatArray, FloatArray]:
+        """Initial qpos (p, c, nq) and qvel (p, c, nv)."""
+        clips, model = self.clips, self.system.model
+        if first is None:
+            return (
+                np.broadcast_to(clips.qpos, (*count, model.nq)),
+                np.broadcast_to(clips.qvel, (*count, model.nv)),
+            )
+        delta = np.zeros((*count, 2 * model.nv))
+        delta[..., clips.first_index] = first * clips.first_sd
+        return integrated(model, clips.qpos, delta[..., : model.nv]), clips.qvel + delta[..., model.nv :]
+
+    def residuals(self, z: FloatArray, first: FloatArray | None = None) -> Residuals:
+        """Whitened residuals of candidates z (p, d); see `predict` for `first`."""
+        predicted, completed = self.predict(z, first)
+        values = tuple(whitened(o, p) for o, p in zip(self.clips.observed, predicted, strict=True))
+        return Residuals(values, completed)
+
+    def clip_costs(self, residuals: Residuals) -> FloatArray:
+        """Cost of every candidate on every clip, shape (p, c); inf where the rollout diverged."""
+        total = np.zeros(residuals.completed.shape)
+        for values in residuals.values:
+            squared = np.einsum("pcsk,pcsk->pcs", values, values)
+            total += pseudo_huber(squared, self.settings.huber).sum(axis=-1)
+        return np.where(residuals.completed, total / self.clips.counts, np.inf)
+
+    def costs(self, z: FloatArray, first: FloatArray | None = None) -> FloatArray:
+        """Cost of candidates z (p, d), shape (p,); inf where any clip diverged."""
+        residuals = self.residuals(z, first)
+        cost = trimmed_mean(self.clip_costs(residuals), self.settings.trim)
+        return np.where(residuals.completed.all(axis=1), cost, np.inf)
+
+    def rescaled(self, residuals: Residuals, factors: Sequence[float]) -> FloatArray:
+        """Costs (p,) of residuals whose channels are multiplied by `factors`: another noise sd."""
+        values = tuple(f * v for f, v in zip(factors, residuals.values, strict=True))
+        clip_costs = self.clip_costs(Residuals(values, residuals.completed))
+        return trimmed_mean(clip_costs, self.settings.trim)
+
+    def errors(self, z: FloatArray, quantity: str) -> FloatArray:
+        """Distance [m] or angle [rad] between prediction and measurement, mean over time; (p, clips).
+
+        Args:
+            z: Candidates, shape (p, d).
+            quantity: 'position' or 'orientation' of bodies; NaN where the system measures none.
+        """
+        residuals = self.residuals(z)
+        total = np.zeros(residuals.completed.shape)
+        count = np.zeros(len(self.clips.windows))
+        for observed, values in zip(self.clips.observed, residuals.values, strict=True):
+            if measures(observed.channel, quantity):
+                total += observed.noise * np.linalg.norm(values, axis=-1).sum(axis=-1)
+                count += observed.mask.sum(axis=-1)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return np.where(residuals.completed, total / count, np.inf)
+
+
+def measures(channel: Channel, quantity: str) -> bool:
+    """Whether a channel measures a body's 'position' or 'orientation'."""
+    if quantity == "orientation":
+        return channel.kind == "rotation"
+    return channel.unit == "m" and len(channel.columns) == 3
+
+
+def whitened(observed: Observed, predicted: FloatArray) -> FloatArray:
+    """Residuals of one channel in units of its noise sd, shape (p, c, samples, k); 0 where masked."""
+    if observed.channel.kind == "rotation":
+        difference = rotations.difference(predicted, np.broadcast_to(observed.measured, predicted.shape))
+    else:
+        difference = predicted - observed.measured
+    return difference * (observed.mask[..., None] / observed.noise)
+
+
+def quadratic_prior(z: FloatArray, mean: FloatArray, precision: FloatArray) -> FloatArray:
+    """Arrival cost (z - mean)' P (z - mean) of candidates z (p, d), shape (p,); equation (4)."""
+    away = z - mean
+    return np.einsum("pi,ij,pj->p", away, precision, away)

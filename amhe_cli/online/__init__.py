@@ -1,1 +1,0 @@
-"""The sampling moving-horizon estimator: newest window in, newest belief out, again and again."""

@@ -1,1 +1,0 @@
-"""Which motion makes the parameters visible: excitations, their information, and the best of them."""

@@ -1,0 +1,68 @@
+"""The files of `amhe eval` that are made of its cells: summary, tables, figures, page."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from amhe_cli.report.record import plain
+from amhe_cli.report.study.drawing import drawn
+from amhe_cli.report.study.figures import drawings
+from amhe_cli.report.study.formats import FORMATS, text
+from amhe_cli.report.study.page import study_page
+from amhe_cli.report.study.tables import tables
+from amhe_cli.robots.go1.tasks import LONGEST, Task
+from amhe_cli.study.ablations import ablations
+from amhe_cli.study.goals import goals
+from amhe_cli.study.store import Store, write_whole
+from amhe_cli.study.summary import Groups, summary
+
+
+@dataclass(frozen=True, slots=True)
+class Report:
+    """What was written, for whoever tells of it.
+
+    Args:
+        cells: Cells that brought a result.
+        failures: Title of a cell -> why it brought none.
+        summary: Content of summary.json.
+        text: The tables, for a terminal.
+    """
+
+    cells: int
+    failures: Mapping[str, str]
+    summary: Sequence[Mapping[str, Any]]
+    text: str
+
+
+def write_study(store: Store, tasks: Mapping[str, Task], modes: Sequence[str]) -> Report:
+    """Write summary.json, tables/, figures/ and report.html of all cells of a study.
+
+    Args:
+        store: Of the study.
+        tasks: All that there are, in order.
+        modes: Likewise.
+    """
+    results = store.results()
+    groups = Groups(results, store.study.setting, tuple(tasks), modes)
+    tried = ablations(groups, store.study.defaults)
+    judged = goals(groups) if store.study.duration >= LONGEST else []  # runs that are cut short reach none
+    made = tables(groups, tried, judged)
+    told = plain(summary(groups))
+    failures = {r.cell.title: r.reason for r in results if r.reason is not None}
+    _write(store.folder / "summary.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
+    for table in made:
+        for suffix, form in FORMATS.items():
+            _write(store.folder / "tables" / f"{table.name}.{suffix}", form(table))
+    pictures = drawn(drawings(groups, tried, tasks), store.folder / "figures")
+    page = study_page(store.study, groups, failures, made, pictures)
+    _write(store.folder / "report.html", page)
+    return Report(len(results) - len(failures), failures, told, "\n".join(map(text, made)))
+
+
+def _write(path: Path, content: str) -> None:
+    path.parent.mkdir(exist_ok=True)
+    write_whole(path, content)

@@ -1,0 +1,89 @@
+"""Figures in the plane: the ways of the box, and how the task with one leg ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.report.figures import INK, MUTED, Grid
+from amhe_cli.report.study.drawing import PATH, TRUTH, color_of, legend, line, room
+from amhe_cli.robots.go1.kinematics import HIPS
+from amhe_cli.robots.go1.tasks import Task
+from amhe_cli.study.summary import Group, Groups
+
+#: Straight tasks show at least this much beside their path [m].
+_BESIDE = 0.12
+#: Length and width of the trunk as drawn [m].
+_TRUNK = 2.0 * np.abs(HIPS[0, :2]) + np.array([0.06, 0.06])
+
+
+def path_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
+    """Where the box went, seed by seed; straight paths with their sides stretched."""
+    grid = Grid(len(tasks), 3, height=3.3)
+    figure = room(grid)
+    for index, task in enumerate(tasks):
+        axes = grid.axes(figure, index)
+        way = task.path.points(np.linspace(0.0, task.path.length, 121))
+        axes.plot(way[:, 0], way[:, 1], "--", color=PATH, linewidth=1.2)
+        axes.plot(*task.path.goal, "x", color=TRUTH, markersize=7, markeredgewidth=1.8)
+        for group in groups.of(task.name):
+            for result in group.results:
+                trace = result.trace
+                axes.plot(
+                    trace["box_x"], trace["box_y"], color=color_of(group.mode), linewidth=0.9, alpha=0.65
+                )
+        if task.path.curvature:
+            axes.set_aspect("equal", adjustable="datalim")
+        else:
+            low, high = axes.get_ylim()
+            axes.set_ylim(min(low, -_BESIDE), max(high, _BESIDE))
+        axes.set_title(f"{task.name.upper()}: {task.title}, y [m]")
+        axes.set_xlabel("x [m]")
+    legend(figure, groups.modes_of(task.name for task in tasks), line("path", PATH))
+    return figure
+
+
+def one_leg_figure(groups: Groups, task: Task) -> Figure:
+    """Robot and box from above at the end, one panel a mode."""
+    found = groups.of(task.name)
+    grid = Grid(len(found), min(4, max(3, len(found))), height=3.4)
+    figure = grid.figure()
+    for index, group in enumerate(found):
+        axes = grid.axes(figure, index)
+        color = color_of(group.mode)
+        first, size = group.results[0].trace, _box_size(group, task)
+        _outline(axes, first, 0, _TRUNK, "trunk", color=MUTED, linewidth=0.9, linestyle=":")
+        _outline(axes, first, 0, size, "box", color=MUTED, linewidth=0.9, linestyle=":")
+        goal = {"box_x": task.path.goal[:1], "box_y": task.path.goal[1:], "box_yaw": np.array([task.box.yaw])}
+        _outline(axes, goal, 0, size, "box", color=TRUTH, linewidth=1.6, linestyle="--")
+        for number, result in enumerate(group.results):
+            faint = {"alpha": 0.9 if number == 0 else 0.35, "linewidth": 1.6 if number == 0 else 0.8}
+            _outline(axes, result.trace, -1, size, "box", color=color, **faint)
+        _outline(axes, first, -1, _TRUNK, "trunk", color=INK, linewidth=1.4)
+        axes.plot(first["foot_x"], first["foot_y"], color=INK, linewidth=0.8)
+        axes.plot(first["foot_x"][-1], first["foot_y"][-1], "o", color=INK, markersize=4)
+        axes.set_aspect("equal", adjustable="datalim")
+        error = group.spread("goal_error_m")
+        axes.set_title(f"{group.mode}, y [m]; e_g {error.mean:.3f} m")
+        axes.set_xlabel("x [m]")
+    return figure
+
+
+def _box_size(group: Group, task: Task) -> FloatArray:
+    """Depth and width of the box [m], shape (2,): the task's, or the one that the setting tells."""
+    return np.array(dict(group.setting).get("boxes.box", task.box.size)[:2])
+
+
+def _outline(
+    axes: Axes, trace: Mapping[str, FloatArray], row: int, size: FloatArray, what: str, **style: Any
+) -> None:
+    """A rectangle where a body stood."""
+    x, y, yaw = (trace[f"{what}_{name}"][row] for name in ("x", "y", "yaw"))
+    ahead, left = 0.5 * size[0] * np.array([1, 1, -1, -1, 1]), 0.5 * size[1] * np.array([1, -1, -1, 1, 1])
+    c, s = np.cos(yaw), np.sin(yaw)
+    axes.plot(x + c * ahead - s * left, y + s * ahead + c * left, **style)

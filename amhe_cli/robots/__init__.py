@@ -1,0 +1,1 @@
+"""Robots that amhe can drive, each one a room of its own."""

@@ -1,0 +1,1 @@
+"""The Unitree Go1 that pushes boxes: model, plant, gaits, tasks, link, motion capture and emulator."""

@@ -1,0 +1,186 @@
+"""Analytic gaits of a Go1: when each foot stands, where it goes, and which joint targets carry the robot.
+
+Everything is a pure function of time, command and force, for any number of instants at once; phase comes from
+the clock, so that a late or skipped control cycle changes nothing.
+
+Joint targets lead the joints. A servo gives the torque kp (target - q) - kd dq, so joints that are to move
+at dq and hold a torque tau are commanded (tau + kd dq) / kp further than they are; tau = -J^T f answers the
+forces f of the ground on the feet, weight and push. Open loop the robot then walks at the speed commanded;
+without the weight's share it stands still, without the speed's it walks at half of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.robots.go1.behaviours.balance import ground_forces
+from amhe_cli.robots.go1.kinematics import (
+    FOOT_RADIUS,
+    HIP_OFFSET,
+    HIPS,
+    SIDE,
+    holding_torques,
+    joint_angles,
+    joint_rates,
+)
+
+#: Height of the bumper's middle over the floor [m]: what is pushed, pushes back there.
+PUSH_HEIGHT = 0.22
+#: A standing foot always carries a little: without, none would at the instants of switching.
+_LEAST_LOAD = 1e-3
+#: Trot: diagonal legs together, FR + RL half a period before FL + RR.
+TROT = (0.0, 0.5, 0.5, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Gait:
+    """A gait's shape.
+
+    Args:
+        period: Of one stride [s].
+        duty: Share of the period that a foot stands; 1 is standing still.
+        swing: How high a swinging foot is lifted [m].
+        height: Of the trunk over the floor [m].
+        kp: Gain of the servos that follow the targets [N m/rad].
+        damping: Of hip, thigh and calf, servo's and joint's together [N m s/rad].
+        offsets: Phase of each foot's touch-down, in periods.
+        loading: Share of the period in which a foot takes over, or hands on, its load.
+    """
+
+    period: float = 0.5
+    duty: float = 0.6
+    swing: float = 0.07
+    height: float = 0.27
+    kp: float = 60.0
+    damping: tuple[float, float, float] = (2.0, 3.0, 3.0)
+    offsets: tuple[float, float, float, float] = TROT
+    loading: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.period <= 0.0 or not 0.5 <= self.duty <= 1.0 or self.kp <= 0.0:
+            raise ConfigError(
+                f"a gait needs a period and a gain above 0 and a duty of 0.5 to 1; got {self.period:g}, "
+                f"{self.kp:g} and {self.duty:g}"
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LegTargets:
+    """What a gait asks for; the leading axes are those of time and command.
+
+    Args:
+        targets: Joint targets, force lead included [rad], shape (..., 12).
+        joints: Joint angles that put the feet where they should be [rad], shape (..., 12).
+        feet: Centres of the feet in the trunk's frame [m], shape (..., 4, 3).
+        forces: Of the ground on the feet [N], shape (..., 4, 3).
+        contact: Feet that should stand, shape (..., 4).
+    """
+
+    targets: FloatArray
+    joints: FloatArray
+    feet: FloatArray
+    forces: FloatArray
+    contact: BoolArray
+
+
+def standing(gait: Gait) -> Gait:
+    """The same gait with all feet on the floor."""
+    return replace(gait, duty=1.0)
+
+
+def phases(gait: Gait, time: ArrayLike) -> FloatArray:
+    """Phase of each foot in [0, 1) since its touch-down, shape (..., 4), at times [s] (...)."""
+    return np.mod(np.asarray(time, dtype=np.float64)[..., None] / gait.period - np.array(gait.offsets), 1.0)
+
+
+def contacts(gait: Gait, time: ArrayLike) -> BoolArray:
+    """Feet that should stand, shape (..., 4), at times [s] (...)."""
+    return phases(gait, time) < gait.duty
+
+
+def mode_switches(gait: Gait, start: float, end: float) -> FloatArray:
+    """Times [s] in (start, end] at which a foot lifts off or touches down, sorted, each once."""
+    if gait.duty >= 1.0:
+        return np.empty(0)
+    in_period = np.unique(np.round(np.mod(np.add.outer(np.array(gait.offsets), [0.0, gait.duty]), 1.0), 9))
+    first, last = np.floor(start / gait.period), np.ceil(end / gait.period)
+    times = gait.period * np.add.outer(np.arange(first, last + 1), in_period).ravel()
+    return times[(times > start) & (times <= end)]
+
+
+def neutral_feet(gait: Gait) -> FloatArray:
+    """Feet straight below the thighs' joints, in the trunk's frame [m], shape (4, 3)."""
+    feet = HIPS + np.outer(SIDE, [0.0, HIP_OFFSET, 0.0])
+    return feet + np.array([0.0, 0.0, FOOT_RADIUS - gait.height])
+
+
+def walk(
+    gait: Gait, time: ArrayLike, twist: ArrayLike, push: ArrayLike = (0.0, 0.0), left: ArrayLike = 0.0
+) -> LegTargets:
+    """Trot, trot in place, or stand, as the gait says and the twist commands.
+
+    Args:
+        gait: The gait.
+        time: Instants [s], shape (...).
+        twist: Velocity of the trunk in its own frame: ahead, left [m/s], yaw rate [rad/s], shape (..., 3).
+        push: Force on what is in front, ahead and left in the trunk's frame [N], shape (..., 2).
+        left: How far left of neutral each foot steps [m], shape (4,) or ().
+    """
+    phase = phases(gait, time)
+    twist, push = np.asarray(twist, dtype=np.float64), np.asarray(push, dtype=np.float64)
+    steps, velocity = _steps(gait, phase, twist)
+    feet = neutral_feet(gait) + steps
+    feet[..., 1] += np.asarray(left, dtype=np.float64)
+    forces = ground_forces(feet, _loads(gait, phase), push, PUSH_HEIGHT)
+    return leg_targets(gait, feet, velocity, forces, phase < gait.duty)
+
+
+def leg_targets(
+    gait: Gait, feet: FloatArray, velocity: FloatArray, forces: FloatArray, contact: BoolArray
+) -> LegTargets:
+    """Joints and joint targets for feet that move so, while the ground acts so on them; all (..., 4, 3)."""
+    joints = joint_angles(feet)
+    torques = holding_torques(joints, forces) + np.tile(gait.damping, 4) * joint_rates(joints, velocity)
+    return LegTargets(joints + torques / gait.kp, joints, feet, forces, contact)
+
+
+def _steps(gait: Gait, phase: FloatArray, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Feet relative to neutral [m], and their velocity [m/s], each (..., 4, 3), in the trunk's frame.
+
+    A standing foot goes back with the floor; a flying one comes forward on a cycloid, at rest over its
+    places of lift-off and touch-down.
+    """
+    shape = (*np.broadcast_shapes(phase.shape[:-1], twist.shape[:-1]), 4, 3)
+    if gait.duty >= 1.0:
+        return np.zeros(shape), np.zeros(shape)
+    flying = phase >= gait.duty
+    stance, flight = gait.duty * gait.period, (1.0 - gait.duty) * gait.period
+    turn = np.where(flying, 2.0 * np.pi * (phase - gait.duty) / (1.0 - gait.duty), 0.0)
+    ground = stance * (0.5 - phase / gait.duty)
+    along = np.where(flying, stance * ((turn - np.sin(turn)) / (2.0 * np.pi) - 0.5), ground)
+    along_rate = np.where(flying, stance / flight * (1.0 - np.cos(turn)), -1.0)
+    lift = 0.5 * gait.swing * (1.0 - np.cos(turn))
+    lift_rate = gait.swing * np.pi / flight * np.sin(turn)
+    ahead, left = _velocity_at(neutral_feet(gait), twist)
+    places = np.broadcast_arrays(along * ahead, along * left, lift)
+    rates = np.broadcast_arrays(along_rate * ahead, along_rate * left, lift_rate)
+    return np.stack(places, axis=-1), np.stack(rates, axis=-1)
+
+
+def _velocity_at(places: FloatArray, twist: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Velocity ahead and left [m/s], each (..., 4), of places (4, 3) that move with the trunk."""
+    ahead, left, yaw = (twist[..., None, i] for i in range(3))
+    return ahead - yaw * places[:, 1], left + yaw * places[:, 0]
+
+
+def _loads(gait: Gait, phase: FloatArray) -> FloatArray:
+    """How much each foot may carry, 0 to 1, shape (..., 4): load is handed over, not dropped."""
+    if gait.duty >= 1.0:
+        return np.ones_like(phase)
+    rise, fall = phase / gait.loading, (gait.duty - phase) / gait.loading
+    return np.where(phase < gait.duty, np.clip(np.minimum(rise, fall), _LEAST_LOAD, 1.0), 0.0)

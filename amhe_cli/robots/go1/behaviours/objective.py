@@ -1,0 +1,193 @@
+"""What a motion costs, term by term: the running cost of planning, and of J in the evaluation.
+
+Every term is a weighted square; a cost is their mean over time. The belief matters because the *box's* speed
+is weighted, not the robot's alone: how hard to push for it depends on mass and friction.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.state import Body
+
+#: The bumper's front in the trunk's frame, ahead of its origin [m].
+BUMPER = 0.27
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """What is wanted at present.
+
+    Args:
+        time: When it was made [s].
+        speed: Of robot and box along their headings [m/s].
+        origin: A point on the line that the box is to follow [m], shape (2,).
+        heading: Of that line, and of the box's velocity [rad].
+        yaw: Of the robot [rad].
+        box_yaw: Of the box [rad].
+        turn: How fast the three headings turn [rad/s].
+        offset: Where the bumper's middle pushes, left of the box's middle [m].
+        pushing: 1 where the box is to move already, 0 while the robot still comes to it.
+    """
+
+    time: float
+    speed: float
+    origin: FloatArray
+    heading: float
+    yaw: float
+    box_yaw: float
+    turn: float = 0.0
+    offset: float = 0.0
+    pushing: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class PushWeights:
+    """Weights of the terms of walking and pushing; in 1 / (unit of the term)^2."""
+
+    box_speed: float = 300.0
+    """(Box's speed along the heading - reference) [m/s]."""
+    robot_speed: float = 100.0
+    """(Trunk's speed ahead in its own heading - reference) [m/s]."""
+    box_left: float = 20.0
+    """Box's distance from the line [m]."""
+    robot_left: float = 60.0
+    """Distance of the bumper's middle from where it is to push [m]."""
+    yaw: float = 100.0
+    """Robot's yaw [rad]."""
+    box_yaw: float = 60.0
+    """Box's yaw [rad]."""
+    height: float = 200.0
+    """Trunk's height [m]."""
+    tilt: float = 60.0
+    """Sine of the trunk's roll and pitch."""
+    box_tilt: float = 300.0
+    """The same of the box."""
+    knots: float = 0.5
+    """Knots: how far the joint targets leave the gait's [rad]."""
+
+
+@dataclass(frozen=True, slots=True)
+class SweepWeights:
+    """Weights of the terms of pushing with one leg; in 1 / (unit of the term)^2."""
+
+    box_speed: float = 300.0
+    """(Box's speed along its path - reference) [m/s]."""
+    robot_speed: float = 20.0
+    """Trunk's speed, which is to be none [m/s]."""
+    box_left: float = 100.0
+    """Box's distance from the line [m]."""
+    box_yaw: float = 20.0
+    """Box's yaw [rad]."""
+    height: float = 200.0
+    """Trunk's height [m]."""
+    tilt: float = 60.0
+    """Sine of the trunk's roll and pitch."""
+    box_tilt: float = 300.0
+    """The same of the box."""
+    trunk_place: float = 1500.0
+    """Trunk from where it should lean to [m]; in plans only."""
+    trunk_turn: float = 40.0
+    """The same of its yaw [rad]."""
+    knots: float = 0.5
+    """Knots: how far the joint targets leave the reference's [rad]."""
+
+
+def lean_terms(weights: SweepWeights, trunk: Body, lean: FloatArray) -> dict[str, FloatArray]:
+    """Terms of a trunk that should be at a place and heading `lean` (3,) in the world, each (..., H)."""
+    off = ((trunk.position[..., :2] - lean[:2]) ** 2).sum(axis=-1)
+    return {
+        "trunk_place": weights.trunk_place * off,
+        "trunk_turn": weights.trunk_turn * wrapped(yaw_of(trunk.orientation) - lean[2]) ** 2,
+    }
+
+
+def sweep_terms(
+    weights: SweepWeights, trunk: Body, box: Body, height: float, at: Reference
+) -> dict[str, FloatArray]:
+    """Terms of pushing with one leg, each shape (..., H); arguments as of `push_terms`."""
+    w = weights
+    speed, drift = along_line(box, at, 0.0)
+    return {
+        "box_speed": at.pushing * w.box_speed * (speed - at.speed) ** 2,
+        "robot_speed": w.robot_speed * (trunk.velocity[..., :2] ** 2).sum(axis=-1),
+        "box_left": w.box_left * drift**2,
+        "box_yaw": w.box_yaw * wrapped(yaw_of(box.orientation) - at.box_yaw) ** 2,
+        "height": w.height * (trunk.position[..., 2] - height) ** 2,
+        "tilt": w.tilt * tilt_squared(trunk.orientation),
+        "box_tilt": w.box_tilt * tilt_squared(box.orientation),
+    }
+
+
+def push_terms(
+    weights: PushWeights,
+    trunk: Body,
+    box: Body,
+    height: float,
+    at: Reference,
+    elapsed: FloatArray,
+) -> dict[str, FloatArray]:
+    """Terms of walking behind a box, each shape (..., H).
+
+    Args:
+        weights: Of the terms.
+        trunk, box: Motions, leading axes (..., H).
+        height: Of the trunk that is wanted [m].
+        at: The reference.
+        elapsed: Time since it was made [s], shape (H,).
+    """
+    w = weights
+    turned = at.turn * elapsed
+    robot_yaw = yaw_of(trunk.orientation)
+    ahead = trunk.velocity[..., 0] * np.cos(robot_yaw) + trunk.velocity[..., 1] * np.sin(robot_yaw)
+    box_speed, drift = along_line(box, at, turned)
+    _, left = bumper_from_box(trunk, box)
+    return {
+        "box_speed": at.pushing * w.box_speed * (box_speed - at.speed) ** 2,
+        "robot_speed": w.robot_speed * (ahead - at.speed) ** 2,
+        "box_left": w.box_left * drift**2,
+        "robot_left": w.robot_left * (left - at.offset) ** 2,
+        "yaw": w.yaw * wrapped(robot_yaw - at.yaw - turned) ** 2,
+        "box_yaw": w.box_yaw * wrapped(yaw_of(box.orientation) - at.box_yaw - turned) ** 2,
+        "height": w.height * (trunk.position[..., 2] - height) ** 2,
+        "tilt": w.tilt * tilt_squared(trunk.orientation),
+        "box_tilt": w.box_tilt * tilt_squared(box.orientation),
+    }
+
+
+def along_line(box: Body, at: Reference, turned: FloatArray | float) -> tuple[FloatArray, FloatArray]:
+    """Speed of the box along the reference's heading [m/s], and its distance left of it [m], each (...).
+
+    Args:
+        box: The motion.
+        at: The reference.
+        turned: How far the heading has turned since [rad].
+    """
+    c, s = np.cos(at.heading + turned), np.sin(at.heading + turned)
+    speed = c * box.velocity[..., 0] + s * box.velocity[..., 1]
+    drift = c * (box.position[..., 1] - at.origin[1]) - s * (box.position[..., 0] - at.origin[0])
+    return speed, drift
+
+
+def bumper_from_box(trunk: Body, box: Body) -> tuple[FloatArray, FloatArray]:
+    """Middle of the bumper's front, ahead and left of the box's middle in the box's frame [m], each (...)."""
+    yaw, box_yaw = yaw_of(trunk.orientation), yaw_of(box.orientation)
+    dx = trunk.position[..., 0] + BUMPER * np.cos(yaw) - box.position[..., 0]
+    dy = trunk.position[..., 1] + BUMPER * np.sin(yaw) - box.position[..., 1]
+    c, s = np.cos(box_yaw), np.sin(box_yaw)
+    return c * dx + s * dy, c * dy - s * dx
+
+
+def tilt_squared(q: FloatArray) -> FloatArray:
+    """Squared sine of the angle between a body's z and the world's, shape (...)."""
+    w, x, y, z = (q[..., i] for i in range(4))
+    return 4.0 * ((x * z + w * y) ** 2 + (y * z - w * x) ** 2)
+
+
+def wrapped(angle: FloatArray | float) -> FloatArray:
+    """The same angle in [-pi, pi)."""
+    return np.mod(np.asarray(angle) + np.pi, 2.0 * np.pi) - np.pi

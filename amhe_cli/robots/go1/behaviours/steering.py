@@ -1,0 +1,163 @@
+"""Where to push next so that the box follows its path: the layer between the task's path and the planner.
+
+A box that is pushed at its middle goes straight on and turns as it likes. It is steered by where on its face
+it is pushed: right of the middle turns it left. The robot follows the box's yaw rather than the path, or it
+slides to a corner; where it has lost the face, it backs off, comes in line again, and returns.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.behaviours.objective import Reference, bumper_from_box, wrapped
+from amhe_cli.robots.go1.behaviours.pacing import Pacing
+from amhe_cli.robots.go1.behaviours.path import Path, Place
+from amhe_cli.robots.go1.state import State, heading_velocity
+
+
+@dataclass(frozen=True, slots=True)
+class Steering:
+    """Gains of the steering.
+
+    Args:
+        path_gain: How much the heading turns back to the path, per distance from it [rad/m], up to
+            `path_limit` [rad].
+        ahead: The box is turned to where its path will lead this much later [m].
+        offset_gain: How far beside the box's middle to push, per missing turn of the box [m/rad], up to
+            `offset_limit` [m].
+        yaw_limit: How far the robot's yaw may lead the box's [rad].
+        touching: Distance from bumper to box below which the box is to move [m].
+        lead: The planner aims at this much more than the commanded speed: a box moves in pulses, and the
+            quadratic cost of a pulsing speed is least below its mean.
+        creep: The planner's aim is no slower than this [m/s] until the box is `enough` [m] before the goal:
+            a box that is pushed ever more slowly sticks.
+    """
+
+    path_gain: float = 1.5
+    path_limit: float = 0.5
+    ahead: float = 0.15
+    offset_gain: float = 1.0
+    offset_limit: float = 0.12
+    yaw_limit: float = 0.2
+    touching: float = 0.015
+    lead: float = 1.1
+    creep: float = 0.08
+    enough: float = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Retreat:
+    """When the face is lost, and when it is found again.
+
+    Args:
+        lost_left: Bumper's middle this far beside the box's edge [m]: the face is lost.
+        lost_turn: Robot's yaw this far from the box's [rad]: the same.
+        clear: Distance to which the robot backs off [m].
+        speed: Backwards [m/s].
+        aligned_left, aligned_turn: Close enough to come back [m], [rad].
+    """
+
+    lost_left: float = 0.02
+    lost_turn: float = 0.6
+    clear: float = 0.10
+    speed: float = 0.15
+    aligned_left: float = 0.04
+    aligned_turn: float = 0.12
+
+
+class Helm:
+    """Turns states into references; remembers whether the robot is backing off, and how slow it is.
+
+    Args:
+        path: Of the box.
+        speed: Commanded [m/s].
+        taper: Last distance of the path over which the speed goes to zero [m].
+        half_length, half_width: Of the box along and across the push [m].
+        steering, retreat: Gains and thresholds.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        speed: float,
+        taper: float,
+        half_length: float,
+        half_width: float,
+        steering: Steering = Steering(),
+        retreat: Retreat = Retreat(),
+    ) -> None:
+        self._path, self._speed, self._taper = path, speed, taper
+        self._half_length, self._half_width = half_length, half_width
+        self._steering, self._retreat, self._pacing = steering, retreat, Pacing()
+        self.retreating = False
+
+    def on_path(self, state: State) -> Reference:
+        """The fixed path reference: what the task asks for, whatever can be done about it."""
+        return self._on_path(state, self._path.place(state.box.position[:2]))
+
+    def _on_path(self, state: State, place: Place) -> Reference:
+        heading = float(place.heading)
+        return Reference(
+            time=state.time,
+            speed=self._speed * self._path.tapered(place.progress, self._taper),
+            origin=self._path.nearest(state.box.position[:2], place),
+            heading=heading,
+            yaw=heading,
+            box_yaw=heading,
+        )
+
+    def reference(self, state: State) -> Reference:
+        """What the controller is to do now."""
+        place, s = self._path.place(state.box.position[:2]), self._steering
+        path = self._on_path(state, place)
+        normal = np.array([-np.sin(path.heading), np.cos(path.heading)])
+        astray = float(normal @ (state.box.position[:2] - path.origin))
+        back = float(np.clip(s.path_gain * astray, -s.path_limit, s.path_limit))
+        heading = path.heading + self._path.curvature * s.ahead - back
+        box_yaw = float(yaw_of(state.box.orientation))
+        missing = float(wrapped(heading - box_yaw))
+        offset = -float(np.clip(s.offset_gain * missing, -s.offset_limit, s.offset_limit))
+        yaw = box_yaw + float(np.clip(missing, -s.yaw_limit, s.yaw_limit))
+        speed = self._aim(path.speed, float(place.progress))
+        wanted = replace(
+            path,
+            speed=speed,
+            turn=speed * self._path.curvature,
+            heading=heading,
+            yaw=yaw,
+            box_yaw=heading,
+            offset=offset,
+        )
+        gap, left = self.gap(state)
+        self._judge(gap, left - offset, left, float(wrapped(yaw_of(state.trunk.orientation) - box_yaw)))
+        if self.retreating:
+            return replace(wanted, speed=self._retreat_speed(gap), turn=0.0, yaw=box_yaw, pushing=0.0)
+        touching = gap < s.touching
+        if touching and path.speed == self._speed:  # not where it tapers
+            self._pacing.update(state.time, 1.0 - float(heading_velocity(state.trunk)[0]) / self._speed)
+        return replace(wanted, pushing=float(touching))
+
+    def _aim(self, commanded: float, progress: float) -> float:
+        s = self._steering
+        if self._path.length - progress <= s.enough:
+            return 0.0
+        return (1.0 + self._pacing.share) * max(s.lead * commanded, s.creep)
+
+    def gap(self, state: State) -> tuple[float, float]:
+        """Distance from bumper to the box's face, and the bumper's middle left of the box's [m]."""
+        ahead, left = bumper_from_box(state.trunk, state.box)
+        return -self._half_length - float(ahead), float(left)
+
+    def _judge(self, gap: float, misplaced: float, left: float, turn: float) -> None:
+        """Enter or leave the retreat."""
+        r = self._retreat
+        if abs(left) > self._half_width + r.lost_left or abs(turn) > r.lost_turn:
+            self.retreating = True
+        elif abs(misplaced) < r.aligned_left and abs(turn) < r.aligned_turn and gap > 0.5 * r.clear:
+            self.retreating = False
+
+    def _retreat_speed(self, gap: float) -> float:
+        return -self._retreat.speed if gap < self._retreat.clear else 0.0

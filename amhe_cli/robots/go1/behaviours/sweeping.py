@@ -1,0 +1,298 @@
+"""Pushing a box aside with a front leg while the other three stand (task T5).
+
+The robot shifts its trunk, lifts the leg, puts the foot to the middle of the box's face, and sweeps. A leg
+alone reaches 0.2 m: the trunk leans after it and turns, always over the triangle of the other feet. When all
+is done the foot comes back, and down: four feet stand safer than three.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet, standing
+from amhe_cli.robots.go1.behaviours.objective import Reference, SweepWeights, lean_terms, sweep_terms
+from amhe_cli.robots.go1.behaviours.path import Path
+from amhe_cli.robots.go1.behaviours.plane import Plane
+from amhe_cli.robots.go1.behaviours.tripod import Tripod, stand_on_three, support_margin
+from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
+from amhe_cli.robots.go1.state import Body, State
+
+#: Noise of the channels: the foot's speed ahead and left [m/s], the trunk's place ahead and left [m] and
+#: turn [rad], push to the left [N].
+CHANNEL_SIGMA = sealed([0.03, 0.04, 0.004, 0.004, 0.03, 6.0])
+
+
+@dataclass(frozen=True, slots=True)
+class SweepShape:
+    """How the leg sweeps, in the frame of the three standing feet: x ahead, y left.
+
+    Args:
+        height: Of the foot over the floor [m].
+        clearance: From foot to box when the foot is first put there [m].
+        speed: Of foot and box [m/s].
+        reach: The foot goes no further to the side than this [m].
+        lean: Where the trunk is by then, ahead and left of where it lifted the leg [m], and its turn [rad].
+        lean_ahead: The trunk leans as if the foot were so much further [m]: it lags its targets.
+        lean_time: From the sweep's begin, the lean comes in this time [s].
+        back_first: How much earlier the trunk goes back than it leans aside: backwards is where the triangle
+            is wide.
+        lead: The foot's target is where it would be so much later [s]: the servo's damping over its gain.
+        yaw_gain: How far beside the box's middle to push, per turn of the box [m/rad], up to `yaw_limit` [m].
+        leash: The foot's target is never further from the foot than this [m]: a soft servo pushes with little
+            more than the force that the belief, and the plan's channel, ask of it.
+        kick_leash: The same in the kick, and on the way back [m].
+        kick: Speed over the last `kick_length` [m] of the reach [m/s]: the box slides on by itself.
+        margin: Nearer to the edge of the three feet's triangle than this, the trunk first comes back [m].
+        kick_time: The kick is given up after this time [s]: a stretched leg that stalls sinks to the floor,
+            and the trunk falls after it.
+        longest: The sweep is given up after this time [s].
+        return_speed: With which the foot comes back when all is done [m/s].
+        back: So near to where it began it has come back [m], and is set down.
+        set_down: With which speed [m/s].
+        slip_time: Feet that have slipped are taken for where they are in this time [s]: legs that pull them
+            back to where they stood slip on, and the trunk no longer follows its lean.
+        touching: Distance from foot to box below which the box is to move [m].
+    """
+
+    height: float = 0.14
+    clearance: float = 0.01
+    speed: float = 0.08
+    reach: float = 0.57
+    lean: tuple[float, float, float] = (-0.11, -0.08, -0.65)
+    lean_ahead: float = 0.05
+    lean_time: float = 0.6
+    back_first: float = 1.6
+    lead: float = 0.06
+    yaw_gain: float = 0.3
+    yaw_limit: float = 0.05
+    leash: float = 0.004
+    kick_leash: float = 0.02
+    kick: float = 0.15
+    kick_length: float = 0.08
+    kick_time: float = 0.8
+    margin: float = 0.03
+    longest: float = 12.0
+    return_speed: float = 0.1
+    back: float = 0.03
+    set_down: float = 0.1
+    slip_time: float = 1.0
+    touching: float = 0.015
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SweepMove:
+    """Sweeping from one situation; see `behaviour.Move`. Places are in the frame of the standing feet.
+
+    Args:
+        owner: What does not change.
+        foot: Where the free foot is, or is to be put first [m], shape (3,).
+        trunk_now: Where the trunk is: ahead, left [m], turn [rad], shape (3,); None before the sweep, when
+            the command does nothing.
+        planted: Where the feet stand [m], shape (4, 3).
+        lean: Where the trunk should be: place in the world [m] and heading [rad], shape (3,).
+        reference: What is wanted.
+        command: See `CHANNEL_SIGMA`, shape (6,).
+    """
+
+    owner: Sweeping
+    foot: FloatArray
+    trunk_now: FloatArray | None
+    planted: FloatArray
+    lean: FloatArray
+    reference: Reference
+    command: FloatArray
+
+    def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
+        """See `behaviour.Move`."""
+        owner = self.owner
+        if self.trunk_now is None:
+            commands = np.zeros_like(commands)
+        elapsed = times - self.reference.time + owner.shape.lead
+        foot = np.broadcast_to(self.foot, (len(commands), times.size, 3)).copy()
+        foot[..., :2] += elapsed[:, None] * commands[:, None, :2]
+        foot[..., 1] = np.maximum(foot[..., 1], -owner.shape.reach - owner.shape.kick_leash)
+        trunk = owner.lean(times, foot[..., 1]) + commands[:, None, 2:5]
+        push = np.zeros((len(commands), 1, 2))
+        push[:, 0, 1] = np.minimum(commands[:, 5], 0.0)
+        return stand_on_three(
+            owner.gait, owner.tripod, times[None], foot, trunk, push, self.trunk_now, self.planted
+        ).targets
+
+    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
+        """See `behaviour.Move`."""
+        owner = self.owner
+        terms = sweep_terms(owner.weights, trunk, box, owner.trunk_height, self.reference)
+        return terms | lean_terms(owner.weights, trunk, self.lean)
+
+
+@dataclass(slots=True, eq=False)
+class Sweeping:
+    """The behaviour of T5; see `behaviour.Behaviour`.
+
+    Remembers where the three feet were put and have slipped to, where the sweep and its kick began, the
+    foot's last target, and how far the foot has been lowered since it came back.
+
+    Args:
+        path: Of the box.
+        half_width: Of the box, from its middle to the face that is pushed [m].
+        taper: Last distance of the path over which the speed goes to zero [m].
+        gait, tripod: Of the stance.
+        shape: Of the sweep.
+        weights: Of the cost.
+        trunk_height: That is wanted [m].
+    """
+
+    path: Path
+    half_width: float
+    taper: float = 0.05
+    gait: Gait = field(default_factory=lambda: standing(Gait()))
+    tripod: Tripod = field(default_factory=Tripod)
+    shape: SweepShape = field(default_factory=SweepShape)
+    weights: SweepWeights = field(default_factory=SweepWeights)
+    trunk_height: float = 0.27
+    _stance: Plane | None = None
+    _planted: FloatArray = field(init=False)
+    _start: float = 0.0
+    _over: bool = False
+    _kick: float = np.inf
+    _y: float = 0.0
+    _lowered: float = 0.0
+    _time: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._planted = neutral_feet(self.gait)
+
+    @property
+    def channel_sigma(self) -> FloatArray:
+        """See `behaviour.Behaviour`."""
+        return CHANNEL_SIGMA
+
+    @property
+    def knot_weight(self) -> float:
+        """See `behaviour.Behaviour`."""
+        return self.weights.knots
+
+    def switches(self, start: float, end: float) -> bool:
+        """See `behaviour.Behaviour`. Nobody steps: the trot's rhythm is kept for the refinement."""
+        half = 0.5 * self.gait.period
+        return int(end / half) > int(start / half)
+
+    def standing(self, times: FloatArray) -> BoolArray:
+        """See `behaviour.Behaviour`."""
+        stands = np.ones((*np.shape(times), 4), dtype=np.bool_)
+        stands[..., self.tripod.index] = times < self.tripod.shift_time
+        return stands
+
+    def move(self, state: State, resistance: float) -> SweepMove:
+        """See `behaviour.Behaviour`."""
+        if self._stance is None:
+            self._stance = Plane.under(state.trunk)
+        line, face = self._contact(self._stance, state.box)
+        at = self._reference(state)
+        begun = state.time - self._begin
+        if begun < 0.0:
+            return self._prepare(self._stance, state, line, face, at)
+        seen, passed = self._see_feet(self._stance, state), state.time - self._time
+        self._follow(seen, passed)
+        foot = np.array([line, seen[self.tripod.index, 1], self.shape.height - self.gait.height])
+        speed, push = self._pace(self._stance.pose(state.trunk), foot[1], face, begun, at.speed, resistance)
+        self._time = state.time
+        if self._over and self._start - foot[1] < self.shape.back:
+            self._lowered = min(self._lowered + self.shape.set_down * passed, self.shape.height)
+        foot[2] -= self._lowered
+        foot[1] = self._y = self._aim(passed, foot[1], speed)
+        lean = self._lean_in_world(self._stance, state.time, foot[1])
+        command = np.array([0.0, -speed, 0.0, 0.0, 0.0, -push])
+        at = replace(at, speed=max(speed, 0.0))
+        return SweepMove(self, foot, self._stance.pose(state.trunk), self._planted, lean, at, command)
+
+    @property
+    def _begin(self) -> float:
+        """Of the sweep [s]."""
+        return self.tripod.shift_time + self.tripod.lift_time
+
+    def _contact(self, stance: Plane, box: Body) -> tuple[float, float]:
+        """Where to push: the push's line, and where the middle of a foot is that touches the face [m]."""
+        s, place = self.shape, stance.place(box.position)
+        aside = float(np.clip(s.yaw_gain * stance.turn(box), -s.yaw_limit, s.yaw_limit))
+        return float(place[0]) + aside, float(place[1]) + self.half_width + FOOT_RADIUS
+
+    def _prepare(self, stance: Plane, state: State, line: float, face: float, at: Reference) -> SweepMove:
+        """Shift the trunk, lift the leg, and put the foot beside the box."""
+        ready = np.array([line, face + self.shape.clearance, self.shape.height - self.gait.height])
+        self._start, self._y, self._time = ready[1], ready[1], state.time
+        lean = self._lean_in_world(stance, state.time, ready[1])
+        return SweepMove(self, ready, None, self._planted, lean, at, np.zeros(6))
+
+    def _pace(
+        self, trunk: FloatArray, y: float, face: float, begun: float, commanded: float, resistance: float
+    ) -> tuple[float, float]:
+        """Speed of the foot to the right [m/s], negative on its way back, and force on the box [N]."""
+        s = self.shape
+        kicking = y < s.kick_length - s.reach
+        self._kick = min(self._kick, begun) if kicking else self._kick
+        self._over |= y < -s.reach or commanded == 0.0 or begun > min(s.longest, self._kick + s.kick_time)
+        if self._over:
+            return -float(np.clip(self._start - y, 0.0, s.return_speed)), 0.0
+        if support_margin(self._planted, self.tripod, trunk) < s.margin:
+            return 0.0, 0.0
+        if y - face >= s.touching:
+            return commanded, 0.0
+        return s.kick if kicking else commanded, resistance
+
+    def running_cost(self, state: State) -> dict[str, float]:
+        """See `behaviour.Behaviour`."""
+        at = self._reference(state)
+        terms = sweep_terms(self.weights, state.trunk, state.box, self.trunk_height, at)
+        return {name: float(term) for name, term in terms.items()}
+
+    def lean(self, times: FloatArray, y: FloatArray) -> FloatArray:
+        """How the trunk has leant and turned when the free foot is at y [m] (...), shape (..., 3)."""
+        s = self.shape
+        since = times - self.tripod.shift_time - self.tripod.lift_time
+        begun = np.clip(since / s.lean_time, 0.0, 1.0)
+        gone = begun * (self._start + s.lean_ahead - y) / max(self._start + s.reach, 0.05)
+        back, rest = np.clip(s.back_first * gone, 0.0, 1.0), np.clip(gone, 0.0, 1.0)
+        return np.stack((s.lean[0] * back, s.lean[1] * rest, s.lean[2] * rest), axis=-1)
+
+    def _lean_in_world(self, stance: Plane, time: float, y: float) -> FloatArray:
+        lean = self.lean(np.array(time), np.array(y))
+        lean[:2] += min(1.0, time / self.tripod.shift_time) * self.tripod.shift
+        return stance.in_world(lean)
+
+    def _aim(self, passed: float, y: float, speed: float) -> float:
+        """Where the foot's target is [m]: it goes at the speed, but not far ahead of the foot itself.
+
+        It gives way to a foot that is held up, or thrown back, no faster than the foot comes back: the trunk
+        leans by it, and would unwind with a foot that has slipped.
+        """
+        leash = self.shape.kick_leash if speed == self.shape.kick or self._over else self.shape.leash
+        wanted = self._y - speed * passed
+        return float(max(wanted, min(y - leash, self._y + self.shape.return_speed * passed)))
+
+    def _reference(self, state: State) -> Reference:
+        place = self.path.place(state.box.position[:2])
+        started = state.time >= self._begin
+        return Reference(
+            time=state.time,
+            speed=self.shape.speed * self.path.tapered(place.progress, self.taper) * started,
+            origin=self.path.nearest(state.box.position[:2], place),
+            heading=float(place.heading),
+            yaw=0.0,
+            box_yaw=self.path.heading + 0.5 * np.pi,
+        )
+
+    def _see_feet(self, stance: Plane, state: State) -> FloatArray:
+        """All feet in the frame of the standing ones [m], shape (4, 3)."""
+        from_trunk = rotations.rotate(state.trunk.orientation, feet(state.joints))
+        return np.array([stance.place(state.trunk.position + foot) for foot in from_trunk])
+
+    def _follow(self, seen: FloatArray, passed: float) -> None:
+        """Take the standing feet for where they have slipped to; on the floor they are all the while."""
+        share = np.full((4, 1), min(1.0, passed / self.shape.slip_time))
+        share[self.tripod.index] = 0.0
+        self._planted = self._planted + share * (seen - self._planted) * (1.0, 1.0, 0.0)

@@ -1,0 +1,138 @@
+"""Walking behind a box and pushing it (tasks T1-T4, hw1, hw2): from commands to joint targets and costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.behaviours.gait import Gait, contacts, mode_switches, walk
+from amhe_cli.robots.go1.behaviours.objective import (
+    PushWeights,
+    Reference,
+    bumper_from_box,
+    push_terms,
+    wrapped,
+)
+from amhe_cli.robots.go1.behaviours.steering import Helm
+from amhe_cli.robots.go1.behaviours.stepping import Stepping
+from amhe_cli.robots.go1.state import Body, State, heading_velocity
+
+#: Noise of the channels: speed ahead and left [m/s], yaw rate [rad/s], push [N].
+CHANNEL_SIGMA = sealed([0.06, 0.02, 0.15, 10.0])
+
+
+@dataclass(frozen=True, slots=True)
+class WalkGains:
+    """The bare reference's own feedback; plans differ from it.
+
+    Args:
+        left: Speed to the left per distance [1/s], up to `left_limit` [m/s].
+        yaw: Yaw rate per turn [1/s], up to `yaw_limit` [rad/s].
+        full_push: Speed above which the box's friction is pushed against with full force [m/s].
+        start_time: The speed rises to what is commanded in this time [s].
+    """
+
+    left: float = 1.0
+    left_limit: float = 0.08
+    yaw: float = 3.0
+    yaw_limit: float = 0.4
+    full_push: float = 0.05
+    start_time: float = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkMove:
+    """Walking from one situation; see `behaviour.Move`.
+
+    Args:
+        gait: Of the legs.
+        weights: Of the cost.
+        height: Of the trunk that is wanted [m].
+        reference: What is wanted.
+        command: Ahead, left [m/s], yaw rate [rad/s], push [N]; shape (4,).
+        left: How far left of neutral each foot steps [m], shape (4,).
+    """
+
+    gait: Gait
+    weights: PushWeights
+    height: float
+    reference: Reference
+    command: FloatArray
+    left: FloatArray
+
+    def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
+        """See `behaviour.Move`."""
+        push = np.zeros((len(commands), 1, 2))
+        push[:, 0, 0] = np.maximum(commands[:, 3], 0.0)
+        return walk(self.gait, times[None], commands[:, None, :3], push, self.left).targets
+
+    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
+        """See `behaviour.Move`."""
+        elapsed = times - self.reference.time
+        return push_terms(self.weights, trunk, box, self.height, self.reference, elapsed)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Walking:
+    """The behaviour of all tasks in which the robot walks; see `behaviour.Behaviour`.
+
+    Args:
+        helm: Where to go.
+        gait: Of the legs.
+        weights: Of the cost.
+        gains: Of the bare reference.
+        stepping: Against drifting aside.
+        height: Of the trunk that the cost wants [m]. Not `Gait.height`, which is how far below the trunk the
+            bare reference puts the feet: the trunk walks between the two, at 0.273 m in T1.
+    """
+
+    helm: Helm
+    gait: Gait = field(default_factory=Gait)
+    weights: PushWeights = field(default_factory=PushWeights)
+    gains: WalkGains = WalkGains()
+    stepping: Stepping = field(default_factory=Stepping)
+    height: float = 0.28
+
+    @property
+    def channel_sigma(self) -> FloatArray:
+        """See `behaviour.Behaviour`."""
+        return CHANNEL_SIGMA
+
+    @property
+    def knot_weight(self) -> float:
+        """See `behaviour.Behaviour`."""
+        return self.weights.knots
+
+    def switches(self, start: float, end: float) -> bool:
+        """See `behaviour.Behaviour`."""
+        return mode_switches(self.gait, start, end).size > 0
+
+    def standing(self, times: FloatArray) -> BoolArray:
+        """See `behaviour.Behaviour`."""
+        return contacts(self.gait, times)
+
+    def move(self, state: State, resistance: float) -> WalkMove:
+        """See `behaviour.Behaviour`."""
+        at = self.helm.reference(state)
+        at = replace(at, speed=at.speed * min(1.0, state.time / self.gains.start_time))
+        command = self._command(state, at, resistance)
+        drift = heading_velocity(state.trunk)[1] - command[1]
+        left = self.stepping.update(state.time, drift, self.standing(np.array(state.time)))
+        return WalkMove(self.gait, self.weights, self.height, at, command, left)
+
+    def running_cost(self, state: State) -> dict[str, float]:
+        """See `behaviour.Behaviour`."""
+        at, now = self.helm.on_path(state), np.array(0.0)
+        terms = push_terms(self.weights, state.trunk, state.box, self.height, at, now)
+        return {name: float(term) for name, term in terms.items()}
+
+    def _command(self, state: State, at: Reference, resistance: float) -> FloatArray:
+        g = self.gains
+        _, left = bumper_from_box(state.trunk, state.box)
+        sideways = np.clip(g.left * (at.offset - left), -g.left_limit, g.left_limit)
+        turn = at.turn + g.yaw * wrapped(at.yaw - yaw_of(state.trunk.orientation))
+        push = at.pushing * resistance * np.clip(at.speed / g.full_push, 0.0, 1.0)
+        return np.array([at.speed, sideways, np.clip(turn, -g.yaw_limit, g.yaw_limit), push])

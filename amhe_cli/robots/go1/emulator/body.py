@@ -1,0 +1,129 @@
+"""The emulated robot without its network: a command goes in, a millisecond passes, a state comes out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.robots.go1.link import wire
+from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.model import plant_model
+from amhe_cli.robots.go1.motor_plant import MotorPlant
+from amhe_cli.robots.go1.state import Measurements
+from amhe_cli.robots.go1.tasks import Task
+
+STEP = 0.001
+#: Damping of a motor that is not driven [N m s/rad].
+_IDLE = 0.3
+#: Heating of a motor by its torque [K / (N m)^2 / s] and loss to the air [1/s], of our own making: standing
+#: stays cool, holding the torque limit does not. Air, and where a motor switches itself off [deg C].
+_HEATING, _COOLING, _AIR, _SWITCH_OFF = 0.0015, 0.004, 28.0, 90.0
+#: Foot sensors count so much per newton, from a zero of their own.
+_PER_NEWTON, _ZERO = 1.2, np.array([12.0, -7.0, 20.0, 3.0])
+#: Charge at the start [%], what 100 % hold [J], what electronics draw [W] and motors in standstill
+#: [W / (N m)^2], of our own making: one that stands empties its battery in an hour or so.
+_CHARGE, _CAPACITY, _STANDBY, _COPPER = 85.0, 4.7e5, 50.0, 0.25
+#: A box that has moved so far has begun to be pushed [m]: from then on the task's clock runs.
+_MOVED = 0.005
+_SERIAL, _VERSION = (0x0304, 0), (0x00010205, 0)
+_AT_REST = np.zeros(12)
+
+
+class Body:
+    """One emulated robot and its box.
+
+    Args:
+        task: Whose box, and whose changes on the way: by place, or by time since the box first moved.
+        rng: For the sensors' noise.
+    """
+
+    def __init__(self, task: Task, rng: np.random.Generator) -> None:
+        self._plant = MotorPlant(plant_model(task.box, timestep=STEP), rng)
+        self._plant.lie_down()
+        self._pending = list(task.changes)
+        self._box_start = self._plant.state.box.position[:2]
+        self._moving_since: float | None = None
+        self._temperatures = np.full(12, _AIR + 4.0)
+        self._charge = _CHARGE
+        self._modes = np.full(12, wire.DAMPED)
+
+    @property
+    def time(self) -> float:
+        """Since it was switched on [s]."""
+        return self._plant.time
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The box's true numbers, by name."""
+        return self._plant.parameters
+
+    @property
+    def trunk_height(self) -> float:
+        """[m]."""
+        return float(self._plant.state.trunk.position[2])
+
+    def advance(self, command: Command) -> tuple[RobotState, Measurements]:
+        """A millisecond under a command: what the robot then says, and what the cameras saw.
+
+        Raises:
+            SimulationError: The simulation diverged.
+        """
+        position = self._drive(command)
+        measured = self._plant.advance(position, STEP)
+        torques = self._plant.torques
+        self._warm_up(torques)
+        self._discharge(torques, measured.joint_rates[-1])
+        self._change_what_is_due()
+        return self._state(measured, torques), measured
+
+    def _drive(self, command: Command) -> FloatArray:
+        hot = self._temperatures > _SWITCH_OFF
+        self._modes = np.where(hot, wire.OVERHEATED, command.mode)
+        live = self._modes == wire.SERVO
+        follows = live & (np.abs(command.position) < 1e6)
+        damps = live & (np.abs(command.velocity) < wire.VELOCITY_OFF)
+        position = np.where(follows, command.position, 0.0)
+        kd = np.where(damps, command.kd, np.where(live, 0.0, _IDLE))
+        forward = np.where(live, command.torque, 0.0) + np.where(damps, command.kd * command.velocity, 0.0)
+        self._plant.drive(position, forward, np.where(follows, command.kp, 0.0), kd)
+        return position
+
+    def _warm_up(self, torques: FloatArray) -> None:
+        heat = _HEATING * torques**2 - _COOLING * (self._temperatures - _AIR)
+        self._temperatures += STEP * heat
+
+    def _discharge(self, torques: FloatArray, rates: FloatArray) -> None:
+        mechanical = np.maximum(torques * rates, 0.0)  # braking gives nothing back
+        power = _STANDBY + float(mechanical.sum() + _COPPER * np.sum(torques**2))
+        self._charge = max(0.0, self._charge - 100.0 * STEP * power / _CAPACITY)
+
+    def _change_what_is_due(self) -> None:
+        if not self._pending:
+            return
+        place = self._plant.state.box.position[:2]
+        if self._moving_since is None and np.hypot(*(place - self._box_start)) > _MOVED:
+            self._moving_since = self.time
+        pushed = 0.0 if self._moving_since is None else self.time - self._moving_since
+        for change in [change for change in self._pending if change.due(pushed, float(place[0]))]:
+            change.apply(self._plant.model)
+            self._pending.remove(change)
+
+    def _state(self, measured: Measurements, torques: FloatArray) -> RobotState:
+        truth = self._plant.state
+        return RobotState(
+            tick=round(1e3 * self.time),
+            quaternion=rotations.normalised(truth.trunk.orientation),
+            gyro=measured.gyro[-1],
+            accelerometer=measured.accelerometer[-1],
+            modes=self._modes,
+            joints=measured.joints[-1],
+            joint_rates=measured.joint_rates[-1],
+            torques=torques,
+            temperatures=np.floor(self._temperatures),
+            foot_force=_ZERO + _PER_NEWTON * self._plant.foot_forces,
+            charge=round(self._charge),
+            serial=_SERIAL,
+            version=_VERSION,
+        )

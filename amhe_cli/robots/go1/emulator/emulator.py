@@ -1,0 +1,217 @@
+"""Robot, box and cameras by the clock: `amhe emulate`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import ExitStack, closing
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+
+from amhe_cli.core.rotations import exp, multiply, rotate
+from amhe_cli.robots.go1.emulator.body import STEP, Body
+from amhe_cli.robots.go1.emulator.faults import Faults
+from amhe_cli.robots.go1.emulator.motive import Motive, Seen
+from amhe_cli.robots.go1.emulator.robot_port import RobotPort, bound
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.poses import udp
+from amhe_cli.robots.go1.poses.calibration import NO_OFFSET, Offset, rigid_body
+from amhe_cli.robots.go1.poses.source import Pose
+from amhe_cli.robots.go1.state import Measurements
+from amhe_cli.robots.go1.tasks import Task
+
+#: An emulator that is so far behind the clock [s] lets the time go: it then is slower than it says.
+_BEHIND = 0.1
+#: What it leaves to others in each millisecond, even when it is late [s of the wall clock]. Linux stops a
+#: process of real-time priority that never sleeps for 50 ms a second: a link takes that for the robot's end.
+_BREATH = 1e-4
+_Y_UP = exp(np.array([-0.5 * np.pi, 0.0, 0.0]))
+
+#: Called with every good command: when it came [s of the emulator's clock], and what it says.
+OnCommand = Callable[[float, Command], None]
+
+
+@dataclass(frozen=True, slots=True)
+class EmulatorOptions:
+    """What is emulated where.
+
+    Args:
+        task: Whose box stands before the robot.
+        host, port: Of the robot; port 0: any that is free.
+        mocap: Protocol of the cameras.
+        mocap_port: natnet: where Motive listens, 0: any; udp: where datagrams are sent to.
+        faults: What goes wrong.
+        slow: How many times slower than the wall clock.
+        seed: Of the sensors' noise.
+        bodies: Names of trunk and box.
+        offsets: Of both in their rigid bodies, as `go1.trunk_offset` and `go1.box_offset`.
+    """
+
+    task: Task
+    host: str = "127.0.0.1"
+    port: int = 8007
+    mocap: Literal["natnet", "udp", "none"] = "natnet"
+    mocap_port: int = 1510
+    faults: Faults = field(default_factory=Faults)
+    slow: float = 1.0
+    seed: int = 0
+    bodies: tuple[str, str] = ("go1", "box")
+    offsets: tuple[Offset, Offset] = (NO_OFFSET, NO_OFFSET)
+
+
+class Emulator:
+    """Serves until told to stop; use it as a context manager.
+
+    Args:
+        options: What and where.
+        on_command: Who wants to see the commands.
+
+    Attributes:
+        lag: By how much the emulated time had to fall behind the clock, in all [s].
+    """
+
+    def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:
+        o, self._faults = options, options.faults
+        self._clock, self._on_command = Clock(o.slow), on_command
+        self._offsets = o.offsets
+        self._driven_since: float | None = None
+        self.lag = 0.0
+        with ExitStack() as opening:  # a port is given back where a later step fails
+            self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults)))
+            self._cameras = opening.enter_context(closing(_cameras(o)))
+            self._body = Body(o.task, np.random.default_rng(o.seed))
+            self._opened = opening.pop_all()
+
+    def __enter__(self) -> Emulator:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._opened.close()
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Of the robot."""
+        return self._port.address
+
+    @property
+    def mocap_address(self) -> tuple[str, int] | None:
+        """Of the cameras; None: nobody listens there."""
+        return self._cameras.address
+
+    @property
+    def body(self) -> Body:
+        """What is emulated."""
+        return self._body
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Commands accepted and datagrams rejected, so far."""
+        return self._port.accepted, self._port.rejected
+
+    def cause(self, faults: Faults) -> None:
+        """From now on, let other things go wrong."""
+        self._faults = faults
+        self._port.cause(faults)
+
+    def serve(self, stopped: Callable[[], bool]) -> None:
+        """Emulate millisecond by millisecond until `stopped`.
+
+        Raises:
+            SimulationError: The simulation diverged.
+        """
+        offset = self._clock.now() - self._body.time
+        while not stopped():
+            due = offset + self._body.time + STEP
+            late = self._clock.now() - due
+            if late > _BEHIND:
+                offset += late
+                self.lag += late
+            if late > 0.0:
+                time.sleep(_BREATH)
+            self._clock.sleep_until(due)
+            self._millisecond()
+
+    def _millisecond(self) -> None:
+        now = self._clock.now()
+        for told in self._port.receive(now):
+            if self._on_command:
+                self._on_command(now, told)
+            if self._driven_since is None and told.kp.max() > 0.0:
+                self._driven_since = self._body.time
+        state, measured = self._body.advance(self._port.command)
+        driven = -1.0 if self._driven_since is None else self._body.time - self._driven_since
+        faults = self._faults
+        self._port.undisturbed = driven < faults.after
+        if driven >= faults.stale:
+            state = replace(state, tick=1)
+        if driven < faults.silence:
+            self._port.send(faults.told(state, driven), now)
+        self._cameras.serve(now)
+        if len(measured.pose_times) and driven < faults.mocap:
+            self._cameras.show(_seen(measured, faults, self._offsets), now)
+
+
+class _Cameras:
+    """Shows nobody anything."""
+
+    address: tuple[str, int] | None = None
+
+    def serve(self, now: float) -> None: ...
+
+    def show(self, poses: list[Pose], now: float) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class _NatNetCameras(_Cameras):
+    def __init__(self, options: EmulatorOptions) -> None:
+        self._motive = Motive(options.host, options.mocap_port, options.bodies)
+        self.address = self._motive.address
+
+    def serve(self, now: float) -> None:
+        self._motive.serve(now)
+
+    def show(self, poses: list[Pose], now: float) -> None:
+        self._motive.stream([Seen(*pose) for pose in poses], now)
+
+    def close(self) -> None:
+        self._motive.close()
+
+
+class _UdpCameras(_Cameras):
+    def __init__(self, options: EmulatorOptions) -> None:
+        self._socket = bound(options.host, 0)
+        self._to, self._names = (options.host, options.mocap_port), options.bodies
+
+    def show(self, poses: list[Pose], now: float) -> None:
+        for name, (position, orientation) in zip(self._names, poses, strict=True):
+            message = udp.datagram(name, now, position, orientation)
+            try:
+                self._socket.sendto(message, self._to)
+            except OSError:  # nobody listens yet
+                return
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def _cameras(options: EmulatorOptions) -> _Cameras:
+    kinds = {"natnet": _NatNetCameras, "udp": _UdpCameras}
+    return kinds[options.mocap](options) if options.mocap in kinds else _Cameras()
+
+
+def _seen(measured: Measurements, faults: Faults, offsets: tuple[Offset, Offset]) -> list[Pose]:
+    """Poses of what is named trunk and box, in the cameras' frame."""
+    poses = [
+        (measured.trunk_position[-1], measured.trunk_orientation[-1]),
+        (measured.box_position[-1], measured.box_orientation[-1]),
+    ]
+    poses = [rigid_body(pose, offset) for pose, offset in zip(poses, offsets, strict=True)]
+    if faults.swap:
+        poses.reverse()
+    if faults.yup:
+        poses = [(rotate(_Y_UP, position), multiply(_Y_UP, turn)) for position, turn in poses]
+    return poses

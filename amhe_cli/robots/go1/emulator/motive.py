@@ -1,0 +1,152 @@
+"""An emulated Motive: the NatNet protocol, unicast, with two rigid bodies.
+
+A client asks from its command socket and is sent frames there; it asks again before ten seconds are over.
+Frames come by the clock, never as an answer: a client that answers frames would be answered for ever.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.robots.go1.emulator.robot_port import bound
+
+#: Messages of NatNet.
+_CONNECT, _SERVER_INFO, _REQUEST_MODELS, _MODELS, _FRAME, _KEEP_ALIVE = 0, 1, 4, 5, 7, 10
+_FORGOTTEN = 10.0
+#: Of the clock that a frame's exposure and transmission are told in [Hz]: that of Windows.
+_CLOCK_HZ = 10_000_000
+_DATA_PORT = 1511
+_RIGID_BODY = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """A rigid body in one frame.
+
+    Args:
+        position: [m], shape (3,).
+        orientation: Unit quaternion w, x, y, z, shape (4,).
+        valid: It was tracked.
+    """
+
+    position: FloatArray
+    orientation: FloatArray
+    valid: bool = True
+
+
+class Motive:
+    """The server.
+
+    Args:
+        host, port: To bind: the command port.
+        names: Of the rigid bodies; their ids count from 1.
+        version: Of the protocol: 3.1, or 4.1, which tells sizes.
+        latency: From exposure to transmission [s].
+    """
+
+    def __init__(
+        self, host: str, port: int, names: Sequence[str],
+        version: tuple[int, int] = (4, 1), latency: float = 0.004,
+    ) -> None:  # fmt: skip
+        self._socket = bound(host, port)
+        self._names, self._version, self._latency = list(names), version, latency
+        self._clients: dict[tuple[str, int], float] = {}
+        self._waiting: deque[tuple[float, bytes]] = deque()
+        self._number = 0
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Where it listens."""
+        return self._socket.getsockname()
+
+    def serve(self, now: float) -> None:
+        """Answer what clients ask, and send them the frames that are due; `now` [s]."""
+        self._listen(now)
+        while self._waiting and self._waiting[0][0] <= now:
+            self._transmit(self._waiting.popleft()[1], now)
+
+    def stream(self, bodies: Sequence[Seen], now: float) -> None:
+        """Take a frame, exposed at a time [s]; `serve` sends it once its latency is over."""
+        self._number += 1
+        self._waiting.append((now + self._latency, self._frame(bodies, now)))
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._socket.close()
+
+    def _listen(self, now: float) -> None:
+        while True:
+            try:
+                message, client = self._socket.recvfrom(2048)
+            except OSError:
+                return
+            kind = int.from_bytes(message[:2], "little") if len(message) >= 4 else -1
+            if kind in (_CONNECT, _KEEP_ALIVE):
+                self._clients[client] = now
+            answer = {_CONNECT: self._server_info, _REQUEST_MODELS: self._models}.get(kind)
+            if answer:
+                self._send(answer(), client)
+
+    def _transmit(self, frame: bytes, now: float) -> None:
+        """To all who asked of late."""
+        for client, asked in list(self._clients.items()):
+            if now - asked > _FORGOTTEN:
+                del self._clients[client]
+            else:
+                self._send(frame, client)
+
+    def _send(self, message: bytes, client: tuple[str, int]) -> None:
+        try:
+            self._socket.sendto(message, client)
+        except OSError:
+            self._clients.pop(client, None)
+
+    def _server_info(self) -> bytes:
+        name = b"amhe emulated Motive".ljust(256, b"\0")
+        versions = bytes([3, 1, 0, 0, *self._version, 0, 0])
+        clock = struct.pack("<QHB4B", _CLOCK_HZ, _DATA_PORT, 0, 0, 0, 0, 0)
+        return _message(_SERVER_INFO, name + versions + clock)
+
+    def _models(self) -> bytes:
+        parts = [struct.pack("<I", len(self._names))]
+        for number, name in enumerate(self._names, start=1):
+            model = name.encode() + b"\0" + struct.pack("<II3fI", number, 0xFFFFFFFF, 0.0, 0.0, 0.0, 0)
+            parts += [struct.pack("<I", _RIGID_BODY), self._size(model), model]
+        return _message(_MODELS, b"".join(parts))
+
+    def _frame(self, bodies: Sequence[Seen], now: float) -> bytes:
+        records = [
+            struct.pack(
+                "<I3f4ffH", number, *body.position, *np.roll(body.orientation, -1), 0.0002, int(body.valid)
+            )
+            for number, body in enumerate(bodies, start=1)
+        ]
+        exposed, sent = int(now * _CLOCK_HZ), int((now + self._latency) * _CLOCK_HZ)
+        sections: list[Iterable[bytes]] = [[], [], records, [], *([[]] if self._sized else []), [], [], []]
+        suffix = struct.pack("<IId3QH", 0, 0, now, exposed, sent, sent, 0) + bytes(4)
+        return _message(
+            _FRAME, struct.pack("<I", self._number) + b"".join(map(self._section, sections)) + suffix
+        )
+
+    def _section(self, records: Iterable[bytes]) -> bytes:
+        """A count, from 4.1 on a size, and the records."""
+        records = list(records)
+        content = b"".join(records)
+        return struct.pack("<I", len(records)) + self._size(content) + content
+
+    def _size(self, content: bytes) -> bytes:
+        return struct.pack("<I", len(content)) if self._sized else b""
+
+    @property
+    def _sized(self) -> bool:
+        return self._version >= (4, 1)
+
+
+def _message(kind: int, content: bytes) -> bytes:
+    return struct.pack("<HH", kind, len(content)) + content

@@ -1,0 +1,133 @@
+"""What a run's report draws: a few numbers of every cycle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.rotations import rotate, yaw_of
+from amhe_cli.estimation.online.horizon import Estimate
+from amhe_cli.live.episode import Cycle
+from amhe_cli.robots.go1.kinematics import feet
+from amhe_cli.robots.go1.state import State, heading_velocity
+from amhe_cli.robots.go1.tasks import Task
+
+
+@dataclass(slots=True, eq=False)
+class History:
+    """Rows of numbers, one for each cycle; by the truth where it is known, else by the estimate.
+
+    Args:
+        task: That is done.
+        estimates: That came in, in adaptive runs.
+        troubles: Of the estimator: what was told of it, and when [s].
+    """
+
+    task: Task
+    estimates: list[Estimate] = field(default_factory=list)
+    troubles: dict[str, list[float]] = field(default_factory=dict)
+    _rows: list[dict[str, float]] = field(default_factory=list)
+    _last: Cycle | None = None
+
+    def add(self, cycle: Cycle) -> dict[str, float]:
+        """Take in a cycle; its row."""
+        state = cycle.truth or cycle.estimate
+        row = _motion(state, self.task) | _planning(cycle)
+        row |= {f"belief/{name}": value for name, value in cycle.belief.items()}
+        row |= self._estimated(cycle)
+        row |= {f"truth/{name}": value for name, value in (cycle.parameters or {}).items()}
+        self._rows.append(row)
+        self._last = cycle
+        return row
+
+    def _estimated(self, cycle: Cycle) -> dict[str, float]:
+        """Interval and time of the newest estimate; nothing before the first."""
+        for news in cycle.news:
+            if news.estimate is not None:
+                self.estimates.append(news.estimate)
+            if news.text:
+                self.troubles.setdefault(news.text, []).append(news.time)
+        if not self.estimates:
+            return {}
+        newest = self.estimates[-1]
+        ends = zip(newest.belief.names, newest.lower, newest.upper, strict=True)
+        return {
+            f"{end}/{name}": float(v)
+            for name, *pair in ends
+            for end, v in zip(("lower", "upper"), pair, strict=True)
+        }
+
+    @property
+    def told(self) -> list[str]:
+        """Troubles of the estimator, each with its first time and how often: 'at 3.2 s it died; 2 times'."""
+        return [
+            f"at {times[0]:.1f} s {text}{f'; {len(times)} times' if len(times) > 1 else ''}"
+            for text, times in self.troubles.items()
+        ]
+
+    @property
+    def cycles(self) -> int:
+        """How many there are."""
+        return len(self._rows)
+
+    @property
+    def belief(self) -> dict[str, float]:
+        """What is believed at the end; {} before the first cycle."""
+        return self._named("belief/")
+
+    @property
+    def truth(self) -> dict[str, float]:
+        """What is true at the end; {} where nobody knows."""
+        return self._named("truth/")
+
+    @property
+    def misses(self) -> int:
+        """Periods without a new plan."""
+        return self._last.misses if self._last else 0
+
+    def column(self, name: str) -> FloatArray:
+        """One number over the cycles, shape (n,)."""
+        return np.array([row.get(name, np.nan) for row in self._rows])
+
+    def columns(self) -> Mapping[str, FloatArray]:
+        """All of them."""
+        return {name: self.column(name) for name in (self._rows[-1] if self._rows else ())}
+
+    def _named(self, prefix: str) -> dict[str, float]:
+        last = self._rows[-1] if self._rows else {}
+        return {name.removeprefix(prefix): value for name, value in last.items() if name.startswith(prefix)}
+
+
+def _motion(state: State, task: Task) -> dict[str, float]:
+    box, trunk = state.box.position, state.trunk.position
+    place = task.path.place(box[:2])
+    foot = trunk + rotate(state.trunk.orientation, feet(state.joints)[0])  # the front right one
+    return {
+        "time": state.time,
+        "trunk_x": float(trunk[0]),
+        "trunk_y": float(trunk[1]),
+        "trunk_yaw": float(yaw_of(state.trunk.orientation)),
+        "box_x": float(box[0]),
+        "box_y": float(box[1]),
+        "box_yaw": float(yaw_of(state.box.orientation)),
+        "foot_x": float(foot[0]),
+        "foot_y": float(foot[1]),
+        "foot_z": float(foot[2]),
+        "speed": heading_velocity(state.trunk)[0],
+        "command": task.commanded_speed(float(place.progress)),
+        "to_goal": float(np.hypot(*(box[:2] - task.path.goal))),
+        "left": float(place.left),
+    }
+
+
+def _planning(cycle: Cycle) -> dict[str, float]:
+    step = cycle.plan.step
+    return {
+        "plan_ms": cycle.plan_ms,
+        "effective_samples": step.effective_samples if step else np.nan,
+        "rollouts": step.rollouts if step else 0,
+        "diverged": step.diverged if step else 0,
+    }

@@ -1,0 +1,115 @@
+"""A child process of our own, and the channel to it.
+
+The channel keeps messages apart (SOCK_SEQPACKET), never blocks, and tells each side at once when the other
+one has died, however it died: by that a sender watches its parent.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from amhe_cli.robots.go1.link.wire import LinkError
+
+_LONGEST = 65536
+
+
+class Channel:
+    """One end of it.
+
+    Attributes:
+        open: The other side lives.
+    """
+
+    def __init__(self, end: socket.socket) -> None:
+        end.setblocking(False)
+        self._end = end
+        self.open = True
+
+    def fileno(self) -> int:
+        """For `select`, and for signals to be written to."""
+        return self._end.fileno()
+
+    def send(self, message: bytes) -> bool:
+        """Hand a message over; False where the other side is gone, or so far behind that it is dropped."""
+        try:
+            self._end.send(message)
+        except OSError:  # what it said before it went can still be read
+            return False
+        return True
+
+    def received(self) -> Iterator[bytes]:
+        """All messages that have come."""
+        while self.open:
+            try:
+                message = self._end.recv(_LONGEST)
+            except BlockingIOError:
+                return
+            except ConnectionResetError:  # told once, where something of ours was left unread
+                continue
+            except OSError:
+                message = b""
+            if not message:
+                self.open = False
+                return
+            yield message
+
+    def close(self) -> None:
+        """Close this end: the other side sees it."""
+        self._end.close()
+        self.open = False
+
+
+class Child:
+    """A module run by a Python of its own, in a session of its own: keys of a terminal do not suspend it.
+
+    Args:
+        module: Dotted name; its `main` gets a channel and the settings by `begun`.
+        settings: Plain values.
+        files: Descriptors that the child may use, by the same numbers: from 3 on, 0 to 2 are its own streams.
+    """
+
+    def __init__(self, module: str, settings: Mapping[str, Any], files: Sequence[int] = ()) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with theirs, ExitStack() as opening:
+            opening.enter_context(ours)
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", module, str(theirs.fileno())],
+                pass_fds=(theirs.fileno(), *files), stdin=subprocess.DEVNULL, stdout=sys.__stderr__,
+                env=_environment(), start_new_session=True,
+            )  # fmt: skip
+            opening.pop_all()  # ours stays open
+        self.channel = Channel(ours)
+        self.channel.send(json.dumps(settings).encode())
+
+    def end(self, patience: float) -> None:
+        """Hang up, wait so long [s] for the child to end by itself, then kill it."""
+        self.channel.close()
+        try:
+            self.process.wait(patience)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+
+
+def _environment() -> dict[str, str]:
+    """Ours, and this very package for the child, wherever we stand."""
+    ours = str(Path(__file__).parents[4])
+    return os.environ | {"PYTHONPATH": os.pathsep.join([ours, *filter(None, [os.environ.get("PYTHONPATH")])])}
+
+
+def begun() -> tuple[Channel, dict[str, Any]]:
+    """The channel and the settings, in the child."""
+    end = socket.socket(fileno=int(sys.argv[1]))
+    end.settimeout(10.0)
+    first = end.recv(_LONGEST)
+    if not first:
+        raise LinkError("the parent has gone")
+    return Channel(end), json.loads(first)

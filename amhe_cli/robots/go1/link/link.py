@@ -1,0 +1,263 @@
+"""The program's end of the link: starts the sender, hands over plans, hands out what the robot says."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Any
+
+from amhe_cli.core.errors import AmheError
+from amhe_cli.robots.go1.link import mail
+from amhe_cli.robots.go1.link.child import Child
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.letting_down import let_down
+from amhe_cli.robots.go1.link.motion import Targets
+from amhe_cli.robots.go1.link.phase import Phase
+from amhe_cli.robots.go1.link.robot_socket import RobotSocket
+from amhe_cli.robots.go1.link.wire import LinkError
+from amhe_cli.robots.go1.settings import Go1Settings
+
+#: States that must have come before a robot is there, and the share of them that must reach us: with a second
+#: program at the same robot it is a half.
+_ENOUGH, _SHARE = 200, 0.8
+_HIGH_LEVEL = 1087
+#: A process may take so long to start [s], and is asked so often [s].
+_START, _STEP = 20.0, 0.005
+
+
+class StoppedError(AmheError):
+    """A trip ended the run; the robot has been let down, or is being."""
+
+
+@dataclass(slots=True)
+class Report:
+    """The newest of the sender: see `sender.Sender._report`."""
+
+    phase: Phase = Phase.CONNECT
+    trip: str = ""
+    reason: str = ""
+    contact: dict[str, Any] = field(default_factory=dict)
+    refused: int = 0
+    intervals: dict[str, float] = field(default_factory=dict)
+    robot: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    unfit: str = ""
+
+
+class Link:
+    """A robot at the end of a wire; use it as a context manager: whatever happens, the robot is let down.
+
+    Args:
+        host, port: Of the robot.
+        settings: Of it.
+        clock: Ours.
+        keys: Descriptor of a terminal whose keys arm and stop; -1: none.
+
+    Attributes:
+        report: Newest of the sender.
+    """
+
+    def __init__(self, host: str, port: int, settings: Go1Settings, clock: Clock, keys: int = -1) -> None:
+        self._where, self._settings, self._clock, self._keys = (host, port), settings, clock, keys
+        self._samples: list[Any] = []
+        self._driven = False
+        self._child: Child | None = None
+        self._opened = ExitStack()
+        self.report = Report()
+
+    def __enter__(self) -> Link:
+        host, port = self._where
+        with ExitStack() as opening:
+            with _as_file(self._keys) as files:
+                given = {
+                    "host": host, "port": port, "keys": max(files, default=-1), "slow": self._clock.slow,
+                    "settings": self._settings.model_dump(),
+                }  # fmt: skip
+                self._child = Child("amhe_cli.robots.go1.link.sender", given, files)
+            opening.callback(self._child.end, 5.0 * self._clock.slow)
+            if threading.current_thread() is threading.main_thread():
+                # the signal itself tells the sender, even while our thread is deep in a rollout
+                descriptor = self._child.channel.fileno()
+                before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
+                opening.callback(signal.set_wakeup_fd, before)
+            opening.callback(self.finish)
+            self._opened = opening.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._opened.__exit__(kind, error, trace)
+
+    # -- the phases -----------------------------------------------------------------------------------
+
+    def connect(self) -> Report:
+        """Wait until the robot answers as it should. Nothing moves.
+
+        Raises:
+            LinkError: It does not; the text says what was heard instead.
+        """
+        self._wait_for_sender()
+        end = time.monotonic() + self._settings.connect_time * max(1.0, self._clock.slow)
+        while time.monotonic() < end:
+            contact, unfit = self._poll().contact, self.report.unfit
+            seen = contact.get("complete") and contact["states"] >= _ENOUGH
+            if seen and contact["in_step"] and not unfit:
+                break
+            time.sleep(_STEP)
+        self._check_contact()
+        return self.report
+
+    def stand(self) -> None:
+        """Let the robot stand up."""
+        self._driven = True
+        self._order(mail.STAND)
+
+    def arm(self) -> None:
+        """Let plans be played, as the operator's key does."""
+        self._order(mail.ARM)
+
+    def reached(self, phase: Phase) -> bool:
+        """Whether a phase has come.
+
+        Raises:
+            StoppedError: A trip came first.
+        """
+        if self._poll().phase > phase:
+            raise StoppedError(f"stopped: {self.report.reason or 'the run was ended'}")
+        return self.report.phase == phase
+
+    def play(self, plan: Targets, pose_time: float) -> None:
+        """Hand over the newest plan.
+
+        Args:
+            plan: On our clock.
+            pose_time: Of the older one of the newest poses of trunk and box [s].
+        """
+        if self._child:
+            self._child.channel.send(mail.plan_message(plan, pose_time))
+
+    def samples(self) -> list[Any]:
+        """States that came since the last call, records of `mail.SAMPLE`."""
+        self._poll()
+        samples, self._samples = self._samples, []
+        return samples
+
+    def stop(self) -> None:
+        """Damp the motors now."""
+        self._order(mail.STOP)
+
+    def finish(self) -> Report:
+        """Let the robot sit down and its motors go; wait for the end of it."""
+        s = self._settings
+        self._order(mail.FINISH)
+        longest = s.hold_time + s.sit_time + s.damp_time + 2.0
+        end = time.monotonic() + longest * max(1.0, self._clock.slow)
+        while self._poll(quiet=True).phase != Phase.OVER and time.monotonic() < end:
+            if self._child is None or not self._child.channel.open:
+                break
+            time.sleep(_STEP)
+        return self.report
+
+    # -- the channel ----------------------------------------------------------------------------------
+
+    def _wait_for_sender(self) -> None:
+        end = time.monotonic() + _START
+        while not (self._poll().contact or self.report.reason) and time.monotonic() < end:
+            time.sleep(_STEP)
+
+    def _order(self, order: bytes) -> None:
+        if self._child:
+            self._child.channel.send(order)
+
+    def _poll(self, quiet: bool = False) -> Report:
+        """Read what the sender says; where it has died, damp the motors from here.
+
+        Raises:
+            LinkError: It has died. Not where `quiet`.
+        """
+        if self._child is None:
+            raise LinkError("the link is not open")
+        for message in self._child.channel.received():
+            said = mail.read(message)
+            if isinstance(said, dict):
+                said["phase"] = Phase(said["phase"])
+                self.report = Report(**said)
+            elif said is not None:
+                self._samples.append(said)
+        if not self._child.channel.open and self.report.phase != Phase.OVER:
+            self._stand_in()
+            if not quiet:
+                raise LinkError("the process that talks to the robot has died; its last words are above")
+        return self.report
+
+    def _stand_in(self) -> None:
+        """Let the robot down in place of a sender that has died: motors keep their last command for good."""
+        if self._driven:
+            self._driven = False
+            with closing(RobotSocket(*self._where, self._clock)) as robot:
+                let_down(robot, self._settings, self._clock)
+
+    def _check_contact(self) -> None:
+        host, port = self._where
+        where, contact, report = f"{host}:{port}", self.report.contact, self.report
+        states = contact.get("states", 0)
+        if report.trip == "error":
+            raise LinkError(report.reason)
+        if report.phase != Phase.CONNECT:
+            raise StoppedError(f"stopped: {report.reason}")
+        if not states and contact.get("strange"):
+            raise LinkError(_strange(where, contact["strange_size"]))
+        if not states and report.refused:
+            raise LinkError(f"nobody listens on {where}: is it the robot's address, and is the robot on?")
+        if not states:
+            raise LinkError(
+                f"nothing answers from {where}: check --host, the cable, and that this computer has an "
+                "address in the robot's network"
+            )
+        if contact["share"] < _SHARE:
+            raise LinkError(
+                f"only {100 * contact['share']:.0f} % of the robot's states reach this computer: another "
+                "program talks to the robot, or the network loses packets"
+            )
+        if not contact["complete"]:
+            raise LinkError(
+                f"the robot on {where} sends states but follows no commands: another program talks to it, or "
+                "it wants the other checksum (--set go1.crc=encrypted)"
+            )
+        if report.unfit:
+            raise LinkError(f"the robot cannot be driven: {report.unfit}")
+        if not contact["in_step"]:
+            raise LinkError(
+                f"the robot's clock does {contact['pace']:.2f} s in one of ours: give amhe emulate and this "
+                "command the same --slow, and a larger one where the computer is too slow for it"
+            )
+
+
+@contextmanager
+def _as_file(keys: int) -> Iterator[list[int]]:
+    """The terminal's descriptor by another number: a child's own standard streams take 0 to 2."""
+    if keys < 0:
+        yield []
+        return
+    again = fcntl.fcntl(keys, fcntl.F_DUPFD_CLOEXEC, 3)
+    try:
+        yield [again]
+    finally:
+        os.close(again)
+
+
+def _strange(where: str, size: int) -> str:
+    if size == _HIGH_LEVEL:
+        return (
+            f"the robot on {where} is in high-level mode: on the remote L2+A, L2+A, L2+B, L1+L2+START, with "
+            "the robot lying or hanging (docs/go1.md)"
+        )
+    return f"what answers from {where} is no Go1: datagrams of {size} bytes"

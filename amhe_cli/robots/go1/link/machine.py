@@ -1,0 +1,255 @@
+"""The state machine: what is sent in which phase, and what leads from one phase to the next.
+
+No socket and no clock in here: time and all that is known come in, a command comes out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, sealed
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link import wire
+from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.limits import allowed
+from amhe_cli.robots.go1.link.motion import Targets, eased, travel_time
+from amhe_cli.robots.go1.link.phase import Phase
+from amhe_cli.robots.go1.link.remote import Remote
+from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.link.trips import NO_JUMP, View, power, tripped
+from amhe_cli.robots.go1.settings import Go1Settings
+
+#: Legs folded under the trunk [rad]: within the limits of commands, unlike those of a robot let down.
+FOLDED = sealed(np.tile([0.0, 1.2, -2.6], 4))
+#: The first plan after arming may take so long [s].
+_FIRST_PLAN = 2.0
+#: From what is in force, targets are blended into the first plan, and into every other one, for so long [s].
+_FIRST_BLEND, _BLEND = 0.2, 0.02
+#: A robot that walked puts its feet down in this time before it sits down [s].
+_LANDING = 0.2
+_AT_REST = sealed(np.zeros(12))
+#: How an end as planned begins where it does not stand: nothing has moved yet; it lies, or is half way up.
+_ENDS = {Phase.CONNECT: Phase.OVER, Phase.HOLD: Phase.DAMP, Phase.STAND: Phase.DAMP}
+
+
+@dataclass(slots=True, eq=False)
+class Inbox:
+    """The newest of all that came in; the sender's loop fills it.
+
+    Args:
+        state: Of the robot; None: none yet.
+        state_time: When it came [s].
+        bad_packets: Damaged datagrams since the last good one.
+        share: Of the robot's last states that reached us.
+        plan: Newest.
+        plan_time: When it came [s].
+        pose_time: Of the older one of the newest poses of trunk and box [s].
+        stand, arm, finish: The operator, or the program, wants this.
+        stop: Why motors are to be damped at once; '' if they are not.
+    """
+
+    state: RobotState | None = None
+    state_time: float = -np.inf
+    bad_packets: int = 0
+    share: float = 1.0
+    plan: Targets | None = None
+    plan_time: float = -np.inf
+    pose_time: float = -np.inf
+    stand: bool = False
+    arm: bool = False
+    finish: bool = False
+    stop: str = ""
+
+
+@dataclass(slots=True, eq=False)
+class Machine:
+    """Steps through the phases, one packet at a time.
+
+    Args:
+        settings: Of the robot.
+
+    Attributes:
+        phase: Present one.
+        trip: Name of the first trip; '' if there was none.
+        reason: Why it tripped, in words.
+        commanded: The newest joint targets that a robot was sent [rad], shape (12,).
+    """
+
+    settings: Go1Settings
+    phase: Phase = Phase.CONNECT
+    trip: str = ""
+    reason: str = ""
+    commanded: FloatArray = field(default_factory=lambda: HOME)
+    _since: float = 0.0
+    _from: FloatArray = field(default_factory=lambda: _AT_REST)
+    _sent: FloatArray | None = None
+    _playing: Targets | None = None
+    _blend: tuple[float, float, FloatArray] = (0.0, 1.0, NO_JUMP)
+    _jump: FloatArray = field(default_factory=lambda: NO_JUMP)
+    _released: bool = False
+    _over_power: int = 0
+    _power_tick: int = -1
+
+    def step(self, now: float, inbox: Inbox) -> Command:
+        """The command of this tick.
+
+        Args:
+            now: [s].
+            inbox: What is known.
+        """
+        if inbox.state is not None:
+            self._count_power(inbox.state)
+            self._go_on(now, inbox, inbox.state)
+            phase, wanted = self.phase, self._targets(now, inbox)
+            self._guard(now, inbox, inbox.state, wanted)
+            if self.phase != phase:  # a plan that has been lost is not followed for one packet more
+                wanted = self._targets(now, inbox)
+            if self._drives:
+                return self._servo(now, inbox.state, wanted)
+        elif inbox.stop or inbox.finish:
+            self._trip("order", inbox.stop or "asked to end", Phase.OVER, now)
+        self._sent = None
+        if self.phase == Phase.DAMP:
+            return Command(velocity=_AT_REST, kd=np.full(12, self.settings.damping))
+        return Command()
+
+    def unfit(self, now: float, inbox: Inbox) -> str:
+        """Why a robot that is not driven yet would trip as soon as it is; '' if it would not."""
+        state = inbox.state
+        found = tripped(self._view(now, inbox, state, HOME), self.settings.trips) if state else None
+        return found[1] if found else ""
+
+    # -- from one phase to the next -------------------------------------------------------------------
+
+    @property
+    def _drives(self) -> bool:
+        return Phase.HOLD <= self.phase <= Phase.SIT
+
+    def _go_on(self, now: float, inbox: Inbox, state: RobotState) -> None:
+        s, elapsed = self.settings, now - self._since
+        if self.phase == Phase.CONNECT and inbox.stand:
+            self._enter(Phase.HOLD, now, state.joints)
+        elif self.phase == Phase.HOLD and elapsed > s.gain_time:
+            self._enter(Phase.STAND, now, self._from)
+        elif self.phase == Phase.STAND and elapsed > self._stand_time:
+            self._enter(Phase.READY, now, HOME)
+        elif self.phase == Phase.READY and (inbox.arm or self._armed(Remote.of(state.remote))):
+            self._enter(Phase.RUN, now, HOME)
+        elif self.phase == Phase.PAUSE and elapsed > s.hold_time:
+            self._enter(Phase.SIT, now, self._from)
+        elif self.phase == Phase.SIT and elapsed > s.sit_time:
+            self._enter(Phase.DAMP, now, state.joints)
+        elif self.phase == Phase.DAMP and elapsed > s.damp_time:
+            self._enter(Phase.OVER, now, state.joints)
+        if inbox.finish and self.phase < Phase.PAUSE:
+            then = _ENDS.get(self.phase, Phase.SIT)
+            self._enter(then, now, state.joints if self._sent is None else self._sent)
+
+    def _guard(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> None:
+        if self.phase == Phase.CONNECT:
+            if inbox.stop:
+                self._trip("order", inbox.stop, Phase.OVER, now)
+            return
+        if self.phase >= Phase.DAMP:
+            return
+        found = tripped(self._view(now, inbox, state, wanted), self.settings.trips)
+        if found:
+            self._trip(*found, now)
+
+    def _view(self, now: float, inbox: Inbox, state: RobotState, wanted: FloatArray) -> View:
+        grace = self._since + _FIRST_PLAN if inbox.plan is None else -np.inf
+        return View(
+            phase=self.phase,
+            state=state,
+            state_age=now - inbox.state_time,
+            plan_age=now - max(inbox.plan_time, grace),
+            pose_age=now - max(inbox.pose_time, grace),
+            over_power=self._over_power,
+            bad_packets=inbox.bad_packets,
+            share=inbox.share,
+            jump=self._jump,
+            targets=wanted,
+            order=inbox.stop,
+        )
+
+    def _armed(self, remote: Remote) -> bool:
+        """Whether the remote's key has been pressed since the robot stands: not held from before."""
+        self._released = self._released or not remote.arms
+        return self._released and remote.arms
+
+    def _trip(self, name: str, reason: str, then: Phase, now: float) -> None:
+        if not self.trip:
+            self.trip, self.reason = name, reason
+        if then > self.phase:
+            self._enter(then, now, _AT_REST if self._sent is None else self._sent)
+
+    def _enter(self, phase: Phase, now: float, start: FloatArray) -> None:
+        self.phase, self._since, self._from = phase, now, np.array(start)
+
+    # -- what is sent ---------------------------------------------------------------------------------
+
+    @property
+    def _fold_time(self) -> float:
+        return travel_time(self._from, FOLDED, self.settings.stand_speed)
+
+    @property
+    def _stand_time(self) -> float:
+        return self._fold_time + travel_time(FOLDED, HOME, self.settings.stand_speed)
+
+    @property
+    def _landing(self) -> float:
+        """Time in which all feet come to the floor [s]: a walking robot has two in the air."""
+        return min(_LANDING, 0.2 * self.settings.sit_time)
+
+    def _targets(self, now: float, inbox: Inbox) -> FloatArray:
+        """Joint targets of this tick, not yet clipped."""
+        elapsed = now - self._since
+        match self.phase:
+            case Phase.STAND if elapsed < self._fold_time:
+                return eased(self._from, FOLDED, elapsed / self._fold_time)
+            case Phase.STAND:
+                rising = self._stand_time - self._fold_time
+                return eased(FOLDED, HOME, (elapsed - self._fold_time) / rising)
+            case Phase.RUN if inbox.plan is not None:
+                return self._played(now, inbox.plan)
+            case Phase.SIT if elapsed < self._landing:
+                return eased(self._from, HOME, elapsed / self._landing)
+            case Phase.SIT:
+                return eased(
+                    HOME, FOLDED, (elapsed - self._landing) / (self.settings.sit_time - self._landing)
+                )
+        return self._from
+
+    def _played(self, now: float, plan: Targets) -> FloatArray:
+        """Of a plan; a new one is blended into: plans come late now and then, and then begin with a step."""
+        targets, before = plan.at(now), self._from if self._sent is None else self._sent
+        self._jump = NO_JUMP
+        if plan is not self._playing:
+            self._jump = _largest_step(np.vstack((targets - before, np.diff(plan.rows, axis=0))))
+            # the first one leans on its feet where a standing robot did not yet
+            duration = _FIRST_BLEND if self._playing is None else _BLEND
+            self._playing, self._blend = plan, (now - 1.0 / self.settings.rate, duration, before - targets)
+        begun, duration, offset = self._blend
+        return targets + max(0.0, 1.0 - (now - begun) / duration) * offset
+
+    def _servo(self, now: float, state: RobotState, wanted: FloatArray) -> Command:
+        s = self.settings
+        gain = min(1.0, (now - self._since) / s.gain_time) if self.phase == Phase.HOLD else 1.0
+        self._sent = wanted
+        targets = self.commanded = allowed(wanted, state.joints, s.kp, s.torque_share)
+        return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4))
+
+    def _count_power(self, state: RobotState) -> None:
+        """Once for each state, as the vendor's own protection does it."""
+        if state.tick == self._power_tick:
+            return
+        self._power_tick = state.tick
+        over = power(state) > self.settings.trips.power
+        self._over_power = self._over_power + 1 if over else max(0, self._over_power - 1)
+
+
+def _largest_step(steps: FloatArray) -> FloatArray:
+    """Of each joint, over the rows of (n, 12): shape (12,); not a number where one of them is none."""
+    return steps[np.abs(steps).argmax(axis=0), np.arange(steps.shape[1])]

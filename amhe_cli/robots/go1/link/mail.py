@@ -1,0 +1,58 @@
+"""What sender and program tell each other: plans and orders one way, samples and reports the other."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.robots.go1.link.motion import Targets
+
+#: One-byte orders. Smaller bytes are numbers of signals: the program's signal handler writes them itself, at
+#: once, even while the program's own thread is inside of a long computation.
+STAND, ARM, FINISH, STOP = b"S", b"A", b"F", b"X"
+_PLAN, _SAMPLE, _REPORT = b"P", b"s", b"r"
+
+#: One state of the robot, on our clock, the phase it was received in, and the joint targets followed then.
+SAMPLE: Any = np.dtype(
+    [
+        ("time", "f8"), ("phase", "u1"), ("quaternion", "f8", 4), ("gyro", "f8", 3),
+        ("accelerometer", "f8", 3), ("joints", "f8", 12), ("joint_rates", "f8", 12),
+        ("targets", "f8", 12),
+    ]
+)  # fmt: skip
+_HEADER = np.dtype([("start", "f8"), ("period", "f8"), ("pose_time", "f8")])
+
+
+def plan_message(plan: Targets, pose_time: float) -> bytes:
+    """A plan, and the time [s] of the older one of the newest poses of trunk and box."""
+    header = np.array([(plan.start, plan.period, pose_time)], dtype=_HEADER)
+    return _PLAN + header.tobytes() + np.ascontiguousarray(plan.rows, dtype=np.float64).tobytes()
+
+
+def read_plan(message: bytes) -> tuple[Targets, float] | None:
+    """The inverse; None: it is no plan."""
+    if message[:1] != _PLAN:
+        return None
+    end = 1 + _HEADER.itemsize
+    header = np.frombuffer(message[1:end], dtype=_HEADER)[0]
+    rows = np.frombuffer(message[end:], dtype=np.float64).reshape(-1, 12)
+    return Targets(float(header["start"]), float(header["period"]), rows), float(header["pose_time"])
+
+
+def sample_message(sample: Any) -> bytes:
+    """A record of `SAMPLE`."""
+    return _SAMPLE + sample.tobytes()
+
+
+def report_message(report: dict[str, Any]) -> bytes:
+    """What the sender has to say, as plain values."""
+    return _REPORT + json.dumps(report).encode()
+
+
+def read(message: bytes) -> Any:
+    """A sample as a record, a report as a dictionary; None: neither."""
+    if message[:1] == _SAMPLE:
+        return np.frombuffer(message[1:], dtype=SAMPLE)[0]
+    return json.loads(message[1:]) if message[:1] == _REPORT else None

@@ -1,0 +1,140 @@
+"""A task's name and options become an episode on a Go1 that is reached by wire."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.estimation.online.horizon import Estimate
+from amhe_cli.live.belief import SharedBelief
+from amhe_cli.live.episode import Episode
+from amhe_cli.robots.go1.judge import Judge
+from amhe_cli.robots.go1.link.calibration import Calibration
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.target import Go1Target
+from amhe_cli.robots.go1.poses import natnet, udp
+from amhe_cli.robots.go1.poses.feed import KINDS, FeedOptions, PoseFeed
+from amhe_cli.robots.go1.run import Run, RunOptions, belief_source, controller_for, task_and_system
+from amhe_cli.robots.go1.settings import Go1Settings
+from amhe_cli.robots.go1.tasks import Task
+
+#: The robot's own address and port, as it leaves the factory.
+HOST, PORT = "192.168.123.10", 8007
+_POSE_HOSTS = {"natnet": "192.168.123.100", "udp": "127.0.0.1", "ros2": "0"}
+_POSE_PORTS = {"natnet": natnet.PORT, "udp": udp.PORT}
+
+
+@dataclass(frozen=True, slots=True)
+class WireOptions:
+    """How robot and motion capture are reached.
+
+    Args:
+        host, port: Of the robot.
+        pose: Kind of motion capture.
+        pose_host, pose_port: See `FeedOptions`; None: that of the kind.
+        slow: How many times slower an emulated robot runs.
+        keys: Descriptor of a terminal whose keys arm and stop; -1: none.
+    """
+
+    host: str = HOST
+    port: int = PORT
+    pose: str = "natnet"
+    pose_host: str | None = None
+    pose_port: int | None = None
+    slow: float = 1.0
+    keys: int = -1
+
+
+def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = None) -> Run:
+    """Set everything up; nothing is sent yet.
+
+    Args:
+        options: As given.
+        wire: To the robot.
+        task: In place of the one that the options name.
+
+    Raises:
+        ConfigError: What `open_run` refuses, and what only a simulation can do.
+    """
+    _refuse(options)
+    task, system = task_and_system(options, task)
+    settings, period = system.settings.go1, system.settings.control.period
+    if settings.arm == "auto" and not _on_loopback(wire.host):
+        raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
+    clock = _clock(wire)
+    feed = PoseFeed(_feed(wire, settings))
+    link = Link(wire.host, wire.port, settings, clock, wire.keys)
+    target = Go1Target(link, feed, settings, clock, period, _box_centre(task))
+    behaviour = task.behaviour()
+    samples = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(3)[2])
+    controller = controller_for(task, behaviour, system, options.threads, samples)
+    judge = Judge(task, behaviour, period, options.duration)
+    believed = belief_source(options, task, system, None, wire.slow)
+    belief = SharedBelief(believed, partial(_publish, feed))
+    episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
+    return Run(options, task, system, episode, target, None, judge, {})
+
+
+def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
+    """Robot, motion capture and the task's box; nothing is sent yet.
+
+    Raises:
+        ConfigError: A wrong setting or pose source.
+    """
+    task, system = task_and_system(options)
+    settings, clock = system.settings.go1, _clock(wire)
+    link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
+    return Calibration(link, feed, settings, clock, task.box)
+
+
+def _clock(wire: WireOptions) -> Clock:
+    """Ours; that of a robot cannot be slowed down, and all our thresholds would be longer than they say."""
+    if wire.slow != 1.0 and not _on_loopback(wire.host):
+        raise ConfigError(f"--slow is for the emulator on this computer; {wire.host} is a robot")
+    return Clock(wire.slow)
+
+
+def _publish(feed: PoseFeed, estimate: Estimate) -> None:
+    feed.publish(estimate.belief.names, estimate.theta, estimate.sd)
+
+
+def _refuse(options: RunOptions) -> None:
+    if options.mode == "true":
+        raise ConfigError(
+            "--mode true needs a plant whose parameters are known; on go1 use adaptive or baseline"
+        )
+    if options.plant is not None:
+        raise ConfigError("--plant is the robot of a simulation; leave it out with --target go1")
+
+
+def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
+    if wire.pose not in KINDS:
+        raise ConfigError(one_of("pose source", wire.pose, KINDS))
+    host = wire.pose_host or _POSE_HOSTS.get(wire.pose)
+    if host is None:
+        raise ConfigError("--pose motioncapture needs --pose-host KIND:HOST, such as vicon:192.168.1.5")
+    if wire.pose == "ros2" and host and not host.isdecimal():
+        raise ConfigError(f"--pose-host {host}: --pose ros2 takes the number of a DDS domain, such as 0")
+    port = wire.pose_port if wire.pose_port is not None else _POSE_PORTS.get(wire.pose, 0)
+    bodies = (settings.trunk, settings.box)
+    if bodies[0] == bodies[1]:
+        raise ConfigError(f"go1.trunk and go1.box have the same name {bodies[0]!r}")
+    return FeedOptions(wire.pose, host, port, bodies, settings.connect_time, wire.slow)
+
+
+def _box_centre(task: Task) -> FloatArray:
+    return np.array([*task.box.position, 0.5 * task.box.size[2]])
+
+
+def _on_loopback(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(socket.gethostbyname(host)).is_loopback
+    except OSError:
+        return False

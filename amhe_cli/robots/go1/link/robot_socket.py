@@ -1,0 +1,78 @@
+"""The UDP socket to the robot: packets out, states in with the time at which they arrived."""
+
+from __future__ import annotations
+
+import socket
+import struct
+import sys
+from collections.abc import Iterator
+
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.wire import LinkError
+
+#: Linux stamps datagrams as they arrive, whenever we come to read them; Python has no name for the option.
+_SO_TIMESTAMPNS = 35
+_TIMESPEC = struct.Struct("@qq")
+_LARGEST = 2048
+
+
+class RobotSocket:
+    """Talks to one address and hears no other.
+
+    Args:
+        host, port: Of the robot.
+        clock: Ours.
+
+    Attributes:
+        refused: How often the other computer said that nobody listens there.
+
+    Raises:
+        LinkError: There is no such host.
+    """
+
+    def __init__(self, host: str, port: int, clock: Clock) -> None:
+        self._clock = clock
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        if sys.platform == "linux":
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        try:
+            self._socket.connect((host, port))
+        except OSError as error:
+            self._socket.close()
+            raise LinkError(f"no way to {host}:{port}: {error.strerror or error}") from error
+        self.refused = 0
+
+    def send(self, packet: bytes) -> bool:
+        """Send; False where the network did not take it."""
+        try:
+            self._socket.send(packet)
+        except ConnectionRefusedError:
+            self.refused += 1
+            return False
+        except OSError:
+            return False
+        return True
+
+    def received(self) -> Iterator[tuple[bytes, float]]:
+        """All datagrams that have come, and when [s]."""
+        while True:
+            try:
+                datagram, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
+            except ConnectionRefusedError:
+                self.refused += 1
+                continue
+            except OSError:
+                return
+            yield datagram, self._arrival(extra)
+
+    def close(self) -> None:
+        """Let go of the port."""
+        self._socket.close()
+
+    def _arrival(self, extra: list[tuple[int, int, bytes]]) -> float:
+        for level, kind, value in extra:
+            if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(value) >= _TIMESPEC.size:
+                seconds, nanoseconds = _TIMESPEC.unpack(value[: _TIMESPEC.size])
+                return self._clock.from_wall(seconds + 1e-9 * nanoseconds)
+        return self._clock.now()

@@ -1,0 +1,279 @@
+"""The process that talks to the robot: a packet every 2 ms, whatever planner and estimator do meanwhile.
+
+    python -m amhe_cli.robots.go1.link.sender CHANNEL
+
+It is a process of its own so that nothing can hold it up, and so that it outlives a program that dies: it
+then lets the robot down (motors damped) and ends.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import select
+import signal
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.robots.go1.link import mail, state, wire
+from amhe_cli.robots.go1.link.child import Channel, begun
+from amhe_cli.robots.go1.link.clock import Clock, ClockMap
+from amhe_cli.robots.go1.link.command import Command, encode
+from amhe_cli.robots.go1.link.contact import Contact, Share
+from amhe_cli.robots.go1.link.intervals import Intervals
+from amhe_cli.robots.go1.link.letting_down import let_down
+from amhe_cli.robots.go1.link.machine import Inbox, Machine
+from amhe_cli.robots.go1.link.motion import Sent
+from amhe_cli.robots.go1.link.phase import Phase
+from amhe_cli.robots.go1.link.priority import SENDER, take_priority
+from amhe_cli.robots.go1.link.robot_socket import RobotSocket
+from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.settings import Go1Settings
+
+#: Reports go out at every change and so often [s].
+_REPORT_PERIOD = 0.1
+#: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
+_PASS_ON = 2
+#: Also those that would suspend it, with the motors driven.
+_STOPPING = (
+    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
+    signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU,
+)  # fmt: skip
+_DRIVEN = (
+    "the robot's motors are driven already: another program talks to it, or died there; end it, and try again"
+)
+_NO_PRIORITY = "the sender has no real-time priority: packets may be late when the computer is busy"
+
+
+class DrivenError(wire.LinkError):
+    """Somebody else drives the robot: it is not ours to let down either."""
+
+
+class Sender:
+    """The loop; see `run`.
+
+    Args:
+        settings: Of the robot.
+        robot: Socket to it.
+        channel: To the program.
+        clock: Ours.
+        keys: Descriptor of a terminal whose keys are read; -1: none.
+        notes: What the report is to say besides.
+    """
+
+    def __init__(
+        self,
+        settings: Go1Settings,
+        robot: RobotSocket,
+        channel: Channel,
+        clock: Clock,
+        keys: int,
+        notes: list[str],
+    ) -> None:
+        self._settings, self._robot, self._channel, self._clock = settings, robot, channel, clock
+        self._keys, self._notes = keys, notes
+        self._machine, self._inbox, self._contact = Machine(settings), Inbox(), Contact()
+        self._share = Share()
+        self._ticks, self._tick = ClockMap(), -1
+        self._sent = Sent(self._machine.commanded)
+        self._intervals = Intervals()
+        self._reported = (-np.inf, Phase.OVER)
+
+    def run(self) -> None:
+        """Send until the last phase is over.
+
+        Raises:
+            DrivenError: Another program drives the robot: not one packet more.
+        """
+        period = 1.0 / self._settings.rate
+        due = self._clock.now()
+        while self._machine.phase != Phase.OVER:
+            self._clock.sleep_until(due)
+            self._read_robot()
+            self._read_channel()
+            self._read_keys()
+            now = self._clock.now()
+            self._send(self._machine.step(now, self._inbox), now)
+            self._report(now)
+            due = next_tick(due, now, period)
+
+    def stop(self, reason: str) -> None:
+        """Damp the motors at the next tick."""
+        self._inbox.stop = self._inbox.stop or reason
+
+    def say(self, reason: str) -> None:
+        """A last report."""
+        self._machine.trip, self._machine.reason = (
+            self._machine.trip or "error",
+            self._machine.reason or reason,
+        )
+        self._machine.phase = Phase.OVER
+        self._report(self._clock.now())
+
+    # -- what comes in --------------------------------------------------------------------------------
+
+    def _read_robot(self) -> None:
+        for datagram, arrival in self._robot.received():
+            try:
+                read = state.decode(datagram)
+            except wire.PacketError:
+                self._inbox.bad_packets += 1
+                self._contact.see_strange(datagram)
+                continue
+            self._inbox.bad_packets = 0
+            if read.tick != self._tick:  # a robot whose clock stands still tells nothing new
+                self._take(read, arrival)
+
+    def _take(self, read: RobotState, arrival: float) -> None:
+        self._tick = read.tick
+        self._inbox.state, self._inbox.state_time = read, arrival
+        self._inbox.share = self._share.see(read.tick)
+        time = self._ticks.see(1e-3 * read.tick, arrival) - 0.5 * self._contact.round_trip
+        if self._machine.phase == Phase.CONNECT:
+            self._contact.see(read, arrival)
+            if self._contact.driven:
+                raise DrivenError(_DRIVEN)
+        if read.tick % _PASS_ON == 0:
+            # what is sent is some time on its way: those that the robot followed when it told its state
+            followed = self._sent.by(time - 0.5 * self._contact.round_trip)
+            sample = _sample(time, self._machine.phase, read, followed)
+            self._channel.send(mail.sample_message(sample))
+
+    def _read_channel(self) -> None:
+        for message in self._channel.received():
+            plan = mail.read_plan(message)
+            if plan is not None:
+                self._inbox.plan, self._inbox.pose_time = plan
+                self._inbox.plan_time = self._clock.now()
+            elif message in _ORDERS:
+                _ORDERS[message](self._inbox)
+            elif len(message) == 1 and message[0] in _STOPPING:
+                self.stop(signal.Signals(message[0]).name)
+        if not self._channel.open:
+            self.stop("the program has died")
+
+    def _read_keys(self) -> None:
+        if self._keys < 0 or not select.select([self._keys], [], [], 0.0)[0]:
+            return
+        try:
+            keys = os.read(self._keys, 64)
+        except OSError:  # of a terminal that hung up
+            keys = b""
+        if not keys:
+            self._keys = -1
+            self.stop("the terminal is gone")
+        elif self._machine.phase == Phase.READY and keys in (b"\n", b"\r"):
+            self._inbox.arm = True
+        else:
+            self.stop("key")
+
+    # -- what goes out --------------------------------------------------------------------------------
+
+    def _send(self, command: Command, now: float) -> None:
+        if self._machine.phase == Phase.CONNECT:
+            command = Command(self._contact.turn(now))
+        if self._robot.send(encode(command, self._settings.crc)):
+            self._intervals.see(now)
+            self._sent.add(now, self._machine.commanded)
+
+    def _report(self, now: float) -> None:
+        machine = self._machine
+        last, phase = self._reported
+        if machine.phase == phase and now - last < _REPORT_PERIOD:
+            return
+        self._reported = now, machine.phase
+        looked_at = machine.phase == Phase.CONNECT and self._contact.complete
+        self._channel.send(
+            mail.report_message(
+                {
+                    "phase": int(machine.phase), "trip": machine.trip, "reason": machine.reason,
+                    "contact": self._contact.report, "refused": self._robot.refused,
+                    "intervals": self._intervals.summary() if machine.phase >= Phase.PAUSE else {},
+                    "robot": _robot(self._inbox.state), "notes": self._notes,
+                    "unfit": machine.unfit(now, self._inbox) if looked_at else "",
+                }
+            )
+        )  # fmt: skip
+
+
+def next_tick(due: float, now: float, period: float) -> float:
+    """When the next packet is due [s] after one that was due, and was sent now.
+
+    A late one is not made up for: two at once help nobody.
+    """
+    return max(due + period, now + 0.5 * period)
+
+
+def _stand(inbox: Inbox) -> None:
+    inbox.stand = True
+
+
+def _arm(inbox: Inbox) -> None:
+    inbox.arm = True
+
+
+def _finish(inbox: Inbox) -> None:
+    inbox.finish = True
+
+
+def _stop(inbox: Inbox) -> None:
+    inbox.stop = inbox.stop or "asked to stop"
+
+
+_ORDERS: dict[bytes, Callable[[Inbox], None]] = {
+    mail.STAND: _stand, mail.ARM: _arm, mail.FINISH: _finish, mail.STOP: _stop
+}  # fmt: skip
+
+
+def _sample(time: float, phase: Phase, read: RobotState, followed: FloatArray) -> Any:
+    return np.array(
+        (
+            time, int(phase), read.quaternion, read.gyro, read.accelerometer, read.joints, read.joint_rates,
+            followed,
+        ),
+        dtype=mail.SAMPLE,
+    )  # fmt: skip
+
+
+def _robot(read: RobotState | None) -> dict[str, Any]:
+    if read is None:
+        return {}
+    return {
+        "charge": read.charge, "hottest": float(read.temperatures.max()), "serial": list(read.serial),
+        "version": list(read.version), "quaternion": read.quaternion.tolist(), "joints": read.joints.tolist(),
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Read the settings from the channel, and send."""
+    channel, given = begun()
+    settings, clock = Go1Settings.model_validate(given["settings"]), Clock(given["slow"])
+    try:
+        robot = RobotSocket(given["host"], given["port"], clock)
+    except wire.LinkError as error:
+        channel.send(mail.report_message({"phase": int(Phase.OVER), "trip": "error", "reason": str(error)}))
+        return
+    gc.freeze()
+    gc.disable()  # nothing here makes cycles
+    notes = [] if take_priority(SENDER) else [_NO_PRIORITY]
+    sender = Sender(settings, robot, channel, clock, given["keys"], notes)
+    for number in _STOPPING:
+        signal.signal(number, lambda number, _: sender.stop(signal.Signals(number).name))
+    try:
+        sender.run()
+    except DrivenError as error:
+        sender.say(str(error))
+    except BaseException as error:
+        let_down(robot, settings, clock)
+        sender.say(f"{type(error).__name__}: {error}")
+        raise
+    finally:
+        channel.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

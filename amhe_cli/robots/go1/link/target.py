@@ -1,0 +1,270 @@
+"""A real Go1, or an emulated one, as a `Target`: plans go to the sender, states and poses come back in time.
+
+Three clocks are kept apart: the robot's, that of motion capture, and ours. Each sample is placed on ours
+where it was taken, not where it arrived; a plan is handed over early by the time that a command takes. The
+run's own time is ours since the operator let it begin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.control.controller import Plan
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.link import Link, Report, StoppedError
+from amhe_cli.robots.go1.link.motion import Targets
+from amhe_cli.robots.go1.link.phase import Phase
+from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
+from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
+from amhe_cli.robots.go1.poses.source import Pose, PoseError
+from amhe_cli.robots.go1.settings import Go1Settings, deviations
+from amhe_cli.robots.go1.state import Measurements, State
+
+#: Poses of trunk and box belong together when they are no further apart than this [s].
+_TOGETHER = 0.012
+_STEP = 0.01
+#: What the robot's own samples hold, and how many numbers each.
+_OF_THE_ROBOT = {"joints": 12, "joint_rates": 12, "gyro": 3, "accelerometer": 3, "targets": 12}
+#: Who sent one of these knows why the run ends.
+SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
+
+
+class Go1Target:
+    """See `live.target.Target`; use it as a context manager, then `check`, then `begin`.
+
+    Args:
+        link: To the robot.
+        feed: Of poses.
+        settings: Of the robot.
+        clock: Ours.
+        period: Of control [s].
+        box: Where the task has the box's centre at the start [m], shape (3,).
+
+    Attributes:
+        begun: The robot has been told to stand up.
+    """
+
+    truth: State | None = None
+    parameters: dict[str, float] | None = None
+
+    def __init__(
+        self, link: Link, feed: PoseFeed, settings: Go1Settings, clock: Clock, period: float, box: FloatArray
+    ) -> None:
+        self._link, self._feed, self._settings, self._clock = link, feed, settings, clock
+        self._period, self._box = period, box
+        self._world = World.same()
+        self._start = 0.0
+        self._time = 0.0
+        self._plan = Plan(0.0, period, np.asarray(HOME)[None])
+        self._newest = {name: _never(name) for name in (settings.trunk, settings.box)}
+        self._unpaired: list[TimedPose] = []
+        self._robot: list[Any] = []
+        self._poses: list[tuple[float, Pose, Pose]] = []
+        self._playing = False
+        self._opened = ExitStack()
+        self.misses = 0
+        self.begun = False
+
+    def __enter__(self) -> Go1Target:
+        with ExitStack() as opening:  # what is open already is closed again where the next step fails
+            opening.enter_context(self._feed)
+            opening.enter_context(self._link)
+            self._opened = opening.pop_all()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._opened.__exit__(kind, error, trace)
+
+    @property
+    def slow(self) -> float:
+        """How many times slower than the wall clock time goes."""
+        return self._clock.slow
+
+    @property
+    def report(self) -> Report:
+        """Newest of the sender."""
+        return self._link.report
+
+    # -- before the run -------------------------------------------------------------------------------
+
+    def check(self) -> dict[str, str]:
+        """Look at everything that must be right; nothing moves. What was found, in words.
+
+        Raises:
+            LinkError: The robot does not answer as it should.
+            PoseError: Poses do not come, or contradict the robot or the task.
+        """
+        report = self._link.connect()
+        s, seen = self._settings, self._feed.first()
+        trunk, box = self._offset(seen[s.trunk]), self._offset(seen[s.box])
+        imu = np.array(report.robot["quaternion"])
+        check_axes(trunk, imu)
+        self._world = World.under(trunk) if s.world == "trunk" else World.same()
+        place, _ = self._world.seen(box)
+        check_place(place, self._box, s.place_tolerance)
+        contact, tilt = report.contact, np.rad2deg(tilt_offset(trunk, imu))
+        return {
+            "robot": f"{contact['states']} states, {100 * contact['share']:.0f} % arrive",
+            "there and back": f"{contact['round_trip_ms']:.1f} ms",
+            "battery": f"{report.robot['charge']} %",
+            "hottest motor": f"{report.robot['hottest']:.0f} deg C",
+            "trunk": f"{trunk[0][2]:.3f} m high; off the IMU by {tilt[0]:+.1f}, {tilt[1]:+.1f} degrees",
+            "box": f"at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m of the task's frame",
+            **({"not by default": changed} if (changed := deviations(s)) else {}),
+            **{f"note {number}": note for number, note in enumerate(report.notes, start=1)},
+        }
+
+    def begin(self, say: Callable[[str], None]) -> None:
+        """Let the robot stand up and the operator arm it; then the run's time begins.
+
+        Args:
+            say: Tells the operator.
+
+        Raises:
+            StoppedError: A trip, or the operator, came first.
+            PoseError: Box or poses are not any more as they were checked.
+        """
+        self.begun = True
+        say("the robot stands up")
+        self._link.stand()
+        self._wait_for(Phase.READY)
+        if self._settings.arm == "auto":
+            self._link.arm()
+        else:
+            changed = deviations(self._settings)
+            stands = f"it stands, with {changed}" if changed else "it stands"
+            say(
+                f"{stands}. Enter, or R2 on the remote: the run begins; any other key, or L2+B: motors damped"
+            )
+        self._wait_for(Phase.RUN)
+        self._look_again()
+        self._start = self._clock.now()
+        self._robot.clear()
+        self._poses.clear()
+
+    def _look_again(self) -> None:
+        """Refuse to begin where box or poses have changed since they were checked: an operator takes time."""
+        s = self._settings
+        self._collect()
+        age = self._clock.now() - self._oldest
+        if age > s.trips.pose_age:
+            raise PoseError(f"no pose of trunk or box for {1e3 * age:.0f} ms: the run does not begin")
+        place, _ = self._world.seen(self._offset(self._newest[s.box]))
+        check_place(place, self._box, s.place_tolerance)
+
+    def _wait_for(self, phase: Phase) -> None:
+        while not self._link.reached(phase):
+            self._collect()
+            self._clock.sleep_until(self._clock.now() + _STEP)
+
+    # -- the run --------------------------------------------------------------------------------------
+
+    def in_force(self, at: float) -> FloatArray:
+        """See `Target`."""
+        return self._plan.at(at)
+
+    def measure(self) -> Measurements:
+        """See `Target`.
+
+        Raises:
+            StoppedError: A trip ended the run.
+            LinkError, PoseError: A process of ours has died.
+        """
+        self._sleep_to_the_next_period()
+        self._collect()
+        self._check_phase()
+        while not (self._playing or (self._robot and self._poses)):  # the first estimate needs both
+            self._sleep_to_the_next_period()
+            self._collect()
+            self._check_phase()
+        return self._measured()
+
+    def play(self, plan: Plan) -> None:
+        """See `Target`."""
+        # what is in force until then comes first, so that targets are handed over without a step
+        before = self._plan.at(plan.start - 0.5 * self._period)
+        lead = 0.5e-3 * self.report.contact.get("round_trip_ms", 0.0)
+        start = self._start + plan.start - plan.period - lead
+        targets = Targets(start, plan.period, np.vstack((before, plan.targets)))
+        self._link.play(targets, self._oldest)
+        self._plan, self._playing = plan, True
+
+    def _sleep_to_the_next_period(self) -> None:
+        elapsed = self._clock.now() - self._start
+        periods = max(1, int(np.ceil((elapsed - self._time) / self._period)))
+        self.misses += periods - 1
+        self._time += periods * self._period
+        self._clock.sleep_until(self._start + self._time)
+
+    def _check_phase(self) -> None:
+        report = self.report
+        if report.phase > Phase.RUN and report.reason not in SIGNALS:
+            raise StoppedError(f"stopped, {report.phase.name.lower()}: {report.reason}")
+
+    # -- what comes in --------------------------------------------------------------------------------
+
+    def _collect(self) -> None:
+        """All that has come and is of the run: not older than its beginning."""
+        self._robot += [sample for sample in self._link.samples() if sample["time"] >= self._start]
+        for pose in self._feed.poses():
+            exposed = replace(pose, time=pose.time - self._settings.pose_delay)
+            if pose.body in self._newest and exposed.time >= self._start:
+                self._newest[pose.body] = max(self._newest[pose.body], exposed, key=lambda one: one.time)
+                self._pair(exposed)
+
+    def _pair(self, pose: TimedPose) -> None:
+        """Join trunk and box of one frame; what finds no partner is left out."""
+        self._unpaired = [other for other in self._unpaired if pose.time - other.time < _TOGETHER]
+        for other in self._unpaired:
+            if other.body != pose.body and abs(other.time - pose.time) < _TOGETHER:
+                self._unpaired.remove(other)
+                pair = {one.body: self._world.seen(self._offset(one)) for one in (pose, other)}
+                time = max(pose.time, other.time)
+                self._poses.append((time, pair[self._settings.trunk], pair[self._settings.box]))
+                return
+        self._unpaired.append(pose)
+
+    @property
+    def _oldest(self) -> float:
+        """Of the older one of the newest poses of trunk and box [s]."""
+        return min(pose.time for pose in self._newest.values())
+
+    def _offset(self, pose: TimedPose) -> Pose:
+        s = self._settings
+        offset = s.trunk_offset if pose.body == s.trunk else s.box_offset
+        return offset_pose((pose.position, pose.orientation), offset)
+
+    def _measured(self) -> Measurements:
+        robot, poses = self._robot, self._poses
+        self._robot, self._poses = [], []
+        columns = {
+            name: np.array([sample[name] for sample in robot]).reshape(len(robot), width)
+            for name, width in _OF_THE_ROBOT.items()
+        }
+        pairs = {"trunk": [pose[1] for pose in poses], "box": [pose[2] for pose in poses]}
+        seen = {
+            f"{body}_{part}": np.array([pose[column] for pose in pairs[body]]).reshape(len(poses), width)
+            for body in pairs
+            for column, (part, width) in enumerate((("position", 3), ("orientation", 4)))
+        }
+        return Measurements(
+            time=self._time,
+            robot_times=np.array([sample["time"] for sample in robot]) - self._start,
+            **columns,
+            pose_times=np.array([pose[0] for pose in poses]) - self._start,
+            **seen,
+        )
+
+
+def _never(body: str) -> TimedPose:
+    return TimedPose(body, -np.inf, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))

@@ -1,0 +1,259 @@
+"""A Go1, a box and a floor: the planner's model and the plant, both of one robot file and one world file.
+
+`models/go1_push` holds `go1.xml` (the robot with all its collision shapes), `world.xml` (box, floor, light)
+and `scene.xml`, which includes both and adds the few contact pairs of planner's and estimator's model. The
+plant takes robot and world, and pairs *every* collision shape with floor and box. All contacts with floor and
+box are explicit pairs, so that each friction is one number; see docs/systems.md, "Traps".
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.robots.go1.kinematics import HOME, HOME_HEIGHT, JOINTS, LOWER, SERVOS, TORQUE_LIMIT, UPPER
+from amhe_cli.robots.go1.robot_file import Robot, read_robot
+from amhe_cli.system.boxes import resize
+from amhe_cli.system.load import find_system
+from amhe_cli.system.model_file import compiled, read_spec
+
+SYSTEM = "go1_push"
+#: Name of the pair whose sliding friction is the parameter `floor_friction`.
+FLOOR_PAIR = "box_floor"
+FOOT_FRICTION = 0.8
+BOX_FRICTION = 0.5
+#: Torsional and rolling friction of a pair; they act from condim 4 and 6.
+_SPIN, _ROLL = 0.005, 0.0001
+_PREFIX = "robot/"
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """The box that is pushed.
+
+    Args:
+        size: Edge lengths [m] along its x, y, z.
+        mass: [kg], spread evenly.
+        floor_friction: Against the floor.
+        position: Start of its centre [m]; it stands on the floor where not said otherwise.
+        yaw: Start [rad].
+    """
+
+    size: tuple[float, float, float] = (0.3, 0.5, 0.3)
+    mass: float = 4.0
+    floor_friction: float = 0.4
+    position: tuple[float, float] = (0.6, 0.0)
+    yaw: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Servo:
+    """Position control of the joints: torque = kp (target - q) - kd dq, within the torque limits.
+
+    Args:
+        kp: Gain [N m/rad].
+        kd: Damping [N m s/rad], beside that of the joints themselves.
+    """
+
+    kp: float = 60.0
+    kd: float = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Where robot and box are in a model's state; joints in our order, whatever the robot file's.
+
+    Args:
+        trunk: Slice of qpos, 7 numbers; the same of qvel, 6 numbers, in `trunk_v`.
+        box: As `trunk`.
+        joints: Rows of qpos, shape (12,); of qvel in `joints_v`; of ctrl in `servos`.
+    """
+
+    trunk: slice
+    trunk_v: slice
+    box: slice
+    box_v: slice
+    joints: np.ndarray
+    joints_v: np.ndarray
+    servos: np.ndarray
+
+
+def layout(model: mujoco.MjModel) -> Layout:
+    """Addresses in the state of a model that this module built."""
+    q, v = model.jnt_qposadr, model.jnt_dofadr
+    trunk, box = model.joint("trunk").id, model.joint("box").id
+    rows = [model.joint(name).id for name in JOINTS]
+    servos = np.array([model.actuator(name).id for name in SERVOS])
+    return Layout(
+        slice(q[trunk], q[trunk] + 7), slice(v[trunk], v[trunk] + 6),
+        slice(q[box], q[box] + 7), slice(v[box], v[box] + 6),
+        q[rows], v[rows], servos,
+    )  # fmt: skip
+
+
+def planner_model(box: Box = Box(), servo: Servo = Servo(), timestep: float = 0.01) -> mujoco.MjModel:
+    """The planner's model: the pruned `scene.xml`, with this box, servo and time step [s].
+
+    Pyramidal friction and joints without dry friction halve the cost of a step. The pyramid makes a box that
+    slides at 45 degrees to the axes rub 0.7 times as much; on the robot's short horizon that matters little
+    (docs/notes/control.md). Above 12 ms a step the feet hop: MuJoCo lets no contact be faster than two steps.
+    """
+    spec = read_spec(_folder() / "scene.xml")
+    spec.option.timestep = timestep
+    spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
+    spec.option.impratio, spec.option.iterations = 1.0, 10  # the cheaper ones
+    spec.delete(spec.pair("head_box"))  # 6 mm before the upper bar: much for an estimate, nothing for a plan
+    for name in JOINTS:
+        spec.joint(name).frictionloss = 0.0
+    _set_box(spec, box)
+    spec.pair(FLOOR_PAIR).friction[:2] = box.floor_friction
+    for name in SERVOS:
+        _set_servo(spec.actuator(name), servo)
+    return compiled(spec)
+
+
+def plant_model(
+    box: Box = Box(), servo: Servo = Servo(), robot: Path | None = None, timestep: float = 0.002
+) -> mujoco.MjModel:
+    """The plant: all collision shapes of the robot against floor, box and each other.
+
+    Args:
+        box: The box, with its true numbers.
+        servo: Position control; torque limits are the Go1's.
+        robot: MJCF of any Go1, in place of ours. Its own actuators, sensors, floor and lights are left out;
+            its joints' damping, softness on the floor and self-collisions are kept.
+        timestep: [s].
+
+    Raises:
+        ConfigError: The file holds no Go1.
+    """
+    ours = _folder() / "go1.xml"
+    spec = read_spec(_folder() / "world.xml")
+    option = spec.option
+    option.timestep = timestep
+    option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = 10.0  # a foot or a box that sticks does not creep
+    _set_box(spec, box)
+    _add_robot(spec, read_robot(ours if robot is None else robot), self_collisions=robot is None)
+    if spec.geom(_PREFIX + "bumper_high") is None:
+        _add_bumper(spec, read_spec(ours))
+    _add_servos(spec, servo)
+    _add_pairs(spec, box)
+    return compiled(spec)
+
+
+def home(model: mujoco.MjModel) -> FloatArray:
+    """Start state qpos (nq,): trunk over the origin, heading +x, legs at home, the box where it was put."""
+    at = layout(model)
+    qpos = np.array(model.qpos0)
+    qpos[at.trunk] = [0.0, 0.0, HOME_HEIGHT, 1.0, 0.0, 0.0, 0.0]
+    qpos[at.joints] = HOME
+    return qpos
+
+
+def _folder() -> Path:
+    return find_system(SYSTEM)
+
+
+def _set_box(spec: mujoco.MjSpec, box: Box) -> None:
+    body = spec.body("box")
+    body.mass = box.mass
+    resize(spec.geom("box"), box.size)  # its inertia too
+    body.pos = [*box.position, 0.5 * box.size[2]]
+    body.quat = [np.cos(0.5 * box.yaw), 0.0, 0.0, np.sin(0.5 * box.yaw)]
+
+
+def _add_robot(spec: mujoco.MjSpec, robot: Robot, self_collisions: bool) -> None:
+    """Attach the robot, and give its trunk and joints our names."""
+    _take_options(robot.spec, spec)
+    root = spec.worldbody.add_frame().attach_body(robot.spec.body(robot.root), _PREFIX, "")
+    own_name, root.name = root.name, "trunk"
+    root.joints[0].name = "trunk"
+    _rename_body(spec, own_name, "trunk")
+    for name, own in zip(JOINTS, robot.joints, strict=True):
+        spec.joint(_PREFIX + own).name = name
+    for index, geom in enumerate(_robot_geoms(spec)):
+        if self_collisions:
+            geom.contype = 1
+        if not geom.name:
+            geom.name = f"{_PREFIX}{index}"
+
+
+def _take_options(spec: mujoco.MjSpec, ours: mujoco.MjSpec) -> None:
+    """Ours hold anyhow; of those that differ MuJoCo would warn."""
+    for name in (name for name in dir(ours.option) if not name.startswith("_")):
+        setattr(spec.option, name, getattr(ours.option, name))
+    for name in ("memory", "nconmax", "njmax", "nstack"):
+        setattr(spec, name, getattr(ours, name))
+
+
+def _rename_body(spec: mujoco.MjSpec, old: str, new: str) -> None:
+    """MuJoCo refers to bodies by name: contacts left out of the old one are left out of the new one."""
+    for exclude in spec.excludes:
+        for field in ("bodyname1", "bodyname2"):
+            if getattr(exclude, field) == old:
+                setattr(exclude, field, new)
+
+
+def _robot_geoms(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
+    """Geoms of the robot that may touch anything: in `world.xml` none may."""
+    return [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
+
+
+def _add_bumper(spec: mujoco.MjSpec, ours: mujoco.MjSpec) -> None:
+    """Strap our bumper to another robot's head: the tasks are defined with it."""
+    for bar in ours.geoms:
+        if bar.name.startswith("bumper"):
+            spec.body("trunk").add_geom(
+                spec.default, name=_PREFIX + bar.name, type=bar.type, fromto=bar.fromto, size=bar.size,
+                mass=0.0, contype=0, conaffinity=0, rgba=[0.13, 0.14, 0.16, 1.0],
+            )  # fmt: skip
+
+
+def _add_servos(spec: mujoco.MjSpec, servo: Servo) -> None:
+    for i, (name, joint) in enumerate(zip(SERVOS, JOINTS, strict=True)):
+        actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        _set_servo(actuator, servo)
+        actuator.ctrllimited = actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        actuator.ctrlrange = [LOWER[i], UPPER[i]]
+        actuator.forcerange = [-TORQUE_LIMIT[i], TORQUE_LIMIT[i]]
+
+
+def _set_servo(actuator: mujoco.MjsActuator, servo: Servo) -> None:
+    actuator.set_to_position(kp=servo.kp, kv=servo.kd)
+
+
+def _add_pairs(spec: mujoco.MjSpec, box: Box) -> None:
+    _add_pair(spec, FLOOR_PAIR, spec.geom("box"), "floor", box.floor_friction)
+    touching = _robot_geoms(spec)
+    if not touching:
+        raise ConfigError("the robot's model has no geom that collides: contype and conaffinity are all 0")
+    for geom in touching:
+        _stand_on(_add_pair(spec, f"{geom.name}_floor", geom, "floor", FOOT_FRICTION), geom)
+    bumper = [geom for geom in spec.geoms if geom.name.startswith(f"{_PREFIX}bumper")]
+    for geom in (*touching, *bumper):
+        _add_pair(spec, f"{geom.name}_box", geom, "box", BOX_FRICTION)
+
+
+def _add_pair(
+    spec: mujoco.MjSpec, name: str, geom: mujoco.MjsGeom, other: str, friction: float
+) -> mujoco.MjsPair:
+    """A hard contact with this sliding friction: a robot's soft feet would sink into the box and stall."""
+    return spec.add_pair(
+        name=name, geomname1=geom.name, geomname2=other, condim=3,
+        friction=[friction, friction, _SPIN, _ROLL, _ROLL],
+    )  # fmt: skip
+
+
+def _stand_on(pair: mujoco.MjsPair, geom: mujoco.MjsGeom) -> None:
+    """The robot stands on the floor with its own softness, dimension and spin friction."""
+    pair.solref, pair.solimp = geom.solref, geom.solimp
+    if geom.condim > 3:
+        pair.condim = geom.condim
+        pair.friction[2:] = [geom.friction[1], geom.friction[2], geom.friction[2]]

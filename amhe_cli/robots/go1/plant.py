@@ -1,0 +1,163 @@
+"""The plant of simulated runs: full collisions, 2 ms steps, noisy sensors, changes on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import SimulationError
+from amhe_cli.robots.go1.changes import Change
+from amhe_cli.robots.go1.model import FLOOR_PAIR, home, layout
+from amhe_cli.robots.go1.state import GRAVITY, Measurements, State, state_of
+
+#: What an accelerometer feels at rest [m/s^2].
+_UPHELD = np.array([0.0, 0.0, GRAVITY])
+
+
+@dataclass(frozen=True, slots=True)
+class SensorNoise:
+    """White noise of the sensors (sd), and how often motion capture sees.
+
+    Args:
+        position: Of poses [m].
+        orientation: Of poses, about each axis [rad].
+        joint: Of joint angles [rad].
+        joint_rate: [rad/s].
+        gyro: [rad/s].
+        accelerometer: [m/s^2].
+        pose_period: Between two poses [s].
+    """
+
+    position: float = 0.002
+    orientation: float = float(np.deg2rad(0.5))
+    joint: float = 0.003
+    joint_rate: float = 0.05
+    gyro: float = 0.02
+    accelerometer: float = 0.1
+    pose_period: float = 0.01
+
+
+class Plant:
+    """A running simulation that the controller sees through its sensors only.
+
+    Args:
+        model: Of `plant_model`.
+        changes: What happens to box or floor on the way; each once.
+        rng: For the sensors' noise.
+        noise: Of the sensors.
+        start: First qpos, shape (nq,); None: `home`.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        changes: Sequence[Change],
+        rng: np.random.Generator,
+        noise: SensorNoise = SensorNoise(),
+        start: FloatArray | None = None,
+    ) -> None:
+        self.model, self._data, self._at = model, mujoco.MjData(model), layout(model)
+        self._pending, self._rng, self._noise = list(changes), rng, noise
+        self._pose_every = max(1, round(noise.pose_period / model.opt.timestep))
+        self._uniform_inertia = self._inertia_per_mass()
+        self._data.qpos[:] = home(model) if start is None else start
+        mujoco.mj_forward(model, self._data)
+        self._steps = 0
+
+    @property
+    def time(self) -> float:
+        """Since the start [s]."""
+        return self._steps * self.model.opt.timestep
+
+    @property
+    def state(self) -> State:
+        """The truth: for evaluation and logs, not for the controller."""
+        return state_of(self._at, self.time, self._data.qpos, self._data.qvel)
+
+    @property
+    def qpos(self) -> FloatArray:
+        """All coordinates, for pictures, shape (nq,)."""
+        return np.array(self._data.qpos)
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """True parameters at this instant, by the names of `go1_push`."""
+        return {
+            "box_mass": float(self.model.body("box").mass[0]),
+            "box_inertia_scale": self._inertia_per_mass() / self._uniform_inertia,
+            "floor_friction": float(self.model.pair(FLOOR_PAIR).friction[0]),
+        }
+
+    def advance(self, targets: FloatArray, duration: float) -> Measurements:
+        """Follow joint targets (12,) [rad] for some time [s]; what the sensors said meanwhile.
+
+        Raises:
+            SimulationError: The simulation diverged.
+        """
+        robot, poses = [], []
+        self._data.ctrl[self._at.servos] = targets
+        for _ in range(round(duration / self.model.opt.timestep)):
+            velocity = np.array(self._data.qvel[self._at.trunk_v][:3])
+            self._step()
+            robot.append(self._robot_sample(velocity))
+            if self._steps % self._pose_every == 0:
+                poses.append(self._pose_sample())
+        return self._measurements(robot, poses)
+
+    def _step(self) -> None:
+        mujoco.mj_step(self.model, self._data)
+        self._steps += 1
+        # MuJoCo resets a diverged simulation and goes on: only the warning tells.
+        if any(self._data.warning[kind].number for kind in _FATAL) or not np.isfinite(self._data.qpos).all():
+            raise SimulationError(f"the plant diverged at {self.time:.3f} s: its state is not a number")
+        box_x = float(self._data.qpos[self._at.box][0])
+        for change in [change for change in self._pending if change.due(self.time, box_x)]:
+            change.apply(self.model)
+            self._pending.remove(change)
+
+    def _inertia_per_mass(self) -> float:
+        box = self.model.body("box")
+        return float(box.inertia[0] / box.mass[0])
+
+    def _robot_sample(self, earlier_velocity: FloatArray) -> tuple[object, ...]:
+        at, data = self._at, self._data
+        quaternion = data.qpos[at.trunk][3:]
+        acceleration = (data.qvel[at.trunk_v][:3] - earlier_velocity) / self.model.opt.timestep
+        force = rotations.rotate(rotations.conjugate(quaternion), acceleration + _UPHELD)
+        return (
+            self.time,
+            data.qpos[at.joints] + self._draw(self._noise.joint, 12),
+            data.qvel[at.joints_v] + self._draw(self._noise.joint_rate, 12),
+            data.qvel[at.trunk_v][3:] + self._draw(self._noise.gyro, 3),
+            force + self._draw(self._noise.accelerometer, 3),
+        )
+
+    def _pose_sample(self) -> tuple[object, ...]:
+        qpos = self._data.qpos
+        return (self.time, *self._seen(qpos[self._at.trunk]), *self._seen(qpos[self._at.box]))
+
+    def _seen(self, pose: FloatArray) -> tuple[FloatArray, FloatArray]:
+        turn = rotations.exp(self._draw(self._noise.orientation, 3))
+        return pose[:3] + self._draw(self._noise.position, 3), rotations.multiply(pose[3:], turn)
+
+    def _draw(self, sd: float, size: int) -> FloatArray:
+        return sd * self._rng.standard_normal(size)
+
+    def _measurements(self, robot: list, poses: list) -> Measurements:
+        own = [np.array(column) for column in zip(*robot, strict=True)] if robot else _NO_ROBOT
+        seen = [np.array(column) for column in zip(*poses, strict=True)] if poses else _NO_POSES
+        return Measurements(self.time, *own, *seen)
+
+
+_FATAL = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+)
+_NO_ROBOT = [np.empty(0), np.empty((0, 12)), np.empty((0, 12)), np.empty((0, 3)), np.empty((0, 3))]
+_NO_POSES = [np.empty(0), np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 4))]

@@ -1,0 +1,233 @@
+"""The process that holds a pose source, and its reader in the program.
+
+python -m amhe_cli.robots.go1.poses.feed CHANNEL
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.robots.go1.link.child import Channel, Child, begun
+from amhe_cli.robots.go1.link.clock import Clock, ClockMap
+from amhe_cli.robots.go1.poses.motioncapture import MotionCapture
+from amhe_cli.robots.go1.poses.natnet import NatNet
+from amhe_cli.robots.go1.poses.ros2 import Ros2
+from amhe_cli.robots.go1.poses.source import EstimateSink, PoseError, PoseSource, Sighting
+from amhe_cli.robots.go1.poses.udp import UdpPoses
+
+KINDS = ("natnet", "motioncapture", "ros2", "udp")
+_WAIT, _STEP, _START = 0.05, 0.005, 20.0
+_PR_SET_PDEATHSIG = 1
+
+
+@dataclass(frozen=True, slots=True)
+class FeedOptions:
+    """Where poses come from.
+
+    Args:
+        kind: One of `KINDS`.
+        host: natnet: of Motive; motioncapture: KIND:HOST, such as vicon:192.168.1.5; udp: own address to
+            listen on; ros2: the domain's number, or ''.
+        port: natnet, udp.
+        bodies: Names of the two bodies.
+        seconds: Longest wait for the first poses [s].
+        slow: See `Clock`.
+    """
+
+    kind: str
+    host: str
+    port: int
+    bodies: Sequence[str]
+    seconds: float
+    slow: float = 1.0
+
+
+def source_of(options: FeedOptions) -> PoseSource:
+    """The source that options ask for."""
+    match options.kind:
+        case "natnet":
+            return NatNet(options.host, options.port, options.seconds)
+        case "udp":
+            return UdpPoses(options.host, options.port)
+        case "ros2":
+            return Ros2(list(options.bodies), int(options.host or 0))
+        case _:
+            kind, _, host = options.host.partition(":")
+            return MotionCapture(kind, host)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TimedPose:
+    """A pose on our clock, in the source's frame.
+
+    Args:
+        body: Name.
+        time: Of the exposure [s].
+        position: [m], shape (3,).
+        orientation: Unit quaternion w, x, y, z, shape (4,).
+    """
+
+    body: str
+    time: float
+    position: FloatArray
+    orientation: FloatArray
+
+
+class PoseFeed:
+    """The poses that come; use it as a context manager.
+
+    Args:
+        options: Where from.
+    """
+
+    def __init__(self, options: FeedOptions) -> None:
+        self._options = options
+        self._child: Child | None = None
+
+    def __enter__(self) -> PoseFeed:
+        o = self._options
+        self._child = Child("amhe_cli.robots.go1.poses.feed", {
+            "kind": o.kind, "host": o.host, "port": o.port, "bodies": list(o.bodies), "seconds": o.seconds,
+            "slow": o.slow,
+        })  # fmt: skip
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._child:
+            self._child.end(0.5)
+
+    def first(self) -> dict[str, TimedPose]:
+        """Wait until every body has been seen; the newest pose of each, by name.
+
+        Raises:
+            PoseError: One was not, or the source cannot be reached.
+        """
+        seen: dict[str, TimedPose] = {}
+        others: set[str] = set()
+        end = time.monotonic() + _START
+        begun = False
+        while time.monotonic() < end and not set(self._options.bodies) <= set(seen):
+            for message in self._messages():
+                if "connecting" in message and not begun:  # its Python has started: from now on it counts
+                    begun, end = True, time.monotonic() + self._options.seconds * max(1.0, self._options.slow)
+                pose = _pose(message)
+                if pose is not None:
+                    seen[pose.body] = pose
+                    others.add(pose.body)
+            time.sleep(_STEP)
+        missing = [name for name in self._options.bodies if name not in seen]
+        if missing:
+            raise PoseError(self._absent(missing, others - set(self._options.bodies)))
+        return seen
+
+    def poses(self) -> list[TimedPose]:
+        """All that came since the last call.
+
+        Raises:
+            PoseError: The source has died.
+        """
+        return [pose for message in self._messages() if (pose := _pose(message)) is not None]
+
+    def publish(self, names: Sequence[str], values: FloatArray, sd: FloatArray) -> None:
+        """Let those behind the source know estimates of parameters, where it can; values, sd (d,)."""
+        if self._child is not None:
+            told = {"names": list(names), "values": values.tolist(), "sd": sd.tolist()}
+            self._child.channel.send(json.dumps(told).encode())
+
+    def _messages(self) -> list[dict[str, Any]]:
+        if self._child is None:
+            raise PoseError("the pose source is not open")
+        messages = [json.loads(message) for message in self._child.channel.received()]
+        for message in messages:
+            if "error" in message:
+                raise PoseError(message["error"])
+        if not self._child.channel.open:
+            raise PoseError(f"the pose source {self._options.kind} has died")
+        return messages
+
+    def _absent(self, missing: list[str], others: set[str]) -> str:
+        o = self._options
+        known = f"it has: {', '.join(sorted(others))}" if others else "it sends no body at all"
+        return (
+            f"{o.kind} sends no pose of {' and '.join(map(repr, missing))} within {o.seconds:g} s; {known}. "
+            "Name the bodies with --set go1.trunk=NAME --set go1.box=NAME"
+        )
+
+
+def _pose(message: dict[str, Any]) -> TimedPose | None:
+    if "body" not in message:
+        return None
+    position, orientation = np.array(message["position"]), np.array(message["orientation"])
+    return TimedPose(message["body"], message["time"], position, orientation)
+
+
+class _Sender:
+    """The child's side: stamps sightings on our clock and passes them on."""
+
+    def __init__(self, channel: Channel, clock: Clock) -> None:
+        self._channel, self._clock, self._map = channel, clock, ClockMap()
+        self._told: dict[str, bytes] = {}
+
+    def say(self, message: dict[str, Any]) -> None:
+        self._channel.send(json.dumps(message).encode())
+
+    def pass_on(self, seen: Sighting) -> None:
+        told, before = seen.position.tobytes() + seen.orientation.tobytes(), self._told.get(seen.body)
+        self._told[seen.body] = told
+        if seen.stamp is None and told == before:  # a camera is never so still: the source has frozen
+            return
+        arrival = self._clock.now()
+        # the shortest way from a stamp to us is as long as the told age, at least
+        time = (arrival if seen.stamp is None else self._map.see(seen.stamp, arrival)) - seen.age
+        position, orientation = seen.position.tolist(), seen.orientation.tolist()
+        self.say({"body": seen.body, "time": time, "position": position, "orientation": orientation})
+
+
+def _end_with_the_program() -> None:
+    """Be killed as soon as the program ends, however: a source that waits for ever does not see it."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+
+
+def main() -> None:
+    """Pass poses on until the program hangs up."""
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # meant for the program, which still needs poses to sit down
+        signal.signal(number, signal.SIG_IGN)
+    _end_with_the_program()
+    channel, given = begun()
+    options = FeedOptions(**given)
+    sender = _Sender(channel, Clock(options.slow))
+    source = source_of(replace(options, seconds=options.seconds * max(1.0, options.slow)))
+    sender.say({"connecting": True})
+    try:
+        source.connect()
+        while channel.open:
+            for seen in source.wait(_WAIT):
+                sender.pass_on(seen)
+            for message in channel.received():
+                if isinstance(source, EstimateSink):
+                    source.publish(**json.loads(message))
+    except PoseError as error:
+        sender.say({"error": str(error)})
+    finally:
+        source.close()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

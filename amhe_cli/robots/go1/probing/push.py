@@ -1,0 +1,184 @@
+"""Probing a box with a walking Go1: motions rehearsed in simulation, the best of them, its run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import AmheError, ConfigError, SimulationError
+from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
+from amhe_cli.estimation.design.information import information_at
+from amhe_cli.estimation.design.plan import Plan, parts_of
+from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, engine_of, read, tiles
+from amhe_cli.live.loop import Ending, drive
+from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.link.open import open_go1_run
+from amhe_cli.robots.go1.probing.motions import APPROACH, MOTIONS, STEADY, Motion, named_motion
+from amhe_cli.robots.go1.probing.pushing import ProbeTask, probe_task
+from amhe_cli.robots.go1.probing.robot import Attend, Robot
+from amhe_cli.robots.go1.recording import recorder_of
+from amhe_cli.robots.go1.run import Run, RunOptions, open_run, system_of
+from amhe_cli.robots.go1.tasks import Believed, find_task
+from amhe_cli.system.system import System
+
+#: The least time that is a push, and what is rehearsed of one, after the approach [s].
+_SHORTEST, _REHEARSED = 1.0, 3.0
+
+
+def _nobody(*_: object) -> AbstractContextManager[None]:
+    return nullcontext()
+
+
+class PushProbe:
+    """See `probe.Probe`.
+
+    Args:
+        options: As given.
+        robot: To probe in place of a simulation.
+
+    Raises:
+        ConfigError: Unknown task, a belief that does not suit, a setting, what only a simulation can do.
+    """
+
+    def __init__(self, options: ProbeOptions, robot: Robot | None = None) -> None:
+        self.task = options.task or "t1"
+        self._options, self._task, self._robot = options, find_task(self.task), robot
+        run = RunOptions(self.task, assignments=options.assignments, config=options.config)
+        self._own = system_of(run, self._task)
+        self.system: System = believing(self._own, options.belief)
+        if robot and options.box:
+            raise ConfigError("--box: the box of a real robot is as it is; leave it out")
+        if robot:  # what it refuses is refused before the rehearsals
+            self.on_robot(STEADY, options.seconds, robot).episode.belief.close()
+
+    def design(self, say: Say) -> Plan:
+        """See `Probe`."""
+        options, space = self._options, self.system.space
+        room = options.seconds - APPROACH.seconds
+        if room < _SHORTEST:
+            raise ConfigError(
+                f"--for {options.seconds:g}: too short; the approach and the shortest push take "
+                f"{APPROACH.seconds + _SHORTEST:g} s"
+            )
+        draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
+        found = []
+        for number, motion in enumerate(MOTIONS):
+            say(f"rehearsing {motion.name}, {number + 1} of {len(MOTIONS)}")
+            found.append(np.stack([self._told(motion, i, z) for i, z in enumerate(draws)]) * room)
+        if not any(told.any() for told in found):
+            raise SimulationError(
+                "no rehearsal told anything: under this belief the robot falls, or the box never moves; "
+                "give another one with --belief"
+            )
+        best = int(np.argmax([criterion(told, space.prior_precision) for told in found]))
+        chosen, plain = MOTIONS[best], found[MOTIONS.index(STEADY)]
+        return Plan(
+            parts_of([(m.name, m.title, s) for m, s in ((APPROACH, APPROACH.seconds), (chosen, room))]),
+            accuracy(space, found[best]),
+            accuracy(space, plain) if plain.any() else None,
+            "straight push",
+        )
+
+    def run(self, plan: Plan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
+        """See `Probe`: closed-loop on the task's own box, or the robot's.
+
+        The controller begins with the belief, and an estimator beside it brings that up to date: a robot that
+        pushes a heavy box as if it were light stalls, and tells less.
+        """
+        motion = named_motion(plan.parts[-1].name)
+        if not self._robot:
+            return self.push(motion, plan.seconds, path, stopped, say)
+        run = self.on_robot(motion, plan.seconds, self._robot)
+        try:
+            return self._record(run, path, stopped, say, self._robot.attend)
+        except AmheError as error:  # it never came to run: the plan is worth keeping
+            path.unlink(missing_ok=True)
+            return Ending(error=error)
+
+    def push(
+        self,
+        motion: Motion,
+        seconds: float,
+        path: Path,
+        stopped: Callable[[], bool] = lambda: False,
+        say: Say = lambda text: None,
+        mode: str = "adaptive",
+    ) -> Ending:
+        """Any motion in simulation, for so long [s] with the approach; `baseline` holds on to the belief."""
+        task = self._as_it_is(motion, seconds)
+        return self._record(self._open(task, self._options.seed, mode), path, stopped, say)
+
+    def on_robot(self, motion: Motion, seconds: float, robot: Robot) -> Run:
+        """A motion on the robot; nothing is sent yet.
+
+        Raises:
+            ConfigError: What the wire's options or the settings do not allow.
+        """
+        task = self._as_it_is(motion, seconds)
+        options = self._run_options(task, self._options.seed, "adaptive")
+        return open_go1_run(replace(options, target="go1"), robot.wire, task)
+
+    def _told(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:
+        """Information of a second of a motion (d, d), if z (d,) were true and believed; none if it fell."""
+        system, options = self.system, self._options
+        named = system.space.named(system.space.theta_of(z))
+        box = Believed(named["box_mass"], named["floor_friction"])
+        seconds = min(options.seconds, APPROACH.seconds + _REHEARSED)
+        seed = int(options.rng(1, number).integers(2**31))
+        run = self._open(self._probe(motion, seconds, box), seed, "true")
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "rehearsal.mcap"
+            ending = self._record(run, path)
+            log = read(system, path)
+        windows = [w for w in tiles(system, log) if w.start * log.dt >= APPROACH.seconds]
+        if ending.error is not None or not windows:
+            return np.zeros((z.size, z.size))
+        truth = system.space.z_of(np.array([run.first_truth[name] for name in system.space.names]))
+        engine, rng = engine_of(system, options.threads), options.rng(2, number)
+        told = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
+        return told / sum(window.duration for window in windows)
+
+    def _probe(self, motion: Motion, seconds: float, box: Believed) -> ProbeTask:
+        prior = self._own.space.named(self._own.space.nominal)
+        believed = Believed(prior["box_mass"], prior["floor_friction"])
+        return probe_task(self._task, motion, seconds, box, believed)
+
+    def _as_it_is(self, motion: Motion, seconds: float) -> ProbeTask:
+        own = self._options.box or (self._task.box.mass, self._task.box.floor_friction)
+        return self._probe(motion, seconds, Believed(*own))
+
+    def _run_options(self, task: ProbeTask, seed: int, mode: str) -> RunOptions:
+        """With the user's belief and plant; a rehearsal, `true`, is of a draw by our own plant."""
+        own, real = self._options, mode != "true"
+        return RunOptions(
+            self.task, mode, seed=seed, threads=own.threads, duration=task.nominal_time,
+            belief=own.belief if real else None, plant=own.plant if real else None,
+            assignments=own.assignments, config=own.config,
+        )  # fmt: skip
+
+    def _open(self, task: ProbeTask, seed: int, mode: str) -> Run:
+        return open_run(self._run_options(task, seed, mode), task)
+
+    def _record(
+        self,
+        run: Run,
+        path: Path,
+        stopped: Callable[[], bool] = lambda: False,
+        say: Say = lambda text: None,
+        attend: Attend = _nobody,
+    ) -> Ending:
+        """Run to the end; a fall is an ending too."""
+        history = History(run.task)
+        with recorder_of(run, path) as recorder, attend(run.target, recorder, history):
+            ending = drive(
+                run.episode, recorder, history, stopped, lambda _, row: say(f"pushing, {row['time']:.1f} s")
+            )
+        if run.judge.fell and ending.error is None:
+            return Ending(error=SimulationError("the robot fell; the log up to there is kept"))
+        return ending

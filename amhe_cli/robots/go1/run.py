@@ -1,0 +1,269 @@
+"""A task's name and options become an episode that is ready to run."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.control.controller import Controller
+from amhe_cli.control.protocols import Behaviour
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief_file import read_belief
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.parameters import Belief, belief_of, completed
+from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
+from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
+from amhe_cli.live.buffer import Buffer
+from amhe_cli.live.episode import BeliefSource, Episode
+from amhe_cli.live.samples import Sampler
+from amhe_cli.live.target import SimTarget
+from amhe_cli.live.workers import PATIENCE, InProcess, InStep
+from amhe_cli.robots.go1.judge import Judge
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link.target import Go1Target
+from amhe_cli.robots.go1.model import SYSTEM, Box, home, layout, planner_model, plant_model
+from amhe_cli.robots.go1.plant import Plant
+from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
+from amhe_cli.system import overrides
+from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
+
+MODES = ("true", "baseline", "stale", "adaptive")
+#: Start poses of robot and box differ by up to this, uniformly [m], [rad].
+_START_PLACE, _START_TURN = 0.03, float(np.deg2rad(3.0))
+#: Variance of z of numbers that a task takes for granted: none, but a covariance must be regular.
+_CERTAIN = 1e-8
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What the user asked `amhe run` for.
+
+    Args:
+        task: Name of the task.
+        mode: Whose belief: one of `MODES`.
+        target: 'sim' or 'go1'.
+        belief: File of a belief that replaces the mode's fixed one.
+        seed: Of start poses, sensor noise and sampling.
+        threads: Of the rollouts; the outcome does not depend on it.
+        duration: The longest that it may take [s].
+        realtime: Keep pace with the wall clock.
+        plant: MJCF of another Go1.
+        assignments, config: Settings, as everywhere.
+        environment: Variables that may hold settings too.
+    """
+
+    task: str
+    mode: str = "true"
+    target: str = "sim"
+    belief: Path | None = None
+    seed: int = 0
+    threads: int = 1
+    duration: float = LONGEST
+    realtime: bool = False
+    plant: Path | None = None
+    assignments: Sequence[str] = ()
+    config: Path | None = None
+    environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+
+    @property
+    def live(self) -> bool:
+        """Time goes on while we compute."""
+        return self.realtime or self.target != "sim"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """An episode on its target, and what it is about.
+
+    Args:
+        options: As given.
+        task: The task.
+        system: `go1_push` with the user's settings.
+        episode: Ready to run.
+        target: Of the episode.
+        plant: Behind a simulated target; for pictures.
+        judge: Of the episode.
+        first_truth: The plant's parameters at the start, by name; {} where nobody knows.
+    """
+
+    options: RunOptions
+    task: Task
+    system: System
+    episode: Episode
+    target: SimTarget | Go1Target
+    plant: Plant | None
+    judge: Judge
+    first_truth: dict[str, float]
+
+
+def open_run(options: RunOptions, task: Task | None = None) -> Run:
+    """Set everything up.
+
+    Args:
+        options: As given.
+        task: In place of the one that the options name.
+
+    Raises:
+        ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
+    """
+    task, system = task_and_system(options, task)
+    settings = system.settings.control
+    seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
+    start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
+    model = plant_model(_moved(task, start), robot=options.plant)
+    plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
+    target = SimTarget(plant, settings.period, HOME, options.realtime)
+    behaviour = task.behaviour()
+    controller = controller_for(task, behaviour, system, options.threads, samples)
+    judge = Judge(task, behaviour, settings.period, options.duration)
+    belief = belief_source(options, task, system, plant)
+    episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
+    return Run(options, task, system, episode, target, plant, judge, plant.parameters)
+
+
+def measured(task: Task) -> dict[str, Any]:
+    """What the system file must be told of a task: the size of its box, where it is another one."""
+    return {} if task.box.size == Box().size else {"boxes": {"box": list(task.box.size)}}
+
+
+def as_measured(task: Task, system: System) -> Task:
+    """The task with the box of the system: the user may have measured another one (`boxes.box`).
+
+    Its near face stays where the task has it, or a deep box would reach into the robot; the path, which
+    begins at the centre of the box, goes with it.
+    """
+    depth, width, height = (2.0 * float(half) for half in system.model.geom("box").size)
+    box = replace(task.box, size=(depth, width, height))
+    if box == task.box:
+        return task
+    further = 0.5 * (_extent(box, task.path.heading) - _extent(task.box, task.path.heading))
+    (x, y), (u, v) = box.position, (np.cos(task.path.heading), np.sin(task.path.heading))
+    place = (float(x + further * u), float(y + further * v))
+    return replace(task, box=replace(box, position=place), path=replace(task.path, start=place))
+
+
+def _extent(box: Box, heading: float) -> float:
+    """Of a box along a direction over the floor [m]."""
+    depth, width, _ = box.size
+    turn = heading - box.yaw
+    return float(abs(np.cos(turn)) * depth + abs(np.sin(turn)) * width)
+
+
+def controller_for(
+    task: Task, behaviour: Behaviour, system: System, threads: int, samples: np.random.Generator
+) -> Controller:
+    """The controller of a task, with the planner's model of its box."""
+    settings = system.settings.control
+    planner = planner_model(task.box, timestep=settings.period / settings.substeps)
+    engine = CpuEngine(planner, system.edits.upon(planner), system.input_spec, threads, sensors=False)
+    return Controller(behaviour, engine, layout(planner), settings, samples)
+
+
+def task_and_system(options: RunOptions, task: Task | None = None) -> tuple[Task, System]:
+    """What is done, with the box as it was measured, and `go1_push` with that box and the user's settings.
+
+    Args:
+        options: As given.
+        task: In place of the one that the options name.
+
+    Raises:
+        ConfigError: Unknown task, or a setting is wrong.
+    """
+    task = task or find_task(options.task)
+    system = system_of(options, task)
+    return as_measured(task, system), system
+
+
+def system_of(options: RunOptions, task: Task) -> System:
+    """`go1_push` with the task's box and the user's settings.
+
+    Raises:
+        ConfigError: A setting is wrong.
+    """
+    settings = overrides.gathered(options.config, options.environment, options.assignments)
+    return load_system(find_system(SYSTEM), overrides.merged(measured(task), settings), warn=False)
+
+
+def belief_source(
+    options: RunOptions, task: Task, system: System, plant: Plant | None, slow: float = 1.0
+) -> BeliefSource:
+    """Whom the controller believes: the plant, where there is one, or fixed parameters.
+
+    Args:
+        options: As given.
+        task: That is done.
+        system: What is estimated.
+        plant: Behind a simulated target.
+        slow: How many seconds of the wall clock one of the run's takes: the estimator has that much longer.
+
+    Raises:
+        ConfigError: Unknown mode, or a belief that does not suit.
+    """
+    if options.mode not in MODES:
+        raise ConfigError(one_of("mode", options.mode, MODES))
+    if options.mode == "true" and plant is not None:
+        if options.belief is not None:
+            raise ConfigError("--mode true believes the plant's own parameters; leave out --belief")
+        return FixedBelief(lambda: plant.parameters)
+    start = _start_belief(options, task, system)
+    fixed = system.space.named(start.estimate)
+    if options.mode != "adaptive":
+        return FixedBelief(lambda: fixed)
+    settings, mhe = system.settings, system.settings.mhe
+    check_window(mhe, system.model.opt.timestep)
+    buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
+    factory = partial(estimator_of, options, start)
+    budget = slow * (mhe.budget or mhe.update_period)
+    worker = InProcess(factory, budget, slow * PATIENCE) if options.live else InStep(factory, mhe.latency)
+    return AdaptiveBelief(fixed, buffer, Sampler(settings.control.period), worker, mhe.update_period)
+
+
+def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:
+    """The estimator of an adaptive run; also in another process, which has nothing but what is given here.
+
+    Args:
+        options: Of the run.
+        start: What is believed there.
+        belief: To go on from, where an estimator has ended; None: that of the run's start.
+    """
+    system = system_of(options, find_task(options.task))
+    threads = 1 if options.live else options.threads
+    engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
+    rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])
+    return MovingHorizon(system, engine, rng, belief or start)
+
+
+def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:
+    """The belief file's, or else the task's fixed one; adaptive runs start from the baseline's."""
+    if options.belief is not None:
+        return completed(read_belief(options.belief, system), system.space, system.name)
+    if options.mode == "stale" and task.stale is None:
+        raise ConfigError(
+            f"task {task.name} has no stale belief; give one with --belief, or use --mode baseline"
+        )
+    believed = asdict(task.stale if options.mode == "stale" and task.stale else task.baseline)
+    space = system.space
+    theta = np.array([believed.get(p.name, p.nominal) for p in space.parameters])
+    return belief_of(system.name, space, space.z_of(theta), _CERTAIN * np.eye(len(space)), {})
+
+
+def _moved(task: Task, rng: np.random.Generator) -> Box:
+    x, y = np.array(task.box.position) + rng.uniform(-_START_PLACE, _START_PLACE, 2)
+    yaw = task.box.yaw + rng.uniform(-_START_TURN, _START_TURN)
+    return replace(task.box, position=(float(x), float(y)), yaw=float(yaw))
+
+
+def _start(qpos: FloatArray, trunk: slice, rng: np.random.Generator) -> FloatArray:
+    pose = qpos[trunk]
+    pose[:2] += rng.uniform(-_START_PLACE, _START_PLACE, 2)
+    pose[3:] = multiply(exp(np.array([0.0, 0.0, rng.uniform(-_START_TURN, _START_TURN)])), pose[3:])
+    return qpos

@@ -1,0 +1,1 @@
+"""The Go1's state from joints, IMU and poses."""

@@ -1,0 +1,208 @@
+"""What robot and box do, from motion capture, gyro, joint encoders and the feet that stand.
+
+One small filter (`kalman.py`) for each of: position and orientation of trunk and box, joints, and angular
+velocity of the trunk. The trunk's velocity comes from its feet (`sensing.py`): the lowest point of a standing
+foot rests. A foot that should stand but has not yet landed, or slips, disagrees with the prediction and is
+left out.
+
+Nothing is assumed of the box: it may lift or tilt. The accelerometer is not used: see docs/notes/control.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.robots.go1.state import Body, Measurements, State
+from amhe_cli.robots.go1.state_estimator.kalman import Track, Turn
+from amhe_cli.robots.go1.state_estimator.sensing import Feet, Gyro, Pose, SensorSamples, feet, poses
+
+#: Poses that come later than this are left out; joints are not extrapolated any further than that [s].
+_OLDEST, _HOLD = 0.1, 0.02
+#: What the trunk may turn unseen while the gyro is silent [rad/sqrt(s)]: a stride's rocking.
+_BLIND = 0.1
+#: Robot and box begin at rest: first sd of velocities [m/s], angular velocities, the gyro's offset [rad/s],
+#: and of the trunk's angular acceleration [rad/s^2].
+_FIRST_SPEED, _FIRST_TURN, _FIRST_OFFSET, _FIRST_SPIN_UP = 0.02, 0.05, 0.02, 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorNoise:
+    """Noise of sensors (sd), and of what moves robot and box (root of a white density).
+
+    Args:
+        position: Of poses [m].
+        orientation: Of poses, about each axis [rad].
+        joint: Of joint angles [rad].
+        joint_rate: [rad/s].
+        gyro: [rad/s].
+        foot: Of the trunk's velocity by the feet, slip and give of the ground included [m/s].
+        gate: Feet that are further from the prediction, in sd, do not stand.
+        trunk: Acceleration of the trunk [m/s^2/sqrt(Hz)].
+        box: Acceleration of the box [m/s^2/sqrt(Hz)].
+        box_turn: Angular acceleration of the box [rad/s^2/sqrt(Hz)].
+        trunk_turn: Angle that the gyro misses, noise and vibration [rad/sqrt(s)].
+        gyro_drift: Walk of the gyro's offset [rad/s/sqrt(s)].
+        trunk_jerk: Change of the trunk's angular acceleration [rad/s^3/sqrt(Hz)].
+        joint_drive: Acceleration of joints [rad/s^2/sqrt(Hz)].
+    """
+
+    position: float = 0.002
+    orientation: float = float(np.deg2rad(0.5))
+    joint: float = 0.003
+    joint_rate: float = 0.05
+    gyro: float = 0.02
+    foot: float = 0.015
+    gate: float = 2.0
+    trunk: float = 0.2
+    box: float = 0.07
+    box_turn: float = 0.2
+    trunk_turn: float = 0.002
+    gyro_drift: float = 0.001
+    trunk_jerk: float = 150.0
+    joint_drive: float = 10.0
+
+
+class _Filters(NamedTuple):
+    """Of trunk or box."""
+
+    place: Track
+    turn: Turn
+
+
+class StateEstimator:
+    """Pose and twist of trunk and box, joints and joint rates, once in a control cycle.
+
+    Args:
+        noise: Of sensors and motion.
+    """
+
+    def __init__(self, noise: EstimatorNoise = EstimatorNoise()) -> None:
+        self._noise = noise
+        self._trunk: _Filters | None = None
+        self._box: _Filters | None = None
+        self._joints: Track | None = None
+        self._gyro: Track | None = None
+        self._spins = np.empty((0, 4))
+
+    @property
+    def ready(self) -> bool:
+        """Whether trunk, box and joints have each been measured once."""
+        return not (self._trunk is None or self._box is None or self._joints is None)
+
+    def update(self, measured: Measurements, standing: BoolArray) -> State:
+        """Take in what the sensors said, and say what robot and box do at `measured.time`.
+
+        Args:
+            measured: Since the last call; samples that are not finite are left out.
+            standing: Feet that should stand at `measured.robot_times`, shape (m, 4).
+
+        Raises:
+            ValueError: Not `ready`. The measurements are taken in all the same.
+        """
+        self.observe(measured, standing)
+        return self.state(measured.time)
+
+    def observe(self, measured: Measurements, standing: BoolArray) -> None:
+        """Take in what the sensors said; arguments as of `update`."""
+        samples = SensorSamples.of(measured, standing, self._spins)
+        self._spins = samples.spins
+        self._see_joints(samples)
+        self._see_trunk(
+            poses(measured.pose_times, measured.trunk_position, measured.trunk_orientation), samples
+        )
+        self._see_box(poses(measured.pose_times, measured.box_position, measured.box_orientation))
+
+    def state(self, time: float) -> State:
+        """Robot and box at a time [s], by all that was observed.
+
+        Raises:
+            ValueError: Not `ready`.
+        """
+        if self._trunk is None or self._box is None or self._joints is None or self._gyro is None:
+            raise ValueError("no state yet: trunk, box and joints must each have been measured once")
+        held = min(time, self._joints.time + _HOLD)
+        trunk = _body(self._trunk, time, self._gyro.at(held) + self._trunk.turn.error.rate)
+        box = _body(self._box, time, self._box.turn.error.rate)
+        return State(time, trunk, box, self._joints.at(held), np.array(self._joints.rate))
+
+    def _see_joints(self, samples: SensorSamples) -> None:
+        """Joints, and the trunk's angular velocity as the gyro has it."""
+        noise = self._noise
+        for time, joints, rates, spin in samples.rows():
+            if self._joints is None or self._gyro is None:
+                self._joints = Track(
+                    time, joints, rates, noise.joint**2, noise.joint_rate**2, noise.joint_drive
+                )
+                self._gyro = Track(
+                    time, spin, np.zeros(3), noise.gyro**2, _FIRST_SPIN_UP**2, noise.trunk_jerk
+                )
+                continue
+            self._joints.advance(time)
+            self._joints.see_value(joints, noise.joint, time)
+            self._joints.see_rate(rates, noise.joint_rate)
+            self._gyro.advance(time)
+            self._gyro.see_value(spin, noise.gyro, time)
+
+    def _see_trunk(self, seen: list[Pose], samples: SensorSamples) -> None:
+        """Poses and feet in the order of time, the gyro in between."""
+        noise = self._noise
+        if self._trunk is None:
+            if not seen:
+                return
+            self._trunk = self._started(
+                seen[0], noise.trunk, (_FIRST_OFFSET, noise.gyro_drift, noise.trunk_turn)
+            )
+        place, turn = self._trunk
+        gyro = Gyro(samples)
+        events = (*seen, *feet(samples, turn.error.rate, turn.matrix()[2]))
+        for event in sorted(events, key=lambda event: event.time):
+            turn.error.walk = noise.trunk_turn if event.time <= gyro.until + _HOLD else _BLIND
+            place.advance(event.time)
+            turn.advance(event.time, gyro.turned(turn.time, min(event.time, gyro.until + _HOLD)))
+            if isinstance(event, Pose):
+                self._see_pose(self._trunk, event, gyro.last)
+            else:
+                self._see_feet(place, event, turn.matrix())
+        # The next cycle's gyro no longer knows of these samples but the last two.
+        if len(samples.table):
+            end = float(samples.table[-1, 0])
+            turn.advance(end, gyro.turned(turn.time, end))
+
+    def _see_box(self, seen: list[Pose]) -> None:
+        for pose in seen:
+            if self._box is None:
+                self._box = self._started(pose, self._noise.box, (_FIRST_TURN, self._noise.box_turn, 0.0))
+            self._box.place.advance(pose.time)
+            self._box.turn.advance(pose.time)
+            self._see_pose(self._box, pose)
+
+    def _see_pose(self, body: _Filters, pose: Pose, spin: FloatArray | float = 0.0) -> None:
+        """Correct by a pose; `spin` is what the gyro says [rad/s], if that has been counted already."""
+        if pose.time > body.place.time - _OLDEST:
+            body.place.see_value(pose.position, self._noise.position, pose.time)
+            body.turn.see(pose.orientation, self._noise.orientation, pose.time, spin)
+
+    def _started(self, pose: Pose, drive: float, turning: tuple[float, float, float]) -> _Filters:
+        """At a pose, at rest; `turning`: first sd of the rate of turning, its drive, and the angle's walk."""
+        noise, at_rest, (sd, turn_drive, walk) = self._noise, np.zeros(3), turning
+        place = Track(pose.time, pose.position, at_rest, noise.position**2, _FIRST_SPEED**2, drive)
+        error = Track(pose.time, at_rest, at_rest, noise.orientation**2, sd**2, turn_drive, walk)
+        return _Filters(place, Turn(pose.orientation, error))
+
+    def _see_feet(self, place: Track, block: Feet, to_world: FloatArray) -> None:
+        """Correct the trunk's velocity by those feet that rest as the prediction says."""
+        noise, velocities = self._noise, block.velocities @ to_world.T
+        limit = noise.gate**2 * (place.rr + noise.foot**2)
+        rests = block.stood & (np.square(velocities - place.rate).sum(axis=1) < limit)
+        if rests.any():
+            place.see_rate(velocities[rests].mean(axis=0), noise.foot)
+
+
+def _body(filters: _Filters, time: float, rate: FloatArray) -> Body:
+    """At a time [s], at this angular velocity [rad/s], shape (3,)."""
+    place, turn = filters
+    return Body(place.at(time), turn.at(time, rate), np.array(place.rate), np.array(rate))

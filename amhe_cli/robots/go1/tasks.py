@@ -1,0 +1,137 @@
+"""The tasks T1 to T5, hw1 and hw2 as data: what is pushed where, and what changes on the way.
+
+World: x ahead, y left, z up. The robot starts at the origin, heading along x. Definitions: docs/tasks.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.control.protocols import Behaviour
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.robots.go1.behaviours.path import Path
+from amhe_cli.robots.go1.behaviours.steering import Helm
+from amhe_cli.robots.go1.behaviours.sweeping import Sweeping
+from amhe_cli.robots.go1.behaviours.tripod import Tripod
+from amhe_cli.robots.go1.behaviours.walking import Walking
+from amhe_cli.robots.go1.changes import Change
+from amhe_cli.robots.go1.model import Box
+
+#: Commanded speed along the path [m/s], and the last part of the path over which it goes to zero [m].
+SPEED, TAPER = 0.2, 0.2
+#: The longest that an episode takes [s].
+LONGEST = 40.0
+
+_AHEAD = (0.6, 0.0)
+#: Beside the front right foot, so near that the leg reaches it: the face is 4 cm from the standing foot.
+_BESIDE = (0.1, -0.34)
+
+
+@dataclass(frozen=True, slots=True)
+class Believed:
+    """A fixed belief: mass [kg] and friction against the floor of the box."""
+
+    box_mass: float
+    floor_friction: float
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One task.
+
+    Args:
+        name: As on the command line.
+        title: In words.
+        box: At the start, with the plant's true numbers.
+        path: Of the box's centre; its end is the goal.
+        nominal_time: [s].
+        changes: Of the plant on the way.
+        baseline: The fixed belief of mode `baseline`.
+        stale: That of mode `stale`, where there is one.
+        one_leg: Pushed with a front leg on three standing ones, not by walking.
+        corridor: The box may be no further than this from its path [m].
+    """
+
+    name: str
+    title: str
+    box: Box
+    path: Path
+    nominal_time: float
+    changes: tuple[Change, ...] = ()
+    baseline: Believed = Believed(4.0, 0.4)
+    stale: Believed | None = None
+    one_leg: bool = False
+    corridor: float = np.inf
+
+    def behaviour(self) -> Behaviour:
+        """How the robot does it; a fresh one for each episode."""
+        depth, width, _ = self.box.size
+        if self.one_leg:
+            return Sweeping(self.path, half_width=0.5 * width)
+        return Walking(Helm(self.path, SPEED, TAPER, half_length=0.5 * depth, half_width=0.5 * width))
+
+    def commanded_speed(self, progress: float) -> float:
+        """Of the robot, when the box is so far along its path [m]: [m/s]."""
+        if self.one_leg:
+            return 0.0
+        return SPEED * self.path.tapered(progress, TAPER)
+
+    @property
+    def judged_from(self) -> float:
+        """Since when the speed is judged [s]: with one leg, since it is free."""
+        return Tripod().shift_time if self.one_leg else 1.0
+
+
+def _light() -> Believed:
+    return Believed(2.0, 0.3)
+
+
+_STALE = Believed(2.0, 0.2)
+_TERRAIN = (Change(floor_friction=0.8, beyond_x=1.5),)
+
+TASKS = {
+    task.name: task
+    for task in (
+        Task(
+            "t1", "single-goal push", Box(mass=4.0, floor_friction=0.6), Path(_AHEAD, 0.0, 2.4), 12.0,
+            baseline=_light(),
+        ),
+        Task(
+            "t2", "circular path", Box(mass=4.0, floor_friction=0.4),
+            Path(_AHEAD, 0.0, 1.5 * np.pi, curvature=1.0 / 1.5), 23.6, baseline=_light(), corridor=0.4,
+        ),
+        Task(
+            "t3", "mass switch", Box(mass=4.0, floor_friction=0.4), Path(_AHEAD, 0.0, 3.0), 15.0,
+            (Change(mass=6.0, at_time=10.0),), stale=_STALE,
+        ),
+        Task(
+            "t4", "terrain change", Box(mass=4.0, floor_friction=0.4), Path(_AHEAD, 0.0, 2.4), 12.0,
+            _TERRAIN, stale=_STALE,
+        ),
+        Task(
+            "t5", "one front leg", Box((0.2, 0.3, 0.3), 3.0, 0.4, _BESIDE), Path(_BESIDE, -0.5 * np.pi, 0.5),
+            10.0, baseline=_light(), one_leg=True,
+        ),
+        Task(
+            "hw1", "a load put into the basket", Box(mass=3.0, floor_friction=0.4), Path(_AHEAD, 0.0, 2.4),
+            12.0, (Change(mass=4.0, beyond_x=1.8),), baseline=Believed(3.0, 0.4),
+        ),
+        Task(
+            "hw2", "from concrete to turf", Box(mass=4.0, floor_friction=0.4), Path(_AHEAD, 0.0, 2.4), 12.0,
+            _TERRAIN, baseline=Believed(4.0, 0.6),
+        ),
+    )
+}  # fmt: skip
+
+
+def find_task(name: str) -> Task:
+    """The task of a name.
+
+    Raises:
+        ConfigError: There is none; the text lists them.
+    """
+    if name not in TASKS:
+        raise ConfigError(one_of("task", name, TASKS))
+    return TASKS[name]

@@ -1,0 +1,68 @@
+"""Results by what was changed: one value of one setting, all others at the operating point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from amhe_cli.study.summary import Group, Groups
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ablation:
+    """One setting over its values, in one task and mode.
+
+    Args:
+        path: Of the setting.
+        task, mode: That it was tried in.
+        values: Of the setting, in order.
+        groups: One for each value.
+        default: Index of the operating point among them; None: it was not run.
+    """
+
+    path: str
+    task: str
+    mode: str
+    values: tuple[Any, ...]
+    groups: tuple[Group, ...]
+    default: int | None
+
+
+def ablations(groups: Groups, defaults: Mapping[str, Any]) -> list[Ablation]:
+    """All that were run.
+
+    Args:
+        groups: Of the study.
+        defaults: Each setting's default, by its path.
+    """
+    base = dict(groups.base)
+    found: dict[tuple[str, str, str], list[tuple[Any, Group]]] = {}
+    for group in groups:
+        other = dict(group.setting)
+        changed = [path for path in base.keys() | other.keys() if base.get(path) != other.get(path)]
+        if len(changed) == 1 and group.n:
+            (path,) = changed
+            value = other.get(path, defaults.get(path))
+            found.setdefault((path, group.task, group.mode), []).append((value, group))
+    return [_ablation(groups, key, tried, base, defaults) for key, tried in sorted(found.items())]
+
+
+def _ablation(
+    groups: Groups,
+    key: tuple[str, str, str],
+    tried: list[tuple[Any, Group]],
+    base: Mapping[str, Any],
+    defaults: Mapping[str, Any],
+) -> Ablation:
+    path, task, mode = key
+    at_base = groups.get(task, mode)
+    standard = base.get(path, defaults.get(path))
+    if at_base and at_base.n:
+        tried = [*tried, (standard, at_base)]
+    numeric = all(isinstance(value, (int, float)) for value, _ in tried)
+    if numeric:
+        tried = sorted(tried, key=lambda pair: pair[0])
+    values, members = zip(*tried, strict=True)
+    index = members.index(at_base) if at_base in members else None
+    return Ablation(path, task, mode, tuple(values), tuple(members), index)

@@ -1,0 +1,43 @@
+"""Run the cells of a study on any executor, and keep each result the moment it comes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from amhe_cli.core.errors import AmheError
+from amhe_cli.core.executors import Pool, gathered
+from amhe_cli.study.cells import Cell
+from amhe_cli.study.results import Result, blank, result_of
+from amhe_cli.study.store import Store
+
+
+def conduct(
+    store: Store,
+    cells: Sequence[Cell],
+    run: Callable[[Mapping[str, Any]], dict[str, Any]],
+    pool: Pool,
+    stopped: Callable[[], bool],
+    on_result: Callable[[Result], None],
+) -> None:
+    """Run cells; one that fails is recorded with its reason and does not stop the others.
+
+    Args:
+        store: Written here, so that workers need no disk in common.
+        cells: To run.
+        run: Runs one: a request to the content of a result file.
+        pool: Where.
+        stopped: Asked now and then; True: give up the cells that are running.
+        on_result: Told of each result.
+
+    Raises:
+        AmheError: What would stop every cell: other code on a worker, a full disk, a scheduler that is gone.
+    """
+    requests = {cell: {"cell": cell.plain(), "code": dict(store.study.code)} for cell in cells}
+    for cell, brought in gathered(run, requests, pool, stopped):
+        if isinstance(brought, AmheError):
+            raise brought
+        if isinstance(brought, Exception):
+            brought = blank(requests[cell], f"{type(brought).__name__}: {brought}")
+        store.write(cell, brought)
+        on_result(result_of(brought))

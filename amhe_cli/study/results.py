@@ -1,0 +1,120 @@
+"""What one cell brought: its outcome, and traces thin enough to keep thousands of cells."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import AmheError
+from amhe_cli.study.cells import Cell, cell_of
+
+#: Time between two rows of a trace [s].
+TRACE_STEP = 0.2
+#: Columns of a trace and their decimals: sampled at the row's time, or the mean since the row before,
+#: since speed and cost swing with every step of the robot.
+_SAMPLED = {"box_x": 3, "box_y": 3, "box_yaw": 3, "trunk_x": 2, "trunk_y": 2, "trunk_yaw": 2}
+_SAMPLED |= {"foot_x": 2, "foot_y": 2}
+_AVERAGED = {"speed": 3, "command": 3, "running_cost": 2}
+#: Columns of beliefs, their sd, and the truth: NAME follows.
+_NAMED = ("belief/", "belief_sd/", "truth/")
+_NAMED_DIGITS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """One cell and what came of it.
+
+    Args:
+        cell: That was run.
+        code: Versions and hashes of what decides a result.
+        reason: Why it failed; None: it did not.
+        outcome: Content of the run's result.json; {} of a failed one.
+        trace: Columns over time, each shape (n,); {} of a failed one.
+        seconds: Of wall clock that it took.
+    """
+
+    cell: Cell
+    code: Mapping[str, str]
+    reason: str | None
+    outcome: Mapping[str, Any]
+    trace: Mapping[str, FloatArray]
+    seconds: float
+
+    def measure(self, name: str) -> float:
+        """A number of the outcome; NaN where it has none."""
+        value = self.outcome.get(name)
+        return float("nan") if value is None else float(value)
+
+
+def thinned(columns: Mapping[str, FloatArray], period: float) -> dict[str, Any]:
+    """A trace as plain values: a row each `TRACE_STEP`, and the last row.
+
+    A column that never changes is one number.
+
+    Args:
+        columns: Of a run's history, shape (cycles,) each.
+        period: Between two of its rows [s].
+    """
+    cycles = len(columns["time"])
+    every = max(1, round(TRACE_STEP / period))
+    starts = np.arange(0, cycles, every)
+    ends = np.minimum(starts + every, cycles) - 1
+    trace: dict[str, Any] = {"time": _rounded(columns["time"][ends], 2)}
+    for name, digits in _SAMPLED.items():
+        if name in columns:
+            trace[name] = _rounded(columns[name][ends], digits)
+    for name, digits in _AVERAGED.items():
+        mean = np.add.reduceat(columns[name], starts) / (ends - starts + 1)
+        trace[name] = _rounded(mean, digits)
+    for name, values in columns.items():
+        if name.startswith(_NAMED):
+            trace[name] = _rounded(values[ends], _NAMED_DIGITS)
+    return trace
+
+
+def _rounded(values: FloatArray, digits: int) -> Any:
+    """As few characters as the digits need; JSON lacks NaN, and has null."""
+    rows = [
+        None if math.isnan(v) else int(v) if v == int(v) else v for v in np.round(values, digits).tolist()
+    ]
+    return rows[0] if len(rows) > 1 and len(set(rows)) == 1 else rows
+
+
+def read_result(path: Path) -> Result:
+    """A result file.
+
+    Raises:
+        AmheError: It is none.
+    """
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        return result_of(record)
+    except (ValueError, KeyError, TypeError):
+        raise AmheError(
+            f"{path}: is no result of a cell; delete it, and run it again with --resume"
+        ) from None
+
+
+def blank(request: Mapping[str, Any], reason: str | None) -> dict[str, Any]:
+    """The record of a cell that brought nothing: what was asked for, and why there is nothing."""
+    return {"schema_version": 1, **request, "reason": reason, "outcome": {}, "trace": {}, "seconds": 0.0}
+
+
+def result_of(record: Mapping[str, Any]) -> Result:
+    """The result that a record tells of; `eval_assembly.run_cell` makes them."""
+    columns = record["trace"]
+    rows = len(columns.get("time", ()))
+    trace = {
+        name: np.array(values, float) if isinstance(values, list) else np.full(rows, values, dtype=float)
+        for name, values in columns.items()
+    }
+    return Result(
+        cell_of(record["cell"]), record["code"], record["reason"], record["outcome"], trace, record["seconds"]
+    )

@@ -1,0 +1,170 @@
+"""The folder of a study: `study.json` says what it is of, `cells/` holds one result file a cell."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from amhe_cli.core.errors import AmheError, ConfigError
+from amhe_cli.study.cells import Cell, Setting, setting_of
+from amhe_cli.study.results import Result, read_result
+
+STUDY, CELLS = "study.json", "cells"
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """What all cells of a folder share.
+
+    Args:
+        code: Versions and hashes of what decides a result.
+        defaults: Every setting's default, by its path.
+        setting: The operating point: settings that the user changed for all cells.
+        duration: The longest that one may take [s].
+        commands: Command lines that ran cells here, oldest first.
+        made: Time of the first one, UTC.
+        machine: Hardware and operating system that commanded it.
+    """
+
+    code: Mapping[str, str]
+    defaults: Mapping[str, Any]
+    setting: Setting = ()
+    duration: float = 40.0
+    commands: tuple[str, ...] = ()
+    made: str = ""
+    machine: Mapping[str, str] = field(default_factory=dict)
+
+
+class Store:
+    """Result files in a folder; each appears whole or not at all.
+
+    Args:
+        folder: Of the study.
+        study: What it is of.
+    """
+
+    def __init__(self, folder: Path, study: Study) -> None:
+        self.folder, self.study = folder, study
+
+    def path(self, cell: Cell) -> Path:
+        """Of a cell's file."""
+        return self.folder / CELLS / cell.file_name(self.study.code)
+
+    def write(self, cell: Cell, record: Mapping[str, Any]) -> None:
+        """Keep what a cell brought.
+
+        Raises:
+            AmheError: It cannot be written, as on a full disk.
+        """
+        write_whole(self.path(cell), json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
+
+    def results(self) -> list[Result]:
+        """All cells so far, by name."""
+        return [read_result(path) for path in sorted((self.folder / CELLS).glob("*.json"))]
+
+    def missing(self, cells: list[Cell]) -> list[Cell]:
+        """Those of the cells that have no result yet, or failed."""
+        done = {self.path(result.cell) for result in self.results() if result.reason is None}
+        return [cell for cell in cells if self.path(cell) not in done]
+
+
+def open_store(folder: Path) -> Store:
+    """The study in a folder.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    path = folder / STUDY
+    try:
+        record = json.loads(path.read_text(encoding="utf-8"))
+        setting, commands = setting_of(record.pop("setting")), tuple(record.pop("commands"))
+        return Store(folder, Study(**record, setting=setting, commands=commands))
+    except OSError:
+        raise ConfigError(f"{folder}: holds no {STUDY}; name a folder that `amhe eval -o` wrote") from None
+    except (ValueError, KeyError, TypeError):
+        raise ConfigError(f"{path}: cannot be read; start over in another folder") from None
+
+
+def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence[Cell] = ()) -> Store:
+    """The store to write to: a fresh one, or one to go on with.
+
+    Args:
+        folder: Of the study.
+        study: What it is of.
+        resume: Go on with what the folder holds.
+        force: Write over what it holds.
+        cells: That are to be run.
+
+    Raises:
+        ConfigError: The folder holds something, or a study that this one must not be mixed with.
+    """
+    if folder.is_file():
+        raise ConfigError(f"{folder}: is a file; -o needs a folder")
+    if folder.exists() and any(folder.iterdir()) and not force:
+        if not resume:
+            raise ConfigError(f"{folder}: is not empty; pass --resume to go on, or choose another folder")
+        store = open_store(folder)
+        before = store.study
+        _check(folder, before, study)
+        _check_beliefs(store, cells)
+        commands = tuple(dict.fromkeys((*before.commands, *study.commands)))
+        study = replace(before, commands=commands)
+    try:
+        (folder / CELLS).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another with -o") from None
+    if force:
+        for path in (folder / CELLS).glob("*.json"):
+            path.unlink()
+    record = asdict(study) | {"setting": dict(study.setting)}
+    write_whole(folder / STUDY, json.dumps(record, indent=1) + "\n")
+    return Store(folder, study)
+
+
+def _check(folder: Path, before: Study, now: Study) -> None:
+    """Refuse to mix what cannot be compared."""
+    go_on = f"choose another folder with -o, or see what it holds with --report {folder}"
+    for name, version in now.code.items():
+        if before.code.get(name) != version:
+            raise ConfigError(
+                f"{folder}: holds cells of {name} {before.code.get(name)}, and this is {version}: {go_on}"
+            )
+    if (before.setting, before.duration) != (now.setting, now.duration):
+        raise ConfigError(
+            f"{folder}: holds cells of other --set, --config or --duration; give the same, or {go_on}"
+        )
+
+
+def _check_beliefs(store: Store, cells: Sequence[Cell]) -> None:
+    """Refuse a second belief for a run that there is: tables would count its seed twice."""
+    known = {replace(one.cell, belief=None): one.cell.belief for one in store.results()}
+    for cell in cells:
+        if known.get(replace(cell, belief=None), cell.belief) != cell.belief:
+            raise ConfigError(
+                f"{store.folder}: holds {cell.title} with another --belief: give the same, or choose another "
+                "folder with -o"
+            )
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file that appears whole or not at all.
+
+    Raises:
+        AmheError: It cannot be written.
+    """
+    scratch = path.with_suffix(".partial")
+    try:
+        with scratch.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        scratch.replace(path)
+    except OSError as error:
+        scratch.unlink(missing_ok=True)
+        raise AmheError(
+            f"{path}: {error.strerror}; the cells before it are kept: mend that, and go on with --resume"
+        ) from None

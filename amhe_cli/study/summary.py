@@ -1,0 +1,144 @@
+"""Results by group: what the seeds of one task, mode and setting say together."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.study.cells import Setting
+from amhe_cli.study.results import Result
+from amhe_cli.study.statistics import Difference, Spread, paired, rate, spread
+
+RATES = ("success", "on_time", "fell")
+MEASURES = ("goal_error_m", "speed_rmse", "cost", "time_s", "path_rmse_m")
+#: Every interval is drawn from this seed, so that the same cells give the same digits.
+_SEED = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Group:
+    """Seeds of one task, mode and setting.
+
+    Args:
+        task, mode, setting: That they share.
+        results: Of cells that were run, by seed.
+        failed: Cells that brought no result.
+    """
+
+    task: str
+    mode: str
+    setting: Setting
+    results: tuple[Result, ...]
+    failed: int
+
+    @property
+    def n(self) -> int:
+        """Seeds that count."""
+        return len(self.results)
+
+    def values(self, name: str) -> FloatArray:
+        """A measure over the seeds, shape (n,)."""
+        return np.array([result.measure(name) for result in self.results])
+
+    def spread(self, name: str) -> Spread:
+        """Of a measure or a rate."""
+        if name in RATES:
+            return rate(self.values(name))
+        return spread(self.values(name), np.random.default_rng(_SEED))
+
+
+class Groups:
+    """All groups of a study, in a given order of tasks and modes; unknown ones come last.
+
+    Args:
+        results: Of a study.
+        base: Its operating point: the setting of the tables.
+        tasks, modes: In order.
+    """
+
+    def __init__(
+        self, results: Iterable[Result], base: Setting, tasks: Sequence[str], modes: Sequence[str]
+    ) -> None:
+        self.base, self._modes = base, modes
+        found: dict[tuple[str, str, Setting], list[Result]] = {}
+        for result in results:
+            cell = result.cell
+            found.setdefault((cell.task, cell.mode, cell.setting), []).append(result)
+        self._groups = {key: _group(key, found[key]) for key in sorted(found, key=_order(tasks, modes, base))}
+
+    def __iter__(self) -> Iterator[Group]:
+        """In order."""
+        return iter(self._groups.values())
+
+    def get(self, task: str, mode: str, setting: Setting | None = None) -> Group | None:
+        """One group, at the operating point where no setting is given."""
+        return self._groups.get((task, mode, self.base if setting is None else setting))
+
+    def at_base(self) -> list[Group]:
+        """Those at the operating point that have results."""
+        return [group for group in self if group.setting == self.base and group.n]
+
+    @property
+    def tasks(self) -> list[str]:
+        """That have results at the operating point."""
+        return list(dict.fromkeys(group.task for group in self.at_base()))
+
+    def of(self, task: str) -> list[Group]:
+        """Those of a task at the operating point, mode by mode."""
+        return [group for group in self.at_base() if group.task == task]
+
+    def modes_of(self, tasks: Iterable[str]) -> list[str]:
+        """Modes that any of the tasks has results of, in order."""
+        found = {group.mode for task in tasks for group in self.of(task)}
+        return sorted(found, key=lambda mode: _rank(self._modes, mode))
+
+
+def difference(group: Group, reference: Group, name: str) -> Difference:
+    """How a group differs from another on the seeds that both have."""
+    other = {result.cell.seed: result for result in reference.results}
+    both = [(result, other[result.cell.seed]) for result in group.results if result.cell.seed in other]
+    values, references = (np.array([pair[i].measure(name) for pair in both]) for i in (0, 1))
+    return paired(values, references, np.random.default_rng(_SEED))
+
+
+def summary(groups: Iterable[Group]) -> list[dict[str, Any]]:
+    """Content of summary.json."""
+    return [
+        {
+            "task": group.task,
+            "mode": group.mode,
+            "setting": dict(group.setting),
+            "n": group.n,
+            "failed": group.failed,
+            "measures": {name: _told(group.spread(name)) for name in (*RATES, *MEASURES)},
+        }
+        for group in groups
+    ]
+
+
+def _told(spread: Spread) -> dict[str, float]:
+    return {name: value for name, value in asdict(spread).items() if name != "n"}
+
+
+def _group(key: tuple[str, str, Setting], results: Sequence[Result]) -> Group:
+    done = sorted((r for r in results if r.reason is None), key=lambda result: result.cell.seed)
+    return Group(*key, tuple(done), len(results) - len(done))
+
+
+def _order(tasks: Sequence[str], modes: Sequence[str], base: Setting):
+    def key(group: tuple[str, str, Setting]) -> tuple[Any, ...]:
+        task, mode, setting = group
+        return (
+            setting != base, tuple((p, str(type(v)), v) for p, v in setting),
+            _rank(tasks, task), task, _rank(modes, mode), mode,
+        )  # fmt: skip
+
+    return key
+
+
+def _rank(names: Sequence[str], name: str) -> int:
+    return names.index(name) if name in names else len(names)

@@ -1,0 +1,73 @@
+"""The state that a window begins with: smoothed positions, and velocities that are slopes of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from amhe_cli.core import rotations
+from amhe_cli.core.trajectory import Series, Trajectory, Window
+from amhe_cli.matching.first_states import first_states
+from amhe_cli.system.system import Channel, System
+
+HOME = np.zeros(1)
+
+
+def with_slope(system: System, slope: float) -> System:
+    channels = (replace(c, slope=slope * (c.source == "qvel")) for c in system.channels)
+    return replace(system, channels=tuple(channels))
+
+
+def lagging(log: Trajectory, rows: int) -> Trajectory:
+    series = log["state.velocity"]
+    late = np.roll(series.values, rows, axis=0)
+    return replace(log, series={**log.series, "state.velocity": replace(series, values=late)})
+
+
+def velocities(system: System, log: Trajectory, starts: np.ndarray) -> np.ndarray:
+    return first_states(system, [Window(log, int(start), 20) for start in starts], HOME, 0.0)[1][:, 0]
+
+
+def test_a_slope_does_not_lag_as_the_recorded_velocity_does(cart, drive) -> None:
+    log, starts = drive(3.0, noise=1e-4), np.arange(100, 500, 25)
+    true = log["state.velocity"].values[starts, 0]
+    seen = lagging(log, 14)
+    recorded, sloped = (velocities(with_slope(cart, s), seen, starts) - true for s in (0.0, 0.03))
+    assert np.sqrt((sloped**2).mean()) < 0.2 * np.sqrt((recorded**2).mean())
+
+
+def test_where_too_little_was_measured_the_recorded_velocity_stays(cart, drive) -> None:
+    log = drive(1.0)
+    series = log["state.position"]
+    sampled = series.sampled.copy()
+    sampled[80:120] = False
+    sparse = replace(log, series={**log.series, "state.position": replace(series, sampled=sampled)})
+    at = np.array([0, 100])
+    np.testing.assert_array_equal(
+        velocities(with_slope(cart, 0.05), sparse, at), log["state.velocity"].values[at, 0]
+    )
+
+
+def test_the_slope_of_an_orientation_is_the_rate_in_the_bodys_own_frame(cart, drive) -> None:
+    rate, dt = np.array([0.3, -0.7, 1.1]), drive(0.1).dt
+    start = np.array([0.9, 0.1, -0.3, 0.2])
+    times = dt * np.arange(41)
+    turning = rotations.multiply(
+        np.tile(rotations.normalised(start), (41, 1)), rotations.exp(times[:, None] * rate)
+    )
+    ones = np.ones(41, dtype=bool)
+    series = {
+        "body.orientation": Series(turning, ones, ones, tuple("wxyz")),
+        "body.angular_velocity": Series(np.zeros((41, 3)), ones, ones, tuple("xyz")),
+    }
+    channel = Channel("body.angular_velocity", "linear", "qvel", (0, 1, 2), 0.1, "rad/s", False, 0.05)
+    system = replace(cart, channels=(channel,))
+    window = Window(Trajectory(dt, series, "a turning body"), 20, 10)
+    wide = replace(system, model=_WithThree())  # type: ignore[arg-type]
+    assert first_states(wide, [window], HOME, 0.0)[1][0] == pytest.approx(rate, abs=1e-4)
+
+
+class _WithThree:
+    nv = 3

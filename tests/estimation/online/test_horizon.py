@@ -1,0 +1,235 @@
+"""The moving-horizon estimator against the truth of a cart."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import ConfigError, EstimationError
+from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.trajectory import Series, Trajectory, Window
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.estimation.online.arrival import arrival_of
+from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
+from amhe_cli.estimation.online.replay import replay, windows
+from amhe_cli.estimation.online.update import Outcome, Task
+from amhe_cli.system.load import load_system
+from amhe_cli.system.system import System
+
+
+def with_mhe(system: System, **changes: object) -> System:
+    mhe = system.settings.mhe.model_copy(update=changes)
+    return replace(system, settings=system.settings.model_copy(update={"mhe": mhe}))
+
+
+def estimates(system: System, log: Trajectory, seed: int = 0, threads: int = 1) -> list[Estimate]:
+    engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
+    estimator = MovingHorizon(system, engine, np.random.default_rng(seed))
+    return list(replay(estimator, windows(system, log)))
+
+
+@pytest.mark.parametrize(("method", "within"), [("linearised", 0.03), ("logrank", 0.12)])
+def test_it_finds_the_truth(cart, drive, method: str, within: float) -> None:
+    found = estimates(with_mhe(cart, method=method), drive(6.0))
+    assert found[-1].theta == pytest.approx([2.0, 3.0], rel=within)
+    assert all(e.updated and e.diverged == 0 for e in found)
+    assert found[-1].time == pytest.approx(5.9)
+
+
+def test_the_intervals_hold_the_truth_as_often_as_they_say(constant, drive) -> None:
+    truth = np.array([2.0, 3.0])
+    ends = [estimates(constant, drive(3.0, seed=seed), seed)[-1] for seed in range(60)]
+    held = np.array([(e.lower < truth) & (truth < e.upper) for e in ends]).mean(axis=0)
+    assert (held > 0.8).all(), held  # 90 %, less 2.5 sd of the count
+    spread = np.log([e.theta for e in ends]).std(axis=0)
+    said = np.mean([e.sd / e.theta for e in ends], axis=0)
+    assert (said < 3.0 * spread).all(), said / spread
+
+
+def test_intervals_hold_a_truth_that_is_far_from_the_prior(folder, drive) -> None:
+    # what the first windows say of it, they say by slopes of another place
+    unsure = {"mass": {"drift": 0.0}, "damping": {"drift": 0.0, "prior_sd": 1.0, "bounds": [0.05, 20]}}
+    system, truth = load_system(folder, {"parameters": unsure}), np.array([2.0, 0.3])
+    logs = [drive(1.5, damping=lambda t: truth[1], seed=seed) for seed in range(30)]
+    ends = [estimates(system, log, seed)[-1] for seed, log in enumerate(logs)]
+    held = np.array([(e.lower < truth) & (truth < e.upper) for e in ends]).mean(axis=0)
+    assert (held > 0.65).all(), held  # a quarter, were a window's bend no more than noise
+
+
+def test_an_update_iterates_while_its_steps_are_long(constant, drive) -> None:
+    found = estimates(constant, drive(3.0))
+    once = 1 + 2 * (2 + 2)  # parameters, and position and velocity of the first state
+    assert found[0].rollouts == 2 * once
+    assert [e.rollouts for e in found[-5:]] == [once] * 5
+
+
+def test_a_jump_is_seen_and_followed(cart, drive) -> None:
+    found = estimates(cart, drive(8.0, mass=lambda t: 2.0 if t < 4.0 else 3.5))
+    jumps = [e.time for e in found if e.mark == "jump"]
+    assert jumps and 4.0 < jumps[0] < 4.8
+    assert all(time > 4.0 for time in jumps)
+    late = [e for e in found if e.time > 6.0]
+    assert np.mean([e.theta[0] for e in late]) == pytest.approx(3.5, rel=0.04)
+
+
+def test_a_jump_may_have_to_be_told_by_windows_in_a_row(cart, drive) -> None:
+    log = drive(6.0, mass=lambda t: 2.0 if t < 4.0 else 3.5)
+    marks = [[e.mark for e in estimates(with_mhe(cart, jump_windows=count), log)] for count in (1, 2)]
+    one, two = (of.index("jump") for of in marks)
+    assert two == one + 1
+
+
+@pytest.mark.parametrize(
+    ("surprises", "jumps"),
+    [
+        ([1, 1, 4, 1, 4, 1], []),  # single ones
+        ([1, 1, 4, 4, 1, 1], [3]),
+        ([1, 1, 4, 4, 4, 1], [3, 4]),  # it has not arrived yet
+        ([1, 1, 4, -1, 4, 1], []),  # a window that says nothing breaks the row
+        ([1, 1, -4, -4, 1, 1], [3]),  # the samples hardly move them, and yet they surprise
+    ],
+)
+def test_jumps_are_told_by_windows_in_a_row(cart, drive, surprises: list[float], jumps: list[int]) -> None:
+    system = with_mhe(cart, jump_windows=2, jump=3.0)
+    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    estimator = MovingHorizon(system, engine, np.random.default_rng(0))
+    told, wider = iter(surprises), []
+
+    def update(task: Task) -> Outcome:
+        surprise = next(told)
+        wider.append(task.surprised(abs(surprise)) is not task.arrival)
+        return Outcome(task.arrival, task.noise, 1.0, 1.0, abs(surprise), float(surprise > 0), 9, 0, 1)
+
+    estimator._update = update
+    (window, *_) = windows(system, drive(2.0))
+    marks = [estimator.update(window, 0.2 * i).mark for i in range(len(surprises))]
+    assert [i for i, mark in enumerate(marks) if mark == "jump"] == jumps == list(np.flatnonzero(wider))
+
+
+def test_at_rest_it_keeps_its_belief_and_grows_less_sure(cart, drive) -> None:
+    found = estimates(cart, drive(6.0, force=lambda t: np.where(t < 3.0, swing_of(t), 0.0) * (t < 3.0)))
+    still = [e for e in found if e.time > 5.5]
+    assert [e.mark for e in still] == ["still"] * len(still)
+    assert np.ptp([e.theta for e in still], axis=0) == pytest.approx(0.0)
+    assert (np.diff([e.sd for e in still], axis=0) > 0.0).all()
+
+
+def swing_of(time: np.ndarray) -> np.ndarray:
+    return 6.0 * np.sin(2.0 * np.pi * 1.3 * time)
+
+
+def test_a_gap_is_passed_over(cart, drive) -> None:
+    log = drive(5.0)
+    series = dict(log.series)
+    valid = np.array(series["force.effort"].valid)
+    valid[400:420] = False
+    gone = series["force.effort"]
+    series["force.effort"] = Series(gone.values, valid, gone.sampled & valid, gone.columns)
+    found = estimates(cart, replace(log, series=series))
+    assert {e.mark for e in found} == {"updated", "gap"}
+    assert all((e.mark == "gap") == (e.time - 0.5 < 2.1 - 1e-9 and e.time > 2.0 + 1e-9) for e in found)
+    assert found[-1].theta == pytest.approx([2.0, 3.0], rel=0.05)
+
+
+def test_a_seed_gives_the_same_estimates_at_any_number_of_threads(cart, drive) -> None:
+    log = drive(2.0)
+    one, two = estimates(cart, log, 3, 1), estimates(cart, log, 3, 2)
+    np.testing.assert_array_equal([e.theta for e in one], [e.theta for e in two])
+    other = estimates(cart, log, 4)
+    assert (one[-1].theta != other[-1].theta).all()
+
+
+@pytest.mark.parametrize("method", ["linearised", "logrank"])
+def test_weights_hold_a_parameter_at_its_last_estimate(cart, drive, method: str) -> None:
+    heavy = with_mhe(cart, method=method, prior_weight={"mass": 1e9})
+    found = estimates(heavy, drive(3.0))
+    assert found[-1].theta[0] == pytest.approx(1.5, rel=0.05)
+    assert found[-1].theta[1] != pytest.approx(2.0, rel=0.1)
+    if method == "linearised":  # nor does it become any surer of it
+        assert found[-1].sd[0] > 0.95 * found[0].sd[0]
+
+
+def test_time_up_stops_after_the_first_iteration(cart, drive) -> None:
+    system = with_mhe(cart, method="logrank", iterations=6)
+    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    window = windows(system, drive(2.0))[2]
+    counts = []
+    for budget in (None, 1e-9):
+        estimator = MovingHorizon(system, engine, np.random.default_rng(0))
+        counts.append(estimator.update(window, 1.0, budget).rollouts)
+    assert counts == [6 * 32, 32]
+
+
+@pytest.mark.parametrize("method", ["linearised", "logrank"])
+def test_an_update_with_less_time_than_it_took_before_has_fewer_samples(cart, drive, method: str) -> None:
+    system = with_mhe(cart, method=method, samples=12, iterations=1)
+    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    estimator = MovingHorizon(system, engine, np.random.default_rng(0))
+    first, second, third = (
+        estimator.update(window, float(at), budget)
+        for at, (window, budget) in enumerate(
+            zip(windows(system, drive(2.0))[2:], (None, 1e-9, 60.0), strict=False)
+        )
+    )
+    assert 4 <= second.rollouts <= first.rollouts - 4
+    assert third.rollouts == first.rollouts
+
+
+def test_a_budget_is_kept_to_by_the_updates_after_it(cart, drive) -> None:
+    engine = CpuEngine(cart.model, cart.edits, cart.input_spec, 1, cart.senses)
+    estimator = MovingHorizon(with_mhe(cart, samples=16), engine, np.random.default_rng(0))
+    samples, counts = 16, []
+    for _ in range(4):  # 10 ms for each rollout, of which the mean is one
+        outcome = Outcome(estimator._arrival, estimator._noise, 1.0, 1.0, 0.0, 1.0, samples + 1, 0, 1)
+        estimator._took = estimator._timed(outcome, samples, 0.01 * (samples + 1))
+        counts.append(samples := estimator._affordable(0.1))
+    assert counts == [8] * 4
+
+
+def test_what_the_model_has_wrong_widens_what_is_told_and_moves_nothing(cart, drive) -> None:
+    log, off = drive(3.0), 0.2
+    plain, told = (
+        estimates(cart, log)[-1],
+        estimates(with_mhe(cart, systematic={"mass": off, "damping": -off}), log)[-1],
+    )
+    np.testing.assert_array_equal(plain.theta, told.theta)
+    assert told.sd / told.theta == pytest.approx(np.hypot(plain.sd / plain.theta, off), rel=1e-6)
+    product = np.array([1.0, 1.0])
+    alike = [product @ e.belief.covariance @ product for e in (plain, told)]
+    assert alike[1] == pytest.approx(alike[0], rel=1e-6), "the product is known as well as before"
+
+
+def test_the_first_window_has_not_drifted_for_longer_than_it_lasts(cart, drive) -> None:
+    often, seldom = (estimates(with_mhe(cart, update_period=p), drive(2.0))[0].sd for p in (0.5, 50.0))
+    assert seldom == pytest.approx(often, rel=0.2)
+
+
+def test_a_log_shorter_than_a_window_is_one_window_and_a_shorter_one_is_none(cart, drive) -> None:
+    (window,) = windows(cart, drive(0.3))
+    assert window.duration == pytest.approx(0.295)
+    with pytest.raises(EstimationError, match="hold no window"):
+        windows(cart, drive(0.02))
+
+
+def test_a_window_of_few_steps_is_refused_and_one_without_samples_teaches_nothing(cart, drive) -> None:
+    with pytest.raises(ConfigError, match=r"window of 0.001 s is too short: .* 5 steps .* 0.025 s"):
+        windows(with_mhe(cart, window=0.001), drive(1.0))
+    with pytest.raises(ConfigError, match=r"update period of 0.001 s is too short: .* step is 0.005 s"):
+        windows(with_mhe(cart, update_period=0.001), drive(1.0))
+    log = drive(1.0)
+    silent = {key: replace(s, sampled=np.zeros_like(s.sampled)) for key, s in log.series.items()}
+    engine = CpuEngine(cart.model, cart.edits, cart.input_spec, 1, cart.senses)
+    estimator = MovingHorizon(cart, engine, np.random.default_rng(0))
+    assert estimator.update(Window(replace(log, series=silent), 10, 5), 0.1).mark == "gap"
+
+
+def test_a_loaded_belief_can_still_move(cart) -> None:
+    space = cart.space
+    belief = belief_of("cart", space, space.z_of(np.array([1.0, 4.0])), 1e-8 * np.eye(2), {})
+    start = arrival_of(space, belief, 0.2)
+    assert space.theta_of(start.z) == pytest.approx([1.0, 4.0])
+    assert start.sd == pytest.approx(space.in_z(0.2))
+    wide = arrival_of(space, None, 0.2)
+    assert wide.sd == pytest.approx([1.0, 1.0]), "the prior is not narrowed"

@@ -1,0 +1,35 @@
+"""The paper's update, number by number."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from amhe_cli.estimation.online.logrank import learned
+
+
+def test_by_hand() -> None:
+    samples = np.array([[1.0], [3.0], [-2.0], [9.0]])
+    costs = np.array([2.0, 1.0, 7.0, np.inf])
+    mean, sigma = learned(samples, costs, np.array([0.0]), np.array([2.0]), share=0.5, rate=0.5)
+    first, second = np.log(2.5), np.log(2.5) - np.log(2.0)
+    weights = np.array([first, second]) / (first + second)
+    assert mean == pytest.approx([0.5 * (weights @ [3.0, 1.0])])
+    assert sigma == pytest.approx([np.sqrt(0.5 * 4.0 + 0.5 * (weights @ [9.0, 1.0]))])
+
+
+def test_only_diverged_samples_teach_nothing() -> None:
+    mean, sigma = learned(np.ones((4, 2)), np.full(4, np.inf), np.zeros(2), np.ones(2), 0.3, 0.5)
+    assert mean == pytest.approx([0.0, 0.0]) and sigma == pytest.approx([1.0, 1.0])
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.05, 1.0), st.floats(0.1, 1.0))
+def test_the_mean_stays_among_the_samples(seed: int, share: float, rate: float) -> None:
+    rng = np.random.default_rng(seed)
+    samples, costs = rng.standard_normal((12, 3)), rng.random(12)
+    centre = samples.mean(axis=0)
+    mean, sigma = learned(samples, costs, centre, np.ones(3), share, rate)
+    assert (mean >= samples.min(axis=0) - 1e-12).all() and (mean <= samples.max(axis=0) + 1e-12).all()
+    assert (sigma > 0.0).all() or rate == 1.0

@@ -1,0 +1,363 @@
+"""A first system folder is guessed from names, loads at once, and says what was guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+import yaml
+
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.init.folder import init_system
+from amhe_cli.init.names import is_command, matched, names_the_same
+from amhe_cli.init.signals import Topic, fields_example, foreign
+from amhe_cli.logs import LogWriter, read_trajectory
+from amhe_cli.system.load import bundled_root, load_system
+from amhe_cli.system.schema import SignalEntry
+from amhe_cli.system.system import System
+
+LEGS = [f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
+STEP_NS = 10_000_000
+
+
+def walker(free: str = "<freejoint/>") -> str:
+    """A trunk with twelve joints above a floor."""
+    legs = "".join(
+        f'<body name="{j}_link" pos="{i * 0.01} 0 -0.1"><joint name="{j}_joint" axis="0 1 0"/>'
+        f'<geom size="0.02"/></body>'
+        for i, j in enumerate(LEGS)
+    )
+    servos = "".join(f'<position name="{j}" joint="{j}_joint" kp="30"/>' for j in LEGS)
+    return f"""<mujoco><worldbody><geom name="floor" type="plane" size="3 3 1"/>
+      <body name="trunk" pos="0 0 0.5">{free}<geom type="box" size="0.2 0.1 0.05"/>{legs}</body>
+      <body name="crate" pos="1 0 0.2"><freejoint/><geom type="box" size="0.2 0.2 0.2"/></body>
+      </worldbody><actuator>{servos}</actuator></mujoco>"""
+
+
+@pytest.fixture
+def walker_log(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(3)
+    path = tmp_path / "walk.mcap"
+    with LogWriter(path, {}) as log:
+        for step in range(120):
+            stamp, t = 10**18 + step * STEP_NS, step * 0.01
+            wave = np.sin(t + np.arange(12)) + rng.normal(0.0, 0.01, 12)
+            log.joint_state(
+                "/joint_states", stamp, [f"{j}_joint" for j in LEGS][::-1], wave, np.cos(t + np.arange(12))
+            )
+            log.joint_state("/leg_cmd", stamp, [j.lower() for j in LEGS], wave)
+            place, still = np.array([t, 0.0, 0.5]), np.array([1.0, 0.0, 0.0, 0.0])
+            log.odometry("/trunk/odom", stamp, place, still, np.array([1.0, 0.0, 0.0]), child_frame="trunk")
+            log.pose("/mocap/crate/pose", stamp, place, still)
+            log.pose("/camera/pose", stamp, place, still)
+    return path
+
+
+def made(
+    tmp_path: Path, model: str, logs: Sequence[Path], name: str = "robot.xml"
+) -> tuple[System, str, list[str]]:
+    (tmp_path / name).write_text(model)
+    guesses = init_system(tmp_path / name, logs, tmp_path / "out")
+    return load_system(tmp_path / "out"), (tmp_path / "out" / "system.yaml").read_text(), guesses
+
+
+def test_a_walker_is_matched_by_name_whatever_the_order(tmp_path: Path, walker_log: Path) -> None:
+    system, text, guesses = made(tmp_path, walker(), [walker_log])
+    signals = {signal.name: signal for signal in system.signals}
+    assert set(signals) == {"joints", "command", "trunk", "crate"}
+    assert signals["joints"].names == tuple(f"{j}_joint" for j in LEGS)
+    assert signals["command"].names == tuple(j.lower() for j in LEGS)
+    assert signals["command"].quantities == ("position",)
+    assert signals["crate"].topic == "/mocap/crate/pose"
+    assert "not used: /camera/pose" in text
+    assert any("odom" in guess for guess in guesses)
+    read_trajectory(walker_log, system.signals, 0.002, LogSettings())
+
+
+def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) -> None:
+    system, _, _ = made(tmp_path, walker(), [walker_log])
+    assert set(system.space.names) == {
+        "damping",
+        "friction_loss",
+        "armature",
+        "trunk_mass",
+        "crate_mass",
+        "friction",
+        "gain_scale",
+        "command_delay",
+    }
+    edited = system.edits.apply(system.model, system.space.nominal * 1.5)
+    damping = system.space.names.index("damping")
+    np.testing.assert_allclose(edited.dof_damping[6:18], 1.5 * system.space.nominal[damping])
+
+
+def test_a_zero_in_the_model_becomes_a_positive_guess(tmp_path: Path, walker_log: Path) -> None:
+    system, text, _ = made(tmp_path, walker(), [walker_log])
+    assert np.all(system.space.nominal > 0.0)
+    assert "the model has none: a guess from the joint's inertia" in text
+
+
+def test_noise_is_heard_in_the_log(tmp_path: Path, walker_log: Path) -> None:
+    system, _, _ = made(tmp_path, walker(), [walker_log])
+    noise = {channel.key: channel.noise for channel in system.channels}
+    assert noise["joints.position"] == pytest.approx(0.01, rel=0.3)
+    assert noise["crate.position"] == pytest.approx(0.0005)  # noise-free: the floor
+    assert noise["crate.linear_velocity"] is None  # a pose has none: differentiated, sets the state only
+
+
+def test_servo_gain_is_known_only_so_well(tmp_path: Path, walker_log: Path) -> None:
+    """Masses and torques are measured by it: taken for exact, it would make them look exact."""
+    system, text, _ = made(tmp_path, walker(), [walker_log])
+    gain = system.space.parameters[system.space.names.index("gain_scale")]
+    assert gain.prior_sd == 0.1
+    assert "delete it if the gains were measured" in text
+
+
+def test_an_array_command_and_a_frame_of_tf(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, {}) as log:
+        layout = log.message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+        for step in range(50):
+            stamp = 10**18 + step * STEP_NS
+            message = log.message("std_msgs/msg/Float64MultiArray", layout=layout, data=np.zeros(2))
+            log.write("/controller/commands", "std_msgs/msg/Float64MultiArray", stamp, message)
+            log.joint_state("/joint_states", stamp, ["shoulder", "elbow"], np.zeros(2))
+            log.transform("/tf", stamp, {"tool": (np.zeros(3), np.array([1.0, 0, 0, 0]))})
+    model = """<mujoco><worldbody><body name="arm"><joint name="shoulder"/><geom size="0.1"/>
+      <body name="forearm"><joint name="elbow"/><geom size="0.1"/>
+        <body name="tool"><geom size="0.1"/></body></body></body></worldbody>
+      <actuator><motor name="one" joint="shoulder"/><motor name="two" joint="elbow"/></actuator></mujoco>"""
+    system, _, _ = made(tmp_path, model, [path])
+    signals = {signal.name: signal for signal in system.signals}
+    assert signals["command"].quantities == ("value",)
+    assert signals["tool"].child_frame == "tool"
+    assert "shoulder_damping" in system.space.names
+    assert "tool_mass" in system.space.names or "forearm_mass" in system.space.names
+    read_trajectory(path, system.signals, 0.002, LogSettings())
+
+
+URDF = """<robot name="arm"><link name="base"/>
+  <link name="upper"><inertial><mass value="1"/><origin xyz="0 0 -0.2"/>
+    <inertia ixx="0.01" iyy="0.01" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+  <joint name="shoulder_joint" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="10" velocity="5"/></joint></robot>"""
+
+
+def test_a_urdf_gets_servos_for_its_commanded_joints(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, {}) as log:
+        for step in range(50):
+            stamp = 10**18 + step * STEP_NS
+            log.joint_state("/joint_states", stamp, ["shoulder"], np.array([0.01 * step]))
+            log.joint_state("/joint_commands", stamp, ["shoulder"], np.array([0.01 * step]))
+    system, text, guesses = made(tmp_path, URDF, [path], "arm.urdf")
+    assert "a URDF has no actuators" in text
+    assert any("position servos of guessed gain" in guess for guess in guesses)
+    assert system.model.nactuator == 1
+    assert system.model.actuator_gainprm[0, 0] > 1.0
+    gain = system.space.parameters[system.space.names.index("shoulder_joint_gain")]
+    assert gain.log and gain.prior_sd >= 1.0
+    assert gain.nominal == pytest.approx(system.model.actuator_gainprm[0, 0])
+    assert "shoulder_joint_kv" in system.space.names
+    assert "gain_scale" not in text
+    assert "data sheet" in text
+    assert (tmp_path / "out" / "model.xml").is_file()
+
+
+def test_a_command_has_a_delay_and_a_log_without_commands_has_none(tmp_path: Path, walker_log: Path) -> None:
+    system, _, _ = made(tmp_path, walker(), [walker_log])
+    delay = system.space.parameters[system.space.names.index("command_delay")]
+    assert (delay.nominal, delay.lower, delay.upper, delay.log, delay.prior_sd) == (0.01, 0, 0.1, False, 0.01)
+    silent = tmp_path / "silent.mcap"
+    with LogWriter(silent, {}) as log:
+        for step in range(50):
+            log.joint_state("/joint_states", 10**18 + step * STEP_NS, ["FL_hip"], np.array([0.01 * step]))
+    init_system(tmp_path / "robot.xml", [silent], tmp_path / "second")
+    assert "command_delay" not in load_system(tmp_path / "second").space.names
+
+
+@pytest.mark.parametrize(
+    ("parts", "mass"),
+    [
+        ('<body name="gripper" pos="0 0 -1"><geom size="0.1" mass="0.5"/></body>', "gripper_mass"),
+        (
+            '<body name="flange" pos="0 0 -1"><geom size="0.1" mass="0.5"/></body>'
+            '<body name="payload_1" pos="0 0 -0.5"><geom size="0.1" mass="0.4"/></body>',
+            "payload_1_mass",
+        ),
+        ('<body name="camera" pos="0 0 -1"><geom size="0.1" mass="0.001"/></body>', "arm_mass"),
+    ],
+)
+def test_what_an_arm_carries_is_at_its_end_or_called_so(tmp_path: Path, parts: str, mass: str) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, {}) as log:
+        for step in range(50):
+            log.joint_state("/joint_states", 10**18 + step * STEP_NS, ["hip"], np.array([0.01 * step]))
+    model = f"""<mujoco><worldbody><body name="arm"><joint name="hip"/><geom size="0.1" mass="2"/>{parts}
+      </body></worldbody></mujoco>"""
+    system, _, _ = made(tmp_path, model, [path])
+    assert [name for name in system.space.names if name.endswith("_mass")] == [mass]
+
+
+def test_a_fixed_link_of_a_urdf_can_be_named(written: Callable[..., Path], tmp_path: Path) -> None:
+    """MuJoCo would fuse it with its parent: the load at the end of an arm would be no body."""
+    load = """<link name="load"><inertial><mass value="0.3"/>
+      <inertia ixx="0.001" iyy="0.001" izz="0.001" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="screw" type="fixed"><parent link="upper"/><child link="load"/></joint></robot>"""
+    (tmp_path / "arm.urdf").write_text(URDF.replace("</robot>", load))
+    signals = "signals: {j: {topic: /j, joints: [shoulder_joint], noise: {position: 0.01}}}\n"
+    folder = written("  p: {targets: [{body: load, set: mass}]}\n", signals=signals, more="")
+    system = load_system(folder, {"model": "arm.urdf"})
+    assert system.space.nominal[0] == pytest.approx(0.3)
+
+
+def test_a_model_is_copied_with_its_files(tmp_path: Path, walker_log: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "box.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    (tmp_path / "parts" / "floor.xml").write_text("<mujoco><option timestep='0.004'/></mujoco>")
+    model = walker().replace(
+        "<mujoco>",
+        "<mujoco><!-- mine --><compiler meshdir='parts'/><include file='parts/floor.xml'/>"
+        "<asset><mesh name='m' file='box.obj'/></asset>",
+    )
+    system, _, _ = made(tmp_path, model, [walker_log])
+    assert system.model.opt.timestep == 0.004
+    assert "<!-- mine -->" in (tmp_path / "out" / "robot.xml").read_text()
+    assert (tmp_path / "out" / "parts" / "box.obj").is_file()
+
+
+def test_a_model_whose_files_are_elsewhere_is_written_anew(tmp_path: Path, walker_log: Path) -> None:
+    (tmp_path / "box.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    model = walker().replace("<mujoco>", "<mujoco><asset><mesh name='m' file='../box.obj'/></asset>")
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep" / "robot.xml").write_text(model)
+    init_system(tmp_path / "deep" / "robot.xml", [walker_log], tmp_path / "out")
+    assert load_system(tmp_path / "out").model.nmesh == 1
+    assert (tmp_path / "out" / "assets" / "box.obj").is_file()
+
+
+def test_nothing_in_common_is_an_error_and_leaves_nothing(tmp_path: Path, walker_log: Path) -> None:
+    (tmp_path / "m.xml").write_text(
+        '<mujoco><worldbody><body><joint name="j9"/><geom size="1"/></body></worldbody></mujoco>'
+    )
+    with pytest.raises(
+        ConfigError, match="nothing in the log is a part of this model: the model has the joints j9"
+    ):
+        init_system(tmp_path / "m.xml", [walker_log], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_full_folder_is_left_alone(tmp_path: Path, walker_log: Path) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    with pytest.raises(ConfigError, match="not empty"):
+        made(tmp_path, walker(), [walker_log])
+    init_system(tmp_path / "robot.xml", [walker_log], tmp_path / "out", force=True)
+    assert (tmp_path / "out" / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(("system", "log"), [("pendulum", "examples/logs/pendulum.mcap")])
+def test_the_bundled_pendulum_is_found_again(system: str, log: str, tmp_path: Path) -> None:
+    root = bundled_root()
+    if not (root / log).is_file():
+        pytest.skip(f"{log} has not been made yet")
+    init_system(root / "models" / system / "scene.xml", [root / log], tmp_path / "out")
+    own, bundled = load_system(tmp_path / "out"), load_system(root / "models" / system)
+    assert set(own.space.names) == {*bundled.space.names, "gain_scale", "command_delay"}
+    assert [signal.topic for signal in own.signals] == [signal.topic for signal in bundled.signals]
+
+
+def test_the_real_push_finds_its_block(tmp_path: Path) -> None:
+    bag = bundled_root().parent / "shared" / "data" / "planar_push" / "al_block_push.bag"
+    if not bag.is_file():
+        pytest.skip(f"{bag} is not here")
+    model = """<mujoco><worldbody><geom name="table" type="plane" size="2 2 1"/>
+      <body name="MetalSquare" pos="0 0 0.1"><freejoint/><geom type="box" size="0.05 0.05 0.01"/></body>
+      </worldbody></mujoco>"""
+    system, text, _ = made(tmp_path, model, [bag])
+    assert system.signals[0].topic == "/vicon/MetalSquare/MetalSquare"
+    assert "not used: /vicon/markers" in text
+
+
+def foreign_model() -> mujoco.MjModel:
+    body = "<body><joint name='a' axis='1 0 0'/><joint name='b' axis='0 1 0'/><geom size='1'/></body>"
+    return mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{body}</worldbody></mujoco>")
+
+
+LOW_STATE = Topic("/low_state", "unitree_legged_msgs/msg/LowState", 100.0, (), ())
+
+
+def test_an_example_of_fields_is_a_signal_of_a_system_file() -> None:
+    entry = yaml.safe_load("\n".join(fields_example(foreign_model(), LOW_STATE)))["states"]
+    assert SignalEntry.model_validate(entry).fields["position"] == ["motorState[0].q", "motorState[1].q"]
+
+
+def test_only_a_robots_own_types_may_hold_its_state() -> None:
+    others = [
+        Topic("/rosout", "rcl_interfaces/msg/Log", 1.0, (), ()),
+        Topic("/j", "a/msg/B", 1.0, (), ("x",)),
+    ]
+    assert foreign([LOW_STATE, *others]) == [LOW_STATE]
+
+
+def test_states_in_a_foreign_type_are_named_with_an_example(
+    tmp_path: Path, walker_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def topics(logs: object, msg_path: object) -> list[Topic]:
+        return [
+            Topic("/leg_cmd", "sensor_msgs/msg/JointState", 100.0, tuple(LEGS), ("position",)),
+            LOW_STATE,
+        ]
+
+    monkeypatch.setattr("amhe_cli.init.folder._topics", topics)
+    (tmp_path / "robot.xml").write_text(walker())
+    said = r"no topic gives joint positions; /low_state \(unitree_legged_msgs/msg/LowState\) needs fields:"
+    with pytest.raises(ConfigError, match=said):
+        init_system(tmp_path / "robot.xml", [walker_log], tmp_path / "out")
+
+
+def test_a_log_of_another_robot_is_told_by_its_joints_not_by_foreign_types_beside_them(
+    tmp_path: Path, walker_log: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = Topic("/joint_states", "sensor_msgs/msg/JointState", 100.0, ("wheel",), ("position",))
+    monkeypatch.setattr("amhe_cli.init.folder._topics", lambda logs, msg_path: [other, LOW_STATE])
+    (tmp_path / "robot.xml").write_text(walker())
+    with pytest.raises(
+        ConfigError, match=r"nothing in the log is a part of this model: .* the log names .*wheel"
+    ):
+        init_system(tmp_path / "robot.xml", [walker_log], tmp_path / "out")
+
+
+def test_where_some_joints_have_no_state_a_foreign_type_is_written_as_a_comment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "log.mcap"
+    with LogWriter(path, {}) as log:
+        for step in range(50):
+            log.joint_state("/joint_states", 10**18 + step * STEP_NS, ["FL_hip"], np.array([0.01 * step]))
+    seen = Topic("/joint_states", "sensor_msgs/msg/JointState", 100.0, ("FL_hip",), ("position",))
+    monkeypatch.setattr("amhe_cli.init.folder._topics", lambda logs, msg_path: [seen, LOW_STATE])
+    system, text, _ = made(tmp_path, walker(), [path])
+    assert "  #   topic: /low_state" in text
+    assert {channel.key: channel.noise for channel in system.channels}["joints.velocity"] is None
+
+
+def test_names_are_matched_with_care() -> None:
+    own = {name: (name,) for name in ("left_wheel_joint", "right_wheel_joint", "arm")}
+    assert matched(own, ["robot/right_wheel", "robot/left_wheel"]) == {
+        "left_wheel_joint": "robot/left_wheel",
+        "right_wheel_joint": "robot/right_wheel",
+    }
+    assert matched({"wheel": ("wheel",)}, ["left_wheel", "right_wheel"]) == {}
+    assert is_command("/arm/cmd", "sensor_msgs/msg/JointState")
+    assert not is_command("/recommended", "sensor_msgs/msg/JointState")
+    assert names_the_same("box_link", ["mocap", "box", "pose"])
+    assert not names_the_same("box_lid", ["mocap", "box", "pose"])

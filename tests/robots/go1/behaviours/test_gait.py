@@ -1,0 +1,197 @@
+"""Gaits on paper, and open loop in the plant."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.robots.go1 import kinematics as legs
+from amhe_cli.robots.go1.behaviours import balance
+from amhe_cli.robots.go1.behaviours.gait import (
+    Gait,
+    contacts,
+    mode_switches,
+    neutral_feet,
+    standing,
+    walk,
+)
+from amhe_cli.robots.go1.behaviours.tripod import Tripod, stand_on_three
+from amhe_cli.robots.go1.model import Box, planner_model, plant_model
+from tests.robots.go1.playing import FAR, play
+
+GAIT = Gait()
+AHEAD = np.array([0.2, 0.0, 0.0])
+
+
+def test_diagonal_legs_stand_together_for_their_share_of_the_time() -> None:
+    standing_feet = contacts(GAIT, np.arange(0.0, 5.0, 1e-3))
+    np.testing.assert_array_equal(standing_feet[:, 0], standing_feet[:, 3])
+    np.testing.assert_array_equal(standing_feet[:, 1], standing_feet[:, 2])
+    np.testing.assert_allclose(standing_feet.mean(axis=0), GAIT.duty, atol=1e-3)
+    assert standing_feet.sum(axis=1).min() == 2
+
+
+def test_mode_switches_are_where_contacts_change() -> None:
+    times = np.arange(0.0, 2.0, 1e-4)
+    changes = times[1:][(np.diff(contacts(GAIT, times).astype(int), axis=0) != 0).any(axis=1)]
+    switches = mode_switches(GAIT, 0.0, times[-1])
+    np.testing.assert_allclose(switches, changes, atol=2e-4)
+    assert len(mode_switches(GAIT, 0.02, 0.04)) == 0
+    assert len(mode_switches(standing(GAIT), 0.0, 9.0)) == 0
+
+
+def test_phase_comes_from_time_alone() -> None:
+    times = np.array([0.13, 0.37, 12.21])
+    together = walk(GAIT, times, AHEAD).targets
+    np.testing.assert_array_equal(together[1], walk(GAIT, times[1], AHEAD).targets)
+    np.testing.assert_allclose(walk(GAIT, times + GAIT.period, AHEAD).targets, together, atol=1e-9)
+
+
+@pytest.mark.parametrize("twist", [[0.3, 0.0, 0.0], [0.0, 0.2, 0.0], [0.1, -0.1, 0.5]])
+def test_standing_feet_stay_on_the_floor_of_a_moving_trunk(twist: list[float]) -> None:
+    """In the trunk's frame the floor moves by -(v + w x p); neutral places stand for p."""
+    times, step = np.arange(0.0, 0.5, 0.01), 1e-5
+    now, soon = walk(GAIT, times, twist), walk(GAIT, times + step, twist)
+    velocity = (soon.feet - now.feet) / step
+    vx, vy, w = twist
+    neutral = neutral_feet(GAIT)
+    expected = -np.stack((vx - w * neutral[:, 1], vy + w * neutral[:, 0], np.zeros(4)), axis=-1)
+    stays = now.contact & soon.contact
+    np.testing.assert_allclose(velocity[stays], np.broadcast_to(expected, velocity.shape)[stays], atol=1e-6)
+
+
+def test_swinging_feet_are_lifted_and_never_jump() -> None:
+    reference = walk(GAIT, np.arange(0.0, 1.0, 1e-3), AHEAD)
+    height = reference.feet[..., 2] - neutral_feet(GAIT)[:, 2]
+    assert height.max() == pytest.approx(GAIT.swing, abs=1e-4)
+    assert np.abs(np.diff(reference.feet, axis=0)).max() < 2e-3
+    assert (height[reference.contact] == 0.0).all()
+
+
+def test_forces_carry_the_weight_and_the_push_without_a_moment() -> None:
+    push, height = np.array([20.0, -8.0]), 0.22
+    reference = walk(standing(GAIT), 0.0, np.zeros(3), push)
+    np.testing.assert_allclose(reference.forces.sum(axis=0), [*push, balance.WEIGHT])
+    floor = np.concatenate((reference.feet[:, :2], np.zeros((4, 1))), axis=1)
+    moment = np.cross(floor, reference.forces).sum(axis=0)
+    moment += np.cross([*balance.CENTRE_OF_MASS, 0.0], [0.0, 0.0, -balance.WEIGHT])
+    moment += np.cross([0.0, 0.0, height], [*-push, 0.0])
+    np.testing.assert_allclose(moment[:2], 0.0, atol=0.05)
+
+
+def test_feet_in_the_air_carry_nothing() -> None:
+    reference = walk(GAIT, np.arange(0.0, 1.0, 7e-3), AHEAD, (15.0, 0.0))
+    assert (reference.forces[~reference.contact] == 0.0).all()
+    assert (reference.forces[..., 2] >= 0.0).all()
+    np.testing.assert_allclose(reference.forces[..., 2].sum(axis=-1), balance.WEIGHT)
+
+
+def test_commands_and_times_broadcast() -> None:
+    twists = np.zeros((7, 1, 3))
+    assert walk(GAIT, np.zeros(5), twists).targets.shape == (7, 5, 12)
+    assert walk(standing(GAIT), np.zeros(5), twists, np.zeros((7, 1, 2))).forces.shape == (7, 5, 4, 3)
+
+
+def test_a_gait_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"duty of 0\.5 to 1; got 0\.5, 60 and 0\.3"):
+        Gait(duty=0.3)
+
+
+def test_it_walks_as_commanded_in_the_plant(plant: mujoco.MjModel) -> None:
+    motion = play(plant, lambda t: walk(GAIT, t, AHEAD), 4.0)
+    speed = (motion.trunk[-1, 0] - motion.trunk[0, 0]) / 4.0
+    print(f"open-loop speed {speed:.3f} of 0.200 m/s")
+    assert 0.16 < speed < 0.24
+    assert motion.tilt.max() < np.radians(8.0)
+    assert abs(motion.trunk[-1, 1]) < 0.12
+    assert np.abs(motion.trunk[:, 2] - GAIT.height).max() < 0.02
+
+
+def test_without_the_lead_it_walks_nowhere(plant: mujoco.MjModel) -> None:
+    """Why targets are not joint angles: a servo that has arrived gives no force."""
+
+    def bare(t: float):
+        reference = walk(GAIT, t, AHEAD)
+        return replace(reference, targets=reference.joints)
+
+    motion = play(plant, bare, 2.0)
+    assert motion.trunk[-1, 0] - motion.trunk[0, 0] < 0.1
+
+
+@pytest.mark.parametrize(("twist", "way"), [([0.0, 0.1, 0.0], 1), ([-0.2, 0.0, 0.0], 0)])
+def test_it_walks_sideways_and_back(plant: mujoco.MjModel, twist: list[float], way: int) -> None:
+    motion = play(plant, lambda t: walk(GAIT, t, twist), 3.0)
+    moved = (motion.trunk[-1] - motion.trunk[0])[:2]
+    assert moved[way] == pytest.approx(3.0 * twist[way], rel=0.25)
+    assert abs(moved[1 - way]) < 0.08
+
+
+def test_it_turns(plant: mujoco.MjModel) -> None:
+    motion = play(plant, lambda t: walk(GAIT, t, [0.0, 0.0, 0.4]), 3.0)
+    assert motion.yaw == pytest.approx(1.2, rel=0.2)
+
+
+def test_in_place_and_standing_hold_their_place(plant: mujoco.MjModel) -> None:
+    for gait in (GAIT, standing(GAIT)):
+        motion = play(plant, lambda t, gait=gait: walk(gait, t, np.zeros(3)), 4.0)
+        assert np.abs(motion.trunk[-1, :2] - motion.trunk[0, :2]).max() < 0.05
+        assert np.abs(motion.trunk[:, 2] - gait.height).max() < 0.01
+        assert motion.tilt.max() < np.radians(3.0)
+
+
+@pytest.mark.parametrize("timestep", [0.004, 0.01])
+def test_the_planner_sees_the_same_walk(timestep: float) -> None:
+    motion = play(planner_model(FAR, timestep=timestep), lambda t: walk(GAIT, t, AHEAD), 2.0)
+    assert (motion.trunk[-1, 0] - motion.trunk[0, 0]) / 2.0 == pytest.approx(0.2, abs=0.04)
+    assert motion.tilt.max() < np.radians(10.0)
+
+
+def test_a_push_as_strong_as_friction_moves_the_box_at_the_walk_s_speed() -> None:
+    plant = plant_model(Box(mass=4.0, floor_friction=0.4))
+    pushed = {f: play(plant, lambda t, f=f: walk(GAIT, t, AHEAD, (f, 0.0)), 5.0).box for f in (0.0, 20.0)}
+    moved = {force: box[-1, 0] - box[0, 0] for force, box in pushed.items()}
+    assert moved[20.0] > 0.6
+    assert moved[20.0] > moved[0.0] + 0.1
+
+
+@pytest.mark.parametrize("leg", ["FR", "FL"])
+def test_it_stands_on_three_legs_and_sweeps_with_the_fourth(plant: mujoco.MjModel, leg: str) -> None:
+    side = -1.0 if leg == "FR" else 1.0
+    tripod = Tripod(leg)
+
+    def sweep(t: float):
+        out = side * (0.127 + np.clip(0.1 * (t - 2.5), 0.0, 0.1))
+        return stand_on_three(GAIT, tripod, t, [0.22, out, -0.14])
+
+    last = sweep(6.0)
+    assert last.contact.sum() == 3
+    assert (last.forces[tripod.index] == 0.0).all()
+    assert last.forces[..., 2].min() == 0.0
+    motion = play(plant, sweep, 6.0)
+    assert motion.tilt.max() < np.radians(5.0)
+    assert motion.trunk[:, 2].min() > 0.25
+
+
+def test_the_free_foot_s_push_is_held_by_the_other_three() -> None:
+    reference = stand_on_three(GAIT, Tripod(), 3.0, [0.22, -0.2, -0.14], push=[0.0, -10.0])
+    np.testing.assert_allclose(reference.forces[0], [0.0, 10.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(reference.forces[1:].sum(axis=0), [0.0, -10.0, balance.WEIGHT], atol=1e-9)
+
+
+def test_turning_the_trunk_leaves_the_feet_where_they_are() -> None:
+    turn, moved = 0.2, np.array([0.02, -0.01])
+    reference = stand_on_three(GAIT, Tripod(), 3.0, [0.22, -0.2, -0.14], trunk=[*moved, turn])
+    c, s = np.cos(turn), np.sin(turn)
+    back = reference.feet[:, :2] @ np.array([[c, s], [-s, c]]) + moved + Tripod().shift
+    np.testing.assert_allclose(back[1:], neutral_feet(GAIT)[1:, :2], atol=1e-9)
+    np.testing.assert_allclose(back[0], [0.22, -0.2], atol=1e-9)
+    np.testing.assert_allclose(legs.feet(reference.joints), reference.feet, atol=1e-9)
+
+
+def test_only_front_legs_can_be_free() -> None:
+    with pytest.raises(ConfigError, match="no front leg 'RR'"):
+        Tripod("RR")

@@ -1,0 +1,252 @@
+"""Where the box is pushed, and whether that turns it the right way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from amhe_cli.core import rotations
+from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.behaviours.objective import BUMPER, Reference, wrapped
+from amhe_cli.robots.go1.behaviours.path import Path
+from amhe_cli.robots.go1.behaviours.steering import Helm, Retreat, Steering
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.model import Box, home, layout, plant_model
+from amhe_cli.robots.go1.state import Body, State
+
+FEW = settings(max_examples=25, deadline=None)
+
+SPEED, TAPER, HALF_LENGTH, HALF_WIDTH = 0.2, 0.2, 0.15, 0.25
+LINE = Path((0.6, 0.0), 0.0, 3.0)
+ARC = Path((0.6, 0.0), 0.3, 4.0, 1.0 / 1.5)
+
+
+def helm(path: Path = LINE) -> Helm:
+    return Helm(path, SPEED, TAPER, HALF_LENGTH, HALF_WIDTH)
+
+
+def body(x: float, y: float, yaw: float) -> Body:
+    turn = rotations.exp(np.array([0.0, 0.0, yaw]))
+    return Body(np.array([x, y, 0.2]), turn, np.zeros(3), np.zeros(3))
+
+
+def behind(x: float, y: float, yaw: float, gap: float = 0.0, left: float = 0.0, lead: float = 0.0) -> State:
+    """The box at a place; the bumper so far behind its face and left of its middle, `lead` more turned."""
+    back = -(HALF_LENGTH + gap)
+    c, s = np.cos(yaw), np.sin(yaw)
+    bumper = np.array([x + c * back - s * left, y + s * back + c * left])
+    trunk = bumper - BUMPER * np.array([np.cos(yaw + lead), np.sin(yaw + lead)])
+    return State(5.0, body(*trunk, yaw + lead), body(x, y, yaw), HOME, np.zeros(12))
+
+
+def along(path: Path, progress: float, astray: float = 0.0, turn: float = 0.0, **robot: float) -> State:
+    """The box so far along and left of its path and turned from it; the robot as in `behind`."""
+    heading = path.heading + path.curvature * progress
+    x, y = path.points(np.array(progress)) + astray * np.array([-np.sin(heading), np.cos(heading)])
+    return behind(float(x), float(y), heading + turn, **robot)
+
+
+def test_on_the_line_it_goes_straight_on() -> None:
+    at = helm().reference(along(LINE, 1.0))
+    for name in ("heading", "yaw", "box_yaw", "turn", "offset"):
+        assert getattr(at, name) == pytest.approx(0.0, abs=1e-12), name
+    assert at.pushing == 1.0
+    assert at.speed >= SPEED
+    assert at.time == 5.0
+    assert at.origin[1] == pytest.approx(0.0)
+
+
+def test_what_the_task_asks_for_is_the_path_and_its_speed() -> None:
+    at = helm().on_path(along(LINE, 1.0, astray=0.3, turn=0.2))
+    assert (at.speed, at.heading, at.yaw, at.box_yaw, at.offset) == (SPEED, 0.0, 0.0, 0.0, 0.0)
+    np.testing.assert_allclose(at.origin, [1.6, 0.0], atol=1e-12)
+    bent = helm(ARC).on_path(along(ARC, 2.0, astray=0.3, turn=0.2))
+    assert float(wrapped(bent.heading - 0.3 - 2.0 / 1.5)) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(bent.origin, ARC.points(np.array(2.0)), atol=1e-12)
+
+
+@FEW
+@given(turn=st.floats(0.02, 0.5), sign=st.sampled_from([-1.0, 1.0]))
+def test_a_box_turned_left_is_pushed_left_of_its_middle(turn: float, sign: float) -> None:
+    """That turns it right, back to the line."""
+    at = helm().reference(along(LINE, 1.0, turn=sign * turn))
+    assert np.sign(at.offset) == sign
+    assert abs(at.offset) < HALF_WIDTH
+    assert at.heading == pytest.approx(0.0, abs=1e-12)
+    assert -1e-12 <= sign * at.yaw < turn, "the robot's yaw leads the box's back to the line"
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_push_there_turns_a_box_in_the_simulation_back(sign: float) -> None:
+    turn = sign * 0.3
+    box = Box(position=(5.0, 0.0), yaw=turn)
+    path = Path((5.0, 0.0), 0.0, 3.0)
+    offset = helm(path).reference(behind(5.0, 0.0, turn)).offset
+
+    def yaw_after(left: float) -> float:
+        model = plant_model(box)
+        data, at = mujoco.MjData(model), layout(model)
+        data.qpos[:] = home(model)
+        data.ctrl[at.servos] = HOME
+        body_id = model.body("box").id
+        for _ in range(200):
+            mujoco.mj_forward(model, data)
+            to_world = data.xmat[body_id].reshape(3, 3)
+            point = data.xpos[body_id] + to_world @ [-HALF_LENGTH, left, 0.0]
+            data.qfrc_applied[:] = 0.0
+            mujoco.mj_applyFT(
+                model, data, to_world @ [25.0, 0.0, 0.0], np.zeros(3), point, body_id, data.qfrc_applied
+            )
+            mujoco.mj_step(model, data)
+        return float(yaw_of(data.qpos[at.box][3:]))
+
+    assert sign * yaw_after(offset) < 0.3 - 0.03
+    assert sign * yaw_after(-offset) > 0.3 + 0.03
+
+
+@FEW
+@given(left=st.floats(0.01, 0.5), sign=st.sampled_from([-1.0, 1.0]), progress=st.floats(0.5, 2.5))
+def test_beside_the_path_it_heads_back(left: float, sign: float, progress: float) -> None:
+    """Left of it the heading turns right, and the box is pushed left of its middle to turn right."""
+    for path in (LINE, ARC):
+        on = helm(path).reference(along(path, progress))
+        at = helm(path).reference(along(path, progress, astray=sign * left))
+        assert sign * float(wrapped(at.heading - on.heading)) < 0.0
+        assert sign * (at.offset - on.offset) >= 0.0
+        assert sign * at.offset > 0.0 or path is ARC
+        assert float(wrapped(at.box_yaw - at.heading)) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_heading_back_has_a_limit() -> None:
+    steering = Steering()
+    at = helm().reference(along(LINE, 1.0, astray=5.0))
+    assert at.heading == pytest.approx(-steering.path_limit)
+    assert abs(at.offset) == pytest.approx(steering.offset_limit)
+    assert abs(at.yaw) == pytest.approx(steering.yaw_limit)
+
+
+@pytest.mark.parametrize("curvature", [0.5, -0.5])
+def test_in_a_bend_the_references_turn_with_the_path(curvature: float) -> None:
+    path = Path((0.6, 0.0), 0.0, 4.0, curvature)
+    at = helm(path).reference(along(path, 1.0))
+    assert at.turn == pytest.approx(at.speed * curvature)
+    assert np.sign(at.offset) == -np.sign(curvature), "outside of the middle turns the box inwards"
+
+
+@pytest.mark.parametrize("path", [LINE, ARC, Path((0.6, 0.0), 0.0, 4.0, -1.0 / 1.5)])
+@pytest.mark.parametrize(("left", "turn"), [(0.2, 0.0), (-0.2, 0.3), (0.0, -0.4)])
+def test_a_box_that_turns_as_it_is_pushed_comes_to_its_path(path: Path, left: float, turn: float) -> None:
+    """On paper: it moves along its own heading and turns by 10 rad a metre and metre of offset."""
+    pilot, step = helm(path), 0.005
+    state = along(path, 0.0, left, turn)
+    for _ in range(round((path.length - 0.3) / step)):
+        at = pilot.reference(state)
+        assert not pilot.retreating
+        x, y, _ = state.box.position
+        yaw = float(yaw_of(state.box.orientation))
+        state = behind(
+            x + step * np.cos(yaw), y + step * np.sin(yaw), yaw - 10.0 * at.offset * step, left=at.offset
+        )
+    assert abs(float(path.place(state.box.position[:2]).left)) < 0.05
+
+
+def test_before_it_touches_the_box_is_not_asked_to_move() -> None:
+    touching = Steering().touching
+    assert helm().reference(along(LINE, 1.0, gap=0.9 * touching)).pushing == 1.0
+    assert helm().reference(along(LINE, 1.0, gap=1.1 * touching)).pushing == 0.0
+
+
+def test_the_gap_is_seen_along_the_box() -> None:
+    gap, left = helm().gap(behind(2.0, 1.0, 0.7, gap=0.03, left=-0.05, lead=0.2))
+    assert (gap, left) == pytest.approx((0.03, -0.05))
+
+
+@pytest.mark.parametrize(
+    "lost", [{"left": HALF_WIDTH + 0.05}, {"left": -HALF_WIDTH - 0.05}, {"lead": 0.8}, {"lead": -0.8}]
+)
+def test_a_lost_face_is_left_and_found_again(lost: dict[str, float]) -> None:
+    pilot, retreat = helm(), Retreat()
+    at = pilot.reference(along(LINE, 1.0, **lost))
+    assert pilot.retreating
+    assert at.speed == -retreat.speed < 0.0
+    assert (at.pushing, at.turn) == (0.0, 0.0)
+
+    at = pilot.reference(along(LINE, 1.0, gap=0.01))
+    assert pilot.retreating and at.speed < 0.0, "in line, but too near to turn round"
+    at = pilot.reference(along(LINE, 1.0, gap=1.1 * retreat.clear, left=2.0 * retreat.aligned_left))
+    assert pilot.retreating and at.speed == 0.0, "clear, but not in line: steps aside there"
+    at = pilot.reference(along(LINE, 1.0, gap=1.1 * retreat.clear, left=0.5 * retreat.aligned_left))
+    assert not pilot.retreating and at.speed > 0.0
+    at = pilot.reference(along(LINE, 1.0))
+    assert not pilot.retreating and at.pushing == 1.0
+
+
+def test_a_bumper_within_the_face_does_not_retreat() -> None:
+    pilot = helm()
+    for left in (-0.9 * HALF_WIDTH, 0.9 * HALF_WIDTH):
+        assert pilot.reference(along(LINE, 1.0, left=left)).speed > 0.0
+    assert pilot.reference(along(LINE, 1.0, lead=0.9 * Retreat().lost_turn)).speed > 0.0
+
+
+@FEW
+@given(progress=st.floats(-0.5, 3.5))
+def test_the_speed_asked_for_tapers_to_nothing(progress: float) -> None:
+    expected = SPEED * min(1.0, max(0.0, (3.0 - progress) / 0.2))
+    assert helm().on_path(along(LINE, progress)).speed == pytest.approx(expected, abs=1e-12)
+
+
+def test_the_planner_s_aim_creeps_to_the_goal_and_ends_there() -> None:
+    steering = Steering()
+    speeds = {left: helm().reference(along(LINE, 3.0 - left)).speed for left in (1.0, 0.1, 0.02)}
+    assert speeds[1.0] == pytest.approx(steering.lead * SPEED)
+    assert speeds[1.0] >= speeds[0.1] >= speeds[0.02] > 0.0
+    assert helm().reference(along(LINE, 3.0 - 1.1 * steering.enough)).speed == pytest.approx(steering.creep)
+    for left in (0.9 * steering.enough, 0.0, -0.3):
+        assert helm().reference(along(LINE, 3.0 - left)).speed == 0.0
+
+
+@FEW
+@given(
+    yaw=st.floats(-3.0, 3.0), x=st.floats(-4.0, 4.0), astray=st.floats(-0.3, 0.3), turn=st.floats(-0.5, 0.5),
+    progress=st.sampled_from([0.0, 0.7, 1.9, 2.95, 3.9]), beside=st.floats(-0.2, 0.2),
+    gap=st.sampled_from([0.0, 0.004, 0.05, 0.2]),
+)  # fmt: skip
+def test_it_does_not_matter_which_way_the_world_lies(
+    yaw: float, x: float, astray: float, turn: float, progress: float, beside: float, gap: float
+) -> None:
+    q, shift = rotations.exp(np.array([0.0, 0.0, yaw])), np.array([x, 1.0 - x, 0.0])
+
+    def point(xy: np.ndarray) -> np.ndarray:
+        return (rotations.rotate(q, np.array([*xy, 0.0])) + shift)[:2]
+
+    def moved(body: Body) -> Body:
+        return replace(
+            body,
+            position=rotations.rotate(q, body.position) + shift,
+            orientation=rotations.multiply(q, body.orientation),
+        )
+
+    for path in (LINE, ARC):
+        state = along(path, progress, astray, turn, left=beside, gap=gap)
+        start = point(np.array(path.start))
+        path_there = replace(path, start=(float(start[0]), float(start[1])), heading=path.heading + yaw)
+        there = replace(state, trunk=moved(state.trunk), box=moved(state.box))
+        for before, after in (
+            (helm(path).reference(state), helm(path_there).reference(there)),
+            (helm(path).on_path(state), helm(path_there).on_path(there)),
+        ):
+            assert_same_but_turned(before, after, yaw)
+            np.testing.assert_allclose(after.origin, point(before.origin), atol=1e-9)
+
+
+def assert_same_but_turned(before: Reference, after: Reference, yaw: float) -> None:
+    for name in ("time", "speed", "turn", "offset", "pushing"):
+        assert getattr(after, name) == pytest.approx(getattr(before, name), abs=1e-9), name
+    for name in ("heading", "yaw", "box_yaw"):
+        difference = getattr(after, name) - getattr(before, name) - yaw
+        assert float(wrapped(difference)) == pytest.approx(0.0, abs=1e-9), name

@@ -1,0 +1,333 @@
+"""The emulated robot and its cameras, on loopback, through other people's software too."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.robots.go1.emulator.body import Body
+from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
+from amhe_cli.robots.go1.emulator.faults import Faults, parse_faults
+from amhe_cli.robots.go1.emulator.motive import Motive, Seen
+from amhe_cli.robots.go1.emulator.robot_port import PortError, RobotPort
+from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
+from amhe_cli.robots.go1.link import command, state, wire
+from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.poses.natnet import NatNet
+from amhe_cli.robots.go1.poses.source import PoseError
+from amhe_cli.robots.go1.tasks import find_task
+from tests.robots.go1.emulator.emulating import emulating
+from tests.robots.go1.link.makers import a_state
+
+T1 = find_task("t1")
+FOLDED = np.tile([0.0, 1.2, -2.6], 4)
+
+
+@pytest.fixture(scope="module")
+def lying() -> Body:
+    """A robot as it is switched on; tests leave it as they will."""
+    return Body(T1, np.random.default_rng(0))
+
+
+def servo(position: np.ndarray, kp: float = 60.0, kd: float = 3.0) -> Command:
+    return Command(wire.SERVO, position, np.zeros(12), np.zeros(12), np.full(12, kp), np.full(12, kd))
+
+
+def stands_up(body: Body) -> None:
+    told, _ = body.advance(Command())
+    for start, end, seconds in ((told.joints, FOLDED, 0.5), (FOLDED, HOME, 1.0), (HOME, HOME, 0.5)):
+        for share in np.linspace(0.0, 1.0, round(seconds * 1000)):
+            body.advance(servo(start + share * (end - start)))
+
+
+def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: Body) -> None:
+    told, _ = lying.advance(Command(wire.DAMPED))
+    assert 0.05 < lying.trunk_height < 0.12
+    assert (told.joints[2::3] < -2.6).all()
+    stands_up(lying)
+    assert 0.24 < lying.trunk_height < 0.3
+    told, _ = lying.advance(servo(HOME))
+    assert told.accelerometer[2] == pytest.approx(9.81, abs=1.5)
+    weight = (told.foot_force - [12, -7, 20, 3]).sum() / 1.2
+    assert weight == pytest.approx(12.7 * 9.81, rel=0.25)
+    assert (told.modes == wire.SERVO).all()
+    for _ in range(1500):
+        told, _ = lying.advance(Command(velocity=np.zeros(12), kd=np.full(12, 3.0)))
+    assert lying.trunk_height < 0.16
+
+
+def test_torques_are_clipped_and_stopped_loops_are_off() -> None:
+    body = Body(T1, np.random.default_rng(0))
+    told, _ = body.advance(servo(HOME + 3.0, kp=200.0))
+    assert (np.abs(told.torques) <= TORQUE_LIMIT + 1e-6).all()
+    assert np.abs(told.torques).max() > 20.0
+    told, _ = body.advance(replace(Command(), kp=np.full(12, 60.0), kd=np.full(12, 3.0)))
+    np.testing.assert_allclose(told.torques, 0.0, atol=1e-9)
+    told, _ = body.advance(replace(Command(), torque=np.full(12, 2.0)))
+    np.testing.assert_allclose(told.torques, 2.0, atol=1e-9)
+
+
+def test_a_motor_that_works_hard_gets_hot_and_switches_itself_off() -> None:
+    body = Body(T1, np.random.default_rng(0))
+    body._temperatures[:] = 89.99
+    for _ in range(2000):
+        told, _ = body.advance(servo(HOME + 3.0, kp=200.0))
+        if (told.modes == wire.OVERHEATED).any():
+            break
+    assert (told.modes == wire.OVERHEATED).any()
+
+
+def test_standing_takes_from_the_battery_what_an_hour_or_so_would_empty() -> None:
+    body = Body(T1, np.random.default_rng(0))
+    stands_up(body)
+    before = body._charge
+    for _ in range(1000):
+        told, _ = body.advance(servo(HOME))
+    left = body._charge
+    assert 0.5 < 100.0 / (before - left) / 3600.0 < 2.5
+    assert told.charge == round(left) < 86
+    body._charge = 1e-4
+    for _ in range(10):
+        told, _ = body.advance(servo(HOME))
+    assert told.charge == 0
+
+
+def test_time_based_changes_count_from_the_first_push() -> None:
+    body = Body(find_task("t3"), np.random.default_rng(0))
+    mass = body.parameters["box_mass"]
+    assert mass == pytest.approx(4.0)
+    body._moving_since = body.time - 9.9985
+    body.advance(Command())
+    assert body.parameters["box_mass"] == pytest.approx(4.0)
+    body.advance(Command())
+    assert body.parameters["box_mass"] == pytest.approx(6.0)
+
+
+def test_the_port_answers_the_last_sender_and_takes_only_good_commands() -> None:
+    port = RobotPort("127.0.0.1", 0, Faults())
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        for client in (one, other):
+            client.bind(("127.0.0.1", 0))
+            client.settimeout(1.0)
+        good = command.encode(servo(HOME))
+        for client, datagram in ((one, good), (one, good[:-1]), (other, b"\0" * 614), (other, good)):
+            client.sendto(datagram, port.address)
+        assert len(port.receive(0.0)) == 2
+        assert (port.accepted, port.rejected) == (2, 2)
+        port.send(a_state(tick=77), 0.0)
+        assert state.decode(other.recv(2000)).tick == 77
+        one.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            one.recv(2000)
+    port.close()
+
+
+def test_a_lossy_late_line_loses_delays_and_damages() -> None:
+    faults = parse_faults("loss=0.5,duplicate=0.2,corrupt=0.2,delay=5ms")
+    port = RobotPort("127.0.0.1", 0, faults)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        for _ in range(200):
+            client.sendto(command.encode(servo(HOME)), port.address)
+        assert port.receive(1.0) == []
+        assert 60 < len(port.receive(1.006)) < 160
+        for tick in range(200):
+            port.send(a_state(tick=tick), 2.0)
+        port.receive(2.006)
+        client.setblocking(False)
+        good, bad = set(), 0
+        while True:
+            try:
+                datagram = client.recv(2000)
+            except BlockingIOError:
+                break
+            try:
+                good.add(state.decode(datagram).tick)
+            except wire.PacketError:
+                bad += 1
+        assert 50 < len(good) < 110
+        assert 5 < bad < 50
+    port.close()
+
+
+def test_a_line_is_good_until_its_faults_begin() -> None:
+    with (
+        emulating("--fault", "loss=1,after=0.2") as emulated,
+        socket.socket(type=socket.SOCK_DGRAM) as client,
+    ):
+        client.settimeout(5.0)
+        client.connect(("127.0.0.1", emulated.port))
+        client.send(command.encode(servo(FOLDED, kp=0.0)))  # drives nothing yet
+        ticks = [state.decode(client.recv(2000)).tick for _ in range(400)]
+        client.send(command.encode(servo(FOLDED, kp=1.0)))
+        client.settimeout(0.5)
+        with pytest.raises(TimeoutError):
+            while True:
+                ticks.append(state.decode(client.recv(2000)).tick)
+    assert (np.diff(ticks) == 1).all()
+    assert 590 < len(ticks) < 1000  # 200 after the command, and what was on the way before it
+
+
+@pytest.mark.parametrize("text", ["los=0.1", "loss", "delay=soon"])
+def test_a_fault_that_is_none_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="loss|delay"):
+        parse_faults(text)
+
+
+def test_a_port_that_is_taken_is_one_line() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        with pytest.raises(PortError, match=f"port {other.getsockname()[1]} of 127.0.0.1"):
+            RobotPort("127.0.0.1", other.getsockname()[1], Faults())
+
+
+@pytest.fixture(params=[(3, 1), (4, 1)])
+def motive(request: pytest.FixtureRequest) -> Iterator[Motive]:
+    server = Motive("127.0.0.1", 0, ("go1", "box"), request.param)
+    yield server
+    server.close()
+
+
+TURN = np.array([np.cos(0.3), 0.0, 0.0, np.sin(0.3)])
+
+
+@contextmanager
+def serving(motive: Motive) -> Iterator[None]:
+    """Frames at 100 Hz or so; the box is seen from 5.6 s on."""
+    stop = threading.Event()
+
+    def serve() -> None:
+        time_now = 5.0
+        while not stop.wait(0.005):
+            time_now += 0.01
+            motive.serve(time_now)
+            box = Seen(np.array([0.6, 0.1, 0.15]), -TURN, valid=time_now > 5.6)
+            motive.stream([Seen(np.array([1.0, 2.0, 0.3]), TURN), box], time_now)
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
+    pytest.importorskip("natnet")
+    with serving(motive), closing(NatNet(*motive.address, 2.0)) as source:
+        source.connect()
+        seen, end = {}, time.monotonic() + 5.0
+        while len(seen) < 2 and time.monotonic() < end:
+            seen |= {one.body: one for one in source.wait(0.05)}
+    np.testing.assert_allclose(seen["go1"].position, [1.0, 2.0, 0.3], atol=1e-6)
+    np.testing.assert_allclose(seen["go1"].orientation, TURN, atol=1e-6)
+    np.testing.assert_allclose(seen["box"].orientation, -TURN, atol=1e-6)
+    assert seen["box"].stamp > 5.6
+    assert seen["go1"].age == pytest.approx(0.004)
+
+
+def test_natnet_listens_at_one_address_and_to_one(motive: Motive) -> None:
+    pytest.importorskip("natnet")
+    there = Seen(np.array([9.0, 9.0, 9.0]), TURN)
+    with (
+        serving(motive),
+        closing(NatNet(*motive.address, 2.0)) as source,
+        closing(Motive("127.0.0.2", 0, ("go1", "box"))) as impostor,
+    ):
+        source.connect()
+        client = source._client
+        sockets = [client._NatNetClient__data_socket, client._NatNetClient__command_socket]
+        assert {one.getsockname()[0] for one in sockets} == {"127.0.0.1"}
+        impostor._clients = {one.getsockname(): 0.0 for one in sockets}
+        seen, end = [], time.monotonic() + 5.0
+        while len(seen) < 50 and time.monotonic() < end:
+            impostor.stream([there, there], 0.0)
+            impostor.serve(1.0)
+            seen += source.wait(0.05)
+    assert seen
+    assert not any(one.position[0] == 9.0 for one in seen)
+
+
+def test_a_frame_comes_as_late_as_it_says(motive: Motive) -> None:
+    """Stamped at its exposure, it must not show what came to pass only when it was sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+        client.setblocking(False)
+        client.sendto(bytes(4), motive.address)  # 0: connect
+        motive.serve(5.0)
+        assert client.recv(4096)[:2] == b"\x01\x00"
+        seen = Seen(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
+        motive.stream([seen, seen], 5.0)
+        motive.serve(5.003)
+        with pytest.raises(BlockingIOError):
+            client.recv(4096)
+        motive.serve(5.0041)
+        assert client.recv(4096)[:2] == b"\x07\x00"
+
+
+def test_no_motive_is_one_line() -> None:
+    pytest.importorskip("natnet")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        with pytest.raises(PoseError, match="no Motive answers"):
+            NatNet("127.0.0.1", deaf.getsockname()[1], 0.2).connect()
+
+
+def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
+    """The emulator's socket on one side, their `UDP` class on the other, in step with the emulated clock."""
+    sdk = pytest.importorskip(
+        "unitree_legged_sdk.robot_interface", reason="unitree-legged-sdk has no wheel here"
+    )
+    with Emulator(EmulatorOptions(T1, port=0, mocap="none")) as emulator:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("127.0.0.1", 0))
+            local = probe.getsockname()[1]
+        udp = sdk.UDP(0xFF, local, *emulator.address)
+        told, read = sdk.LowCmd(), sdk.LowState()
+        udp.InitCmdData(told)
+        safe = sdk.Safety(sdk.LeggedType.Go1)
+
+        def turn(target: np.ndarray | None, kp: float) -> np.ndarray:
+            if target is not None:
+                for motor, q in zip(told.motorCmd[:12], target, strict=False):
+                    motor.q, motor.dq, motor.Kp, motor.Kd, motor.tau = q, 0.0, kp, 3.0, 0.0
+                safe.PowerProtect(told, read, 7)
+            udp.SetSend(told)
+            udp.Send()
+            for _ in range(2):
+                emulator._millisecond()
+            udp.Recv()
+            udp.GetRecv(read)
+            return np.array([motor.q for motor in read.motorState[:12]])
+
+        for _ in range(20):
+            start = turn(None, 0.0)
+        assert read.bms.SOC == 85
+        for begin, end, ticks in ((start, FOLDED, 200), (FOLDED, HOME, 500), (HOME, HOME, 150)):
+            for share in np.linspace(0.0, 1.0, ticks):
+                joints = turn(begin + share * (end - begin), 60.0)
+        assert emulator.body.trunk_height > 0.24
+        np.testing.assert_allclose(joints, HOME, atol=0.12)
+        assert emulator.counts[1] == 0
+
+
+def test_the_command_serves_says_where_and_ends_in_order() -> None:
+    with emulating("--task", "t4", "--mocap", "natnet") as emulated:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            client.settimeout(5.0)
+            client.connect(("127.0.0.1", emulated.port))
+            client.send(command.encode(Command()))
+            ticks = [state.decode(client.recv(2000)).tick for _ in range(50)]
+        assert (np.diff(ticks) == 1).all()
+    assert "1 commands, 0 damaged" in emulated.said
+    assert emulated.process.returncode == 0

@@ -1,0 +1,84 @@
+"""A robot without physics: its joints are where they are told to be. It keeps what it was told, and when."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.robots.go1.link import command, state, wire
+from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.state import RobotState
+from tests.robots.go1.link.makers import FOLDED, a_state
+
+
+class Puppet:
+    """Answers the last sender with 1000 states a second; use it as a context manager.
+
+    Attributes:
+        heard: (time [s], command), in order.
+        change: Applied to every state that is sent.
+        mangle: Applied to every datagram; None keeps it back.
+    """
+
+    def __init__(self) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(("127.0.0.1", 0))
+        self._socket.setblocking(False)
+        self.port = self._socket.getsockname()[1]
+        self.heard: list[tuple[float, Command]] = []
+        self.change: Callable[[RobotState], RobotState] = lambda sent: sent
+        self.mangle: Callable[[bytes], bytes | None] = lambda packet: packet
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve, daemon=True)
+
+    def __enter__(self) -> Puppet:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._socket.close()
+
+    def wait(self, test: Callable[[Command], bool], patience: float = 15.0) -> float:
+        """When the first command of a kind came [s], from those that come from now on."""
+        seen, end = len(self.heard), time.monotonic() + patience
+        while time.monotonic() < end:
+            for when, told in self.heard[seen:]:
+                seen += 1
+                if test(told):
+                    return when
+            time.sleep(0.001)
+        raise AssertionError("the command never came")
+
+    def _serve(self) -> None:
+        begun, peer, joints, mode, ticks = time.monotonic(), None, np.array(FOLDED), wire.DAMPED, 1
+        while not self._stop.wait(0.0005):
+            while True:
+                try:
+                    datagram, peer = self._socket.recvfrom(2048)
+                except OSError:
+                    break
+                told = command.decode(datagram)
+                self.heard.append((time.monotonic(), told))
+                mode = told.mode
+                if told.kp.max() > 0:
+                    joints = np.array(told.position)
+            done = int(1e3 * (time.monotonic() - begun))
+            for tick in range(ticks, done):
+                sent = self.change(replace(a_state(tick=tick, joints=joints), modes=np.full(12, mode)))
+                packet = self.mangle(state.encode(sent))
+                if peer and packet is not None:
+                    self._socket.sendto(packet, peer)
+            ticks = max(ticks, done)
+
+
+def damps(told: Command) -> bool:
+    """Whether a command only damps."""
+    return told.kp.max() == 0.0 and told.kd.min() > 0.0

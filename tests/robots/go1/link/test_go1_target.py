@@ -1,0 +1,178 @@
+"""The robot as a target: checks before anything moves, and measurements on the run's own clock."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from amhe_cli.control.controller import Plan
+from amhe_cli.core.rotations import exp
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.link import Link, StoppedError
+from amhe_cli.robots.go1.link.remote import Remote
+from amhe_cli.robots.go1.link.target import Go1Target
+from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
+from amhe_cli.robots.go1.poses.source import PoseError
+from amhe_cli.robots.go1.settings import Go1Settings, deviations
+from amhe_cli.robots.go1.state import Measurements
+from tests.robots.go1.link.puppet import Puppet, damps
+from tests.robots.go1.link.test_link import QUICK
+from tests.robots.go1.poses.streaming import TRUNK, Stage, free_port
+
+PERIOD = 0.02
+BOX = np.array([0.6, 0.0, 0.15])
+#: A busy machine may hold plans and poses up.
+PATIENT = QUICK.trips.model_copy(update={"plan_age": 0.5, "pose_age": 1.0, "state_age": 0.5})
+SETTINGS = QUICK.model_copy(update={"arm": "auto", "trips": PATIENT})
+
+
+@contextmanager
+def a_target(puppet: Puppet, settings: Go1Settings = SETTINGS, **stage) -> Iterator[tuple[Go1Target, Stage]]:
+    clock, port = Clock(), free_port()
+    bodies = (settings.trunk, settings.box)
+    with Stage(port, **stage) as cameras:
+        target = Go1Target(
+            Link("127.0.0.1", puppet.port, settings, clock),
+            PoseFeed(FeedOptions("udp", "127.0.0.1", port, bodies, 2.0)), settings, clock, PERIOD, BOX,
+        )  # fmt: skip
+        with target:
+            yield target, cameras
+
+
+def exchange(target: Go1Target, plan: Plan) -> Measurements:
+    target.play(plan)
+    return target.measure()
+
+
+@pytest.fixture
+def puppet() -> Iterator[Puppet]:
+    with Puppet() as it:
+        yield it
+
+
+def test_a_check_says_what_it_found_and_moves_nothing(puppet: Puppet) -> None:
+    with a_target(puppet) as (target, _):
+        found = target.check()
+    assert found["battery"] == "80 %"
+    assert found["box"] == "at (0.60, 0.00, 0.15) m of the task's frame"
+    assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
+
+
+def test_what_is_not_by_default_is_told_before_arming(puppet: Puppet) -> None:
+    assert deviations(Go1Settings()) == ""
+    settings = Go1Settings.model_validate({"kd": (2, 3, 4), "trips": {"tilt": 1.2}})
+    assert deviations(settings) == "go1.kd [2, 3, 4] ([2, 3, 3]), go1.trips.tilt 1.2 (0.9)"
+    told: list[str] = []
+
+    def hear(text: str) -> None:
+        told.append(text)
+        if "Enter" in text:
+            puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"R2"})).raw())
+
+    with a_target(puppet, SETTINGS.model_copy(update={"arm": "operator"})) as (target, _):
+        found = target.check()
+        target.begin(hear)
+    for text in (found["not by default"], told[-1]):
+        assert "go1.stand_speed 3 (0.5)" in text
+        assert "go1.trips.pose_age 1 (0.19)" in text
+
+
+@pytest.mark.parametrize(
+    ("stage", "said"),
+    [
+        ({"names": ("box", "go1")}, "each other's name"),
+        ({"turn": exp(np.array([-np.pi / 2, 0.0, 0.0]))}, "Up Axis: Z"),
+        ({"box": (1.2, 0.0, 0.15)}, "the task wants it"),
+    ],
+)
+def test_what_cannot_be_is_refused_before_anything_moves(puppet: Puppet, stage: dict, said: str) -> None:
+    with a_target(puppet, **stage) as (target, _), pytest.raises(PoseError, match=said):
+        target.check()
+    assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
+
+
+def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> None:
+    with a_target(puppet) as (target, cameras):
+        target.check()
+        told: list[str] = []
+        target.begin(told.append)
+        seen = [target.measure()]
+        waited = target.misses  # until poses came; a plan was not asked for yet
+        for _ in range(30):
+            start = seen[-1].time + PERIOD
+            seen.append(exchange(target, Plan(start, PERIOD, np.tile(HOME + 0.05, (16, 1)))))
+            np.testing.assert_allclose(target.in_force(seen[-1].time), HOME + 0.05)
+    times = np.array([measured.time for measured in seen])
+    np.testing.assert_allclose(times / PERIOD, np.round(times / PERIOD), atol=1e-9)
+    assert target.misses - waited == round((times[-1] - times[0]) / PERIOD) - (len(seen) - 1)
+    robot = np.concatenate([measured.robot_times for measured in seen])
+    assert (np.diff(robot) > 0).all()
+    assert np.median(np.diff(robot)) == pytest.approx(0.002, abs=2e-4)
+    followed = np.concatenate([measured.targets for measured in seen])
+    np.testing.assert_allclose(followed[-1], HOME + 0.05, atol=1e-4)
+    assert np.ptp(followed, axis=0).min() > 0.01, "it stood first, and was blended into the plan"
+    poses = np.concatenate([measured.pose_times for measured in seen])
+    places = np.concatenate([measured.trunk_position for measured in seen])
+    boxes = np.concatenate([measured.box_position for measured in seen])
+    assert 20 < len(poses) == len(boxes)
+    np.testing.assert_allclose(places[:, :2], 0.0, atol=1e-6)  # the frame is the trunk's own
+    np.testing.assert_allclose(boxes, np.tile(BOX, (len(boxes), 1)), atol=1e-6)
+    assert abs(poses[-1] - times[-1]) < 0.3
+    assert any(np.allclose(command.position, HOME + 0.05, atol=1e-4) for _, command in puppet.heard)
+    assert target.report.trip == ""
+    assert cameras.trunk is TRUNK
+
+
+def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: pytest.MonkeyPatch) -> None:
+    handed: list[float] = []
+    with a_target(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
+        target.check()
+        target.begin(lambda text: None)
+        measured = target.measure()
+        monkeypatch.setattr(target._link, "play", lambda plan, pose_time: handed.append(pose_time))
+        target.play(Plan(measured.time + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
+    assert handed[0] - target._start == pytest.approx(measured.pose_times[-1], abs=0.1)
+
+
+@pytest.mark.parametrize(("gone", "said"), [("box", "the task wants it"), ("poses", "does not begin")])
+def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone: str, said: str) -> None:
+    trips = PATIENT.model_copy(update={"pose_age": 0.5 if gone == "poses" else 1.0})
+    with a_target(puppet, SETTINGS.model_copy(update={"trips": trips, "gain_time": 1.0})) as (
+        target,
+        cameras,
+    ):
+        target.check()
+
+        def change(text: str) -> None:
+            if gone == "box":
+                cameras.move_box((0.5, 0.0, 0.0))
+            cameras.silent = gone == "poses"
+
+        with pytest.raises(PoseError, match=said):
+            target.begin(change)
+    driven = [told.position for _, told in puppet.heard if told.kp[0] > 0]
+    np.testing.assert_allclose(driven[-1], np.tile([0.0, 1.2, -2.6], 4), atol=0.05)  # it has sat down again
+
+
+@pytest.mark.parametrize("lost", ["poses", "robot"])
+def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str) -> None:
+    with a_target(puppet) as (target, cameras):
+        target.check()
+        target.begin(lambda text: None)
+        measured = target.measure()
+        if lost == "poses":
+            cameras.silent = True
+            said = "no pose of trunk or box"
+        else:
+            puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"select"})).raw())
+            said = "remote control"
+        with pytest.raises(StoppedError, match=said):
+            for _ in range(200):
+                plan = Plan(measured.time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
+                measured = exchange(target, plan)
+        puppet.wait(damps)

@@ -1,0 +1,390 @@
+"""The sender on loopback: it connects, stands up, plays, and lets the robot down whatever happens."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link import state, wire
+from amhe_cli.robots.go1.link.child import Channel
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.contact import Share
+from amhe_cli.robots.go1.link.link import Link, StoppedError
+from amhe_cli.robots.go1.link.motion import Targets
+from amhe_cli.robots.go1.link.phase import Phase
+from amhe_cli.robots.go1.link.remote import Remote
+from amhe_cli.robots.go1.link.wire import LinkError
+from amhe_cli.robots.go1.settings import Go1Settings
+from tests.robots.go1.link.puppet import Puppet, damps
+
+ROOT = Path(__file__).parents[4]
+#: As fast as the settings allow; the machine under the tests is slow, so be patient with states.
+QUICK = Go1Settings.model_validate(
+    {
+        "gain_time": 0.1, "stand_speed": 3.0, "sit_time": 0.3, "damp_time": 0.3, "hold_time": 0.1,
+        "connect_time": 4.0, "trips": {"state_age": 0.3},
+    }
+)  # fmt: skip
+HASTY = QUICK.model_copy(update={"connect_time": 0.5})
+CLOCK = Clock()
+
+
+@pytest.fixture
+def puppet() -> Iterator[Puppet]:
+    with Puppet() as it:
+        yield it
+
+
+def a_link(puppet: Puppet, settings: Go1Settings = QUICK, keys: int = -1) -> Link:
+    return Link("127.0.0.1", puppet.port, settings, CLOCK, keys)
+
+
+def wait_for(link: Link, phase: Phase) -> None:
+    while not link.reached(phase):
+        time.sleep(0.002)
+
+
+def running(link: Link) -> None:
+    link.connect()
+    link.stand()
+    wait_for(link, Phase.READY)
+    link.arm()
+    wait_for(link, Phase.RUN)
+
+
+class Player(threading.Thread):
+    """Hands over standing plans until told to stop."""
+
+    def __init__(self, link: Link) -> None:
+        super().__init__(daemon=True)
+        self.link, self.plans, self.poses, self.stop = link, True, True, threading.Event()
+        self._pose = CLOCK.now()
+        self.start()
+
+    def run(self) -> None:
+        while not self.stop.wait(0.02):
+            self._pose = CLOCK.now() if self.poses else self._pose
+            if self.plans:
+                rows = np.tile(HOME + 0.1, (16, 1))
+                self.link.play(Targets(CLOCK.now(), 0.02, rows), self._pose)
+
+
+def test_a_whole_day_of_a_robot(puppet: Puppet) -> None:
+    with a_link(puppet) as link:
+        running(link)
+        player = Player(link)
+        puppet.wait(lambda told: bool(np.allclose(told.position, HOME + 0.1, atol=1e-3)))
+        samples = link.samples()
+        player.stop.set()
+    told = [command for _, command in puppet.heard]
+    gains = np.array([command.kp[0] for command in told])
+    assert gains[0] == 0.0
+    assert gains.max() == QUICK.kp
+    assert gains[-1] == 0.0
+    assert link.report.phase == Phase.OVER
+    assert link.report.trip == ""
+    assert link.report.intervals["packets"] == pytest.approx(len(told), abs=5)
+    driven = np.array([command.position for command in told if command.kp[0] > 0])
+    assert np.abs(np.diff(driven, axis=0)).max() < 0.05
+    # the offset of the robot's clock has been found by the time it stands
+    stamps = np.array([sample["time"] for sample in samples if sample["phase"] >= Phase.READY])
+    assert (np.diff(stamps) > 0).all()
+    assert abs(stamps[-1] - CLOCK.now()) < 15.0
+    assert {int(sample["phase"]) for sample in samples} >= {Phase.CONNECT, Phase.STAND, Phase.RUN}
+
+
+def test_nothing_but_idle_packets_before_the_order_to_stand(puppet: Puppet) -> None:
+    with a_link(puppet) as link:
+        link.connect()
+        assert link.report.contact["round_trip_ms"] < 50.0
+        assert link.report.contact["share"] > 0.9
+    for _, told in puppet.heard:
+        assert told.kp.max() == told.kd.max() == np.abs(told.torque).max() == 0.0
+
+
+@pytest.mark.parametrize(
+    ("fault", "trip"),
+    [
+        ("remote", "remote"),
+        ("silence", "state_lost"),
+        pytest.param("mode", "motor_mode", marks=pytest.mark.slow),
+        pytest.param("crc", "damaged", marks=pytest.mark.slow),
+    ],
+)
+def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip: str) -> None:
+    """The trips themselves are in test_machine.py."""
+    changes = {"mode": {"modes": np.full(12, 8)}, "remote": {"remote": Remote(frozenset({"L2", "B"})).raw()}}
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        if fault == "silence":
+            puppet.mangle = lambda packet: None
+        elif fault == "crc":
+            puppet.mangle = lambda packet: packet[:-1] + bytes([packet[-1] ^ 1])
+        else:
+            puppet.change = lambda sent: replace(sent, **changes[fault])
+        puppet.wait(damps)
+        with pytest.raises(StoppedError):
+            wait_for(link, Phase.READY)
+    assert link.report.trip == trip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("lost", "trip"), [("plans", "plan_lost"), ("poses", "pose_lost")])
+def test_a_lost_plan_or_pose_holds_then_sits_then_damps(puppet: Puppet, lost: str, trip: str) -> None:
+    with a_link(puppet) as link:
+        running(link)
+        player = Player(link)
+        puppet.wait(lambda told: bool(np.allclose(told.position, HOME + 0.1, atol=1e-3)))
+        setattr(player, lost, False)
+        sits = puppet.wait(lambda told: told.kp[0] > 0 and told.position[2] < -2.0)
+        assert puppet.wait(damps) > sits
+        player.stop.set()
+    assert link.report.trip == trip
+
+
+@pytest.mark.parametrize(
+    "how", ["key", *(pytest.param(how, marks=pytest.mark.slow) for how in ("stop", "gone"))]
+)
+def test_an_operator_who_stops(puppet: Puppet, how: str) -> None:
+    keys, terminal = socket.socketpair()
+    with keys, terminal, a_link(puppet, keys=keys.fileno()) as link:
+        link.connect()
+        link.stand()
+        wait_for(link, Phase.READY)
+        terminal.send(b"\n")
+        wait_for(link, Phase.RUN)
+        if how == "stop":
+            link.stop()
+        elif how == "key":
+            terminal.send(b" ")
+        else:
+            terminal.close()
+        puppet.wait(damps)
+    assert link.report.trip == "order"
+
+
+def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -> None:
+    """A child's own standard input is another one."""
+    keys, terminal = socket.socketpair()
+    ours = os.dup(0)
+    with keys, terminal:
+        os.dup2(keys.fileno(), 0)
+        try:
+            with a_link(puppet, keys=0) as link:
+                link.connect()
+                link.stand()
+                wait_for(link, Phase.READY)
+                terminal.send(b"\n")
+                wait_for(link, Phase.RUN)
+                terminal.send(b" ")
+                puppet.wait(damps)
+        finally:
+            os.dup2(ours, 0)
+            os.close(ours)
+    assert link.report.reason == "key"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGTTIN, signal.SIGQUIT])
+def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
+    puppet: Puppet, number: signal.Signals
+) -> None:
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        assert link._child is not None
+        sender = link._child.process.pid
+        assert os.getsid(sender) == sender  # keys of our terminal do not reach it as signals
+        os.kill(sender, number)
+        puppet.wait(damps)
+    assert link.report.reason == number.name
+
+
+def test_a_sender_that_dies_is_stood_in_for(puppet: Puppet) -> None:
+    """Motors follow the last command that they got for good."""
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        assert link._child is not None
+        link._child.process.kill()
+        link._child.process.wait()
+        with pytest.raises(LinkError, match="has died"):
+            wait_for(link, Phase.READY)
+    end = time.monotonic() + 10.0
+    while puppet.heard[-1][1].kd.max() > 0.0 and time.monotonic() < end:
+        time.sleep(0.01)
+    told = [command for _, command in puppet.heard]
+    last_driven = max(number for number, command in enumerate(told) if command.kp[0] > 0)
+    assert all(map(damps, told[last_driven + 1 : -1]))
+    assert len(told) - last_driven > 20
+    assert told[-1].kp.max() == told[-1].kd.max() == 0.0
+
+
+def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours, theirs = map(Channel, ends)
+    ours.send(b"never read")
+    theirs.send(b"last words")
+    theirs.close()
+    assert not ours.send(b"too late")
+    assert list(ours.received()) == [b"last words"]
+    assert not ours.open
+    ours.close()
+
+
+_PROGRAM = """
+import os, sys, time
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.link import Link
+from tests.robots.go1.link.test_link import QUICK, Player, running
+import signal
+signal.signal(signal.SIGTERM, lambda *_: None)
+signal.signal(signal.SIGINT, lambda *_: None)
+with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
+    running(link)
+    player = Player(link)
+    print("running", link._child.process.pid, flush=True)
+    time.sleep(30)
+"""
+
+
+@pytest.mark.parametrize(
+    "number",
+    [signal.SIGINT, signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
+)
+def test_a_program_that_is_killed_leaves_motors_damped_and_no_process(puppet: Puppet, number: int) -> None:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    with subprocess.Popen(
+        [sys.executable, "-c", _PROGRAM, str(puppet.port)], stdout=subprocess.PIPE, text=True, env=environment
+    ) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline().startswith("running")
+        time.sleep(0.1)
+        program.send_signal(number)
+        puppet.wait(damps)
+        # at last packets that do nothing at all, then silence
+        puppet.wait(lambda told: told.kp.max() == told.kd.max() == 0.0)
+        program.kill()
+    heard = len(puppet.heard)
+    time.sleep(0.2)
+    assert len(puppet.heard) <= heard + 1
+
+
+def test_nobody_there() -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
+        deaf.bind(("127.0.0.1", 0))
+        port = deaf.getsockname()[1]
+        said = f"nothing answers from 127.0.0.1:{port}"
+        with Link("127.0.0.1", port, HASTY, CLOCK) as link, pytest.raises(LinkError, match=said):
+            link.connect()
+    with Link("127.0.0.1", port, HASTY, CLOCK) as link, pytest.raises(LinkError, match="nobody listens"):
+        link.connect()
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [(bytes(1087), "high-level mode"), (b"hello", "no Go1: datagrams of 5 bytes")],
+)
+def test_another_program_on_the_port(puppet: Puppet, answer: bytes, said: str) -> None:
+    puppet.mangle = lambda packet: answer
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=said):
+        link.connect()
+
+
+def test_a_second_sender_is_noticed(puppet: Puppet) -> None:
+    """It takes every other state away."""
+    puppet.mangle = lambda packet: packet if state.decode(packet).tick % 2 else None
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match="another program"):
+        link.connect()
+
+
+def test_a_robot_that_another_program_drives_is_left_alone(puppet: Puppet) -> None:
+    puppet.change = lambda sent: replace(sent, torques=np.full(12, 6.0))
+    with a_link(puppet) as link:
+        with pytest.raises(LinkError, match="driven already"):
+            link.connect()
+        heard = len(puppet.heard)
+        time.sleep(0.3)
+        assert len(puppet.heard) <= heard + 1
+    assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
+    assert len(puppet.heard) < 0.5 * QUICK.connect_time * QUICK.rate
+
+
+def test_a_second_sender_that_comes_later_damps(puppet: Puppet) -> None:
+    with a_link(puppet) as link:
+        link.connect()
+        link.stand()
+        puppet.wait(lambda told: told.kp[0] > 10.0)
+        puppet.mangle = lambda packet: packet if state.decode(packet).tick % 2 else None
+        puppet.wait(damps)
+    assert link.report.trip == "share"
+
+
+def test_the_share_of_states_that_arrive() -> None:
+    share = Share()
+    assert {share.see(tick) for tick in range(1, 500)} == {1.0}
+    assert share.see(900) == 0.95  # a pause
+    assert [share.see(tick) for tick in range(901, 1101)][-1] == 1.0
+    assert [share.see(tick) for tick in range(1101, 1501, 2)][-1] == 0.5
+    assert share.see(1) == 1.0  # the robot has been switched off and on
+
+
+def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:
+    puppet.change = lambda sent: replace(sent, modes=np.full(12, wire.SERVO))
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match="encrypted"):
+        link.connect()
+
+
+@pytest.mark.parametrize("slow", [2.0, 0.5])
+def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: float) -> None:
+    with (
+        Link("127.0.0.1", puppet.port, HASTY, Clock(slow)) as link,
+        pytest.raises(LinkError, match="same --slow"),
+    ):
+        link.connect()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"charge": 3}, "battery"),
+        ({"temperatures": np.full(12, 88.0)}, "hot"),
+        ({"quaternion": np.array([np.cos(0.6), np.sin(0.6), 0.0, 0.0])}, "leans"),
+        ({"joint_rates": np.full(12, np.nan)}, "not a number"),
+        ({"remote": Remote(frozenset({"select"})).raw()}, "remote"),
+    ],
+)
+def test_a_robot_in_no_condition_is_refused(puppet: Puppet, change: dict, said: str) -> None:
+    puppet.change = lambda sent: replace(sent, **change)
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=said):
+        link.connect()
+
+
+def test_a_motor_in_no_mode_to_be_driven_is_refused(puppet: Puppet) -> None:
+    """It has echoed its modes, and then switches itself off."""
+    with a_link(puppet) as link:
+        link.connect()
+        puppet.change = lambda sent: replace(sent, modes=np.full(12, 8))
+        with pytest.raises(LinkError, match="is in mode 8, too hot"):
+            while True:
+                link.connect()
+
+
+def test_no_such_host_is_one_line() -> None:
+    with Link("256.1.1.1", 8007, QUICK, CLOCK) as link, pytest.raises(LinkError, match="no way to"):
+        link.connect()

@@ -1,0 +1,137 @@
+"""Opening the way to a robot: a step that fails leaves no process and no port of the steps before it."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import AmheError
+from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
+from amhe_cli.robots.go1.link.calibration import Calibration
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.target import Go1Target
+from amhe_cli.robots.go1.model import Box
+from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
+from amhe_cli.robots.go1.settings import Go1Settings
+from amhe_cli.robots.go1.tasks import find_task
+from tests.robots.go1.poses.streaming import free_port
+
+SETTINGS, CLOCK = Go1Settings(), Clock()
+
+
+def open_files() -> int:
+    return len(list(Path("/dev/fd").iterdir()))
+
+
+def taken(port: int) -> bool:
+    """Whether somebody has a UDP port of this computer."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return True
+    return False
+
+
+class Processes:
+    """Starts processes as `subprocess.Popen`, until one is to fail: it does once the poses' port is bound."""
+
+    def __init__(self, pose_port: int) -> None:
+        self.started: list[subprocess.Popen[bytes]] = []
+        self.allowed, self._port, self._start = 99, pose_port, subprocess.Popen
+
+    def __call__(self, *arguments, **options) -> subprocess.Popen[bytes]:
+        if len(self.started) == self.allowed:
+            self.wait_for_the_port()
+            raise BlockingIOError("no more processes")
+        self.started.append(self._start(*arguments, **options))
+        return self.started[-1]
+
+    def wait_for_the_port(self) -> None:
+        end = time.monotonic() + 20.0
+        while self.started and not taken(self._port):
+            assert time.monotonic() < end, "the pose source never listened"
+            time.sleep(0.01)
+
+
+@pytest.fixture
+def port() -> int:
+    return free_port()
+
+
+@pytest.fixture
+def processes(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Processes]:
+    counted = Processes(port)
+    monkeypatch.setattr(subprocess, "Popen", counted)
+    yield counted
+    for process in counted.started:
+        process.kill()
+        process.wait()
+
+
+def target(link: Link, feed: PoseFeed) -> AbstractContextManager:
+    return Go1Target(link, feed, SETTINGS, CLOCK, 0.02, np.array([0.6, 0.0, 0.15]))
+
+
+def calibration(link: Link, feed: PoseFeed) -> AbstractContextManager:
+    return Calibration(link, feed, SETTINGS, CLOCK, Box())
+
+
+def no_wakeup(processes: Processes) -> Callable[..., int]:
+    def fail(descriptor: int, **_: object) -> int:
+        if descriptor >= 0:
+            processes.wait_for_the_port()
+            raise ValueError("no signals")
+        return -1
+
+    return fail
+
+
+@pytest.mark.parametrize(
+    ("what", "step"),
+    [(target, "poses"), (target, "sender"), (target, "signals"), (calibration, "sender")],
+)
+def test_a_step_that_fails_leaves_nothing_behind(
+    what: Callable[[Link, PoseFeed], AbstractContextManager], step: str, port: int, processes: Processes,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    if step == "signals":
+        monkeypatch.setattr(signal, "set_wakeup_fd", no_wakeup(processes))
+    else:
+        processes.allowed = ("poses", "sender").index(step)
+    options = FeedOptions("udp", "127.0.0.1", port, (SETTINGS.trunk, SETTINGS.box), 2.0)
+    link, feed = Link("127.0.0.1", free_port(), SETTINGS, CLOCK), PoseFeed(options)
+    files = open_files()
+    # its traceback keeps all that was made: no collector may help
+    with pytest.raises((BlockingIOError, ValueError), match="no more processes|no signals") as raised:
+        what(link, feed).__enter__()
+    assert len(processes.started) == {"poses": 0, "sender": 1, "signals": 2}[step]
+    assert all(process.poll() is not None for process in processes.started), "a process lives on"
+    assert not taken(port)
+    assert open_files() == files, raised.value
+
+
+@pytest.mark.parametrize("step", ["cameras", "body"])
+def test_an_emulator_that_cannot_open_gives_its_ports_back(
+    step: str, port: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise AmheError("no body")
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        mocap = other.getsockname()[1] if step == "cameras" else 0
+        if step == "body":
+            monkeypatch.setattr("amhe_cli.robots.go1.emulator.emulator.Body", fail)
+        with pytest.raises(AmheError, match="cannot be had|no body") as raised:
+            Emulator(EmulatorOptions(find_task("t1"), port=port, mocap_port=mocap))
+        assert not taken(port), raised.value

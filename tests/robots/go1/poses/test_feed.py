@@ -1,0 +1,265 @@
+"""Pose sources in their process: what comes through, and what is said when nothing does."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from amhe_cli.robots.go1.link.clock import Clock, ClockMap
+from amhe_cli.robots.go1.poses import udp
+from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
+from amhe_cli.robots.go1.poses.ros2 import ESTIMATES, Ros2
+from amhe_cli.robots.go1.poses.ros2_messages import headed, joint_state_type, pose_types
+from amhe_cli.robots.go1.poses.source import PoseError
+
+CLOCK = Clock()
+BODIES = ("go1", "box")
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return probe.getsockname()[1]
+
+
+@contextmanager
+def sending(port: int, *bodies: str) -> Iterator[None]:
+    """Poses of bodies at 200 Hz, by a clock that is 1000 s off."""
+    stop = threading.Event()
+
+    def send() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
+            while not stop.wait(0.005):
+                now = CLOCK.now() + 1000.0
+                for body in bodies:
+                    place = np.array([now, 0.0, 0.1])
+                    message = udp.datagram(body, now, place, np.array([1.0, 0, 0, 0]))
+                    client.sendto(message, ("127.0.0.1", port))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+
+
+def test_poses_come_through_on_our_clock() -> None:
+    port = free_port()
+    with sending(port, *BODIES), PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 3.0)) as feed:
+        assert set(feed.first()) == set(BODIES)
+        time.sleep(0.3)
+        poses = feed.poses()
+    assert len(poses) > 30
+    # the position tells when it was taken
+    late = [pose.time - (pose.position[0] - 1000.0) for pose in poses]
+    assert 0.0 <= np.median(late) < 0.03
+    assert np.ptp(late) < 0.01
+
+
+def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
+    port, seen, places = free_port(), [], iter((0.1, 0.1, 0.1, 0.2, 0.2, 0.1))
+    told = '{"body": "%s", "position": [1, 2, %s], "orientation": [1, 0, 0, 0]}'
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
+        PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 20.0)) as feed,
+    ):
+        client.connect(("127.0.0.1", port))
+        end = time.monotonic() + 10.0
+        while not seen and time.monotonic() < end:  # until it listens
+            with suppress(ConnectionRefusedError):
+                client.send((told % ("other", time.monotonic())).encode())
+            seen = feed.poses()
+            time.sleep(0.01)
+        for place in places:
+            client.send((told % ("go1", place)).encode())
+        client.send((told % ("last", 0.0)).encode())
+        while seen[-1].body != "last" and time.monotonic() < end:
+            seen += feed.poses()
+    assert [pose.position[2] for pose in seen if pose.body == "go1"] == [0.1, 0.2, 0.1]
+
+
+def test_a_body_that_never_comes_is_named_with_those_that_do() -> None:
+    port = free_port()
+    options = FeedOptions("udp", "127.0.0.1", port, ("go1", "crate"), 0.5)
+    with (
+        sending(port, "go1", "box"),
+        PoseFeed(options) as feed,
+        pytest.raises(PoseError, match="no pose of 'crate'.*it has: box"),
+    ):
+        feed.first()
+
+
+def test_silence_is_named() -> None:
+    options = FeedOptions("udp", "127.0.0.1", free_port(), BODIES, 0.3)
+    with PoseFeed(options) as feed, pytest.raises(PoseError, match="no body at all"):
+        feed.first()
+
+
+def test_a_source_that_blocks_for_ever_is_given_up() -> None:
+    pytest.importorskip("motioncapture")
+    begun = time.monotonic()
+    options = FeedOptions("motioncapture", "vicon:192.0.2.1", 0, BODIES, 0.5)
+    with PoseFeed(options) as feed, pytest.raises(PoseError, match="no pose of 'go1' and 'box'"):
+        feed.first()
+    assert time.monotonic() - begun < 15.0
+
+
+_PROGRAM = """
+import sys, time
+from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
+with PoseFeed(FeedOptions("udp", "127.0.0.1", int(sys.argv[1]), ("go1", "box"), 20.0)) as feed:
+    while not any("connecting" in message for message in feed._messages()):
+        time.sleep(0.01)
+    print(feed._child.process.pid, flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no child is told of it")
+def test_a_source_that_blocks_for_ever_ends_with_a_program_that_is_killed() -> None:
+    command = [sys.executable, "-c", _PROGRAM, str(free_port())]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[4])}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as program:
+        assert program.stdout is not None
+        feed = int(program.stdout.readline())
+        os.kill(feed, signal.SIGSTOP)  # it does nothing any more, like one that waits for a camera
+        program.kill()
+    try:
+        end = time.monotonic() + 10.0
+        while _lives(feed) and time.monotonic() < end:
+            time.sleep(0.01)
+        assert not _lives(feed)
+    finally:
+        if _lives(feed):
+            os.kill(feed, signal.SIGKILL)
+
+
+def _lives(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_libmotioncapture_comes_through() -> None:
+    pytest.importorskip("motioncapture")
+    mocked = "mock:go1(0,0,0.3,1,0,0,0);box(0.6,0.1,0.15,0,0,0,1)"
+    with PoseFeed(FeedOptions("motioncapture", mocked, 0, BODIES, 3.0)) as feed:
+        seen = feed.first()
+    np.testing.assert_allclose(seen["box"].position, [0.6, 0.1, 0.15], atol=1e-6)
+    np.testing.assert_allclose(np.abs(seen["box"].orientation), [0, 0, 0, 1], atol=1e-6)
+    assert abs(seen["go1"].time - CLOCK.now()) < 5.0
+
+
+def test_ros2_poses_and_odometry_come_through() -> None:
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.pub import DataWriter
+    from cyclonedds.topic import Topic
+
+    domain = 77
+    source = Ros2(["/go1/pose", "/box/odom"], domain)
+    source.connect()
+    stamped, odometry = pose_types()
+    participant = DomainParticipant(domain)
+    writers = [
+        DataWriter(participant, Topic(participant, f"rt/{name}", kind))
+        for name, kind in (("go1/pose", stamped), ("box/odom", odometry))
+    ]
+
+    pose = stamped.__annotations__["pose"]
+    point, turn = pose.__annotations__["position"], pose.__annotations__["orientation"]
+    here = pose(point(1.0, 2.0, 0.3), turn(0.0, 0.0, 0.6, 0.8))
+    posed, twisted = odometry.__annotations__["pose"], odometry.__annotations__["twist"]
+    twist = twisted.__annotations__["twist"]
+    vector = twist.__annotations__["linear"]
+    still = twisted(twist(vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)), [0.0] * 36)
+    seen, end = {}, time.monotonic() + 10.0
+    while len(seen) < 2 and time.monotonic() < end:
+        writers[0].write(headed(stamped, 12.5, pose=here))
+        spread = posed(here, [0.0] * 36)
+        writers[1].write(headed(odometry, 12.5, child_frame_id="box", pose=spread, twist=still))
+        seen |= {one.body: one for one in source.wait(0.1)}
+    source.close()
+    assert set(seen) == {"/go1/pose", "/box/odom"}
+    for one in seen.values():
+        np.testing.assert_allclose(one.position, [1.0, 2.0, 0.3])
+        np.testing.assert_allclose(one.orientation, [0.8, 0.0, 0.0, 0.6])
+        assert one.stamp == 12.5
+
+
+def test_estimates_go_back_to_ros2_even_to_who_comes_late() -> None:
+    pytest.importorskip("cyclonedds")
+    from cyclonedds.core import Policy, Qos
+    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.sub import DataReader
+    from cyclonedds.topic import Topic
+
+    names, values, sd = ["box_mass", "floor_friction"], np.array([3.9, 0.41]), np.array([0.2, 0.03])
+    begun = time.time()
+    with PoseFeed(FeedOptions("ros2", "78", 0, ("/go1/pose", "/box/odom"), 1.0)) as feed:
+        feed.publish(names, 2.0 * values, sd)
+        feed.publish(names, values, sd)
+        listener = DomainParticipant(78)
+        kept = Qos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
+        reader = DataReader(listener, Topic(listener, f"rt{ESTIMATES}", joint_state_type(), qos=kept), kept)
+        told, end = [], time.monotonic() + 15.0
+        while not (told and told[-1].position[0] == 3.9) and time.monotonic() < end:
+            told += reader.take(10)
+            time.sleep(0.01)
+    assert told, "nothing came"
+    assert list(told[-1].name) == names
+    np.testing.assert_array_equal(told[-1].position, values)
+    np.testing.assert_array_equal(told[-1].effort, sd)
+    assert not told[-1].velocity
+    stamp = told[-1].header.stamp
+    assert begun - 1.0 < stamp.sec + 1e-9 * stamp.nanosec < time.time() + 1.0
+
+
+def test_a_source_that_tells_nobody_takes_estimates_without_harm() -> None:
+    port = free_port()
+    with sending(port, *BODIES), PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 3.0)) as feed:
+        feed.publish(["box_mass"], np.array([3.9]), np.array([0.2]))
+        assert set(feed.first()) == set(BODIES)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
+def test_rubbish_is_no_pose(message: bytes) -> None:
+    assert udp.read(message) is None
+
+
+@pytest.mark.parametrize(
+    "told", ['{"body": "a", "position": [1, 2], "orientation": [1, 0, 0, 0]}',
+             '{"body": "a", "position": [1, 2, NaN], "orientation": [1, 0, 0, 0]}',
+             '{"body": "a", "position": [1, 2, 3], "orientation": [0, 0, 0, 0]}', "[]", '"x"', "7"],
+)  # fmt: skip
+def test_what_is_no_pose_is_left_out(told: str) -> None:
+    assert udp.read(told.encode()) is None
+
+
+def test_the_offset_of_a_clock_is_found_under_jitter_and_drift() -> None:
+    rng, known = np.random.default_rng(0), ClockMap()
+    errors = []
+    for sent in np.arange(0.0, 30.0, 0.002):
+        ours = 500.0 + sent * 1.00005  # 50 ppm
+        arrival = ours + 0.0003 + rng.exponential(0.002)
+        errors.append(known.see(sent, arrival) - ours)
+    late = np.array(errors[1000:])
+    assert late.min() > 0.0
+    assert late.max() < 0.0007
