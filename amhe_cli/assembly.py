@@ -11,10 +11,10 @@ from typing import Any
 
 from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.errors import ConfigError, LogError, one_of
+from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.signals import Signal
-from amhe_cli.core.trajectory import Trajectory
-from amhe_cli.logs import Survey, read_metadata, read_trajectory, survey
+from amhe_cli.logs import Survey, read_metadata, read_signals, survey
 from amhe_cli.system import overrides
 from amhe_cli.system.load import bundled_systems, find_system, load_system
 from amhe_cli.system.system import System
@@ -91,8 +91,8 @@ class IdentifyProblem:
     """
 
     system: System
-    training: tuple[Trajectory, ...]
-    held_out: tuple[Trajectory, ...] | None
+    training: tuple[Log, ...]
+    held_out: tuple[Log, ...] | None
     prior: Belief | None
     truth: Mapping[str, float]
 
@@ -122,7 +122,7 @@ def identify_problem(
     return IdentifyProblem(loaded, training, validation or None, prior, told_truth(training))
 
 
-def understood(loaded: System, source: LogSource, named: str | None) -> tuple[Trajectory, ...]:
+def understood(loaded: System, source: LogSource, named: str | None) -> tuple[Log, ...]:
     """The logs' trajectories; where that fails, the error also says what the logs may be about instead.
 
     Args:
@@ -154,7 +154,7 @@ def _unnamed(logs: Sequence[Path]) -> str:
     )
 
 
-def told_truth(logs: Sequence[Trajectory]) -> dict[str, float]:
+def told_truth(logs: Sequence[Log]) -> dict[str, float]:
     """The `truth` of the logs' metadata, a JSON object of numbers; {} where they disagree or have none."""
     said = {log.metadata.get("truth") for log in logs}
     try:
@@ -246,10 +246,10 @@ def _without_path(error: LogError, source: LogSource) -> str:
     return str(error).removeprefix(f"{source.paths[0]}: ")
 
 
-def trajectories(system: System, source: LogSource) -> tuple[Trajectory, ...]:
+def trajectories(system: System, source: LogSource) -> tuple[Log, ...]:
     """One trajectory per log, on the model's clock."""
     return tuple(
-        read_trajectory(
+        read_signals(
             path,
             system.signals,
             system.model.opt.timestep,

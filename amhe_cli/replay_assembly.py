@@ -10,7 +10,7 @@ import numpy as np
 from amhe_cli.assembly import LogSource, open_system, told_truth, understood
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief_file import read_belief
-from amhe_cli.core.trajectory import Trajectory, Window
+from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.online.arrival import arrival_of
 from amhe_cli.estimation.online.horizon import MovingHorizon
@@ -57,7 +57,7 @@ def open_replay(
     )
 
 
-def _truth(path: Path, system: System, log: Trajectory, steps: Sequence[Window]) -> dict[str, FloatArray]:
+def _truth(path: Path, system: System, log: Log, steps: Sequence[Window]) -> dict[str, FloatArray]:
     """What the log tells over time, or else once for all of it, of the system's parameters."""
     ends = np.array([step.stop for step in steps])
     stamps_ns = log.start_ns + np.round(ends * log.dt * 1e9).astype(np.int64)

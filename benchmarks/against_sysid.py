@@ -26,11 +26,11 @@ from common import DATA, multisine, show, simulated
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.trajectory import Trajectory, Window
+from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.logs import read_trajectory
+from amhe_cli.logs import read_signals
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
@@ -49,8 +49,8 @@ class Case:
     """Logs to fit, and logs to judge by."""
 
     system: System
-    fitted: Sequence[Trajectory]
-    held_out: Sequence[Trajectory]
+    fitted: Sequence[Log]
+    held_out: Sequence[Log]
 
 
 @dataclass(frozen=True)
@@ -77,9 +77,7 @@ def cube_toss() -> Case | None:
     if not paths:
         return None
     system = load_system(find_system("cube_toss"), CHEAP)
-    logs = [
-        read_trajectory(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths
-    ]
+    logs = [read_signals(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths]
     return Case(system, logs[:40], logs[40:])
 
 
@@ -153,7 +151,7 @@ def _sequences(sysid, case: Case):
         stamps = np.arange(window.length + 1) * model.opt.timestep
         control = np.zeros((window.length + 1, model.nu))
         for source in system.inputs:
-            values = window.trajectory[source.key].values
+            values = window.log[source.key].values
             control[:, list(source.columns)] = values[window.start : window.stop + 1]
         controls.append(sysid.TimeSeries.from_control_names(stamps, control, model))
         rows = np.flatnonzero(_sampled(system, window))
@@ -180,7 +178,7 @@ def _states(system: System, window: Window) -> FloatArray:
     """Recorded states of a clip, quaternions without jumps of sign, shape (length + 1, nq + nv)."""
     state = np.zeros((window.length + 1, system.model.nq + system.model.nv))
     for channel in system.channels:
-        values = np.array(window.trajectory[channel.key].values[window.start : window.stop + 1])
+        values = np.array(window.log[channel.key].values[window.start : window.stop + 1])
         if channel.kind == "rotation":
             jumps = np.sign((values[1:] * values[:-1]).sum(axis=1))
             values[1:] *= np.cumprod(jumps)[:, None]
@@ -192,7 +190,7 @@ def _states(system: System, window: Window) -> FloatArray:
 def _sampled(system: System, window: Window) -> np.ndarray:
     """Instants of a clip at which something was measured, its first one left out."""
     rows = slice(window.start, window.stop + 1)
-    sampled = np.any([window.trajectory[c.key].sampled[rows] for c in system.channels], axis=0)
+    sampled = np.any([window.log[c.key].sampled[rows] for c in system.channels], axis=0)
     sampled[0] = False
     return sampled
 

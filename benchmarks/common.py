@@ -24,7 +24,7 @@ from rich.table import Table
 import amhe_cli
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.core.log import Log, Series
 from amhe_cli.logs import differentiate
 from amhe_cli.system.system import Channel, System
 
@@ -52,7 +52,7 @@ def simulated(
     command_hz: float = 50.0,
     settle: float = 0.0,
     noisy_start: bool = True,
-) -> Trajectory:
+) -> Log:
     """A log as the reader would make it, of the system's own model at theta.
 
     Args:
@@ -81,7 +81,7 @@ def simulated(
         names = tuple(f"u{c}" for c in source.columns)
         on = np.ones(steps + 1, dtype=bool)
         series[source.key] = Series(ctrl[:, list(source.columns)], on, on, names)
-    return Trajectory(model.opt.timestep, series, "simulated")
+    return Log(model.opt.timestep, series, "simulated")
 
 
 def _simulate(

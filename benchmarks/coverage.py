@@ -29,7 +29,7 @@ from common import (
     stop_and_go,
 )
 
-from amhe_cli.core.trajectory import Trajectory
+from amhe_cli.core.log import Log
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.online.horizon import MovingHorizon
@@ -66,7 +66,7 @@ def constant(system: System) -> System:
     return replace(system, space=replace(system.space, parameters=parameters))
 
 
-def log_of(case: str, system: System, theta: np.ndarray, rng: np.random.Generator) -> Trajectory:
+def log_of(case: str, system: System, theta: np.ndarray, rng: np.random.Generator) -> Log:
     """One short log."""
     if case == "pendulum":
         return simulated(system, theta, multisine(rng), 10.0, rng, state_hz=50)

@@ -14,9 +14,9 @@ from typing import Any
 
 from common import DATA, over_seeds, show
 
-from amhe_cli.core.trajectory import Trajectory
+from amhe_cli.core.log import Log
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.logs import read_trajectory
+from amhe_cli.logs import read_signals
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
@@ -25,12 +25,10 @@ FITTED = 40
 FRICTION_GOAL, ERROR_GOAL = (0.15, 0.23), 0.009
 
 
-def tosses(system: System) -> list[Trajectory]:
+def tosses(system: System) -> list[Log]:
     """All logs, in order."""
     paths = sorted(FOLDER.glob("toss_*.mcap"))
-    return [
-        read_trajectory(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths
-    ]
+    return [read_signals(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths]
 
 
 def trial(seed: int) -> dict[str, Any]:

@@ -17,8 +17,8 @@ import numpy as np
 from common import multisine, paired, show, simulated
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.log import Log, Series
 from amhe_cli.core.rotations import exp
-from amhe_cli.core.trajectory import Series, Trajectory
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.cpu import _groups as length_groups
 from amhe_cli.estimation.offline.clips import ClipPool, whole
@@ -31,20 +31,20 @@ CANDIDATES = 32
 CLIPS = 24
 
 
-def pendulum() -> tuple[System, list[Trajectory]]:
+def pendulum() -> tuple[System, list[Log]]:
     """A servo and a load: the cheapest steps there are, so the hardest case."""
     system = load_system(find_system("pendulum"))
     rng = np.random.default_rng(0)
     return system, [simulated(system, system.space.nominal, multisine(rng), 20.0, rng)]
 
 
-def cube_toss() -> tuple[System, list[Trajectory]]:
+def cube_toss() -> tuple[System, list[Log]]:
     """Tosses of a cube with random spin: contact, quaternions, twelve channels."""
     system = load_system(find_system("cube_toss"))
     return system, [_toss(system, np.random.default_rng(seed)) for seed in range(CLIPS)]
 
 
-def _toss(system: System, rng: np.random.Generator) -> Trajectory:
+def _toss(system: System, rng: np.random.Generator) -> Log:
     """One simulated toss of half a second."""
     model, data = system.model, mujoco.MjData(system.model)
     data.qpos[:3] = (0.0, 0.0, 0.15)
@@ -61,10 +61,10 @@ def _toss(system: System, rng: np.random.Generator) -> Trajectory:
         c.key: Series(source[c.source][:, list(c.columns)], on, sampled, tuple(map(str, c.columns)))
         for c in system.channels
     }
-    return Trajectory(model.opt.timestep, series, "toss")
+    return Log(model.opt.timestep, series, "toss")
 
 
-def matching(system: System, logs: list[Trajectory], threads: int) -> tuple[MatchingCost, FloatArray]:
+def matching(system: System, logs: list[Log], threads: int) -> tuple[MatchingCost, FloatArray]:
     """A cost on clips as SPI draws them, and candidates about the nominal."""
     rng = np.random.default_rng(1)
     pool = ClipPool(system, [whole(log) for log in logs], system.settings.clips)

@@ -117,7 +117,7 @@ def _replayed(log: Path, settings: tuple[str, ...]) -> tuple[FloatArray, FloatAr
 
 def _settled(problem: ReplayProblem, truth: FloatArray) -> np.ndarray:
     """Estimates that are late enough after the switch, shape (n,)."""
-    times = problem.begun + np.array([w.stop * w.trajectory.dt for w in problem.windows])
+    times = problem.begun + np.array([w.stop * w.log.dt for w in problem.windows])
     switch = int(np.flatnonzero(np.any(np.diff(truth, axis=0) != 0.0, axis=1))[0])
     return times > times[switch + 1] + SETTLED
 

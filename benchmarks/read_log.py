@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import LogWriter, read_trajectory, survey
+from amhe_cli.logs import LogWriter, read_signals, survey
 
 DT = 0.002
 SIGNALS = (
@@ -62,7 +62,7 @@ def main() -> None:
     parser.add_argument("--repetitions", type=int, default=5)
     options = parser.parse_args()
     tasks: dict[str, Callable[[Path], object]] = {
-        "read_trajectory": lambda path: read_trajectory(path, SIGNALS, DT, LogSettings()),
+        "read_signals": lambda path: read_signals(path, SIGNALS, DT, LogSettings()),
         "survey": survey,
     }
     with tempfile.TemporaryDirectory() as folder:

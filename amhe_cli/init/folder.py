@@ -26,7 +26,7 @@ from amhe_cli.init.signals import (
     single_joints,
 )
 from amhe_cli.init.text import system_text
-from amhe_cli.logs import read_trajectory, survey
+from amhe_cli.logs import read_signals, survey
 from amhe_cli.system.load import FILE_NAME, load_system
 from amhe_cli.system.model_file import compiled, read_spec
 
@@ -159,12 +159,12 @@ def _listen(
         try:
             dt = 1.0 / rates[signal.topic]
             wanted = replace(signal, quantities=compared)
-            trajectory = read_trajectory(log, [wanted], dt, LogSettings(), end=_LISTEN, msg_path=msg_path)
+            sample = read_signals(log, [wanted], dt, LogSettings(), end=_LISTEN, msg_path=msg_path)
         except AmheError as error:
             said.append(f"{guess.name}: its noise is a guess, because {error}")
             continue
         for key in compared:
-            series = trajectory[signal.key(key)]
+            series = sample[signal.key(key)]
             guess.noise[key] = _noise(key, np.asarray(series.values), np.asarray(series.valid))
     return said
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.signals import Signal
-from amhe_cli.core.trajectory import Series, Trajectory, Window
 from amhe_cli.live.samples import CycleSamples
 from amhe_cli.logs.resample import resample
 from amhe_cli.robots.go1.kinematics import JOINTS
@@ -61,7 +61,7 @@ class Buffer:
         if not self._kept or any(chunks[0][0][0] > start + 1e-6 for chunks in self._kept.values()):
             return None
         series = {key: self._series(key, grid) for key in self._kept}
-        log = Trajectory(self._dt, series, "the running system", round(1e9 * float(grid[0])))
+        log = Log(self._dt, series, "the running system", round(1e9 * float(grid[0])))
         return Window(log, before, self._steps)
 
     def _series(self, key: str, grid: FloatArray) -> Series:

@@ -12,8 +12,8 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Protocol
 
+from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import Belief
-from amhe_cli.core.trajectory import Window
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.live.episode import News
 

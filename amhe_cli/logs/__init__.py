@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from amhe_cli.logs.messages.writer import LogWriter
-from amhe_cli.logs.read import read_trajectory
+from amhe_cli.logs.read import read_signals
 from amhe_cli.logs.survey import Survey, TopicSurvey, read_metadata, survey
 from amhe_cli.logs.truth import read_truth
 
@@ -12,7 +12,7 @@ __all__ = [
     "Survey",
     "TopicSurvey",
     "read_metadata",
-    "read_trajectory",
+    "read_signals",
     "read_truth",
     "survey",
 ]

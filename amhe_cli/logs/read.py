@@ -11,9 +11,9 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.log import Log, Series
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.core.trajectory import Series, Trajectory
 from amhe_cli.logs.collect import collect
 from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.raw import readable
@@ -31,7 +31,7 @@ _LOSS = 0.05
 _GAPS_SHOWN = 3
 
 
-def read_trajectory(
+def read_signals(
     path: Path,
     signals: Sequence[Signal],
     dt: float,
@@ -40,7 +40,7 @@ def read_trajectory(
     start: float | None = None,
     end: float | None = None,
     msg_path: Path | None = None,
-) -> Trajectory:
+) -> Log:
     """Read the given signals of one log onto one uniform clock.
 
     Row 0 is the first instant at which every signal has begun, in phase with the first message of the
@@ -76,7 +76,7 @@ def read_trajectory(
             found = _series(path, track, grid, start_ns, settings)
             _tell_gaps(path, track.signal, found, dt)
             series |= found
-    return Trajectory(dt, series, str(path), start_ns, log.metadata)
+    return Log(dt, series, str(path), start_ns, log.metadata)
 
 
 def _series(

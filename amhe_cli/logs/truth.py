@@ -10,7 +10,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.read import read_trajectory
+from amhe_cli.logs.read import read_signals
 
 #: A JointState whose names are the parameters, and whose positions are their values.
 TOPIC = "/amhe/truth"
@@ -31,7 +31,7 @@ def read_truth(path: Path, stamps_ns: IntArray, settings: LogSettings) -> dict[s
     """
     lasting = settings.model_copy(update={"max_gap": _FOREVER})
     try:
-        told = read_trajectory(path, [Signal("truth", TOPIC, ("position",), is_input=True)], _STEP, lasting)
+        told = read_signals(path, [Signal("truth", TOPIC, ("position",), is_input=True)], _STEP, lasting)
     except LogError:
         return {}
     series = told["truth.position"]

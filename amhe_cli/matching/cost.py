@@ -18,9 +18,9 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.log import Window
 from amhe_cli.core.settings import CostSettings
 from amhe_cli.core.statistics import pseudo_huber, trimmed_mean
-from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.engine.states import integrated
 from amhe_cli.matching.windows import Clips, Observed, prepare

@@ -6,15 +6,15 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.log import Log, Series
 from amhe_cli.core.statistics import white_noise_sd
-from amhe_cli.core.trajectory import Series, Trajectory
 from amhe_cli.system.system import Channel, System
 
 #: Noise of a velocity fitted to 7 positions a time h apart, in units of their noise / h: 1 / sqrt(28).
 _FITTED = 28.0**-0.5
 
 
-def first_errors(system: System, trajectory: Trajectory) -> tuple[IntArray, FloatArray]:
+def first_errors(system: System, log: Log) -> tuple[IntArray, FloatArray]:
     """Which tangent coordinates of the first state (positions, velocities: 2 nv) a log measured.
 
     Returns:
@@ -26,7 +26,7 @@ def first_errors(system: System, trajectory: Trajectory) -> tuple[IntArray, Floa
         if not channel.sets_state:
             continue
         dofs = _tangent(system, channel)
-        sd[dofs] = _error(channel, system, trajectory)
+        sd[dofs] = _error(channel, system, log)
     index = np.flatnonzero(sd > 0.0)
     return index, sd[index]
 
@@ -49,27 +49,27 @@ def _tangent(system: System, channel: Channel) -> list[int]:
     return dofs
 
 
-def _error(channel: Channel, system: System, trajectory: Trajectory) -> float:
+def _error(channel: Channel, system: System, log: Log) -> float:
     """Error sd of a state channel: as declared, else judged by the series itself."""
-    series = trajectory[channel.key]
+    series = log[channel.key]
     below = next((c for c in system.channels if c.key == channel.integral), None)
     if below is None or not (channel.source == "qvel" and series.derived):
         return channel.noise or white_noise_sd(series.values[_rows(series)])
-    return max(channel.noise or 0.0, _slope_error(series, trajectory, below))
+    return max(channel.noise or 0.0, _slope_error(series, log, below))
 
 
-def _slope_error(series: Series, trajectory: Trajectory, below: Channel) -> float:
+def _slope_error(series: Series, log: Log, below: Channel) -> float:
     """Error sd of a velocity that was differentiated: noise, and what smoothing makes of impacts and stops.
 
     The smooth velocity is held against the plain central difference: where they differ by more than the
     latter's noise, the smooth one is wrong.
     """
-    positions = trajectory[below.key]
+    positions = log[below.key]
     rows = _rows(positions)
     if rows.size < 5:
         return 0.0
-    step = float(np.median(np.diff(rows))) * trajectory.dt
-    even = np.abs(rows[2:] - rows[:-2] - 2.0 * step / trajectory.dt) < 0.5
+    step = float(np.median(np.diff(rows))) * log.dt
+    even = np.abs(rows[2:] - rows[:-2] - 2.0 * step / log.dt) < 0.5
     before, after = positions.values[rows[:-2][even]], positions.values[rows[2:][even]]
     turning = below.kind == "rotation"
     change = rotations.difference(after, before) if turning else after - before

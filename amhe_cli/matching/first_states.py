@@ -9,7 +9,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
-from amhe_cli.core.trajectory import Series, Window
+from amhe_cli.core.log import Series, Window
 from amhe_cli.system.system import Channel, System
 
 #: Smoothing fits parabolas: motion between two contacts bends, and hardly more.
@@ -64,7 +64,7 @@ def _velocity(channel: Channel, window: Window) -> FloatArray:
 
 
 def _recorded(channel: Channel, window: Window) -> FloatArray:
-    log, start = window.trajectory, window.start
+    log, start = window.log, window.start
     series = log[channel.key]
     if not series.valid[start]:
         raise LogError(
@@ -79,7 +79,7 @@ def _parabola(window: Window, key: str, reach: float) -> FloatArray | None:
     In the unit of the series, per s and per s^2; of orientations the rotation vector from the recorded one,
     in the body's own frame. None: too few samples.
     """
-    log, start = window.trajectory, window.start
+    log, start = window.log, window.start
     series = log[key]
     rows = _samples(series, start, round(reach / log.dt))
     if rows.size < _DEGREE + 2 or not rows[0] < start < rows[-1]:

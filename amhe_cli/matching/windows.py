@@ -1,4 +1,4 @@
-"""Windows of trajectories, laid out as the arrays that a batch of rollouts needs."""
+"""Windows of logs, laid out as the arrays that a batch of rollouts needs."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
-from amhe_cli.core.trajectory import Window
+from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import Rollouts
 from amhe_cli.engine.states import home
 from amhe_cli.matching.first_errors import first_errors
@@ -116,7 +116,7 @@ def prepare(
     compared = [c for c in system.channels if c.compared and not _derived(c, windows)]
     observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0)) for c in compared)
     observed = tuple(o for o in observed if o.mask.any())
-    index, sd = first_errors(system, windows[0].trajectory)
+    index, sd = first_errors(system, windows[0].log)
     model = system.model
     row = model.nq + model.nv + model.nsensordata + inputs.shape[2]
     return Clips(
@@ -137,7 +137,7 @@ def prepare(
 
 
 def _derived(channel: Channel, windows: Sequence[Window]) -> bool:
-    return all(w.trajectory[channel.key].derived for w in windows)
+    return all(w.log[channel.key].derived for w in windows)
 
 
 def _history(system: System) -> int:
@@ -159,7 +159,7 @@ def _inputs(
     for i, window in enumerate(windows):
         rows = np.clip(np.arange(window.start - history, window.start + horizon), 0, window.stop - 1)
         for source in system.inputs:
-            inputs[i][:, list(source.columns)] = window.trajectory[source.key].values[rows]
+            inputs[i][:, list(source.columns)] = window.log[source.key].values[rows]
     return inputs
 
 
@@ -174,7 +174,7 @@ def _observed(channel: Channel, windows: Sequence[Window], scale: float) -> Obse
     """Gather a channel's real samples after each window's first instant, padded to the longest."""
     found = []
     for window in windows:
-        series = window.trajectory[channel.key]
+        series = window.log[channel.key]
         inside = slice(window.start + 1, window.stop + 1)
         found.append(np.flatnonzero(series.sampled[inside] & series.valid[inside]))
     samples = max((f.size for f in found), default=0)
@@ -185,5 +185,5 @@ def _observed(channel: Channel, windows: Sequence[Window], scale: float) -> Obse
         measured[..., 0] = 1.0
     for i, (window, steps) in enumerate(zip(windows, found, strict=True)):
         rows[i, : steps.size], mask[i, : steps.size] = steps, True
-        measured[i, : steps.size] = window.trajectory[channel.key].values[window.start + 1 + steps]
+        measured[i, : steps.size] = window.log[channel.key].values[window.start + 1 + steps]
     return Observed(channel, rows, measured, mask, scale * (channel.noise or 1.0))

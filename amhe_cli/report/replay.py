@@ -41,7 +41,7 @@ def write_replay(
     }
     metadata = {
         "system": replay.system.name,
-        "log": Path(replay.windows[0].trajectory.source).name,
+        "log": Path(replay.windows[0].log.source).name,
         "method": str(origin["method"]),
         "seed": str(origin["seed"]),
         "version": str(record["version"]),

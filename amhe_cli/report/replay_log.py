@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Signal
-from amhe_cli.core.trajectory import Trajectory
 from amhe_cli.estimation.online import messages
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.prediction import Prediction
@@ -42,8 +42,8 @@ def write_log(
         for i, (window, estimate) in enumerate(zip(replay.windows, replay.estimates, strict=True)):
             prediction = predicted[i]
             if prediction is not None:
-                _write_prediction(log, replay, window.trajectory, prediction)
-            stamp = _stamp_ns(window.trajectory, window.stop)
+                _write_prediction(log, replay, window.log, prediction)
+            stamp = _stamp_ns(window.log, window.stop)
             messages.write_params(log, stamp, estimate)
             messages.write_estimate(log, stamp, estimate)
             told = {name: float(v[i]) for name, v in replay.truth.items() if np.isfinite(v[i])}
@@ -52,8 +52,8 @@ def write_log(
             _write_mark(log, stamp, estimate)
 
 
-def _stamp_ns(trajectory: Trajectory, row: int) -> int:
-    return trajectory.start_ns + round(row * trajectory.dt * 1e9)
+def _stamp_ns(recorded: Log, row: int) -> int:
+    return recorded.start_ns + round(row * recorded.dt * 1e9)
 
 
 def _write_mark(log: LogWriter, stamp_ns: int, estimate: Estimate) -> None:
@@ -62,13 +62,13 @@ def _write_mark(log: LogWriter, stamp_ns: int, estimate: Estimate) -> None:
     write_diagnostics(log, stamp_ns, level, text, values, of="estimator")
 
 
-def _write_prediction(log: LogWriter, replay: Replay, trajectory: Trajectory, prediction: Prediction) -> None:
+def _write_prediction(log: LogWriter, replay: Replay, recorded: Log, prediction: Prediction) -> None:
     """Mirror the measured topics, at the times that they were measured."""
     mirrored = []
     for signal in replay.system.signals:
         keys = [signal.key(q) for q in signal.quantities if signal.key(q) in prediction.values]
         if keys:
-            seen = np.any([trajectory[key].sampled[prediction.rows] for key in keys], axis=0)
+            seen = np.any([recorded[key].sampled[prediction.rows] for key in keys], axis=0)
             mirrored += [(int(prediction.rows[k]), k, signal) for k in np.flatnonzero(seen)]
     for row, k, signal in sorted(mirrored, key=lambda entry: entry[0]):
         values = {
@@ -76,11 +76,11 @@ def _write_prediction(log: LogWriter, replay: Replay, trajectory: Trajectory, pr
             for q in signal.quantities
             if signal.key(q) in prediction.values
         }
-        _mirror(log, signal, _stamp_ns(trajectory, row), trajectory, values)
+        _mirror(log, signal, _stamp_ns(recorded, row), recorded, values)
 
 
 def _mirror(
-    log: LogWriter, signal: Signal, stamp_ns: int, trajectory: Trajectory, values: Mapping[str, FloatArray]
+    log: LogWriter, signal: Signal, stamp_ns: int, recorded: Log, values: Mapping[str, FloatArray]
 ) -> None:
     """One message: Odometry of a body, JointState of joints, plain numbers of anything else."""
     topic = f"{_PREDICTED}{signal.topic}"
@@ -92,7 +92,7 @@ def _mirror(
             child_frame=signal.name,
         )  # fmt: skip
     elif set(values) <= {"position", "velocity", "effort"}:
-        names = trajectory[signal.key(next(iter(values)))].columns
+        names = recorded[signal.key(next(iter(values)))].columns
         log.joint_state(topic, stamp_ns, names, **values)
     else:
         log.numbers(topic, stamp_ns, np.concatenate(list(values.values())))

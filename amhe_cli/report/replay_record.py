@@ -27,7 +27,7 @@ def replay_record(replay: Replay) -> dict[str, Any]:
     return plain(
         {
             "system": replay.system.name,
-            "log": replay.windows[0].trajectory.source,
+            "log": replay.windows[0].log.source,
             "method": setting.method,
             "settings": {name: getattr(setting, name) for name in _SETTINGS}
             | {"samples": setting.sample_count, "iterations": setting.iteration_count},

@@ -1,4 +1,4 @@
-"""From the `signals:` of a system file to the plan of how a log meets the model."""
+"""From the `signals:` of a system file to the draft of how a log meets the model."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.core.yaml_file import YamlFile
 from amhe_cli.system import driven, measured
 from amhe_cli.system.schema import SignalEntry, SystemEntry
-from amhe_cli.system.wiring import Plan, chosen, signal_of
+from amhe_cli.system.wiring import WiringDraft, chosen, signal_of
 
 #: What a topic that is only read is asked for, by the end of its type's name.
 _CARRIED = {
@@ -26,26 +26,28 @@ _CARRIED = {
 }
 
 
-def plan(file: YamlFile, entry: SystemEntry, spec: mujoco.MjSpec, model: mujoco.MjModel) -> Plan:
+def draft_wiring(
+    file: YamlFile, entry: SystemEntry, spec: mujoco.MjSpec, model: mujoco.MjModel
+) -> WiringDraft:
     """Read the signals, and add what they need to the spec; every mistake is noted in `file`."""
-    made = Plan(spec, model)
+    draft = WiringDraft(spec, model)
     for name, signal in entry.signals.items():
         try:
-            _PLANNERS[signal.kind](made, name, signal)
+            _PLANNERS[signal.kind](draft, name, signal)
         except ConfigError as error:
             place = ("signals", name, signal.kind) if signal.kind else ("signals", name)
             file.problem(place, str(error))
-    return made
+    return draft
 
 
-def _read_only(made: Plan, name: str, entry: SignalEntry) -> None:
+def _read_only(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     usual = next((q for end, q in _CARRIED.items() if str(entry.type).endswith(f"/{end}")), ())
     quantities = tuple(entry.fields) or chosen(entry, usual)
     if not quantities:
         raise ConfigError(
             "say what to read: type: PACKAGE/msg/NAME, or quantity: one of " + ", ".join(QUANTITIES)
         )
-    made.signals.append(signal_of(name, entry, quantities))
+    draft.signals.append(signal_of(name, entry, quantities))
 
 
 _PLANNERS = {

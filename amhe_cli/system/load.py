@@ -15,7 +15,7 @@ from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.yaml_file import YamlFile, merged
 from amhe_cli.system.boxes import resize_boxes
 from amhe_cli.system.cautions import caution
-from amhe_cli.system.channels import plan
+from amhe_cli.system.channels import draft_wiring
 from amhe_cli.system.model_file import compiled, read_spec
 from amhe_cli.system.schema import SystemEntry, keys_at, validated
 from amhe_cli.system.system import System
@@ -83,24 +83,24 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, war
         raise ConfigError(f"{file.path}: not a system")
     generalise(spec, entry)
     plain = _compiled(file, spec)
-    planned = plan(file, entry, spec, plain)
+    draft = draft_wiring(file, entry, spec, plain)
     keyframe = _keyframe(file, entry, plain)
     unknowns_of(file, entry, plain)
     _refuse_strangers(file, entry)
     file.raise_problems()
     for name, parameter in entry.parameters.items():
-        if not planned.has_commands() and any(target.set == "command_delay" for target in parameter.targets):
+        if not draft.has_commands() and any(target.set == "command_delay" for target in parameter.targets):
             file.problem(
                 ("parameters", name), "a command delay changes nothing: no signal commands actuators"
             )
     file.raise_problems()
     base = _compiled(file, spec)
     space, edits = unknowns_of(file, entry, base)
-    wiring = planned.wired(base)
+    wiring = draft.wired(base)
     model = edits.apply(base, space.nominal)
     if warn:
         caution(str(file.path), base, edits)
-        _warn_of_unset(str(file.path), planned.unset_joints(), keyframe)
+        _warn_of_unset(str(file.path), draft.unset_joints(), keyframe)
         _warn_of_idle(overrides or {}, entry.settings.mhe)
     return System(
         name=folder.resolve().name,

@@ -8,7 +8,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.targets import id_of
 from amhe_cli.system.wiring import (
-    Plan,
+    WiringDraft,
     check_noise,
     names_of_log,
     one_quantity,
@@ -37,15 +37,15 @@ def _free_joint(model: mujoco.MjModel, body: int) -> int | None:
     return first if first >= 0 and int(model.jnt_type[first]) == mujoco.mjtJoint.mjJNT_FREE else None
 
 
-def body(made: Plan, name: str, entry: SignalEntry) -> None:
+def body(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """Pose and twist of a body: part of the state if its joint is free, else measured by sensors."""
-    model, own = made.model, str(entry.body)
+    model, own = draft.model, str(entry.body)
     row = id_of(model, "body", own)
     if model.body_mocapid[row] >= 0:
         raise ConfigError(f"body {own!r} is a mocap body, which a signal drives: write mocap: {own}")
     joint = _free_joint(model, row)
     if joint is None:
-        _at_site(made, name, entry, made.site_on(own), POSE)
+        _at_site(draft, name, entry, draft.site_on(own), POSE)
         return
     check_noise(entry, POSE)
     signal = signal_of(name, entry, POSE)
@@ -57,20 +57,20 @@ def body(made: Plan, name: str, entry: SignalEntry) -> None:
         ("angular_velocity", "qvel", velocity + 3, 3),
     ):
         columns = range(first, first + width)
-        made.state.append(
+        draft.state.append(
             state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity))
         )
-    made.joints_set.add(joint)
-    made.signals.append(signal)
+    draft.joints_set.add(joint)
+    draft.signals.append(signal)
 
 
-def site(made: Plan, name: str, entry: SignalEntry) -> None:
+def site(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """Motion or force at a site: an IMU, a tool, a force-torque sensor."""
-    id_of(made.model, "site", str(entry.site))
-    _at_site(made, name, entry, str(entry.site), tuple(_SITE_SENSORS))
+    id_of(draft.model, "site", str(entry.site))
+    _at_site(draft, name, entry, str(entry.site), tuple(_SITE_SENSORS))
 
 
-def _at_site(made: Plan, name: str, entry: SignalEntry, site: str, known: tuple[str, ...]) -> None:
+def _at_site(draft: WiringDraft, name: str, entry: SignalEntry, site: str, known: tuple[str, ...]) -> None:
     """Compare quantities at a site with sensors that are added there."""
     check_noise(entry, known)
     compared = {quantity: sd for quantity, sd in entry.noise.items() if sd and entry.compares(quantity)}
@@ -79,40 +79,40 @@ def _at_site(made: Plan, name: str, entry: SignalEntry, site: str, known: tuple[
     signal = signal_of(name, entry, tuple(compared))
     for quantity, sd in compared.items():
         sensor = f"amhe/{name}/{quantity}"
-        made.spec.add_sensor(
+        draft.spec.add_sensor(
             name=sensor, type=_SITE_SENSORS[quantity], objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
         )
-        made.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), [sensor]))
-    made.signals.append(signal)
+        draft.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), [sensor]))
+    draft.signals.append(signal)
 
 
-def joints(made: Plan, name: str, entry: SignalEntry) -> None:
+def joints(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """State of hinge and slide joints, and the effort of their actuators."""
     check_noise(entry, ("position", "velocity", "effort"))
     own, logged = names_of_log(entry.joints)
-    rows = single_joints(made.model, own)
-    kinds = [int(made.model.jnt_type[row]) for row in rows]
+    rows = single_joints(draft.model, own)
+    kinds = [int(draft.model.jnt_type[row]) for row in rows]
     effort = entry.noise.get("effort")
     signal = signal_of(name, entry, ("position", "velocity", *(["effort"] if effort else [])), logged)
     for quantity, source, addresses in (
-        ("position", "qpos", made.model.jnt_qposadr),
-        ("velocity", "qvel", made.model.jnt_dofadr),
+        ("position", "qpos", draft.model.jnt_qposadr),
+        ("velocity", "qvel", draft.model.jnt_dofadr),
     ):
         columns = [int(addresses[row]) for row in rows]
-        made.state.append(
+        draft.state.append(
             state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity, kinds))
         )
     if effort:
         sensors = [f"amhe/{name}/effort/{joint}" for joint in own]
         kind = mujoco.mjtSensor.mjSENS_JOINTACTFRC
         for sensor, joint in zip(sensors, own, strict=True):
-            made.spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)
-        made.sensed.append((signal.key("effort"), "effort", effort, unit_of("effort", kinds), sensors))
-    made.joints_set.update(rows)
-    made.signals.append(signal)
+            draft.spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)
+        draft.sensed.append((signal.key("effort"), "effort", effort, unit_of("effort", kinds), sensors))
+    draft.joints_set.update(rows)
+    draft.signals.append(signal)
 
 
-def sensor(made: Plan, name: str, entry: SignalEntry) -> None:
+def sensor(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """Sensors that the model has itself."""
     quantity = one_quantity(entry, "value")
     check_noise(entry, (quantity,))
@@ -121,7 +121,7 @@ def sensor(made: Plan, name: str, entry: SignalEntry) -> None:
         raise ConfigError(f"give noise: {{{quantity}: SD}}, the standard deviation of the measurement")
     sensors = [entry.sensor] if isinstance(entry.sensor, str) else list(entry.sensor or ())
     for sensor in sensors:
-        id_of(made.model, "sensor", sensor)
+        id_of(draft.model, "sensor", sensor)
     signal = signal_of(name, entry, (quantity,))
-    made.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), sensors))
-    made.signals.append(signal)
+    draft.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), sensors))
+    draft.signals.append(signal)

@@ -16,10 +16,10 @@ from amhe_cli.system.edits import ModelEdits
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One series of a trajectory, and where the model predicts it.
+    """One series of a log, and where the model predicts it.
 
     Args:
-        key: Series of the trajectory, `signal.quantity`.
+        key: Series of the log, `signal.quantity`.
         kind: 'linear' residuals are differences, 'rotation' residuals the rotation logarithm.
         source: Array of the rollout that predicts it.
         columns: Columns of that array, in the order of the series' columns (4 for a quaternion).
@@ -53,10 +53,10 @@ class Channel:
 
 @dataclass(frozen=True, slots=True)
 class Input:
-    """One series of a trajectory that drives the model.
+    """One series of a log that drives the model.
 
     Args:
-        key: Series of the trajectory.
+        key: Series of the log.
         columns: Columns of the engine's input vector that it fills, in the series' column order.
         delayed: Subject to the common command delay, where that is a parameter.
     """

@@ -1,8 +1,8 @@
 """Where a log meets the model: what is read, what is compared, what drives it.
 
-Two steps, because sensors are added between them: a `Plan` is made from the model as the user wrote it
-(`channels.plan`) and adds to its spec what the measured quantities need; `Plan.wired` then finds the
-addresses in the final model. Everything added is called `amhe/...`.
+This takes two steps, because sensors are added between them. `channels.draft_wiring` makes a `WiringDraft`
+from the model as the user wrote it, and adds to its spec what the measured quantities need.
+`WiringDraft.wired` then finds the addresses in the final model. Everything added is called `amhe/...`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Wiring:
 
 
 @dataclass
-class Plan:
+class WiringDraft:
     """Signals whose addresses in the final model are still to be found."""
 
     spec: mujoco.MjSpec
@@ -45,7 +45,7 @@ class Plan:
     joints_set: set[int] = field(default_factory=set)
 
     def wired(self, model: mujoco.MjModel) -> Wiring:
-        """Addresses in the final model: the plan's spec, compiled."""
+        """Addresses in the final model: the spec of the draft, compiled."""
         channels = list(self.state)
         for key, quantity, noise, unit, sensors in self.sensed:
             rows = [id_of(model, "sensor", name) for name in sensors]

@@ -13,7 +13,7 @@ from amhe_cli.cli.main import amhe, run
 from amhe_cli.core.settings import LogSettings, MheSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.estimation.online.horizon import UPDATES, MovingHorizon
-from amhe_cli.logs import read_metadata, read_trajectory, survey
+from amhe_cli.logs import read_metadata, read_signals, survey
 from amhe_cli.system.load import bundled_root, find_system, load_system
 from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
 
@@ -99,7 +99,7 @@ def test_the_log_of_estimates_is_read_back_by_ours(pushed: Path) -> None:
     assert {"/amhe/params", "/amhe/estimate", "/amhe/truth", "/diagnostics"} <= set(topics)
     assert topics["/amhe/estimate"].type == "amhe_msgs/msg/Estimate"
     params = Signal("params", "/amhe/params", ("position",))
-    log = read_trajectory(path, [params], 0.1, LogSettings())["params.position"]
+    log = read_signals(path, [params], 0.1, LogSettings())["params.position"]
     assert log.columns == NAMES
     for i, name in enumerate(NAMES):
         np.testing.assert_allclose(log.values[:, i], column(pushed, name), rtol=1e-8)
@@ -114,8 +114,8 @@ def test_the_log_predicts_the_measured_topics(pushed: Path) -> None:
         ("/joint_states", "position", 0.06),
     ):
         said = Signal("it", f"/amhe/pred{topic}", (quantity,))
-        predicted = read_trajectory(pushed / "estimates.mcap", [said], 0.01, LogSettings())
-        measured = read_trajectory(
+        predicted = read_signals(pushed / "estimates.mcap", [said], 0.01, LogSettings())
+        measured = read_signals(
             LOGS / "t4.mcap", [Signal("it", topic, (quantity,))], 0.01, LogSettings(), end=2.9
         )
         late = round((predicted.start_ns - measured.start_ns) / 1e7)

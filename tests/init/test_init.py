@@ -15,7 +15,7 @@ from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.folder import init_system
 from amhe_cli.init.names import is_command, matched, names_the_same
 from amhe_cli.init.signals import Topic, fields_example, foreign
-from amhe_cli.logs import LogWriter, read_trajectory
+from amhe_cli.logs import LogWriter, read_signals
 from amhe_cli.system.load import bundled_root, load_system
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import System
@@ -75,7 +75,7 @@ def test_a_walker_is_matched_by_name_whatever_the_order(tmp_path: Path, walker_l
     assert signals["crate"].topic == "/mocap/crate/pose"
     assert "not used: /camera/pose" in text
     assert any("odom" in guess for guess in guesses)
-    read_trajectory(walker_log, system.signals, 0.002, LogSettings())
+    read_signals(walker_log, system.signals, 0.002, LogSettings())
 
 
 def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) -> None:
@@ -137,7 +137,7 @@ def test_an_array_command_and_a_frame_of_tf(tmp_path: Path) -> None:
     assert signals["tool"].child_frame == "tool"
     assert "shoulder_damping" in system.space.names
     assert "tool_mass" in system.space.names or "forearm_mass" in system.space.names
-    read_trajectory(path, system.signals, 0.002, LogSettings())
+    read_signals(path, system.signals, 0.002, LogSettings())
 
 
 URDF = """<robot name="arm"><link name="base"/>

@@ -16,8 +16,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amhe_cli.assembly import LogSource, open_system, trajectories
+from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import Belief, belief_of
-from amhe_cli.core.trajectory import Window
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.live.belief import AdaptiveBelief
 from amhe_cli.live.buffer import Buffer
@@ -95,7 +95,7 @@ def test_the_buffer_holds_what_the_log_holds(adaptive: tuple[Path, list[Cycle]])
         assert window is not None and window.length == 125
         stop = round((cycle.estimate.time - 1e-9 * log.start_ns) / log.dt)
         for key, logged in log.series.items():
-            live = window.trajectory[key]
+            live = window.log[key]
             ours, theirs = slice(window.start, window.stop + 1), slice(stop - 125, stop + 1)
             # a sample halfway between two steps may count for either
             assert live.sampled[ours].sum() == pytest.approx(logged.sampled[theirs].sum(), abs=1), key

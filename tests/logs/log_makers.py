@@ -12,9 +12,9 @@ from mcap.writer import CompressionType, Writer
 from rosbags import rosbag1, rosbag2
 from rosbags.typesys import Stores, get_typestore
 
+from amhe_cli.core.log import Log
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.core.trajectory import Trajectory
 
 T0 = 1_700_000_000_000_000_000
 DT = 0.01
@@ -204,7 +204,7 @@ def write_bag(
     return path
 
 
-def wrong_samples(trajectory: Trajectory, tolerance: float = 1e-9) -> dict[str, int]:
+def wrong_samples(trajectory: Log, tolerance: float = 1e-9) -> dict[str, int]:
     """How many steps of each series claim a measurement that the true motion does not have."""
     t = (trajectory.start_ns - T0) / 1e9 + np.arange(trajectory.steps) * trajectory.dt
     true = truth(t)

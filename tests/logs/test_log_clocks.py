@@ -15,7 +15,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import LogWriter, read_trajectory, survey
+from amhe_cli.logs import LogWriter, read_signals, survey
 from amhe_cli.logs.clocks import increasing
 from amhe_cli.logs.differentiate import angular_velocity, derivative
 from amhe_cli.logs.resample import resample
@@ -44,7 +44,7 @@ def times(n: int, start: int = T0, period: float = DT) -> list[int]:
 def read(
     path: Path, *signals: Signal, dt: float = DT, settings: LogSettings = SETTINGS, **options: Any
 ) -> Any:
-    return read_trajectory(path, signals or (JOINT,), dt, settings, **options)
+    return read_signals(path, signals or (JOINT,), dt, settings, **options)
 
 
 def warnings(caplog: pytest.LogCaptureFixture) -> str:

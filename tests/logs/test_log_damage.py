@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import LogError
-from amhe_cli.core.trajectory import Trajectory
-from amhe_cli.logs import read_metadata, read_trajectory, survey
+from amhe_cli.core.log import Log
+from amhe_cli.logs import read_metadata, read_signals, survey
 from tests.logs.log_makers import (
     DT,
     ROS1,
@@ -50,13 +50,13 @@ def originals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     return {name: path.read_bytes() for name, path in paths.items()}
 
 
-def attempt(path: Path, content: bytes, caplog: pytest.LogCaptureFixture) -> Trajectory | None:
+def attempt(path: Path, content: bytes, caplog: pytest.LogCaptureFixture) -> Log | None:
     """Read damaged content; None where it is refused. Anything but a LogError fails the test."""
     path.write_bytes(content)
     caplog.clear()
     with caplog.at_level(logging.WARNING):
         try:
-            return read_trajectory(path, SIGNALS, DT, SETTINGS)
+            return read_signals(path, SIGNALS, DT, SETTINGS)
         except LogError as error:
             assert str(path) in str(error)
             assert "\n" not in str(error)

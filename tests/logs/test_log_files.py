@@ -17,7 +17,7 @@ from rosbags.highlevel import AnyReader
 
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import LogWriter, read_metadata, read_trajectory, survey
+from amhe_cli.logs import LogWriter, read_metadata, read_signals, survey
 from amhe_cli.logs.containers import compression
 from tests.logs.log_makers import (
     DT,
@@ -42,7 +42,7 @@ N = 60
 
 
 def read(path: Path) -> Any:
-    return read_trajectory(path, SIGNALS, DT, SETTINGS)
+    return read_signals(path, SIGNALS, DT, SETTINGS)
 
 
 # -- containers -------------------------------------------------------------------------------------------
@@ -127,7 +127,7 @@ def test_foreign_topics_are_passed_over_and_named_when_asked_for(tmp_path: Path)
             data = ROS2.serialize_cdr(joint_state(ROS2, stamp, JOINTS, (1, 2, 3)), JS)
             writer.add_message(channel, stamp, bytes(data), stamp)
         writer.finish()
-    trajectory = read_trajectory(path, [Signal("j", "/js", ("position",))], DT, SETTINGS)
+    trajectory = read_signals(path, [Signal("j", "/js", ("position",))], DT, SETTINGS)
     assert trajectory.steps == 10
     for topic, text in (
         ("/json", "encoded as 'json'"),
@@ -135,7 +135,7 @@ def test_foreign_topics_are_passed_over_and_named_when_asked_for(tmp_path: Path)
         ("/none", "no definition"),
     ):
         with pytest.raises(LogError, match=text):
-            read_trajectory(path, [Signal("j", topic, ("position",))], DT, SETTINGS)
+            read_signals(path, [Signal("j", topic, ("position",))], DT, SETTINGS)
     problems = {topic.name: topic.problem for topic in survey(path).topics}
     assert problems["/js"] is None and "json" in (problems["/json"] or "")
 
@@ -237,7 +237,7 @@ def test_a_definition_that_contains_itself(tmp_path: Path) -> None:
         writer.add_message(writer.register_channel("/l", "cdr", schema), T0, bytes(100), T0)
         writer.finish()
     with pytest.raises(LogError):
-        read_trajectory(path, [Signal("l", "/l", ("value",), fields={"value": ("next",)})], DT, SETTINGS)
+        read_signals(path, [Signal("l", "/l", ("value",), fields={"value": ("next",)})], DT, SETTINGS)
     survey(path)
 
 
@@ -302,7 +302,7 @@ def test_what_is_written_is_read_back(tmp_path: Path) -> None:
         Signal("f", "/ft", ("force", "torque")),
         Signal("u", "/u", ("value",), is_input=True),
     ]
-    trajectory = read_trajectory(path, signals, DT, SETTINGS)
+    trajectory = read_signals(path, signals, DT, SETTINGS)
     half = np.sqrt(0.5)
     expected = {
         "j.position": (2, 1),
@@ -353,7 +353,7 @@ def test_a_type_of_our_own_and_one_type_a_topic(tmp_path: Path) -> None:
         with pytest.raises(ValueError, match="carries amhe_msgs/msg/Estimate"):
             log.joint_state("/e", T0, ())
     signal = Signal("e", "/e", ("value",), fields={"value": ("mean",)})
-    assert read_trajectory(tmp_path / "a", [signal], DT, SETTINGS)["e.value"].values == [[1.5]]
+    assert read_signals(tmp_path / "a", [signal], DT, SETTINGS)["e.value"].values == [[1.5]]
 
 
 # -- real logs --------------------------------------------------------------------------------------------
@@ -365,7 +365,7 @@ needs_data = pytest.mark.skipif(not DATA.exists(), reason="the real logs (../sha
 def test_a_real_cube_toss(caplog: pytest.LogCaptureFixture) -> None:
     quantities = ("position", "orientation", "linear_velocity", "angular_velocity")
     path = DATA / "cube_tosses/toss_000.mcap"
-    trajectory = read_trajectory(path, [Signal("cube", "/cube/odom", quantities)], 1 / 148, SETTINGS)
+    trajectory = read_signals(path, [Signal("cube", "/cube/odom", quantities)], 1 / 148, SETTINGS)
     assert trajectory["cube.position"].valid.all()
     moved = np.gradient(trajectory["cube.position"].values, 1 / 148, axis=0)
     difference = (moved - trajectory["cube.linear_velocity"].values)[5:-5]
@@ -383,7 +383,7 @@ def test_a_real_bag() -> None:
     frames = next(topic for topic in found.topics if topic.name == "/tf")
     assert frames.clock == "header" and not frames.notes
     box = "/vicon/MetalSquare/MetalSquare"
-    trajectory = read_trajectory(
+    trajectory = read_signals(
         path,
         [
             Signal("box", box, ("position", "orientation", "linear_velocity")),

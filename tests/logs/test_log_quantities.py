@@ -14,7 +14,7 @@ from mcap.writer import Writer
 
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import read_trajectory
+from amhe_cli.logs import read_signals
 from tests.logs.log_makers import (
     ARRAY,
     DT,
@@ -52,7 +52,7 @@ def series(store: Any, topic: str, name: str, content: Callable[[int, int], Any]
 
 
 def read(path: Path, *signals: Signal, **options: Any) -> Any:
-    return read_trajectory(path, signals, DT, SETTINGS, **options)
+    return read_signals(path, signals, DT, SETTINGS, **options)
 
 
 def stamped(store: Any, name: str, stamp: int, **fields: Any) -> Any:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.settings import CostSettings
-from amhe_cli.core.trajectory import Series, Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Rollouts
 from amhe_cli.matching.cost import MatchingCost, quadratic_prior
@@ -15,7 +15,7 @@ ENGINE = CpuEngine(CUBE.model, CUBE.edits, CUBE.input_spec, 1, False)
 SETTINGS = CostSettings(trim=0.0)
 
 
-def toss(flip: bool = False, seed: int = 0, steps: int = 150) -> Trajectory:
+def toss(flip: bool = False, seed: int = 0, steps: int = 150) -> Log:
     """A cube that falls and slides under the nominal parameters, without noise."""
     rng = np.random.default_rng(seed)
     qpos = np.concatenate(([0.0, 0.0, 0.12], rng.normal(size=4)))
@@ -33,7 +33,7 @@ def toss(flip: bool = False, seed: int = 0, steps: int = 150) -> Trajectory:
     def series(values, names):
         return Series(values, yes, yes, tuple(names))
 
-    return Trajectory(
+    return Log(
         CUBE.model.opt.timestep,
         {
             "cube.position": series(qpos[:, :3], "xyz"),
@@ -113,7 +113,7 @@ def test_errors_are_distances_and_angles():
     far[1:] += [0.003, 0.0, 0.004]
     old = shifted["cube.position"]
     shifted["cube.position"] = Series(far, old.valid, old.sampled, old.columns)
-    matching = cost([Window(Trajectory(log.dt, shifted, "far"), 0, 100)])
+    matching = cost([Window(Log(log.dt, shifted, "far"), 0, 100)])
     assert matching.errors(np.zeros((1, 4)), "position")[0, 0] == pytest.approx(0.005, abs=1e-9)
     assert matching.errors(np.zeros((1, 4)), "orientation")[0, 0] == pytest.approx(0.0, abs=1e-9)
 

@@ -12,7 +12,7 @@ import numpy as np
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, SimulationError
-from amhe_cli.core.trajectory import Trajectory
+from amhe_cli.core.log import Log
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.design.actuators import drives_of
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
@@ -114,9 +114,7 @@ class DriveProbe:
             found.append(np.zeros((z.size, z.size)) if told is None else told.matrix.sum(axis=0))
         return np.stack(found)
 
-    def _played(
-        self, playback: Playback, one: Multisine, theta: FloatArray, place: int
-    ) -> list[Trajectory | None]:
+    def _played(self, playback: Playback, one: Multisine, theta: FloatArray, place: int) -> list[Log | None]:
         """What plants with parameters theta (p, d) would log."""
         swing = one.at(playback.times(self._options.seconds))
         inputs = np.tile(self._drives.home, (len(swing), 1))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.trajectory import Window
+from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.estimation.core.information import Information, information
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise

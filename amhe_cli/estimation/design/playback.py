@@ -8,7 +8,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.core.log import Log, Series
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.engine.states import home
 from amhe_cli.system.system import Channel, System
@@ -35,9 +35,7 @@ class Playback:
         """Instants at which controls may change [s], shape (n,)."""
         return COMMANDED * np.arange(round(seconds / COMMANDED), dtype=np.float64)
 
-    def play(
-        self, theta: FloatArray, controls: FloatArray, rng: np.random.Generator
-    ) -> list[Trajectory | None]:
+    def play(self, theta: FloatArray, controls: FloatArray, rng: np.random.Generator) -> list[Log | None]:
         """What p plants would log; None for one that diverges or leaves its joints' limits.
 
         Args:
@@ -57,7 +55,7 @@ class Playback:
         # the first instant has no sensor data: the logs begin with the second, row 0 of the rollouts
         measured = np.arange(0, steps - 1, max(1, round(MEASURED / self.dt)))
         commanded = np.append(0, np.flatnonzero(np.diff(playing)))
-        logs: list[Trajectory | None] = []
+        logs: list[Log | None] = []
         for i in range(count):
             series = {
                 c.key: _measured(c, sources[c.source][i, :-1], measured, rng)  # pyright: ignore[reportOptionalSubscript]
@@ -66,7 +64,7 @@ class Playback:
             for source in system.inputs:
                 series[source.key] = _sampled(inputs[i, 1:, list(source.columns)].T, commanded)
             sound = rollouts.completed[i] and _within_limits(system, rollouts.qpos[i])
-            logs.append(Trajectory(self.dt, series, "a simulated probe") if sound else None)
+            logs.append(Log(self.dt, series, "a simulated probe") if sound else None)
         return logs
 
 

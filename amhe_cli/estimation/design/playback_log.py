@@ -9,8 +9,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Signal
-from amhe_cli.core.trajectory import Trajectory
 from amhe_cli.logs import LogWriter
 from amhe_cli.system.system import System
 
@@ -19,7 +19,7 @@ _Values = Mapping[str, FloatArray]
 _Write = Callable[[LogWriter, Signal, int, _Values], None]
 
 
-def write_log(path: Path, system: System, log: Trajectory, metadata: Mapping[str, str]) -> None:
+def write_log(path: Path, system: System, log: Log, metadata: Mapping[str, str]) -> None:
     """Write what `log` sampled of every signal.
 
     Raises:

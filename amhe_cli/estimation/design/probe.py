@@ -13,7 +13,7 @@ import numpy as np
 from amhe_cli.assembly import LogSource, trajectories
 from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.errors import AmheError, EstimationError
-from amhe_cli.core.trajectory import Trajectory, Window
+from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.design.design import Accuracy, accuracy
 from amhe_cli.estimation.design.information import information_where_it_points
@@ -100,12 +100,12 @@ def engine_of(system: System, threads: int) -> CpuEngine:
     return CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
 
 
-def read(system: System, path: Path) -> Trajectory:
+def read(system: System, path: Path) -> Log:
     """A log that was just written."""
     return trajectories(system, LogSource((path,), {}, None, None, None))[0]
 
 
-def tiles(system: System, log: Trajectory) -> list[Window]:
+def tiles(system: System, log: Log) -> list[Window]:
     """Windows of a log side by side, as `amhe identify` cuts them; none where nothing moves."""
     clips = system.settings.clips
     return ClipPool(system, [whole(log)], clips).tiles(0.5 * sum(clips.length))

@@ -84,8 +84,8 @@ def _fingerprint(problem: Problem, method: str) -> str:
     ):
         digest.update(text.encode())
     for stretch in problem.pool.stretches:
-        digest.update(f"{stretch.start} {stretch.stop} {stretch.trajectory.dt}".encode())
-        for key, series in sorted(stretch.trajectory.series.items()):
+        digest.update(f"{stretch.start} {stretch.stop} {stretch.log.dt}".encode())
+        for key, series in sorted(stretch.log.series.items()):
             digest.update(key.encode())
             digest.update(series.values.tobytes())
             digest.update(series.sampled.tobytes())

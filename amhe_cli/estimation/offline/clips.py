@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray
+from amhe_cli.core.log import Log, Window
 from amhe_cli.core.settings import ClipSettings
 from amhe_cli.core.statistics import white_noise_sd
-from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.system.system import System
 
 #: From this many logs on, whole logs are held out instead of a part of each.
@@ -19,14 +19,14 @@ WHOLE_LOGS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stretch:
-    """Instants start .. stop of a trajectory that may be used for one purpose."""
+    """Instants start .. stop of a log that may be used for one purpose."""
 
-    trajectory: Trajectory
+    log: Log
     start: int
     stop: int
 
 
-def split_held_out(logs: Sequence[Trajectory], share: float) -> tuple[list[Stretch], list[Stretch]]:
+def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Stretch], list[Stretch]]:
     """Divide logs into stretches to fit and stretches to validate on.
 
     With many logs every n-th is held out whole; with few, the last part of each.
@@ -47,7 +47,7 @@ def split_held_out(logs: Sequence[Trajectory], share: float) -> tuple[list[Stret
     )
 
 
-def whole(log: Trajectory) -> Stretch:
+def whole(log: Log) -> Stretch:
     """All of a log."""
     return Stretch(log, 0, log.steps - 1)
 
@@ -82,7 +82,7 @@ class ClipPool:
             stretch = self.stretches[rng.choice(len(steps), p=steps / steps.sum())]
             length = self._steps(rng.uniform(*self.settings.length), stretch)
             start = int(rng.integers(stretch.start, stretch.stop - length + 1))
-            clip = Window(stretch.trajectory, start, length)
+            clip = Window(stretch.log, start, length)
             if self._fit(clip):
                 clips.append(clip)
         return clips
@@ -94,17 +94,17 @@ class ClipPool:
             length = self._steps(seconds, stretch)
             stop = min(stretch.stop, stretch.start + length) if first_only else stretch.stop
             for start in range(stretch.start, stop - length + 1, length) if length else ():
-                clip = Window(stretch.trajectory, start, length)
+                clip = Window(stretch.log, start, length)
                 if self._fit(clip):
                     clips.append(clip)
         return clips
 
     def _steps(self, seconds: float, stretch: Stretch) -> int:
-        return min(max(1, round(seconds / stretch.trajectory.dt)), stretch.stop - stretch.start)
+        return min(max(1, round(seconds / stretch.log.dt)), stretch.stop - stretch.start)
 
     def _fit(self, clip: Window) -> bool:
         """Whether a clip can be used, counting it if not."""
-        if not self._usable_rows(clip.trajectory)[clip.start : clip.stop + 1].all():
+        if not self._usable_rows(clip.log)[clip.start : clip.stop + 1].all():
             self.across_gaps += 1
             return False
         if self._is_still(clip):
@@ -112,7 +112,7 @@ class ClipPool:
             return False
         return True
 
-    def _usable_rows(self, log: Trajectory) -> BoolArray:
+    def _usable_rows(self, log: Log) -> BoolArray:
         if id(log) not in self._usable:
             keys = [c.key for c in self.system.channels] + [i.key for i in self.system.inputs]
             self._usable[id(log)] = log.usable(tuple(keys))
@@ -123,14 +123,14 @@ class ClipPool:
         for channel in self.system.channels:
             if not channel.compared or channel.source == "qvel":
                 continue
-            values = clip.trajectory[channel.key].values[clip.start : clip.stop + 1]
-            noise = max(channel.noise or 0.0, self._noise_of(channel.key, clip.trajectory))
+            values = clip.log[channel.key].values[clip.start : clip.stop + 1]
+            noise = max(channel.noise or 0.0, self._noise_of(channel.key, clip.log))
             # the range of n noise samples alone is some 4 to 6 sd
             if np.ptp(values, axis=0).max() > (self.settings.still + 6.0) * noise:
                 return False
         return True
 
-    def _noise_of(self, key: str, log: Trajectory) -> float:
+    def _noise_of(self, key: str, log: Log) -> float:
         if key not in self._noise:
             series = log[key]
             self._noise[key] = white_noise_sd(series.values[series.sampled & series.valid])

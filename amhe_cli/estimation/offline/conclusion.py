@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.statistics import correlation
-from amhe_cli.core.trajectory import Window
 from amhe_cli.estimation.offline import cma
 from amhe_cli.estimation.offline.contradictions import (
     disagreements,
@@ -60,7 +60,7 @@ def conclude(
         noise_scale=evidence.noise_scale,
         fits=fits(problem, finding.z, validation or list(problem.tiles), bool(validation)),
         interrupted=interrupted,
-        logs=tuple(dict.fromkeys(s.trajectory.source for s in problem.pool.stretches)),
+        logs=tuple(dict.fromkeys(s.log.source for s in problem.pool.stretches)),
     )
 
 

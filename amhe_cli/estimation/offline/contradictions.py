@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.variants import contact_variants
 from amhe_cli.estimation.core.information import Information, information, objective
@@ -67,7 +67,7 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
     Each half is searched by itself, from the recorded first states: where they differ much, the misfit of
     their compromise looks like noise, and would hide that they do. So would first states fitted to it.
     """
-    late = np.array([w.start + 0.5 * w.length > 0.5 * (w.trajectory.steps - 1) for w in problem.tiles])
+    late = np.array([w.start + 0.5 * w.length > 0.5 * (w.log.steps - 1) for w in problem.tiles])
     if not _both(late):
         return None
     means, variances = [], []
@@ -89,8 +89,8 @@ def _both(side: BoolArray) -> bool:
 
 def _later_logs(tiles: Sequence[Window]) -> BoolArray:
     """Which clips are of the second half of the logs; none where there is one log."""
-    order = {source: i for i, source in enumerate(dict.fromkeys(w.trajectory.source for w in tiles))}
-    return np.array([2 * order[w.trajectory.source] >= len(order) > 1 for w in tiles])
+    order = {source: i for i, source in enumerate(dict.fromkeys(w.log.source for w in tiles))}
+    return np.array([2 * order[w.log.source] >= len(order) > 1 for w in tiles])
 
 
 def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, FloatArray]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.trajectory import Window
+from amhe_cli.core.log import Window
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.matching.cost import MatchingCost
@@ -39,13 +39,13 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
     """Channel on clip i, its initial and identified predictions of shape (2, samples, columns)."""
     keep = observed.mask[i]
     measured, (initial, identified) = observed.measured[i, keep], predicted[:, keep]
-    columns = window.trajectory[observed.channel.key].columns
+    columns = window.log[observed.channel.key].columns
     if observed.channel.kind == "rotation":
         zero = measured[0]
         measured, initial, identified = (_turn(zero, q) for q in (measured, initial, identified))
         columns = ("x", "y", "z")
-    dt = window.trajectory.dt
-    name = Path(window.trajectory.source).name
+    dt = window.log.dt
+    name = Path(window.log.source).name
     return Fit(
         clip=f"{name} {window.start * dt:.2f}-{window.stop * dt:.2f} s",
         channel=observed.channel.key,

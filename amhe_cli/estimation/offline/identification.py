@@ -13,8 +13,8 @@ from typing import TypeVar
 import numpy as np
 
 from amhe_cli.core.errors import EstimationError
+from amhe_cli.core.log import Log, Window
 from amhe_cli.core.parameters import Belief
-from amhe_cli.core.trajectory import Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.engine.spread import SpreadEngine
@@ -55,8 +55,8 @@ class IdentifyOptions:
 
 def identify(
     system: System,
-    training: Sequence[Trajectory],
-    held_out: Sequence[Trajectory] | None,
+    training: Sequence[Log],
+    held_out: Sequence[Log] | None,
     options: IdentifyOptions,
     on_iteration: Callable[[Iteration, int], None] = lambda iteration, total: None,
 ) -> Identification:
@@ -90,8 +90,8 @@ def identify(
 
 def _pose(
     system: System,
-    training: Sequence[Trajectory],
-    held_out: Sequence[Trajectory] | None,
+    training: Sequence[Log],
+    held_out: Sequence[Log] | None,
     options: IdentifyOptions,
 ) -> tuple[Problem, list[Window]]:
     """The problem, and the clips to validate on."""

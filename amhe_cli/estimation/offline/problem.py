@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
-from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.estimation.core.shape import sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool

@@ -9,8 +9,8 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.log import Window
 from amhe_cli.core.settings import IdentifySettings
-from amhe_cli.core.trajectory import Window
 from amhe_cli.estimation.core.information import Information, information, objective, split
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.shape import (

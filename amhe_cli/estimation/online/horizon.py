@@ -11,10 +11,10 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import Belief, belief_of
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import Z90
-from amhe_cli.core.trajectory import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.estimation.online.arrival import Arrival, arrival_of, reported
 from amhe_cli.estimation.online.linearised import linearised_update
@@ -38,7 +38,7 @@ class Estimate:
     """What is believed after one window.
 
     Args:
-        time: Of the window's last instant [s], on the trajectory's clock.
+        time: Of the window's last instant [s], on the log's clock.
         theta: Parameters, shape (d,).
         sd: Their standard deviations in the same units, shape (d,).
         lower, upper: Central 90 % intervals, shape (d,).
@@ -198,7 +198,7 @@ class MovingHorizon:
 
 def usable(system: System, window: Window) -> bool:
     """Whether every signal is known at the window's start, and the inputs all through it."""
-    log = window.trajectory
+    log = window.log
     if window.start < 0 or window.stop >= log.steps:
         return False
     starts = all(log[c.key].valid[window.start] for c in system.channels if c.sets_state)

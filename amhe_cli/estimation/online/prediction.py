@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.trajectory import Window
+from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.estimation.online.horizon import usable
 from amhe_cli.estimation.online.replay import Replay
@@ -21,11 +21,11 @@ _AT_ONCE = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Part of a rollout, on the clock of the trajectory that it started from.
+    """Part of a rollout, on the clock of the log that it started from.
 
     Args:
-        rows: Instants of that trajectory, shape (m,).
-        values: Series of the trajectory, such as 'box.position' -> its prediction, shape (m, k).
+        rows: Rows of that log, shape (m,).
+        values: Series of the log, such as 'box.position' -> its prediction, shape (m, k).
     """
 
     rows: IntArray
@@ -39,7 +39,7 @@ def predictions(done: Replay, engine: RolloutEngine) -> list[Prediction | None]:
         One for each window; None where it lacks a signal to start from, or the rollout diverged.
     """
     theta, system = done.column("theta"), done.system
-    newest = round(system.settings.mhe.update_period / done.windows[0].trajectory.dt)
+    newest = round(system.settings.mhe.update_period / done.windows[0].log.dt)
     found: list[Prediction | None] = [None] * len(done.windows)
     known = [i for i, window in enumerate(done.windows) if usable(system, window)]
     for start in range(0, len(known), _AT_ONCE):

@@ -1,4 +1,4 @@
-"""The estimator over a recorded trajectory: the newest window at each update, as if it were live."""
+"""The estimator over a recorded log: the newest window at each update, as if it were live."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import EstimationError
-from amhe_cli.core.trajectory import Trajectory, Window
+from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import RolloutEngine
 from amhe_cli.estimation.online.arrival import Arrival
 from amhe_cli.estimation.online.horizon import LEAST, Estimate, MovingHorizon, check_window
@@ -34,7 +34,7 @@ class ReplayProblem:
         windows: What it is to see.
         truth: Parameter -> what the log calls true at each window's end, shape (windows,), NaN where it does
             not say.
-        begun: Where the trajectory begins in the log [s].
+        begun: Time of row 0, from the start of the file [s].
     """
 
     system: System
@@ -77,7 +77,7 @@ class Replay:
     def real_time_factor(self) -> float:
         """Seconds of log replayed in one second."""
         first, last = self.windows[0], self.windows[-1]
-        return (last.stop - first.start) * first.trajectory.dt / max(self.seconds, 1e-9)
+        return (last.stop - first.start) * first.log.dt / max(self.seconds, 1e-9)
 
     @property
     def start_theta(self) -> FloatArray:
@@ -99,26 +99,26 @@ class Replay:
         return np.array([getattr(e, field) for e in self.estimates])
 
 
-def windows(system: System, trajectory: Trajectory) -> list[Window]:
+def windows(system: System, log: Log) -> list[Window]:
     """The window before each update, one update period apart; of a shorter log, all of it.
 
     Raises:
         ConfigError: The window is shorter than any can be.
         EstimationError: The log is too short for any window.
     """
-    setting, dt = system.settings.mhe, trajectory.dt
+    setting, dt = system.settings.mhe, log.dt
     check_window(setting, dt)
     length, every = round(setting.window / dt), round(setting.update_period / dt)
-    longest = trajectory.steps - 2
+    longest = log.steps - 2
     if longest < LEAST:
         raise EstimationError(
-            f"{trajectory.source}: {trajectory.duration:.3g} s hold no window; record a longer log, "
+            f"{log.source}: {log.duration:.3g} s hold no window; record a longer log, "
             f"or take more of it (--from, --to)"
         )
     if longest < length:
         logger.warning(
             "%s: its %.3g s hold no window of %g s: one of %.3g s is used; choose a shorter one "
-            "with --window", trajectory.source, trajectory.duration, setting.window, longest * dt,
+            "with --window", log.source, log.duration, setting.window, longest * dt,
         )  # fmt: skip
         length = longest
     if every > length:
@@ -126,13 +126,13 @@ def windows(system: System, trajectory: Trajectory) -> list[Window]:
             "an update every %g s from windows of %g s: what lies between them is not looked at; choose a "
             "longer --window or a shorter --update-period", every * dt, length * dt,
         )  # fmt: skip
-    return [Window(trajectory, stop - length, length) for stop in range(length, trajectory.steps - 1, every)]
+    return [Window(log, stop - length, length) for stop in range(length, log.steps - 1, every)]
 
 
 def replay(estimator: MovingHorizon, steps: Sequence[Window], begun: float = 0.0) -> Iterator[Estimate]:
     """One estimate after the other, at times from `begun` [s] on."""
     for window in steps:
-        yield estimator.update(window, begun + window.stop * window.trajectory.dt)
+        yield estimator.update(window, begun + window.stop * window.log.dt)
 
 
 def replayed(
@@ -166,7 +166,7 @@ def replayed(
 
 def caution(done: Replay) -> None:
     """Warn of what a reader of the estimates must know."""
-    source, count, marks = done.windows[0].trajectory.source, len(done.windows), done.marks
+    source, count, marks = done.windows[0].log.source, len(done.windows), done.marks
     if marks["gap"]:
         logger.warning(
             "%s: %d of %d windows lack a signal to start from, or an input: the belief waits there, and "

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.trajectory import Window
+from amhe_cli.core.log import Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.core.linearise import FirstStates, linearise

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.core.log import Log, Series
 from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
@@ -27,7 +27,7 @@ def pendulum() -> System:
 
 
 @pytest.fixture(scope="session")
-def swing(pendulum: System) -> Callable[..., Trajectory]:
+def swing(pendulum: System) -> Callable[..., Log]:
     """Simulate the pendulum under a held multisine command; states are sampled at 100 Hz."""
 
     def simulate(
@@ -36,7 +36,7 @@ def swing(pendulum: System) -> Callable[..., Trajectory]:
         theta: np.ndarray = TRUTH,
         noise: float = 1.0,
         later: np.ndarray | None = None,
-    ) -> Trajectory:
+    ) -> Log:
         rng = np.random.default_rng(seed)
         model = pendulum.edits.apply(pendulum.model, theta)
         switched = pendulum.edits.apply(pendulum.model, theta if later is None else later)
@@ -56,7 +56,7 @@ def swing(pendulum: System) -> Callable[..., Trajectory]:
     return simulate
 
 
-def as_trajectory(states: np.ndarray, dt: float, every: int = 5) -> Trajectory:
+def as_trajectory(states: np.ndarray, dt: float, every: int = 5) -> Log:
     """Columns position, velocity, command (T, 3); states count as measured on every fifth row."""
     sampled = np.zeros(len(states), dtype=bool)
     sampled[::every] = True
@@ -67,7 +67,7 @@ def as_trajectory(states: np.ndarray, dt: float, every: int = 5) -> Trajectory:
     def between(column: int) -> np.ndarray:
         return np.interp(rows, rows[sampled], states[sampled, column])[:, None]
 
-    return Trajectory(
+    return Log(
         dt,
         {
             "joints.position": Series(between(0), valid, sampled, ("hinge",)),

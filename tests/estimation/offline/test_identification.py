@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError, EstimationError
-from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.core.log import Log, Series
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.system.load import find_system, load_system
 from tests.estimation.offline.conftest import CHEAP, TRUTH
@@ -138,7 +138,7 @@ def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):
     assert "mass reaches the model but no measurement" in caplog.text
 
 
-def fall(system, noise: float = 1e-4) -> Trajectory:
+def fall(system, noise: float = 1e-4) -> Log:
     """A cube that falls flat and slides, measured with this noise [SI]."""
     from amhe_cli.engine.cpu import CpuEngine
 
@@ -160,7 +160,7 @@ def fall(system, noise: float = 1e-4) -> Trajectory:
         f"cube.{k}": Series(v + noisy.normal(0, noise, v.shape), yes, yes, tuple("wxyz"[: v.shape[1]]))
         for k, v in parts.items()
     }
-    return Trajectory(system.model.opt.timestep, series, "fall")
+    return Log(system.model.opt.timestep, series, "fall")
 
 
 def test_a_parameter_that_drifts_within_the_log_is_reported(pendulum, swing, caplog):
@@ -176,7 +176,7 @@ def test_a_still_log_is_refused_in_words(pendulum):
     rows = 2000
     yes = np.ones(rows, dtype=bool)
     noise = np.random.default_rng(0).normal(0.0, 0.002, (rows, 1))
-    still = Trajectory(
+    still = Log(
         0.002,
         {
             "joints.position": Series(noise, yes, yes, ("hinge",)),
@@ -213,7 +213,7 @@ def test_a_command_delay_is_found(swing, tmp_path):
     shift = 6  # steps of 2 ms
     command = log["command.position"]
     early = Series(np.roll(command.values, -shift, axis=0), command.valid, command.sampled, command.columns)
-    moved = Trajectory(log.dt, {**log.series, "command.position": early}, "early")
+    moved = Log(log.dt, {**log.series, "command.position": early}, "early")
     result = identify(system, [moved], None, IdentifyOptions())
     assert found(result, "delay").estimate == pytest.approx(shift * log.dt, abs=0.0015)
     assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.02)
@@ -237,7 +237,7 @@ def test_a_model_that_does_not_explain_the_log_is_told(pendulum, swing, caplog):
     log = swing(5.0)
     command = log["command.position"]
     late = Series(np.roll(command.values, -20, axis=0), command.valid, command.sampled, command.columns)
-    moved = Trajectory(log.dt, {**log.series, "command.position": late}, "late")
+    moved = Log(log.dt, {**log.series, "command.position": late}, "late")
     result = identify(pendulum, [moved], None, IdentifyOptions())
     assert "the model misses joints.position by" in caplog.text
     assert "identified" not in {p.verdict for p in result.parameters}

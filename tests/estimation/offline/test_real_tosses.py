@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.logs import read_trajectory
+from amhe_cli.logs import read_signals
 from amhe_cli.system.load import find_system, load_system
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data" / "cube_tosses"
@@ -18,7 +18,7 @@ def test_real_tosses_tell_friction_and_not_mass():
         {"identify": {"iterations": 10, "profile_points": 0}, "clips": {"count": 12}},
     )
     dt, logs = system.model.opt.timestep, sorted(DATA.glob("toss_*.mcap"))
-    tosses = [read_trajectory(path, system.signals, dt, system.settings.logs) for path in logs]
+    tosses = [read_signals(path, system.signals, dt, system.settings.logs) for path in logs]
     result = identify(system, tosses[:20], tosses[40:], IdentifyOptions(threads=2))
     found = {p.name: p for p in result.parameters}
     assert found["friction"].lower < 0.18 < found["friction"].upper  # as published

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.core.log import Log, Series
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.system.load import load_system
 from tests.estimation.offline.conftest import CHEAP
@@ -45,7 +45,7 @@ def system(tmp_path_factory):
     return load_system(folder, CHEAP)
 
 
-def drive(system, theta, seconds=8.0, seed=0) -> Trajectory:
+def drive(system, theta, seconds=8.0, seed=0) -> Log:
     """A cart pushed to and fro."""
     rng = np.random.default_rng(seed)
     model = system.edits.apply(system.model, np.array(theta))
@@ -60,7 +60,7 @@ def drive(system, theta, seconds=8.0, seed=0) -> Trajectory:
     rows[:, :2] += rng.normal(0.0, [0.001, 0.01], (steps + 1, 2))
     yes = np.ones(steps + 1, dtype=bool)
     sampled = np.arange(steps + 1) % 2 == 0
-    return Trajectory(
+    return Log(
         dt,
         {
             "cart.position": Series(rows[:, :1], yes, sampled, ("rail",)),

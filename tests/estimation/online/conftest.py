@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.core.trajectory import Series, Trajectory
+from amhe_cli.core.log import Log, Series
 from amhe_cli.system.load import load_system
 from amhe_cli.system.system import System
 
@@ -33,8 +33,8 @@ settings:
   mhe: {step: 0.03}
 """
 
-#: Makes a log: (seconds, mass and damping over time, force over time) -> Trajectory.
-Drive = Callable[..., Trajectory]
+#: Makes a log: (seconds, mass and damping over time, force over time) -> Log.
+Drive = Callable[..., Log]
 
 
 @pytest.fixture(scope="session")
@@ -71,7 +71,7 @@ def drive() -> Drive:
         force: Callable[[np.ndarray], np.ndarray] = swing,
         noise: float = NOISE,
         seed: int = 0,
-    ) -> Trajectory:
+    ) -> Log:
         steps = round(seconds / DT)
         time = DT * np.arange(steps + 1)
         pushed = force(time)
@@ -84,7 +84,7 @@ def drive() -> Drive:
         sampled = np.arange(steps + 1) % 2 == 0
         seen = x + noise * rng.standard_normal(x.size)
         ones = np.ones(steps + 1, dtype=bool)
-        return Trajectory(
+        return Log(
             DT,
             {
                 "state.position": Series(seen[:, None], ones, sampled, ("x",)),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core import rotations
-from amhe_cli.core.trajectory import Series, Trajectory, Window
+from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.matching.first_states import first_states
 from amhe_cli.system.system import Channel, System
 
@@ -20,13 +20,13 @@ def with_slope(system: System, slope: float) -> System:
     return replace(system, channels=tuple(channels))
 
 
-def lagging(log: Trajectory, rows: int) -> Trajectory:
+def lagging(log: Log, rows: int) -> Log:
     series = log["state.velocity"]
     late = np.roll(series.values, rows, axis=0)
     return replace(log, series={**log.series, "state.velocity": replace(series, values=late)})
 
 
-def velocities(system: System, log: Trajectory, starts: np.ndarray) -> np.ndarray:
+def velocities(system: System, log: Log, starts: np.ndarray) -> np.ndarray:
     return first_states(system, [Window(log, int(start), 20) for start in starts], HOME, 0.0)[1][:, 0]
 
 
@@ -64,7 +64,7 @@ def test_the_slope_of_an_orientation_is_the_rate_in_the_bodys_own_frame(cart, dr
     }
     channel = Channel("body.angular_velocity", "linear", "qvel", (0, 1, 2), 0.1, "rad/s", False, 0.05)
     system = replace(cart, channels=(channel,))
-    window = Window(Trajectory(dt, series, "a turning body"), 20, 10)
+    window = Window(Log(dt, series, "a turning body"), 20, 10)
     wide = replace(system, model=_WithThree())  # type: ignore[arg-type]
     assert first_states(wide, [window], HOME, 0.0)[1][0] == pytest.approx(rate, abs=1e-4)
 

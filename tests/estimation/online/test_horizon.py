@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError, EstimationError
+from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.parameters import belief_of
-from amhe_cli.core.trajectory import Series, Trajectory, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.online.arrival import arrival_of
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
@@ -24,7 +24,7 @@ def with_mhe(system: System, **changes: object) -> System:
     return replace(system, settings=system.settings.model_copy(update={"mhe": mhe}))
 
 
-def estimates(system: System, log: Trajectory, seed: int = 0, threads: int = 1) -> list[Estimate]:
+def estimates(system: System, log: Log, seed: int = 0, threads: int = 1) -> list[Estimate]:
     engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
     estimator = MovingHorizon(system, engine, np.random.default_rng(seed))
     return list(replay(estimator, windows(system, log)))

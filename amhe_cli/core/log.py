@@ -1,4 +1,4 @@
-"""What a log becomes: an immutable trajectory in SI units on one uniform clock."""
+"""A log that was read: immutable series in SI units on one uniform clock."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from amhe_cli.core.errors import LogError
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Series:
-    """One quantity of one signal on the trajectory's clock.
+    """One quantity of one signal on the log's clock.
 
     Args:
         values: SI values, shape (T, k); quaternions are w, x, y, z. Undefined where not valid.
@@ -39,7 +39,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trajectory:
+class Log:
     """All signals of one log on one clock: row t of every series is the instant t * dt.
 
     An input in row t acts from instant t to instant t + 1 (zero-order hold).
@@ -64,7 +64,7 @@ class Trajectory:
 
     def __reduce__(self) -> tuple[object, ...]:
         """As plain values: windows go to an estimator in another process, and mapping proxies do not."""
-        return Trajectory, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata))
+        return Log, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata))
 
     @property
     def steps(self) -> int:
@@ -93,13 +93,13 @@ class Trajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """A stretch of a trajectory: instants start .. start + length, without copying it.
+    """A stretch of a log: instants start .. start + length, without copying it.
 
     Rolling it out takes `length` inputs, from the state at `start`, and predicts the `length` instants
     after it. SPI calls its windows clips.
     """
 
-    trajectory: Trajectory
+    log: Log
     start: int
     length: int
 
@@ -111,4 +111,4 @@ class Window:
     @property
     def duration(self) -> float:
         """Time from the first instant to the last [s]."""
-        return self.length * self.trajectory.dt
+        return self.length * self.log.dt
