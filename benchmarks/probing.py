@@ -23,12 +23,12 @@ from common import RESULTS
 from amhe_cli.assembly import LogSource, identify_problem
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief_file import belief_text
+from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.design.design import accuracy
 from amhe_cli.estimation.design.information import information_at
 from amhe_cli.estimation.design.probe import ProbeOptions, achieved, engine_of, read, tiles
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.report.record import plain
 from amhe_cli.robots.go1.probing.motions import STEADY, Motion, named_motion
 from amhe_cli.robots.go1.probing.push import PushProbe
 from amhe_cli.system.system import System

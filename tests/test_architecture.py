@@ -20,8 +20,8 @@ ALLOWED: dict[str, set[str]] = {
     "control": {"core", "engine"},
     "live": {"core", "logs", "system", "engine", "estimation", "control"},
     "robots/go1": {"core", "logs", "system", "engine", "estimation", "control", "live"},
-    "report": {"core", "logs", "system", "estimation", "live"},
-    "study": {"core", "system", "engine", "estimation", "live", "robots/go1", "report"},
+    "study": {"core", "system", "engine", "estimation", "live", "robots/go1"},
+    "report": {"core", "logs", "system", "estimation", "live", "study"},
     "cli": {
         "core", "logs", "system", "init", "engine", "estimation", "live", "report", "study", "robots/go1",
     },
@@ -35,8 +35,8 @@ TO_GO: dict[str, set[str]] = {
     "control": {"robots/go1"},
     "estimation": {"assembly", "live"},
     "live": {"robots/go1"},
-    "report": {"robots/go1", "study"},
-    "robots/go1": {"assembly", "report"},
+    "report": {"robots/go1"},
+    "robots/go1": {"assembly"},
 }
 
 #: Outside library -> the rooms, or single files, that may import it.

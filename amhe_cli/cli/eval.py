@@ -119,10 +119,10 @@ def evaluate(
     from amhe_cli.cli.stopping import stopping
     from amhe_cli.core.executors import pool_of
     from amhe_cli.report.folder import reserve
-    from amhe_cli.report.provenance import machine, now
     from amhe_cli.study.conduct import conduct
     from amhe_cli.study.plan import EvalOptions, planned, run_cell, study_of
     from amhe_cli.study.store import open_store, start
+    from amhe_cli.system.provenance import machine, now
 
     if report:
         _tell(session, open_store(report), 0)

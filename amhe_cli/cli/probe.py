@@ -78,15 +78,15 @@ def probe(
     (--target go1: read docs/go1.md first) it is all planned before anything is sent.
     """
     from amhe_cli.cli.stopping import stopping
+    from amhe_cli.core.files import plain
     from amhe_cli.estimation.design.plan import known_record, plan_record
     from amhe_cli.estimation.design.probe import ProbeOptions, achieved
     from amhe_cli.report.folder import filling, reserve
     from amhe_cli.report.probe_table import print_achieved, print_plan
-    from amhe_cli.report.provenance import provenance
-    from amhe_cli.report.record import plain
     from amhe_cli.robots.go1.probing.open import open_probe, robot_to_probe
     from amhe_cli.robots.go1.probing.robot import Robot
     from amhe_cli.system.load import bundled_systems
+    from amhe_cli.system.provenance import provenance
 
     session.hush_mujoco()
     asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, assignments, config)

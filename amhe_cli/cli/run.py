@@ -99,14 +99,14 @@ def run(
     from amhe_cli.live.loop import drive
     from amhe_cli.report import run_words
     from amhe_cli.report.folder import filling, reserve
-    from amhe_cli.report.provenance import run_provenance
     from amhe_cli.report.run import write_run
-    from amhe_cli.report.run_record import run_record
     from amhe_cli.report.run_table import print_run
     from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.record import run_record
     from amhe_cli.robots.go1.recording import film_of, recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.robots.go1.tasks import LONGEST
+    from amhe_cli.system.provenance import run_provenance
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration

@@ -94,3 +94,11 @@ def correlation(covariance: FloatArray) -> FloatArray:
     sd = np.sqrt(np.diag(covariance))
     scale = np.where(sd > 0.0, 1.0 / np.where(sd > 0.0, sd, 1.0), 0.0)
     return covariance * np.outer(scale, scale)
+
+
+def quantiles(values: FloatArray) -> dict[str, float]:
+    """Median and 99 % quantile of durations (n,) [ms], leaving out NaN; NaN where no duration is left."""
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return {"p50": float("nan"), "p99": float("nan")}
+    return {"p50": round(float(np.median(values)), 3), "p99": round(float(np.quantile(values, 0.99)), 3)}

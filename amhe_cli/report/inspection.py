@@ -9,10 +9,10 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
+from amhe_cli.core.files import plain
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import Survey, TopicSurvey
 from amhe_cli.report import numbers
-from amhe_cli.report.record import plain
 
 #: Names in a message that are listed before the rest is counted.
 MAX_ENTRIES = 6

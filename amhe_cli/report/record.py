@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
-
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.files import plain
 from amhe_cli.estimation.offline.result import HeldOut, Identification, ParameterResult
 
 #: Fields of a parameter that are plain numbers or words, in the order of result.json.
@@ -63,24 +60,3 @@ def _parameter(parameter: ParameterResult) -> dict[str, Any]:
 
 def _held_out(held_out: HeldOut | None) -> dict[str, Any] | None:
     return None if held_out is None else asdict(held_out)
-
-
-def plain(value: Any) -> Any:
-    """Built-in types only; NaN and infinity, which JSON lacks, become None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple, np.ndarray)):
-        return [plain(item) for item in value]
-    if isinstance(value, (np.generic,)):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
-def quantiles(values: FloatArray) -> dict[str, float]:
-    """Median and 99 % of times (n,); NaN is left out, and stands where none is left."""
-    values = values[np.isfinite(values)]
-    if not values.size:
-        return {"p50": math.nan, "p99": math.nan}
-    return {"p50": round(float(np.median(values)), 3), "p99": round(float(np.quantile(values, 0.99)), 3)}

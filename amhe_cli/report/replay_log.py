@@ -16,8 +16,8 @@ from amhe_cli.estimation.online.prediction import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.live.messages import ERROR, OK, WARN, write_diagnostics
 from amhe_cli.logs import LogWriter
-from amhe_cli.report.provenance import attachments
 from amhe_cli.report.replay_words import MARKS
+from amhe_cli.system.provenance import attachments
 
 #: How much a mark matters to whoever watches /diagnostics.
 _LEVELS = {"updated": OK, "jump": WARN, "still": OK, "gap": WARN, "diverged": ERROR}

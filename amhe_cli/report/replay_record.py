@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.files import plain
+from amhe_cli.core.statistics import quantiles
 from amhe_cli.estimation.offline.identifiability import combinations
 from amhe_cli.estimation.offline.result import Combination
 from amhe_cli.estimation.online.replay import Replay
-from amhe_cli.report.record import plain, quantiles
 from amhe_cli.report.words import MAX_COMBINATIONS, sharper
 
 #: Settings of the estimator that the paper calls its hyper-parameters.

@@ -22,10 +22,9 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.yaml_file import scalar
 from amhe_cli.engine.quiet import hush_mujoco
 from amhe_cli.live.loop import Ending
-from amhe_cli.report.provenance import run_provenance, sha256, versions
-from amhe_cli.report.run_record import run_record
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.model import SYSTEM
+from amhe_cli.robots.go1.record import run_record
 from amhe_cli.robots.go1.run import MODES, RunOptions, open_run
 from amhe_cli.robots.go1.tasks import LONGEST, find_task
 from amhe_cli.study.cells import Cell, Setting, cell_of, grid, setting_of
@@ -33,6 +32,7 @@ from amhe_cli.study.results import blank, thinned
 from amhe_cli.study.store import Study
 from amhe_cli.system import overrides
 from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.provenance import run_provenance, sha256, versions
 from amhe_cli.system.system import System
 
 #: Rooms and files that only ask and tell, or are of another target: a change of theirs changes no result.

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from amhe_cli.core.errors import AmheError, ConfigError
+from amhe_cli.core.files import write_whole
 from amhe_cli.study.cells import Cell, Setting, setting_of
 from amhe_cli.study.results import Result, read_result
 
@@ -60,7 +60,7 @@ class Store:
         Raises:
             AmheError: It cannot be written, as on a full disk.
         """
-        write_whole(self.path(cell), json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
+        write_file(self.path(cell), json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
 
     def results(self) -> list[Result]:
         """All cells so far, by name."""
@@ -121,7 +121,7 @@ def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence
         for path in (folder / CELLS).glob("*.json"):
             path.unlink()
     record = asdict(study) | {"setting": dict(study.setting)}
-    write_whole(folder / STUDY, json.dumps(record, indent=1) + "\n")
+    write_file(folder / STUDY, json.dumps(record, indent=1) + "\n")
     return Store(folder, study)
 
 
@@ -150,21 +150,15 @@ def _check_beliefs(store: Store, cells: Sequence[Cell]) -> None:
             )
 
 
-def write_whole(path: Path, text: str) -> None:
-    """Write a file that appears whole or not at all.
+def write_file(path: Path, text: str) -> None:
+    """Write a file of a study, whole or not at all.
 
     Raises:
-        AmheError: It cannot be written.
+        AmheError: The file cannot be written.
     """
-    scratch = path.with_suffix(".partial")
     try:
-        with scratch.open("w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        scratch.replace(path)
+        write_whole(path, text)
     except OSError as error:
-        scratch.unlink(missing_ok=True)
         raise AmheError(
             f"{path}: {error.strerror}; the cells before it are kept: mend that, and go on with --resume"
         ) from None

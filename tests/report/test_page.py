@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from amhe_cli.core.files import plain
 from amhe_cli.estimation.offline.result import HeldOut, Identification
 from amhe_cli.report import words
 from amhe_cli.report.page import identification_page
-from amhe_cli.report.record import identification_record, plain
+from amhe_cli.report.record import identification_record
 from amhe_cli.report.table import held_out_line, print_identification
 from tests.report.synthetic import fit, identification, parameter
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from amhe_cli.core import files
 from amhe_cli.core.errors import AmheError, ConfigError
-from amhe_cli.study import store as stores
 from amhe_cli.study.cells import Cell
 from amhe_cli.study.conduct import conduct
 from amhe_cli.study.store import Store, Study, open_store, start
@@ -85,7 +85,7 @@ def test_a_full_disk_stops_cleanly_and_the_study_goes_on_later(tmp_path: Path, m
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patch:
-        patch.setattr(stores.os, "fsync", full)
+        patch.setattr(files.os, "fsync", full)
         with pytest.raises(AmheError, match="No space left on device.*--resume"):
             run(store, cells(2, 3))
     assert [path.suffix for path in (tmp_path / "cells").iterdir()] == [".json"]

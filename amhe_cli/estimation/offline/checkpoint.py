@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.files import write_whole
 from amhe_cli.estimation.core.linearise import FirstStates
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.problem import Problem
@@ -42,9 +43,7 @@ class Checkpoint:
         kind = "linearised" if isinstance(state, search.State) else "cmaes"
         saved = {f.name: _plain(getattr(state, f.name)) for f in fields(state)}
         text = json.dumps({"format": FORMAT, "problem": self._key, "kind": kind, "state": saved})
-        temporary = self._path.with_name(self._path.name + ".part")
-        temporary.write_text(text)
-        temporary.replace(self._path)
+        write_whole(self._path, text)
 
     def load(self) -> search.State | cma.State | None:
         """The saved state; None where there is none.

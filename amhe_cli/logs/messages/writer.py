@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
-from tempfile import NamedTemporaryFile
 from types import TracebackType
 from typing import Any
 
@@ -16,6 +16,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from amhe_cli import __version__
 from amhe_cli.core import rotations
+from amhe_cli.core.files import whole
 
 logger = logging.getLogger(__name__)
 
@@ -42,8 +43,9 @@ class LogWriter:
         self._sequence: dict[int, int] = {}
 
     def __enter__(self) -> LogWriter:
-        self._file = NamedTemporaryFile(dir=self.path.parent, prefix=f".{self.path.name}.", delete=False)
-        self._mcap = Writer(self._file, compression=_LEVEL, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._file = ExitStack()
+        file = self._file.enter_context(whole(self.path))
+        self._mcap = Writer(file, compression=_LEVEL, enable_data_crcs=True)  # type: ignore[arg-type]
         self._mcap.start(profile="ros2", library=f"amhe {__version__}")
         self._mcap.add_metadata("amhe", self._metadata)
         return self
@@ -51,15 +53,8 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        temporary = Path(self._file.name)
-        try:
+        with self._file:
             self._mcap.finish()
-            self._file.close()
-            temporary.chmod(0o644)
-            temporary.replace(self.path)
-        finally:
-            self._file.close()
-            temporary.unlink(missing_ok=True)
 
     # -- any message ----------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from amhe_cli.report.record import plain
+from amhe_cli.core.files import plain
 from amhe_cli.report.study.drawing import drawn
 from amhe_cli.report.study.figures import drawings
 from amhe_cli.report.study.formats import FORMATS, text
@@ -17,7 +17,7 @@ from amhe_cli.report.study.tables import tables
 from amhe_cli.robots.go1.tasks import LONGEST, Task
 from amhe_cli.study.ablations import ablations
 from amhe_cli.study.goals import goals
-from amhe_cli.study.store import Store, write_whole
+from amhe_cli.study.store import Store, write_file
 from amhe_cli.study.summary import Groups, summary
 
 
@@ -65,4 +65,4 @@ def write_study(store: Store, tasks: Mapping[str, Task], modes: Sequence[str]) -
 
 def _write(path: Path, content: str) -> None:
     path.parent.mkdir(exist_ok=True)
-    write_whole(path, content)
+    write_file(path, content)

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from amhe_cli.report.record import plain
+from amhe_cli.core.files import plain
 
 #: Characters that LaTeX takes for its own, and how they are written.
 _LATEX = {

@@ -1,4 +1,4 @@
-"""What a run brought as plain values: the content of its result.json."""
+"""The content of a run's result.json."""
 
 from __future__ import annotations
 
@@ -8,14 +8,21 @@ from typing import Any
 
 import numpy as np
 
+from amhe_cli.core.files import plain
+from amhe_cli.core.statistics import quantiles
 from amhe_cli.live.loop import Ending
-from amhe_cli.report.record import plain, quantiles
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.judge import Measures
 
 
 def run_record(measures: Measures, history: History, ending: Ending) -> dict[str, Any]:
-    """The keys of `amhe run` that tell of the outcome, ready for JSON; what does not exist is None."""
+    """Outcome of a run as plain values, ready for JSON; numbers that do not exist are None.
+
+    Args:
+        measures: Success, errors and cost of the run.
+        history: Its cycles and online estimates.
+        ending: How the loop ended.
+    """
     numbers = asdict(measures)
     terms = numbers.pop("terms")
     columns = history.columns()
@@ -38,7 +45,7 @@ def run_record(measures: Measures, history: History, ending: Ending) -> dict[str
 
 
 def _estimator(history: History) -> dict[str, Any] | None:
-    """How the online estimator did; None where there was none."""
+    """Updates, times and troubles of the online estimator; None if the run had none."""
     found = history.estimates
     if not found:
         return None

@@ -1,4 +1,4 @@
-"""Where a result came from, so that somebody else can make it again."""
+"""The record of how a result was made, so that somebody else can repeat it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,16 @@ SYSTEM_SUFFIXES = frozenset(
 def provenance(
     command_line: str, seed: int, method: str, folder: Path, logs: Sequence[Path], held_out: Sequence[Path]
 ) -> dict[str, object]:
-    """Versions, hashes, seed and command of one run, as plain values."""
+    """Versions, hashes of all files, seed and command of one identification, as plain values.
+
+    Args:
+        command_line: The command or the call that made the result.
+        seed: Seed of the random numbers.
+        method: Name of the estimation method.
+        folder: Folder of the system.
+        logs: Logs that were fitted.
+        held_out: Logs that were used only for validation.
+    """
     return {
         "created": now(),
         "command": command_line,
@@ -40,20 +49,20 @@ def provenance(
 
 
 def run_provenance(command_line: str, seed: int, folder: Path, inputs: Sequence[Path]) -> dict[str, object]:
-    """The same of a run: its inputs are files such as a belief or another plant."""
+    """The record of a closed-loop run; `inputs` are files such as a belief or another plant."""
     return estimator_provenance(command_line, seed, "mpopi", folder, inputs)
 
 
 def estimator_provenance(
     command_line: str, seed: int, method: str, folder: Path, inputs: Sequence[Path]
 ) -> dict[str, object]:
-    """The same of a command that fits nothing offline: logs and beliefs alike are its inputs."""
+    """The record of a command that fits nothing offline; `inputs` are its logs and beliefs."""
     origin = provenance(command_line, seed, method, folder, inputs, ())
     return origin | {"inputs": origin.pop("logs")}
 
 
 def attachments(system: System) -> dict[str, str]:
-    """What a log that we write carries with it: settings and system as texts, by file name."""
+    """Texts that are attached to each log that we write: its settings and its system, by file name."""
     return {
         "settings.yaml": system.settings.model_dump_json(indent=2) + "\n",  # JSON is YAML too
         "system.yaml": (system.folder / "system.yaml").read_text(encoding="utf-8"),
@@ -61,12 +70,12 @@ def attachments(system: System) -> dict[str, str]:
 
 
 def now() -> str:
-    """The time, UTC, to the second."""
+    """Current time (UTC), to the second, as ISO 8601."""
     return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 def machine() -> dict[str, str]:
-    """Hardware and operating system, without the machine's name."""
+    """Hardware and operating system of this machine, without its name."""
     return {
         "processor": _processor(),
         "cores": str(os.cpu_count()),
@@ -76,7 +85,7 @@ def machine() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """As Linux tells it; elsewhere as Python does."""
+    """Name of the processor: from Linux where it has one, else from Python."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -86,7 +95,7 @@ def _processor() -> str:
 
 
 def versions() -> dict[str, str]:
-    """Versions of what the numbers depend on."""
+    """Versions of the software that the numbers depend on."""
     return {
         "amhe": __version__,
         "mujoco": version("mujoco"),
@@ -96,18 +105,18 @@ def versions() -> dict[str, str]:
 
 
 def sha256(path: Path) -> str:
-    """Hash of a file's content, read in pieces."""
+    """SHA-256 of a file's content, as hexadecimal digits."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _hashes(paths: Sequence[Path]) -> dict[str, str]:
-    """Hash of each log; of each file in it where it is a folder."""
+    """Hash of each log file, by its path; a folder contributes every file in it."""
     return {str(file): sha256(file) for path in paths for file in (_files(path) if path.is_dir() else [path])}
 
 
 def _files(folder: Path) -> list[Path]:
-    """Files below a folder, in a fixed order, without the hidden ones."""
+    """Files below a folder in sorted order, without hidden ones."""
     return sorted(
         path
         for path in folder.rglob("*")

@@ -1,0 +1,32 @@
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.files import plain, whole, write_whole
+
+
+def test_a_file_that_fails_half_way_leaves_the_old_one_and_no_scratch(tmp_path: Path) -> None:
+    path = tmp_path / "result.json"
+    write_whole(path, "old")
+    with pytest.raises(ZeroDivisionError), whole(path) as file:
+        file.write(b"ne")
+        assert path.read_text() == "old"
+        raise ZeroDivisionError
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("result.json", "old")]
+
+
+def test_a_file_is_readable_by_whom_the_user_lets_read(tmp_path: Path) -> None:
+    umask = os.umask(0o027)
+    try:
+        write_whole(tmp_path / "result.json", "ü")
+    finally:
+        os.umask(umask)
+    assert (tmp_path / "result.json").stat().st_mode & 0o777 == 0o640
+    assert (tmp_path / "result.json").read_bytes() == "ü".encode()
+
+
+def test_plain_values_have_no_number_that_json_lacks() -> None:
+    value = {"a": np.array([1.0, np.nan]), 2: (np.float64(np.inf), np.int64(3)), "b": {"c": np.bool_(True)}}
+    assert plain(value) == {"a": [1.0, None], "2": [None, 3], "b": {"c": True}}
