@@ -14,7 +14,7 @@ from amhe_cli.core.errors import ConfigError, LogError, one_of
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import Survey, read_metadata, read_signals, survey
+from amhe_cli.logs import Inspection, SignalCheck, read_metadata, read_signals, survey
 from amhe_cli.system import overrides
 from amhe_cli.system.load import bundled_systems, find_system, load_system
 from amhe_cli.system.system import System
@@ -43,40 +43,6 @@ class LogSource:
     def __post_init__(self) -> None:
         if self.start is not None and self.end is not None and self.end <= self.start:
             raise ConfigError(f"--to {self.end:g} is not after --from {self.start:g}")
-
-
-@dataclass(frozen=True, slots=True)
-class SignalCheck:
-    """Whether a log has what one signal of a system needs.
-
-    Args:
-        signal: What is needed.
-        problem: Why it cannot be read, in words; None if it can.
-        valid: Share of the time in which it is measured, gaps left out.
-    """
-
-    signal: Signal
-    problem: str | None
-    valid: float
-
-
-@dataclass(frozen=True, slots=True)
-class Inspection:
-    """What is in one log, and how it suits a system.
-
-    Args:
-        survey: What is in the log.
-        system: Name of the system it was held against; None: of none.
-        checks: One for each of the system's signals.
-        duration: Time that all signals share [s].
-        problem: Why the log as a whole cannot be used, though each signal can; None if it can.
-    """
-
-    survey: Survey
-    system: str | None = None
-    checks: tuple[SignalCheck, ...] = ()
-    duration: float = 0.0
-    problem: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from amhe_cli.logs.messages.writer import LogWriter
 from amhe_cli.logs.read import read_signals
-from amhe_cli.logs.survey import Survey, TopicSurvey, read_metadata, survey
+from amhe_cli.logs.survey import Inspection, SignalCheck, Survey, TopicSurvey, read_metadata, survey
 from amhe_cli.logs.truth import read_truth
 
 __all__ = [
+    "Inspection",
     "LogWriter",
+    "SignalCheck",
     "Survey",
     "TopicSurvey",
     "read_metadata",

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.core.arrays import IntArray
+from amhe_cli.core.signals import Signal
 from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_words, timeline
 from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.raw import Batch, Channel, messages, readable
@@ -81,6 +82,47 @@ class Survey:
     problems: tuple[str, ...]
     metadata: Mapping[str, str]
     offsets: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SignalCheck:
+    """Whether a log has what one signal of a system needs.
+
+    Args:
+        signal: The signal.
+        problem: Why the signal cannot be read, in words; None if it can.
+        valid: Share of the time in which the signal is measured, gaps left out.
+    """
+
+    signal: Signal
+    problem: str | None
+    valid: float
+
+
+@dataclass(frozen=True, slots=True)
+class Inspection:
+    """What is in one log, and whether a system can use it.
+
+    Args:
+        survey: What is in the log.
+        system: Name of the system that the log was checked for; None: it was checked for none.
+        checks: One check for each of the system's signals.
+        duration: Time in which all signals are there [s].
+        problem: Why the log cannot be used, though each signal can be read; None if it can be used.
+    """
+
+    survey: Survey
+    system: str | None = None
+    checks: tuple[SignalCheck, ...] = ()
+    duration: float = 0.0
+    problem: str | None = None
+
+    @property
+    def usable(self) -> bool | None:
+        """Whether `identify` can use the log; None where it was checked for no system."""
+        if self.system is None:
+            return None
+        return self.problem is None and not any(check.problem for check in self.checks)
 
 
 @dataclass(slots=True)

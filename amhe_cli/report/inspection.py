@@ -11,7 +11,7 @@ from rich.text import Text
 
 from amhe_cli.core.files import plain
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import Survey, TopicSurvey
+from amhe_cli.logs import Inspection, Survey, TopicSurvey
 from amhe_cli.report import numbers
 
 #: Names in a message that are listed before the rest is counted.
@@ -21,14 +21,14 @@ MAX_ENTRIES = 6
 GAP_PERIODS = 5.0
 
 
-def inspection_record(found: Any) -> dict[str, Any]:
-    """Content of `amhe inspect --json` for one log; see `assembly.Inspection`."""
+def inspection_record(found: Inspection) -> dict[str, Any]:
+    """Content of `amhe inspect --json` for one log."""
     return plain(
         {
             **asdict(found.survey),
             "path": str(found.survey.path),
             "system": found.system,
-            "usable": _usable(found),
+            "usable": found.usable,
             "usable_seconds": found.duration,
             "problem": found.problem,
             "signals": [
@@ -45,25 +45,16 @@ def inspection_record(found: Any) -> dict[str, Any]:
     )
 
 
-def _usable(found: Any) -> bool | None:
-    """Whether `amhe identify` could use the log; None: no system was named."""
-    if found.system is None:
-        return None
-    return found.problem is None and not any(check.problem for check in found.checks)
-
-
-def losses(found: Any) -> list[str]:
+def losses(found: Inspection) -> list[str]:
     """What a script should know to be wrong with a log, a line each."""
     path = found.survey.path
     lost = [f"{path}: {problem}" for problem in found.survey.problems]
-    return (
-        lost if _usable(found) in (None, True) else [*lost, f"{path}: not usable for system {found.system}"]
-    )
+    return lost if found.usable in (None, True) else [*lost, f"{path}: not usable for system {found.system}"]
 
 
-def print_inspection(found: Any, console: Console) -> None:
+def print_inspection(found: Inspection, console: Console) -> None:
     """Print the topics, what is wrong, and how the log suits the system."""
-    survey: Survey = found.survey
+    survey = found.survey
     messages = sum(topic.count for topic in survey.topics)
     title = Text.assemble(
         (str(survey.path), "bold"), f"  {survey.format}, {survey.duration:.4g} s, {messages:,} messages"
@@ -130,13 +121,13 @@ def _remarks(survey: Survey) -> list[str]:
     ]
 
 
-def _print_suitability(found: Any, console: Console) -> None:
+def _print_suitability(found: Inspection, console: Console) -> None:
     console.print(Text.assemble("for system ", (found.system, "bold")))
     for check in found.checks:
         console.print(f"  {check.signal.name}: {check.signal.topic}, {_needs(check.signal)}", soft_wrap=True)
         answer = Text(f"found, {numbers.percent(check.valid)} of its time without a gap", style="green")
         console.print(Padding(Text(check.problem, style="yellow") if check.problem else answer, (0, 0, 0, 4)))
-    if _usable(found):
+    if found.usable:
         console.print(f"usable: {found.duration:.4g} s in which all signals are there", style="green")
     else:
         missing = ", ".join(check.signal.name for check in found.checks if check.problem)
