@@ -32,7 +32,6 @@ TO_GO: dict[str, set[str]] = {
     "replay_assembly": {"assembly", "core", "engine", "estimation", "logs", "system"},
     "cli": {"assembly", "replay_assembly"},
     "core": {"system", "robots/go1"},
-    "control": {"robots/go1"},
     "estimation": {"assembly", "live"},
     "live": {"robots/go1"},
     "report": {"robots/go1"},

@@ -18,7 +18,6 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.settings import ControlSettings
 from amhe_cli.core.statistics import log_rank_weights
 
-JOINTS = 12
 #: A channel stays within this many of its start sigmas, whatever the samples like.
 _CHANNEL_RANGE = 3.0
 
@@ -63,18 +62,23 @@ class Mpopi:
     """The sampler; its state is the mean, the sigma and the best plan so far.
 
     Args:
-        settings: Numbers of samples, loops and so on.
-        channel_sigma: Noise of the channels, shape (c,).
-        rng: The source of all samples.
+        settings: Numbers of samples, knots, loops and so on.
+        joint_sigma: Start sd of the noise on each joint's knots [rad], shape (n,).
+        channel_sigma: Start sd of the noise on the channels, shape (c,).
+        rng: Source of all samples.
     """
 
     def __init__(
-        self, settings: ControlSettings, channel_sigma: FloatArray, rng: np.random.Generator
+        self,
+        settings: ControlSettings,
+        joint_sigma: FloatArray,
+        channel_sigma: FloatArray,
+        rng: np.random.Generator,
     ) -> None:
         self._settings, self._rng = settings, rng
-        per_joint = np.tile([settings.sigma_hip, settings.sigma_thigh, settings.sigma_calf], 4)
-        self._start_sigma = np.concatenate((np.tile(per_joint, settings.knots), channel_sigma))
-        self._knot_numbers = settings.knots * JOINTS
+        self._start_sigma = np.concatenate((np.tile(joint_sigma, settings.knots), channel_sigma))
+        self._joints = joint_sigma.size
+        self._knot_numbers = settings.knots * self._joints
         self._shift = shift_matrix(settings.horizon, settings.knots, 1.0)
         self.sigma = self._start_sigma.copy()
         self.mean = np.zeros_like(self.sigma)
@@ -82,9 +86,9 @@ class Mpopi:
         self._loops_left = 0
 
     def split(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Knots (..., K, 12) and channels (..., c) of plans (..., d)."""
+        """Knots (..., K, joints) and channels (..., c) of plans (..., d)."""
         knots = x[..., : self._knot_numbers]
-        return knots.reshape(*x.shape[:-1], -1, JOINTS), x[..., self._knot_numbers :]
+        return knots.reshape(*x.shape[:-1], -1, self._joints), x[..., self._knot_numbers :]
 
     def step(self, evaluate: Callable[[FloatArray], Scores], switched: bool) -> Step:
         """Move ahead by one period, sample, and update the mean.

@@ -1,33 +1,72 @@
-"""What the controller asks of a task: where the robot is to go from here, and what a motion costs."""
+"""What the controller needs of a robot, and of the behaviour that a task wants from it.
+
+States, the bodies of rollouts and a behaviour's reference are the robot's own types: the controller passes
+them on, and reads only the `time` [s] of a state.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Mapping
+from typing import Any, Protocol
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.robots.go1.behaviours.objective import Reference
-from amhe_cli.robots.go1.state import Body, State
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+
+
+class Robot(Protocol):
+    """A robot with n position-controlled joints, and what is around it, as the planner's model has them."""
+
+    @property
+    def lower(self) -> FloatArray:
+        """Lower limits of the joint targets [rad], shape (n,)."""
+        ...
+
+    @property
+    def upper(self) -> FloatArray:
+        """Upper limits of the joint targets [rad], shape (n,)."""
+        ...
+
+    @property
+    def sigma(self) -> FloatArray:
+        """Start sd of the sampling noise on each joint's knots [rad], shape (n,)."""
+        ...
+
+    @property
+    def servos(self) -> IntArray:
+        """Columns of the engine's input vector that hold the joint targets, shape (n,)."""
+        ...
+
+    def coordinates(self, state: Any) -> tuple[FloatArray, FloatArray]:
+        """Coordinates (nq,) and velocities (nv,) of the planner's model in a state."""
+        ...
+
+    def state_of(self, time: float, qpos: FloatArray, qvel: FloatArray) -> Any:
+        """The state at a time [s] from coordinates (nq,) and velocities (nv,)."""
+        ...
+
+    def bodies(self, qpos: FloatArray, qvel: FloatArray) -> Any:
+        """Motion of the bodies that a cost is about, from rollouts (n, H, nq) and (n, H, nv)."""
+        ...
 
 
 class Move(Protocol):
     """A behaviour in one situation; valid for one control cycle."""
 
     @property
-    def reference(self) -> Reference:
-        """What is wanted."""
+    def reference(self) -> Any:
+        """Speeds, lines and headings that the behaviour aims at."""
         ...
 
     @property
     def command(self) -> FloatArray:
-        """The bare reference's command, to which the channels of plans add, shape (c,)."""
+        """Command of the behaviour itself, shape (c,); the channels of a plan are added to it."""
         ...
 
     def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
-        """Joint targets [rad], shape (n, H, 12), at times [s] (H,) under commands (n, c)."""
+        """Joint targets [rad], shape (n, H, joints), at times [s] (H,) under commands (n, c)."""
         ...
 
-    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
-        """Weighted terms of the running cost, each shape (..., H), of motions with axes (..., H)."""
+    def terms(self, times: FloatArray, bodies: Any) -> dict[str, FloatArray]:
+        """Weighted terms of the running cost, each shape (n, H), at times [s] (H,) for `Robot.bodies`."""
         ...
 
 
@@ -36,12 +75,12 @@ class Behaviour(Protocol):
 
     @property
     def channel_sigma(self) -> FloatArray:
-        """Noise of the channels, shape (c,)."""
+        """Start sd of the sampling noise on the command's channels, shape (c,)."""
         ...
 
     @property
     def knot_weight(self) -> float:
-        """Cost of a plan's knots: of leaving the reference's joint targets [1/rad^2]."""
+        """Cost of a plan's knots, which lead away from the behaviour's own joint targets [1/rad^2]."""
         ...
 
     def switches(self, start: float, end: float) -> bool:
@@ -49,16 +88,16 @@ class Behaviour(Protocol):
         ...
 
     def standing(self, times: FloatArray) -> BoolArray:
-        """Feet that should stand at times [s] (...), shape (..., 4)."""
+        """Which feet should stand at times [s] (...), shape (..., feet)."""
         ...
 
-    def move(self, state: State, resistance: float) -> Move:
-        """From this state on, where the box's friction resists with so many newtons.
+    def move(self, state: Any, belief: Mapping[str, float]) -> Move:
+        """The move from a state on, under believed parameters by name.
 
-        To be asked once a cycle, in order: a behaviour remembers where feet and foot targets were.
+        Call it once a cycle, in order: a behaviour remembers where feet and their targets were.
         """
         ...
 
-    def running_cost(self, state: State) -> dict[str, float]:
-        """Terms of the running cost of a realised state, by the task's fixed path reference."""
+    def running_cost(self, state: Any) -> dict[str, float]:
+        """Terms of the running cost of a realised state, measured against the task's fixed path."""
         ...

@@ -7,15 +7,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-
 from amhe_cli.control.controller import Controller, Plan
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.target import Target
 from amhe_cli.robots.go1.judge import Judge
-from amhe_cli.robots.go1.state import GRAVITY, Measurements, State
+from amhe_cli.robots.go1.state import Measurements, State
 from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 
 
@@ -91,7 +89,6 @@ class Episode:
         controller: That plans.
         belief: What it believes.
         judge: That says when it is over.
-        names: Of theta, in the order of the system.
     """
 
     target: Target
@@ -99,7 +96,6 @@ class Episode:
     controller: Controller
     belief: BeliefSource
     judge: Judge
-    names: tuple[str, ...]
 
     def cycles(self) -> Iterator[Cycle]:
         """Run to the end of the episode.
@@ -115,7 +111,7 @@ class Episode:
             estimate = estimator.update(measured, self.behaviour.standing(measured.robot_times))
             played = self.target.in_force(estimate.time)
             belief = self.belief.at(estimate.time)
-            plan = self.controller.plan(estimate, played, self._theta(belief), resistance(belief))
+            plan = self.controller.plan(estimate, played, belief)
             self.target.play(plan)  # before anything else takes time
             plan_ms = 1e3 * (time.perf_counter() - begun)
             truth = self.target.truth
@@ -128,11 +124,3 @@ class Episode:
             yield cycle
             if over:
                 return
-
-    def _theta(self, belief: dict[str, float]) -> FloatArray:
-        return np.array([belief[name] for name in self.names])
-
-
-def resistance(belief: dict[str, float]) -> float:
-    """Friction of the box on the floor, mu m g [N]."""
-    return belief["box_mass"] * belief["floor_friction"] * GRAVITY

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -13,18 +14,41 @@ from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.settings import ControlSettings
 from amhe_cli.engine.rollout import Rollouts
-from amhe_cli.robots.go1.behaviours.objective import Reference
-from amhe_cli.robots.go1.kinematics import HOME, LOWER, UPPER
-from amhe_cli.robots.go1.model import home, layout, planner_model
-from amhe_cli.robots.go1.state import Body, State, state_of
 
-MODEL = planner_model()
-AT = layout(MODEL)
 #: Six rollouts in each cycle, refined or not.
 SETTINGS = ControlSettings(samples=6, loops=2, horizon=5, knots=2, substeps=3, period=0.02)
-STATE = state_of(AT, 1.0, home(MODEL), np.zeros(MODEL.nv))
-LATER = state_of(AT, 1.02, home(MODEL), np.zeros(MODEL.nv))
-THETA = np.array([3.0, 1.0, 0.4])
+HOME = np.array([0.1, -0.2])
+LOWER, UPPER = np.array([-0.5, -1.0]), np.array([0.5, 1.0])
+BELIEF = {"friction": 0.4, "mass": 3.0}
+NAMES = ("mass", "friction")
+
+
+@dataclass(frozen=True)
+class Pose:
+    """State of a cart with an arm of two joints."""
+
+    time: float
+    x: float
+    joints: FloatArray
+
+
+class Cart:
+    """A robot of its own kind; the servo of its second joint comes first in the engine's input."""
+
+    lower, upper, sigma = LOWER, UPPER, np.full(2, 0.01)
+    servos = np.array([1, 0])
+
+    def coordinates(self, state: Pose) -> tuple[FloatArray, FloatArray]:
+        return np.array([state.x, *state.joints]), np.zeros(3)
+
+    def state_of(self, time: float, qpos: FloatArray, qvel: FloatArray) -> Pose:
+        return Pose(time, float(qpos[0]), qpos[1:])
+
+    def bodies(self, qpos: FloatArray, qvel: FloatArray) -> FloatArray:
+        return qpos[..., 0]
+
+
+STATE, LATER = Pose(1.0, 0.0, HOME), Pose(1.02, 0.0, HOME)
 
 
 class Asked(NamedTuple):
@@ -36,7 +60,7 @@ class Asked(NamedTuple):
 
 @dataclass
 class Gliding:
-    """An engine in which the trunk glides a centimetre a step, and what starts beyond `wall` diverges."""
+    """An engine in which the cart glides a centimetre a step, and what starts beyond `wall` diverges."""
 
     wall: float = np.inf
     asked: list[Asked] = field(default_factory=list)
@@ -47,7 +71,7 @@ class Gliding:
         self.asked.append(Asked(theta.copy(), np.array(qpos), inputs.copy(), lengths))
         count, steps = inputs.shape[:2]
         out = np.tile(qpos, (count, steps, 1))
-        out[..., AT.trunk.start] += 0.01 * np.arange(1, steps + 1)
+        out[..., 0] += 0.01 * np.arange(1, steps + 1)
         return Rollouts(out, np.tile(qvel, (count, steps, 1)), None, np.full(count, qpos[0] < self.wall))
 
 
@@ -55,18 +79,19 @@ class Gliding:
 class Still:
     """A move: stand as at home; cost by the first channel alone, least at 0.5."""
 
-    reference: Reference
+    reference: float
     command: FloatArray
     commands: FloatArray | None = None
     times: FloatArray | None = None
+    bodies: FloatArray | None = None
 
     def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
         self.commands = commands
         return np.tile(HOME, (len(commands), times.size, 1)) + commands[:, None, 1:2]
 
-    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
+    def terms(self, times: FloatArray, bodies: FloatArray) -> dict[str, FloatArray]:
         assert self.commands is not None
-        self.times = times
+        self.times, self.bodies = times, bodies
         off = (self.commands[:, 0] - 0.5) ** 2
         return {"off": np.tile(off[:, None], times.size)}
 
@@ -79,67 +104,68 @@ class Standing:
 
     def __init__(self, switch: float = np.inf, side: float = 0.0) -> None:
         self.switch, self.side = switch, side
-        self.started: list[tuple[State, float]] = []
+        self.started: list[tuple[Pose, Mapping[str, float]]] = []
         self.made: list[Still] = []
 
     def switches(self, start: float, end: float) -> bool:
         return start < self.switch <= end
 
     def standing(self, times: FloatArray) -> BoolArray:
-        return np.ones((*times.shape, 4), dtype=bool)
+        return np.ones((*times.shape, 2), dtype=bool)
 
-    def move(self, state: State, resistance: float) -> Still:
-        self.started.append((state, resistance))
-        reference = Reference(state.time, 0.0, np.zeros(2), 0.0, 0.0, 0.0)
-        self.made.append(Still(reference, np.array([0.3, self.side])))
+    def move(self, state: Pose, belief: Mapping[str, float]) -> Still:
+        self.started.append((state, belief))
+        self.made.append(Still(state.time, np.array([0.3, self.side])))
         return self.made[-1]
 
-    def running_cost(self, state: State) -> dict[str, float]:
+    def running_cost(self, state: Pose) -> dict[str, float]:
         raise AssertionError("the planner has no business with it")
 
 
 def controller(behaviour: Behaviour, engine: Gliding, **changes: object) -> Controller:
     settings = SETTINGS.model_copy(update=changes)
-    return Controller(behaviour, engine, AT, settings, np.random.default_rng(0))
+    return Controller(behaviour, Cart(), engine, settings, NAMES, np.random.default_rng(0))
 
 
 def planned(by: Controller) -> Plan:
-    return by.plan(STATE, HOME + 0.1, THETA, 12.5)
+    return by.plan(STATE, HOME + 0.1, BELIEF)
 
 
 def test_it_plans_from_where_the_targets_in_force_will_have_led() -> None:
     behaviour, engine = Standing(), Gliding()
     plan = planned(controller(behaviour, engine, refine="never"))
     ahead, planning = engine.asked
-    assert ahead.inputs.shape == (1, 3, 12)
-    np.testing.assert_array_equal(ahead.inputs[..., AT.servos], np.tile(HOME + 0.1, (1, 3, 1)))
-    (start, resistance), x = behaviour.started[0], STATE.trunk.position[0]
-    assert (start.time, resistance) == (pytest.approx(1.02), 12.5)
-    assert start.trunk.position[0] == pytest.approx(x + 0.03)
-    assert planning.qpos[AT.trunk.start] == pytest.approx(x + 0.03)
+    assert ahead.inputs.shape == (1, 3, 2)
+    np.testing.assert_array_equal(ahead.inputs[..., Cart.servos], np.tile(HOME + 0.1, (1, 3, 1)))
+    (start, belief) = behaviour.started[0]
+    assert start.time == pytest.approx(1.02) and belief == BELIEF
+    assert start.x == pytest.approx(0.03)
+    assert planning.qpos[0] == pytest.approx(0.03)
     assert plan.start == pytest.approx(1.02)
-    assert plan.targets.shape == (5, 12)
+    assert plan.targets.shape == (5, 2)
 
 
 def test_rollouts_hold_each_target_for_a_period_under_the_belief() -> None:
     behaviour, engine = Standing(side=0.02), Gliding()
     planned(controller(behaviour, engine, refine="never"))
     asked = engine.asked[1]
-    np.testing.assert_array_equal(asked.theta, np.tile(THETA, (6, 1)))
+    np.testing.assert_array_equal(asked.theta, np.tile([3.0, 0.4], (6, 1)))
     np.testing.assert_array_equal(asked.lengths, np.full(6, 15))
-    periods = asked.inputs.reshape(6, 5, 3, 12)
+    periods = asked.inputs.reshape(6, 5, 3, 2)
     np.testing.assert_array_equal(periods, periods[:, :, :1].repeat(3, axis=2))
-    bare = asked.inputs[2][:, AT.servos]  # the plan without noise and channels
+    bare = asked.inputs[2][:, Cart.servos]  # the plan without noise and channels
     np.testing.assert_allclose(bare, np.tile(HOME + 0.02, (15, 1)))
     assert behaviour.made[0].times is not None
     np.testing.assert_allclose(behaviour.made[0].times, 1.02 + 0.02 * np.arange(1, 6))
+    assert behaviour.made[0].bodies is not None
+    np.testing.assert_allclose(behaviour.made[0].bodies, np.tile(0.03 + 0.03 * np.arange(1, 6), (6, 1)))
 
 
 def test_targets_stay_within_the_joints_limits() -> None:
     for side in (-9.0, 9.0):
         engine = Gliding()
         plan = planned(controller(Standing(side=side), engine, refine="never"))
-        inputs = engine.asked[1].inputs[..., AT.servos]
+        inputs = engine.asked[1].inputs[..., Cart.servos]
         np.testing.assert_array_equal(inputs, np.broadcast_to(LOWER if side < 0 else UPPER, inputs.shape))
         expected = np.tile(LOWER if side < 0 else UPPER, (5, 1))
         np.testing.assert_allclose(
@@ -152,7 +178,7 @@ def cycles(refine: str, switch: float) -> list[FloatArray]:
     engine = Gliding()
     by = controller(Standing(switch), engine, refine=refine)
     for state in (STATE, LATER):
-        plan = by.plan(state, HOME + 0.1, THETA, 12.5)
+        plan = by.plan(state, HOME + 0.1, BELIEF)
         assert plan.step is not None and plan.step.rollouts == 6
     assert [len(asked.inputs) for asked in engine.asked] == [1, 6, 1, 6]
     return [asked.inputs for asked in engine.asked[1::2]]
@@ -186,6 +212,6 @@ def test_channels_move_the_command_to_where_it_costs_least() -> None:
 def test_where_the_prediction_diverges_it_plans_from_now() -> None:
     behaviour = Standing()
     plan = planned(controller(behaviour, Gliding(wall=-1.0), refine="never"))
-    np.testing.assert_array_equal(behaviour.started[0][0].trunk.position, STATE.trunk.position)
+    np.testing.assert_array_equal(behaviour.started[0][0].joints, STATE.joints)
     assert plan.step is not None and plan.step.diverged == 6
     np.testing.assert_allclose(plan.targets, np.tile(HOME, (5, 1)), err_msg="the bare reference")

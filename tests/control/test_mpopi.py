@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.control.mpopi import JOINTS, Mpopi, Scores, Step, mppi_weights
+from amhe_cli.control.mpopi import Mpopi, Scores, Step, mppi_weights
 from amhe_cli.control.splines import shift_matrix
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import ControlSettings
@@ -20,9 +20,10 @@ FEW = settings(max_examples=25, deadline=None)
 CHANNEL_SIGMA = np.array([0.1, 2.0])
 SETTINGS = ControlSettings(
     samples=32, horizon=12, knots=3, loops=2, elites=0.3, learning_rate=0.5, sigma_range=(0.2, 1.5),
-    temperature=0.1, sigma_hip=0.02, sigma_thigh=0.03, sigma_calf=0.05,
+    temperature=0.1,
 )  # fmt: skip
-START_SIGMA = np.concatenate((np.tile([0.02, 0.03, 0.05], 4 * 3), CHANNEL_SIGMA))
+JOINT_SIGMA = np.tile([0.02, 0.03, 0.05], 4)
+START_SIGMA = np.concatenate((np.tile(JOINT_SIGMA, 3), CHANNEL_SIGMA))
 Cost = Callable[[FloatArray], FloatArray]
 
 
@@ -40,7 +41,7 @@ class Recorder:
 
 def sampler(seed: int = 0, **changes: object) -> Mpopi:
     settings = SETTINGS.model_copy(update=changes)
-    return Mpopi(settings, CHANNEL_SIGMA, np.random.default_rng(seed))
+    return Mpopi(settings, JOINT_SIGMA, CHANNEL_SIGMA, np.random.default_rng(seed))
 
 
 def bowl(target: FloatArray) -> Cost:
@@ -59,7 +60,7 @@ def steady(joints: FloatArray, channels: FloatArray) -> FloatArray:
 
 
 def moved_ahead(x: FloatArray) -> FloatArray:
-    knots = shift_matrix(SETTINGS.horizon, SETTINGS.knots, 1.0) @ x[:36].reshape(3, JOINTS)
+    knots = shift_matrix(SETTINGS.horizon, SETTINGS.knots, 1.0) @ x[:36].reshape(3, 12)
     return np.concatenate((knots.ravel(), x[36:]))
 
 

@@ -31,6 +31,7 @@ from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import SYSTEM, Box, home, layout, planner_model, plant_model
 from amhe_cli.robots.go1.plant import Plant
+from amhe_cli.robots.go1.robot import Go1, joint_sigma
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
 from amhe_cli.system import overrides
 from amhe_cli.system.load import find_system, load_system
@@ -126,7 +127,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     controller = controller_for(task, behaviour, system, options.threads, samples)
     judge = Judge(task, behaviour, settings.period, options.duration)
     belief = belief_source(options, task, system, plant)
-    episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
+    episode = Episode(target, behaviour, controller, belief, judge)
     return Run(options, task, system, episode, target, plant, judge, plant.parameters)
 
 
@@ -165,7 +166,8 @@ def controller_for(
     settings = system.settings.control
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
     engine = CpuEngine(planner, system.edits.upon(planner), system.input_spec, threads, sensors=False)
-    return Controller(behaviour, engine, layout(planner), settings, samples)
+    robot = Go1(layout(planner), joint_sigma(settings))
+    return Controller(behaviour, robot, engine, settings, system.space.names, samples)
 
 
 def task_and_system(options: RunOptions, task: Task | None = None) -> tuple[Task, System]:

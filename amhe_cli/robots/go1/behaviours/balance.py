@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -12,6 +14,11 @@ from amhe_cli.robots.go1.state import GRAVITY
 WEIGHT = 12.743 * GRAVITY
 #: Its centre of mass when it stands, ahead and left in the trunk's frame [m].
 CENTRE_OF_MASS = sealed([-0.0023, 0.0009])
+
+
+def box_friction(belief: Mapping[str, float]) -> float:
+    """Force with which the box rubs on the floor when it slides, mu m g, by believed parameters [N]."""
+    return belief["box_mass"] * belief["floor_friction"] * GRAVITY
 
 
 def stance_weights(feet: FloatArray, load: FloatArray, centre: FloatArray) -> FloatArray:

@@ -7,12 +7,14 @@ is done the foot comes back, and down: four feet stand safer than three.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.robots.go1.behaviours.balance import box_friction
 from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet, standing
 from amhe_cli.robots.go1.behaviours.objective import Reference, SweepWeights, lean_terms, sweep_terms
 from amhe_cli.robots.go1.behaviours.path import Path
@@ -85,7 +87,7 @@ class SweepShape:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SweepMove:
-    """Sweeping from one situation; see `behaviour.Move`. Places are in the frame of the standing feet.
+    """Sweeping from one situation; see `Move`. Places are in the frame of the standing feet.
 
     Args:
         owner: What does not change.
@@ -107,7 +109,7 @@ class SweepMove:
     command: FloatArray
 
     def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
-        """See `behaviour.Move`."""
+        """See `Move`."""
         owner = self.owner
         if self.trunk_now is None:
             commands = np.zeros_like(commands)
@@ -122,8 +124,9 @@ class SweepMove:
             owner.gait, owner.tripod, times[None], foot, trunk, push, self.trunk_now, self.planted
         ).targets
 
-    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
-        """See `behaviour.Move`."""
+    def terms(self, times: FloatArray, bodies: tuple[Body, Body]) -> dict[str, FloatArray]:
+        """See `Move`."""
+        trunk, box = bodies
         owner = self.owner
         terms = sweep_terms(owner.weights, trunk, box, owner.trunk_height, self.reference)
         return terms | lean_terms(owner.weights, trunk, self.lean)
@@ -131,7 +134,7 @@ class SweepMove:
 
 @dataclass(slots=True, eq=False)
 class Sweeping:
-    """The behaviour of T5; see `behaviour.Behaviour`.
+    """The behaviour of T5; see `control.protocols.Behaviour`.
 
     Remembers where the three feet were put and have slipped to, where the sweep and its kick began, the
     foot's last target, and how far the foot has been lowered since it came back.
@@ -168,27 +171,27 @@ class Sweeping:
 
     @property
     def channel_sigma(self) -> FloatArray:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         return CHANNEL_SIGMA
 
     @property
     def knot_weight(self) -> float:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         return self.weights.knots
 
     def switches(self, start: float, end: float) -> bool:
-        """See `behaviour.Behaviour`. Nobody steps: the trot's rhythm is kept for the refinement."""
+        """See `Behaviour`. Nobody steps: the trot's rhythm is kept for the refinement."""
         half = 0.5 * self.gait.period
         return int(end / half) > int(start / half)
 
     def standing(self, times: FloatArray) -> BoolArray:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         stands = np.ones((*np.shape(times), 4), dtype=np.bool_)
         stands[..., self.tripod.index] = times < self.tripod.shift_time
         return stands
 
-    def move(self, state: State, resistance: float) -> SweepMove:
-        """See `behaviour.Behaviour`."""
+    def move(self, state: State, belief: Mapping[str, float]) -> SweepMove:
+        """See `Behaviour`."""
         if self._stance is None:
             self._stance = Plane.under(state.trunk)
         line, face = self._contact(self._stance, state.box)
@@ -199,7 +202,8 @@ class Sweeping:
         seen, passed = self._see_feet(self._stance, state), state.time - self._time
         self._follow(seen, passed)
         foot = np.array([line, seen[self.tripod.index, 1], self.shape.height - self.gait.height])
-        speed, push = self._pace(self._stance.pose(state.trunk), foot[1], face, begun, at.speed, resistance)
+        trunk = self._stance.pose(state.trunk)
+        speed, push = self._pace(trunk, foot[1], face, begun, at.speed, box_friction(belief))
         self._time = state.time
         if self._over and self._start - foot[1] < self.shape.back:
             self._lowered = min(self._lowered + self.shape.set_down * passed, self.shape.height)
@@ -208,7 +212,7 @@ class Sweeping:
         lean = self._lean_in_world(self._stance, state.time, foot[1])
         command = np.array([0.0, -speed, 0.0, 0.0, 0.0, -push])
         at = replace(at, speed=max(speed, 0.0))
-        return SweepMove(self, foot, self._stance.pose(state.trunk), self._planted, lean, at, command)
+        return SweepMove(self, foot, trunk, self._planted, lean, at, command)
 
     @property
     def _begin(self) -> float:
@@ -245,7 +249,7 @@ class Sweeping:
         return s.kick if kicking else commanded, resistance
 
     def running_cost(self, state: State) -> dict[str, float]:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         at = self._reference(state)
         terms = sweep_terms(self.weights, state.trunk, state.box, self.trunk_height, at)
         return {name: float(term) for name, term in terms.items()}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.behaviours.balance import box_friction
 from amhe_cli.robots.go1.behaviours.gait import Gait, contacts, mode_switches, walk
 from amhe_cli.robots.go1.behaviours.objective import (
     PushWeights,
@@ -45,7 +47,7 @@ class WalkGains:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WalkMove:
-    """Walking from one situation; see `behaviour.Move`.
+    """Walking from one situation; see `control.protocols.Move`.
 
     Args:
         gait: Of the legs.
@@ -64,20 +66,21 @@ class WalkMove:
     left: FloatArray
 
     def targets(self, times: FloatArray, commands: FloatArray) -> FloatArray:
-        """See `behaviour.Move`."""
+        """See `Move`."""
         push = np.zeros((len(commands), 1, 2))
         push[:, 0, 0] = np.maximum(commands[:, 3], 0.0)
         return walk(self.gait, times[None], commands[:, None, :3], push, self.left).targets
 
-    def terms(self, times: FloatArray, trunk: Body, box: Body) -> dict[str, FloatArray]:
-        """See `behaviour.Move`."""
+    def terms(self, times: FloatArray, bodies: tuple[Body, Body]) -> dict[str, FloatArray]:
+        """See `Move`."""
+        trunk, box = bodies
         elapsed = times - self.reference.time
         return push_terms(self.weights, trunk, box, self.height, self.reference, elapsed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Walking:
-    """The behaviour of all tasks in which the robot walks; see `behaviour.Behaviour`.
+    """The behaviour of all tasks in which the robot walks; see `control.protocols.Behaviour`.
 
     Args:
         helm: Where to go.
@@ -98,33 +101,33 @@ class Walking:
 
     @property
     def channel_sigma(self) -> FloatArray:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         return CHANNEL_SIGMA
 
     @property
     def knot_weight(self) -> float:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         return self.weights.knots
 
     def switches(self, start: float, end: float) -> bool:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         return mode_switches(self.gait, start, end).size > 0
 
     def standing(self, times: FloatArray) -> BoolArray:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         return contacts(self.gait, times)
 
-    def move(self, state: State, resistance: float) -> WalkMove:
-        """See `behaviour.Behaviour`."""
+    def move(self, state: State, belief: Mapping[str, float]) -> WalkMove:
+        """See `Behaviour`."""
         at = self.helm.reference(state)
         at = replace(at, speed=at.speed * min(1.0, state.time / self.gains.start_time))
-        command = self._command(state, at, resistance)
+        command = self._command(state, at, box_friction(belief))
         drift = heading_velocity(state.trunk)[1] - command[1]
         left = self.stepping.update(state.time, drift, self.standing(np.array(state.time)))
         return WalkMove(self.gait, self.weights, self.height, at, command, left)
 
     def running_cost(self, state: State) -> dict[str, float]:
-        """See `behaviour.Behaviour`."""
+        """See `Behaviour`."""
         at, now = self.helm.on_path(state), np.array(0.0)
         terms = push_terms(self.weights, state.trunk, state.box, self.height, at, now)
         return {name: float(term) for name, term in terms.items()}

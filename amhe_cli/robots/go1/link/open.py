@@ -78,7 +78,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     judge = Judge(task, behaviour, period, options.duration)
     believed = belief_source(options, task, system, None, wire.slow)
     belief = SharedBelief(believed, partial(_publish, feed))
-    episode = Episode(target, behaviour, controller, belief, judge, system.space.names)
+    episode = Episode(target, behaviour, controller, belief, judge)
     return Run(options, task, system, episode, target, None, judge, {})
 
 

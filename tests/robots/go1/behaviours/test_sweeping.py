@@ -12,6 +12,7 @@ from amhe_cli.robots.go1.kinematics import joint_angles
 from amhe_cli.robots.go1.state import Body, State
 
 REACH, HEIGHT = 0.25, 0.27
+BELIEF = {"box_mass": 2.5, "floor_friction": 0.4}
 
 
 def at_rest(position: tuple[float, float, float]) -> Body:
@@ -35,7 +36,7 @@ def stalled(time: float, slipped: float = 0.0) -> State:
 
 def test_a_kick_that_stalls_is_given_up() -> None:
     sweeping = Sweeping(Path((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH))
-    speeds = {t: sweeping.move(stalled(t), 10.0).reference.speed for t in (0.0, 2.0, 2.5, 2.75, 2.85, 3.5)}
+    speeds = {t: sweeping.move(stalled(t), BELIEF).reference.speed for t in (0.0, 2.0, 2.5, 2.75, 2.85, 3.5)}
     shape = sweeping.shape
     assert speeds[2.0] == speeds[2.5] == speeds[2.75] == shape.kick
     assert speeds[2.85] == speeds[3.5] == 0.0
@@ -47,7 +48,7 @@ def test_when_all_is_done_the_foot_is_set_down() -> None:
     sweeping = Sweeping(Path((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=2.0))
     shape, heights = sweeping.shape, {}
     for time in (0.0, *np.arange(1.0, 20.0, 0.02)):
-        heights[round(float(time), 2)] = sweeping.move(stalled(time), 10.0).foot[2] + Gait().height
+        heights[round(float(time), 2)] = sweeping.move(stalled(time), BELIEF).foot[2] + Gait().height
     assert heights[5.0] == heights[12.0] == pytest.approx(shape.height)
     assert 0.0 < heights[14.5] < shape.height
     assert abs(heights[19.9]) < 1e-12
@@ -58,7 +59,7 @@ def test_a_foot_that_has_slipped_is_taken_for_where_it_is() -> None:
     sweeping = Sweeping(Path((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH))
     begin, planted = 1.6, {}
     for time in np.arange(0.0, 8.0, 0.02):
-        planted[round(float(time), 2)] = sweeping.move(stalled(time, slipped=0.05), 10.0).planted
+        planted[round(float(time), 2)] = sweeping.move(stalled(time, slipped=0.05), BELIEF).planted
     slips = {time: feet - neutral_feet(sweeping.gait) for time, feet in planted.items()}
     assert slips[begin - 0.02] == pytest.approx(0.0)
     assert slips[begin + 1.0][1, 0] == pytest.approx(0.05 * (1.0 - np.exp(-1.0)), rel=0.03)
