@@ -16,7 +16,7 @@ help:
 	@echo "make format  let ruff format the code"
 	@echo "make docs    write docs/cli.md from the commands' own help"
 	@echo "make results-report"
-	@echo "             tables and figures of docs/results/, in docs/results.md and the README"
+	@echo "             tables and figures of docs/results/, in docs/results.md"
 	@echo "make bench   run the benchmarks"
 	@echo "make clean   remove .venv and all caches"
 

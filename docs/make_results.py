@@ -1,4 +1,4 @@
-"""Fill docs/results.md and the README from the stored studies of docs/results/: `make results-report`.
+"""Fill docs/results.md from the stored studies of docs/results/: `make results-report`.
 
 A study is a folder that `amhe eval -o docs/results/NAME` wrote; its cells are kept, all else is made of them.
 Between `<!-- results NAME/TABLE -->` and `<!-- end -->` stands that table; /figures are its figures, /missed
@@ -19,12 +19,12 @@ from amhe_cli.study.store import Store, open_store
 
 DOCS = Path(__file__).parent
 STUDIES = DOCS / "results"
-PAGES = (DOCS / "results.md", DOCS.parent / "README.md")
+PAGE = DOCS / "results.md"
 BLOCK = re.compile(r"<!-- results (?P<study>[\w-]+)/(?P<what>\w+) -->\n.*?<!-- end -->", re.DOTALL)
 
 
 def main() -> None:
-    """Make every study's files again, and fill the pages."""
+    """Make every study's files again, and fill the page."""
     folders = sorted(path.parent for path in STUDIES.glob("*/study.json"))
     if not folders:
         sys.exit(
@@ -32,8 +32,7 @@ def main() -> None:
         )
     for folder in folders:
         print(write_study(open_store(folder), TASKS, MODES).text)
-    for page in PAGES:
-        page.write_text(filled(page.read_text(encoding="utf-8"), page.parent), encoding="utf-8")
+    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), PAGE.parent), encoding="utf-8")
 
 
 def filled(text: str, beside: Path) -> str:
