@@ -3,9 +3,9 @@
     J(theta) = trimmed mean over clips of (1 / count) sum over steps, channels of rho(|| r ||^2)
     r = (measured - predicted) / noise sd;  rotations: log(measured^-1 predicted)
 
-the paper's equations (1) and (4), made robust (rho is the pseudo-Huber loss), and normalised by count so
-that costs compare across clip lengths. Identification, moving-horizon estimation, probing and the live
-fit monitor all use it.
+These are the paper's equations (1) and (5) without their priors, made robust (rho is the pseudo-Huber loss),
+and normalised by count so that costs compare across clip lengths. Identification, moving-horizon
+estimation and the design of probes all use it.
 """
 
 from __future__ import annotations
@@ -186,6 +186,6 @@ def whitened(observed: Observed, predicted: FloatArray) -> FloatArray:
 
 
 def quadratic_prior(z: FloatArray, mean: FloatArray, precision: FloatArray) -> FloatArray:
-    """Arrival cost (z - mean)' P (z - mean) of candidates z (p, d), shape (p,); equation (4)."""
+    """Arrival cost (z - mean)' P (z - mean) of candidates z (p, d), the last term of (5); shape (p,)."""
     away = z - mean
     return np.einsum("pi,ij,pj->p", away, precision, away)

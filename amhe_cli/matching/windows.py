@@ -11,8 +11,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import Rollouts
 from amhe_cli.engine.states import home
-from amhe_cli.matching.first_errors import first_errors
-from amhe_cli.matching.first_states import first_states
+from amhe_cli.matching.starts import first_errors, first_states
 from amhe_cli.system.system import Channel, System
 
 

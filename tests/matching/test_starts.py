@@ -1,4 +1,4 @@
-"""The state that a window begins with: smoothed positions, and velocities that are slopes of them."""
+"""First states of windows: smoothed positions, and velocities that are slopes of them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from amhe_cli.core import rotations
 from amhe_cli.core.log import Log, Series, Window
-from amhe_cli.matching.first_states import first_states
+from amhe_cli.matching.starts import first_states
 from amhe_cli.system.system import Channel, System
 
 HOME = np.zeros(1)

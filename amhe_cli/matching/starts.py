@@ -1,0 +1,187 @@
+"""The state that a window's rollouts start from, and how wrong that state may be.
+
+The state is the recorded one at the window's first instant, or one smoothed about it. The sd of its error
+is the prior of the first-state errors that the estimators fit along with the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.errors import LogError
+from amhe_cli.core.log import Log, Series, Window
+from amhe_cli.core.statistics import white_noise_sd
+from amhe_cli.system.system import Channel, System
+
+#: Smoothing fits parabolas: motion between two contacts bends, and hardly more.
+_DEGREE = 2
+#: Noise of a velocity fitted to 7 positions a time h apart, in units of their noise / h: 1 / sqrt(28).
+_FITTED = 28.0**-0.5
+
+
+def first_states(
+    system: System, windows: Sequence[Window], home: FloatArray, smoothing: float
+) -> tuple[FloatArray, FloatArray]:
+    """Positions and velocities at the start of each of c windows.
+
+    Args:
+        system: The system; its state channels say which signals give which part of the state.
+        windows: The windows.
+        home: Positions of everything that no signal gives, shape (nq,).
+        smoothing: Positions are fitted to the measurements within this time [s] before and after the
+            start; 0 takes them as recorded.
+
+    Returns:
+        qpos, shape (c, nq), and qvel, shape (c, nv).
+
+    Raises:
+        LogError: A window starts where the state was not measured.
+    """
+    qpos = np.tile(home, (len(windows), 1))
+    qvel = np.zeros((len(windows), system.model.nv))
+    for channel in system.channels:
+        if not channel.sets_state:
+            continue
+        columns = list(channel.columns)
+        for i, window in enumerate(windows):
+            if channel.source == "qpos":
+                qpos[i, columns] = _position(channel, window, smoothing)
+            else:
+                qvel[i, columns] = _velocity(channel, window)
+    return qpos, qvel
+
+
+def _position(channel: Channel, window: Window, reach: float) -> FloatArray:
+    """Position or orientation of one channel at a window's start, shape (columns,)."""
+    recorded = _recorded(channel, window)
+    fitted = _parabola(window, channel.key, reach)
+    if fitted is None:
+        return recorded
+    if channel.kind == "rotation":
+        return rotations.multiply(recorded, rotations.exp(fitted[0]))
+    return fitted[0]
+
+
+def _velocity(channel: Channel, window: Window) -> FloatArray:
+    """Velocity of one channel at a window's start, shape (columns,).
+
+    It is the slope of the positions where the channel asks for that: a velocity that was filtered on the
+    robot lags the motion.
+    """
+    recorded = _recorded(channel, window)
+    fitted = _parabola(window, channel.integral, channel.slope) if channel.slope else None
+    return recorded if fitted is None else fitted[1]
+
+
+def _recorded(channel: Channel, window: Window) -> FloatArray:
+    log, start = window.log, window.start
+    series = log[channel.key]
+    if not series.valid[start]:
+        raise LogError(
+            f"{log.source}: {channel.key} was not measured at {start * log.dt:.3f} s, where a window starts"
+        )
+    return series.values[start]
+
+
+def _parabola(window: Window, key: str, reach: float) -> FloatArray | None:
+    """Value, slope and half the second derivative of a series at a window's start, from a fitted parabola.
+
+    Returns:
+        Shape (3, columns), in the unit of the series, per s and per s^2. For an orientation the series is
+        the rotation vector from the recorded orientation, in the body's own frame. None where too few
+        samples lie within `reach` [s] of the start.
+    """
+    log, start = window.log, window.start
+    series = log[key]
+    rows = _samples_about(series, start, round(reach / log.dt))
+    if rows.size < _DEGREE + 2 or not rows[0] < start < rows[-1]:
+        return None
+    values = series.values[rows]
+    if key.endswith(".orientation"):
+        values = rotations.difference(values, np.broadcast_to(series.values[start], values.shape))
+    powers = np.vander((rows - start) * log.dt, _DEGREE + 1, increasing=True)
+    fitted: FloatArray = np.asarray(np.linalg.lstsq(powers, values, rcond=None)[0], dtype=np.float64)
+    return fitted
+
+
+def _samples_about(series: Series, start: int, reach: int) -> IntArray:
+    """Rows of the real measurements within `reach` rows of `start`; none where a gap lies among them."""
+    first = max(start - reach, 0)
+    span = slice(first, start + reach + 1)
+    if not series.valid[span].all():
+        return np.empty(0, dtype=np.int64)
+    return first + np.flatnonzero(series.sampled[span])
+
+
+def first_errors(system: System, log: Log) -> tuple[IntArray, FloatArray]:
+    """Sd of the error of every measured coordinate of a first state.
+
+    Coordinates are those of the tangent space: nv of the positions, then nv of the velocities.
+
+    Returns:
+        Indices of the nx measured coordinates among the 2 nv, and their error sd [SI]; shape (nx,) each.
+    """
+    sd = np.zeros(2 * system.model.nv)
+    for channel in system.channels:
+        if channel.sets_state:
+            sd[_tangent(system, channel)] = _error_sd(channel, system, log)
+    index = np.flatnonzero(sd > 0.0)
+    return index, sd[index]
+
+
+def _tangent(system: System, channel: Channel) -> list[int]:
+    """Tangent coordinates (positions 0 .. nv, velocities nv .. 2 nv) that a state channel measures."""
+    model = system.model
+    if channel.source == "qvel":
+        return [model.nv + c for c in channel.columns]
+    dofs: list[int] = []
+    for joint in range(model.njnt):
+        q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+        end_q = int(model.jnt_qposadr[joint + 1]) if joint + 1 < model.njnt else model.nq
+        inside = [c - q for c in channel.columns if q <= c < end_q]
+        if channel.kind == "rotation" and inside:
+            first = v + min(inside)
+            dofs += [first, first + 1, first + 2]
+        else:
+            dofs += [v + i for i in inside]
+    return dofs
+
+
+def _error_sd(channel: Channel, system: System, log: Log) -> float:
+    """Error sd of a state channel: the declared noise, else what the series itself shows."""
+    series = log[channel.key]
+    positions = next((c for c in system.channels if c.key == channel.integral), None)
+    if positions is None or not (channel.source == "qvel" and series.derived):
+        return channel.noise or white_noise_sd(series.values[_measured(series)])
+    return max(channel.noise or 0.0, _slope_error(series, log, positions))
+
+
+def _slope_error(velocity: Series, log: Log, channel: Channel) -> float:
+    """Error sd of a velocity that was differentiated from the positions of `channel`.
+
+    It has two parts: noise, and what smoothing makes of impacts and stops. For the latter the smooth
+    velocity is compared with the plain central difference: where they differ by more than the noise of the
+    difference, the smooth one is wrong.
+    """
+    positions = log[channel.key]
+    rows = _measured(positions)
+    if rows.size < 5:
+        return 0.0
+    step = float(np.median(np.diff(rows))) * log.dt
+    even = np.abs(rows[2:] - rows[:-2] - 2.0 * step / log.dt) < 0.5
+    before, after = positions.values[rows[:-2][even]], positions.values[rows[2:][even]]
+    turning = channel.kind == "rotation"
+    change = rotations.difference(after, before) if turning else after - before
+    wrong = velocity.values[rows[1:-1][even]] - change / (2.0 * step)
+    noise = (channel.noise or white_noise_sd(positions.values[rows])) / step
+    bias = max(float((wrong**2).mean()) - 0.5 * noise**2, 0.0) if wrong.size else 0.0
+    return float(np.sqrt(bias + 2.0 * (_FITTED * noise) ** 2))
+
+
+def _measured(series: Series) -> IntArray:
+    """Rows that hold a real, valid measurement."""
+    return np.flatnonzero(series.sampled & series.valid)
