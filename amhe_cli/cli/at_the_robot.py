@@ -13,7 +13,7 @@ from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.live.loop import Ending
+    from amhe_cli.core.errors import Ending
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.robots.go1.history import History
     from amhe_cli.robots.go1.link.open import WireOptions
@@ -119,8 +119,7 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
     Raises:
         LinkError, PoseError: Before anything moved.
     """
-    from amhe_cli.core.errors import AmheError
-    from amhe_cli.live.loop import Ending
+    from amhe_cli.core.errors import AmheError, Ending
 
     try:
         with ready(target, session):
@@ -161,7 +160,7 @@ def _by_signal(target: Any) -> bool:
 
 def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, Any]:
     """What result.json says of the link, which the log's last diagnostics say too; {} for a simulation."""
-    from amhe_cli.live import messages
+    from amhe_cli.logs.messages.writer import ERROR, OK
     from amhe_cli.robots.go1.link.target import Go1Target
 
     if not isinstance(target, Go1Target):
@@ -169,7 +168,7 @@ def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, 
     report, slow = target.report, target.slow
     packets = ", ".join(f"{name} {value:g}" for name, value in report.intervals.items())
     words = f"sender: {packets}; time {slow:g} times slower than the clock"
-    level = messages.ERROR if report.trip else messages.OK
+    level = ERROR if report.trip else OK
     time = float(history.column("time")[-1]) if history.cycles else 0.0
     recorder.say(time + 1e-3, level, f"{words}; {report.trip}: {report.reason}" if report.trip else words)
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from difflib import get_close_matches
 
 
@@ -24,6 +25,19 @@ class EstimationError(AmheError):
 
 class SimulationError(AmheError):
     """The simulator refused to run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a run or a probe ended that keeps what it recorded, whatever happens.
+
+    Args:
+        interrupted: Somebody stopped it.
+        error: What broke it; None: nothing did.
+    """
+
+    interrupted: bool = False
+    error: Exception | None = None
 
 
 def one_of(kind: str, name: str, known: Iterable[str]) -> str:

@@ -32,7 +32,8 @@ class Signal:
         type: ROS message type such as 'nav_msgs/msg/Odometry'; None takes what the log says.
         names: For messages with named entries (JointState, JointTrajectory): the entries wanted,
             as the log calls them, in column order. Empty: all, in the order of the first message.
-        child_frame: For TFMessage: the one frame whose transform is wanted.
+        child_frame: Name of the body's frame. Of a TFMessage the one transform that is wanted; a log that is
+            written has it in its Odometry and Imu messages.
         fields: quantity -> paths such as 'motorState[0].q', for types that are not built in.
         is_input: Commands are held until the next message; everything else is interpolated.
         offset: Seconds to add to the topic's stamps to bring them onto the log's common clock.

@@ -4,30 +4,17 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 
-from amhe_cli.live import messages
+from amhe_cli.core.errors import Ending
 from amhe_cli.live.episode import Cycle, Episode
 from amhe_cli.live.recorder import Recorder
+from amhe_cli.logs.messages.writer import ERROR, OK, WARN
 from amhe_cli.robots.go1.history import History
 
 logger = logging.getLogger(__name__)
 
 #: Called after each cycle with it and its row of the history.
 OnCycle = Callable[[Cycle, dict[str, float]], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """How a run ended.
-
-    Args:
-        interrupted: Somebody stopped it.
-        error: What broke it; None: nothing did.
-    """
-
-    interrupted: bool = False
-    error: Exception | None = None
 
 
 def drive(
@@ -49,10 +36,10 @@ def drive(
             recorder.write(cycle)
             on_cycle(cycle, history.add(cycle))
             if stopped() and not cycle.over:
-                recorder.say(time, messages.WARN, "interrupted")
+                recorder.say(time, WARN, "interrupted")
                 return Ending(interrupted=True)
     except Exception as error:
-        recorder.say(time, messages.ERROR, str(error))
+        recorder.say(time, ERROR, str(error))
         return Ending(error=error)
     finally:
         episode.belief.close()
@@ -64,7 +51,7 @@ def drive(
 
 def _verdict(episode: Episode) -> tuple[int, str]:
     if episode.judge.fell:
-        return messages.ERROR, "the robot fell"
+        return ERROR, "the robot fell"
     if episode.judge.arrived:
-        return messages.OK, "the box has arrived"
-    return messages.WARN, "the time is up"
+        return OK, "the box has arrived"
+    return WARN, "the time is up"

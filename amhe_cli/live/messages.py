@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -13,8 +11,6 @@ from amhe_cli.core.rotations import exp
 from amhe_cli.logs import LogWriter
 
 PLAN, TIMING = "amhe_msgs/msg/Plan", "amhe_msgs/msg/Timing"
-#: Levels of a diagnostic_msgs/DiagnosticStatus.
-OK, WARN, ERROR = 0, 1, 2
 
 _PLAN = """\
 std_msgs/Header header
@@ -98,23 +94,6 @@ def write_floor_pose(
 ) -> None:
     """Write a geometry_msgs/PoseStamped: a place (2,) [m] and a heading [rad]."""
     log.pose(topic, stamp_ns, (*place, height), exp(_array([0.0, 0.0, heading])))
-
-
-def write_diagnostics(
-    log: LogWriter, stamp_ns: int, level: int, text: str, values: Mapping[str, str], of: str = "controller"
-) -> None:
-    """Write a diagnostic_msgs/DiagnosticArray on /diagnostics with the status of one component."""
-    name = "diagnostic_msgs/msg/"
-    status = log.message(
-        f"{name}DiagnosticStatus",
-        level=level,
-        name=f"amhe: {of}",
-        message=text,
-        hardware_id="",
-        values=[log.message(f"{name}KeyValue", key=key, value=value) for key, value in values.items()],
-    )
-    message = log.message(f"{name}DiagnosticArray", header=log.header(""), status=[status])
-    log.write("/diagnostics", f"{name}DiagnosticArray", stamp_ns, message)
 
 
 def _array(values: ArrayLike) -> FloatArray:

@@ -17,6 +17,7 @@ from amhe_cli.live import messages
 from amhe_cli.live.episode import Cycle
 from amhe_cli.live.samples import CycleSamples, Sampler
 from amhe_cli.logs import LogWriter
+from amhe_cli.logs.messages.writer import OK, WARN
 from amhe_cli.robots.go1.kinematics import JOINTS
 from amhe_cli.robots.go1.tasks import Task
 
@@ -87,7 +88,7 @@ class Recorder:
 
     def say(self, time: float, level: int, text: str) -> None:
         """Put a word about the run itself into the diagnostics, after all that was told of that time."""
-        messages.write_diagnostics(self._log, stamp_ns(time + 1e-3), level, text, {})
+        self._log.diagnostics(stamp_ns(time + 1e-3), level, text, {})
 
     # -- what was measured ----------------------------------------------------------------------------
 
@@ -127,7 +128,7 @@ class Recorder:
             if news.estimate is not None:
                 estimates.write_estimate(self._log, stamp, news.estimate)
             if news.text:
-                messages.write_diagnostics(self._log, stamp, messages.WARN, news.text, {}, of="estimator")
+                self._log.diagnostics(stamp, WARN, news.text, {}, of="estimator")
 
     def _intention(self, cycle: Cycle) -> None:
         time, log, path = cycle.estimate.time, self._log, self._task.path
@@ -144,8 +145,8 @@ class Recorder:
             late = cycle.misses > (self._told.get("misses") or (0.0, 0))[1]  # type: ignore[operator]
             self._told["misses"] = (time, cycle.misses)
             values = {"plan ms": f"{cycle.plan_ms:.1f}", "deadline misses": str(cycle.misses)}
-            text, level = ("late", messages.WARN) if late else ("planning in time", messages.OK)
-            messages.write_diagnostics(log, stamp, level, text, values)
+            text, level = ("late", WARN) if late else ("planning in time", OK)
+            log.diagnostics(stamp, level, text, values)
 
     def _due(self, topic: str, time: float, period: float, content: object = None) -> bool:
         """Whether so much time has gone by since the topic's last message, or its content is another one."""

@@ -14,8 +14,9 @@ from amhe_cli.estimation.online import messages
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.prediction import Prediction
 from amhe_cli.estimation.online.replay import Replay
-from amhe_cli.live.messages import ERROR, OK, WARN, write_diagnostics
 from amhe_cli.logs import LogWriter
+from amhe_cli.logs.messages.signal_writer import write_samples
+from amhe_cli.logs.messages.writer import ERROR, OK, WARN
 from amhe_cli.report.replay_words import MARKS
 from amhe_cli.system.provenance import attachments
 
@@ -59,40 +60,31 @@ def _stamp_ns(recorded: Log, row: int) -> int:
 def _write_mark(log: LogWriter, stamp_ns: int, estimate: Estimate) -> None:
     values = {"misfit": f"{estimate.misfit:.3g}", "update ms": f"{estimate.update_ms:.1f}"}
     level, text = _LEVELS[estimate.mark], f"{estimate.mark}: {MARKS[estimate.mark]}"
-    write_diagnostics(log, stamp_ns, level, text, values, of="estimator")
+    log.diagnostics(stamp_ns, level, text, values, of="estimator")
 
 
-def _write_prediction(log: LogWriter, replay: Replay, recorded: Log, prediction: Prediction) -> None:
+def _write_prediction(file: LogWriter, replay: Replay, log: Log, prediction: Prediction) -> None:
     """Mirror the measured topics, at the times that they were measured."""
-    mirrored = []
+    mirrored: list[Signal] = []
+    samples: dict[str, tuple[FloatArray, FloatArray]] = {}
     for signal in replay.system.signals:
-        keys = [signal.key(q) for q in signal.quantities if signal.key(q) in prediction.values]
-        if keys:
-            seen = np.any([recorded[key].sampled[prediction.rows] for key in keys], axis=0)
-            mirrored += [(int(prediction.rows[k]), k, signal) for k in np.flatnonzero(seen)]
-    for row, k, signal in sorted(mirrored, key=lambda entry: entry[0]):
-        values = {
-            q: prediction.values[signal.key(q)][k]
-            for q in signal.quantities
-            if signal.key(q) in prediction.values
-        }
-        _mirror(log, signal, _stamp_ns(recorded, row), recorded, values)
+        predicted = tuple(q for q in signal.quantities if signal.key(q) in prediction.values)
+        if not predicted:
+            continue
+        mirrored.append(_mirror(signal, predicted, log[signal.key(predicted[0])].columns))
+        keys = [signal.key(q) for q in predicted]
+        measured = np.any([log[key].sampled[prediction.rows] for key in keys], axis=0)
+        times = log.dt * prediction.rows[measured]
+        samples |= {key: (times, prediction.values[key][measured]) for key in keys}
+    write_samples(file, mirrored, samples, lambda time: log.start_ns + round(1e9 * time))
 
 
-def _mirror(
-    log: LogWriter, signal: Signal, stamp_ns: int, recorded: Log, values: Mapping[str, FloatArray]
-) -> None:
-    """One message: Odometry of a body, JointState of joints, plain numbers of anything else."""
-    topic = f"{_PREDICTED}{signal.topic}"
-    if "orientation" in values and "position" in values:
-        still = np.zeros(3)
-        log.odometry(
-            topic, stamp_ns, values["position"], values["orientation"],
-            values.get("linear_velocity", still), values.get("angular_velocity", still),
-            child_frame=signal.name,
-        )  # fmt: skip
-    elif set(values) <= {"position", "velocity", "effort"}:
-        names = recorded[signal.key(next(iter(values)))].columns
-        log.joint_state(topic, stamp_ns, names, **values)
+def _mirror(signal: Signal, predicted: tuple[str, ...], columns: tuple[str, ...]) -> Signal:
+    """The signal of predictions: Odometry of a body, JointState of joints, plain numbers of anything else."""
+    if {"position", "orientation"} <= set(predicted):
+        kind = "nav_msgs/msg/Odometry"
+    elif set(predicted) <= {"position", "velocity", "effort"}:
+        kind = "sensor_msgs/msg/JointState"
     else:
-        log.numbers(topic, stamp_ns, np.concatenate(list(values.values())))
+        kind = "std_msgs/msg/Float64MultiArray"
+    return Signal(signal.name, f"{_PREDICTED}{signal.topic}", predicted, kind, columns)

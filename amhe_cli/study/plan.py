@@ -18,10 +18,9 @@ import numpy as np
 
 import amhe_cli
 from amhe_cli.core.belief_file import read_belief
-from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.errors import ConfigError, Ending, one_of
 from amhe_cli.core.yaml_file import scalar
 from amhe_cli.engine.quiet import hush_mujoco
-from amhe_cli.live.loop import Ending
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.model import SYSTEM
 from amhe_cli.robots.go1.record import run_record

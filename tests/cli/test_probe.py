@@ -11,9 +11,9 @@ import pytest
 
 from amhe_cli.cli.main import run
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import Ending
 from amhe_cli.estimation.design.drive import DriveProbe
 from amhe_cli.estimation.design.multisine import Multisine
-from amhe_cli.live.loop import Ending
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.probing.push import PushProbe
 from tests.conftest import MODELS, PENDULUM_TRUTH

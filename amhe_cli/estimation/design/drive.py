@@ -11,8 +11,9 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import ConfigError, SimulationError
+from amhe_cli.core.errors import ConfigError, Ending, SimulationError
 from amhe_cli.core.log import Log
+from amhe_cli.core.samples import sampled
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.design.actuators import drives_of
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
@@ -20,9 +21,9 @@ from amhe_cli.estimation.design.information import information_at
 from amhe_cli.estimation.design.multisine import Multisine, candidates, slow_sine
 from amhe_cli.estimation.design.plan import Plan, parts_of
 from amhe_cli.estimation.design.playback import Playback
-from amhe_cli.estimation.design.playback_log import check_writable, write_log
 from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, engine_of, tiles
-from amhe_cli.live.loop import Ending
+from amhe_cli.logs import LogWriter
+from amhe_cli.logs.messages.signal_writer import message_type, write_samples
 from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.load import load_system
 from amhe_cli.system.model_file import compiled
@@ -50,7 +51,8 @@ class DriveProbe:
         own = load_system(folder, settings)
         self.system: System = believing(own, options.belief)
         self._drives = drives_of(own)
-        check_writable(own)
+        for signal in own.signals:  # refuse what could not be logged before any work is done
+            message_type(signal)
         self._engine = engine_of(own, options.threads)
         self._model = Playback(own, self._engine, own.model.opt.timestep)
         self._plant = self._model if options.plant is None else _other(options, folder, settings)
@@ -91,7 +93,9 @@ class DriveProbe:
         about = {"system": self.system.name, "seed": str(self._options.seed), "version": __version__}
         if self._options.plant is None:
             about["truth"] = json.dumps(self._truth)
-        write_log(path, self.system, log, about)
+        played = [s for s in self.system.signals if all(s.key(q) in log.series for q in s.quantities)]
+        with LogWriter(path, about) as file:  # stamps begin after zero, which would be no stamp
+            write_samples(file, played, sampled(log), lambda time: round(1e9 * (time + log.dt)))
         return Ending()
 
     @property

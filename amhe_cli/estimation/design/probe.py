@@ -12,14 +12,13 @@ import numpy as np
 
 from amhe_cli.assembly import LogSource, trajectories
 from amhe_cli.core.belief_file import read_belief
-from amhe_cli.core.errors import AmheError, EstimationError
+from amhe_cli.core.errors import AmheError, Ending, EstimationError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.design.design import Accuracy, accuracy
 from amhe_cli.estimation.design.information import information_where_it_points
 from amhe_cli.estimation.design.plan import Plan
 from amhe_cli.estimation.offline.clips import ClipPool, whole
-from amhe_cli.live.loop import Ending
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)

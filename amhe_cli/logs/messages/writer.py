@@ -20,7 +20,9 @@ from amhe_cli.core.files import whole
 
 logger = logging.getLogger(__name__)
 
-_LEVEL = CompressionType.ZSTD
+_COMPRESSION = CompressionType.ZSTD
+#: Levels of a diagnostic_msgs/DiagnosticStatus.
+OK, WARN, ERROR = 0, 1, 2
 
 
 class LogWriter:
@@ -45,7 +47,7 @@ class LogWriter:
     def __enter__(self) -> LogWriter:
         self._file = ExitStack()
         file = self._file.enter_context(whole(self.path))
-        self._mcap = Writer(file, compression=_LEVEL, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._mcap = Writer(file, compression=_COMPRESSION, enable_data_crcs=True)  # type: ignore[arg-type]
         self._mcap.start(profile="ros2", library=f"amhe {__version__}")
         self._mcap.add_metadata("amhe", self._metadata)
         return self
@@ -245,6 +247,34 @@ class LogWriter:
         name = "std_msgs/msg/Float64MultiArray"
         layout = self.message("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
         self.write(topic, name, stamp_ns, self.message(name, layout=layout, data=_numbers(values)))
+
+    def diagnostics(
+        self, stamp_ns: int, level: int, text: str, values: Mapping[str, str], of: str = "controller"
+    ) -> None:
+        """Write a diagnostic_msgs/DiagnosticArray on /diagnostics with the status of one component.
+
+        Args:
+            stamp_ns: As in `write`.
+            level: `OK`, `WARN` or `ERROR`.
+            text: The status in words.
+            values: Numbers that go with it, by name.
+            of: The component.
+        """
+        package = "diagnostic_msgs/msg/"
+        status = self.message(
+            f"{package}DiagnosticStatus",
+            level=level,
+            name=f"amhe: {of}",
+            message=text,
+            hardware_id="",
+            values=[
+                self.message(f"{package}KeyValue", key=key, value=value) for key, value in values.items()
+            ],
+        )
+        name = f"{package}DiagnosticArray"
+        self.write(
+            "/diagnostics", name, stamp_ns, self.message(name, header=self.header(""), status=[status])
+        )
 
     # -- their parts ----------------------------------------------------------------------------------
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from amhe_cli.core.errors import Ending
 from amhe_cli.core.files import plain
 from amhe_cli.core.statistics import quantiles
-from amhe_cli.live.loop import Ending
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.judge import Measures
 

@@ -11,12 +11,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import AmheError, ConfigError, SimulationError
+from amhe_cli.core.errors import AmheError, ConfigError, Ending, SimulationError
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
 from amhe_cli.estimation.design.information import information_at
 from amhe_cli.estimation.design.plan import Plan, parts_of
 from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, engine_of, read, tiles
-from amhe_cli.live.loop import Ending, drive
+from amhe_cli.live.loop import drive
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.link.open import open_go1_run
 from amhe_cli.robots.go1.probing.motions import APPROACH, MOTIONS, STEADY, Motion, named_motion

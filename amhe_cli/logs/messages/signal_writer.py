@@ -1,0 +1,101 @@
+"""Samples of signals as ROS messages: the inverse of what `decode` reads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.samples import Samples
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs.messages.writer import LogWriter
+
+#: Quantity -> values of one message, shape (k,).
+_Values = Mapping[str, FloatArray]
+
+
+def write_samples(
+    log: LogWriter, signals: Sequence[Signal], samples: Samples, stamp: Callable[[float], int]
+) -> None:
+    """Write one message for each time at which a signal was sampled, in the order of time.
+
+    Args:
+        log: Open.
+        signals: What to write, where there are samples of it; see `message_type`.
+        samples: Of these signals, and perhaps of others.
+        stamp: Turns a time [s] into a stamp [ns].
+
+    Raises:
+        ConfigError: A signal is of a message type that is not written here.
+    """
+    for time, signal, values in sorted(_messages(signals, samples), key=lambda message: message[0]):
+        _WRITERS[message_type(signal)](log, signal, stamp(time), values)
+
+
+def message_type(signal: Signal) -> str:
+    """Name of the message that carries a signal, without its package: its own type, or the usual one.
+
+    Raises:
+        ConfigError: A signal is of a message type that is not written here.
+    """
+    name = (signal.type or _usual(signal)).split("/")[-1]
+    if name not in _WRITERS or signal.fields:
+        raise ConfigError(
+            f"signal {signal.name!r} is of type {signal.type}; what can be written: {', '.join(_WRITERS)}"
+        )
+    return name
+
+
+def _usual(signal: Signal) -> str:
+    if signal.names:
+        return "JointState"
+    return "Odometry" if "orientation" in signal.quantities else "Float64MultiArray"
+
+
+def _messages(
+    signals: Sequence[Signal], samples: Samples
+) -> Iterator[tuple[float, Signal, dict[str, FloatArray]]]:
+    """Time [s], signal and its values, one signal after the other."""
+    for signal in signals:
+        known = {q: samples[signal.key(q)] for q in signal.quantities if signal.key(q) in samples}
+        times = next(iter(known.values()))[0].tolist() if known else []
+        for row, time in enumerate(times):
+            yield time, signal, {quantity: values[row] for quantity, (_, values) in known.items()}
+
+
+def _joint_state(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
+    log.joint_state(signal.topic, stamp_ns, signal.names, **values)
+
+
+def _odometry(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
+    log.odometry(
+        signal.topic, stamp_ns, values.get("position", _ZERO), values.get("orientation", _UPRIGHT),
+        values.get("linear_velocity", _ZERO), values.get("angular_velocity", _ZERO),
+        child_frame=signal.child_frame or signal.name,
+    )  # fmt: skip
+
+
+def _pose(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
+    log.pose(signal.topic, stamp_ns, values["position"], values["orientation"])
+
+
+def _imu(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
+    rate, force = (values.get(q, _ZERO) for q in ("angular_velocity", "linear_acceleration"))
+    frame = signal.child_frame or "imu"
+    log.imu(signal.topic, stamp_ns, values.get("orientation"), rate, force, frame=frame)
+
+
+def _numbers(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
+    log.numbers(signal.topic, stamp_ns, np.concatenate(list(values.values())))
+
+
+_ZERO, _UPRIGHT = np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0])
+_WRITERS: Mapping[str, Callable[[LogWriter, Signal, int, _Values], None]] = {
+    "JointState": _joint_state,
+    "Odometry": _odometry,
+    "PoseStamped": _pose,
+    "Imu": _imu,
+    "Float64MultiArray": _numbers,
+}
