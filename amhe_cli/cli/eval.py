@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -120,7 +121,8 @@ def evaluate(
     from amhe_cli.core.executors import pool_of
     from amhe_cli.report.folder import reserve
     from amhe_cli.study.conduct import conduct
-    from amhe_cli.study.plan import EvalOptions, planned, run_cell, study_of
+    from amhe_cli.study.plan import EvalOptions, planned, study_of
+    from amhe_cli.study.run import run_cell
     from amhe_cli.study.store import open_store, start
     from amhe_cli.system.provenance import machine, now
 
@@ -131,9 +133,11 @@ def evaluate(
         raise click.UsageError("--resume goes on in a folder: name it with -o OUT")
     from amhe_cli.cli.eval_progress import eval_progress
     from amhe_cli.robots.go1.tasks import LONGEST
+    from amhe_cli.system.overrides import gathered
 
     longest = LONGEST if duration is None else duration
-    wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, assignments, config)
+    settings = gathered(config, os.environ, assignments)
+    wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, settings)
     study = study_of(wanted, session.command_line, now(), machine())
     cells = planned(wanted, study)
     store = start(out or reserve(None, "eval", force), study, resume, force, cells)

@@ -61,9 +61,14 @@ def _frozen(value: Any) -> Any:
     return tuple(_frozen(item) for item in value) if isinstance(value, (list, tuple)) else value
 
 
+def assignments(setting: Setting) -> list[str]:
+    """['mhe.samples=8', 'mhe.window=0.25'], as settings are typed on the command line."""
+    return [f"{path}={json.dumps(value)}" for path, value in setting]
+
+
 def words(setting: Setting) -> str:
-    """'mhe.samples=8, mhe.window=0.25'; '' of the defaults."""
-    return ", ".join(f"{path}={json.dumps(value)}" for path, value in setting)
+    """'mhe.samples=8, mhe.window=0.25'; '' for the defaults."""
+    return ", ".join(assignments(setting))
 
 
 def grid(

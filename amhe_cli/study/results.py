@@ -48,8 +48,14 @@ class Result:
     seconds: float
 
     def measure(self, name: str) -> float:
-        """A number of the outcome; NaN where it has none."""
-        value = self.outcome.get(name)
+        """A number of the outcome; NaN if the run has none, for instance no goal error before a goal.
+
+        Raises:
+            AmheError: No run of this version would leave the number out: other code wrote the result.
+        """
+        if name not in self.outcome:
+            raise AmheError(f"{self.cell.title}: its result has no {name}; other code wrote it: run it again")
+        value = self.outcome[name]
         return float("nan") if value is None else float(value)
 
 
@@ -108,7 +114,7 @@ def blank(request: Mapping[str, Any], reason: str | None) -> dict[str, Any]:
 
 
 def result_of(record: Mapping[str, Any]) -> Result:
-    """The result that a record tells of; `eval_assembly.run_cell` makes them."""
+    """The result that a record tells of; `run.run_cell` makes them."""
     columns = record["trace"]
     rows = len(columns.get("time", ()))
     trace = {

@@ -17,8 +17,11 @@ from amhe_cli.cli.main import run
 from amhe_cli.cli.session import Session
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.study.cells import Cell, setting_of
-from amhe_cli.study.plan import EvalOptions, code, planned, run_cell, study_of
+from amhe_cli.study.code import code
+from amhe_cli.study.plan import EvalOptions, planned, study_of
+from amhe_cli.study.run import run_cell
 from amhe_cli.study.store import open_store
+from amhe_cli.system.overrides import gathered
 from tests.clusters import Cluster
 from tests.study.cells_at_play import result
 
@@ -148,7 +151,7 @@ def test_ctrl_c_keeps_what_is_done_and_a_study_goes_on(done: Path, tmp_path: Pat
 
 @pytest.mark.usefixtures("no_figures")
 def test_a_cell_that_breaks_is_recorded_and_the_command_fails(monkeypatch, capsys) -> None:
-    monkeypatch.setattr("amhe_cli.study.plan.run_cell", breaking)
+    monkeypatch.setattr("amhe_cli.study.run.run_cell", breaking)
     assert run(["eval", *GRID, *QUICK, "-q", "-o", "out"]) == 1
     err = capsys.readouterr().err
     where = "t5 baseline, control.horizon=8, control.samples=5, seed 0"
@@ -238,9 +241,9 @@ def test_the_environment_of_a_worker_changes_nothing(monkeypatch, done: Path) ->
     assert again["outcome"]["cost"] == stored.outcome["cost"]
 
 
-def test_the_users_environment_and_options_are_the_operating_point(monkeypatch) -> None:
-    monkeypatch.setenv("AMHE_CONTROL__SAMPLES", "16")
-    options = EvalOptions(["t1"], ["true"], 1, assignments=["control.horizon=16", "control.loops=2.0"])
+def test_the_users_environment_and_options_are_the_operating_point() -> None:
+    given = gathered(None, {"AMHE_CONTROL__SAMPLES": "16"}, ["control.horizon=16", "control.loops=2.0"])
+    options = EvalOptions(["t1"], ["true"], 1, settings=given)
     study = study_of(options, "amhe eval", "", {})
     assert study.setting == setting_of({"control.samples": 16, "control.loops": 2})
     assert {cell.setting for cell in planned(options, study)} == {study.setting}
@@ -261,15 +264,13 @@ def test_an_ablated_value_that_is_the_operating_point_is_the_same_cell() -> None
 
 def test_a_setting_that_does_nothing_is_not_ablated() -> None:
     options = EvalOptions(["t4"], [], 1, ["alpha=0.3,0.5"])
-    with pytest.raises(
-        ConfigError, match=r"learning_rate: it does nothing .* linearised; add --set mhe.method=l"
-    ):
+    with pytest.raises(ConfigError, match=r"learning_rate: it does nothing .* linearised; set mhe.method=l"):
         list(planned(options, study_of(options, "", "", {})))
 
 
 def test_the_papers_seven_have_their_own_symbols_and_a_value_at_the_operating_point() -> None:
     symbols = ["L_MHE=9", "B=9", "dt_update=0.9", "H=0.9", "alpha=0.9", "w_mass=0.9", "w_friction=0.9"]
-    options = EvalOptions(["t4"], [], 1, symbols, assignments=["mhe.method=logrank"])
+    options = EvalOptions(["t4"], [], 1, symbols, settings={"mhe": {"method": "logrank"}})
     study = study_of(options, "", "", {})
     changed = [set(cell.setting) - set(study.setting) for cell in planned(options, study)]
     paths = [path for change in changed for path, _ in change]

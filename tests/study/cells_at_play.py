@@ -15,7 +15,7 @@ CODE = {"amhe": "0.0.0", "sources": "0123456789ab", "mujoco": "4.0.0", "numpy": 
 
 
 def played(request: Mapping[str, Any]) -> dict[str, Any]:
-    """A run as `eval_assembly.run_cell` would do it: seed 1 fails, seed 7 stops everything."""
+    """A run as `study.run.run_cell` would do it: seed 1 fails, seed 7 stops everything."""
     seed = request["cell"]["seed"]
     if seed == 7:
         raise ConfigError("a worker runs amhe 9.9.9, and this command 0.0.0: install the same everywhere")

@@ -59,7 +59,14 @@ def test_a_result_has_all_rows_of_every_column() -> None:
     result = result_of(record({"cell": Cell("t1", "true", 0).plain(), "code": CODE}))
     assert {values.shape for values in result.trace.values()} == {(60,)}
     assert result.measure("success") == 1.0
-    assert np.isnan(result.measure("nothing"))
+
+
+def test_a_number_that_does_not_exist_is_nan_but_a_key_of_other_code_is_an_error() -> None:
+    plain = record({"cell": Cell("t1", "true", 0).plain(), "code": CODE})
+    result = result_of(plain | {"outcome": plain["outcome"] | {"path_rmse_m": None}})
+    assert np.isnan(result.measure("path_rmse_m"))
+    with pytest.raises(AmheError, match="t1 true, seed 0: its result has no goal_error; other code"):
+        result.measure("goal_error")
 
 
 def test_a_file_that_is_none_is_refused_by_its_name(tmp_path) -> None:

@@ -1,0 +1,97 @@
+"""One cell becomes one run, here or on another machine."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.errors import ConfigError, Ending
+from amhe_cli.engine.quiet import hush_mujoco
+from amhe_cli.robots.go1.history import History
+from amhe_cli.robots.go1.record import run_record
+from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.study.cells import Cell, assignments, cell_of
+from amhe_cli.study.code import code
+from amhe_cli.study.results import blank, thinned
+
+
+def run_cell(request: Mapping[str, Any]) -> dict[str, Any]:
+    """Run one cell; if the run itself fails, its record holds the reason.
+
+    Args:
+        request: `cell` (`Cell.plain`), and `code`: the versions and hashes that this machine must have too.
+
+    Returns:
+        The content of the cell's result file.
+
+    Raises:
+        ConfigError: This machine has other code, or the cell cannot be set up.
+    """
+    _check_code(request["code"])
+    hush_mujoco()
+    begun = time.monotonic()
+    cell = cell_of(request["cell"])
+    try:
+        outcome, trace = _run(cell)
+        reason = None
+    except ConfigError:
+        raise
+    except Exception as error:  # a run that fails must not end the others
+        outcome, trace, reason = {}, {}, f"{type(error).__name__}: {error}"
+    return blank(request, reason) | {
+        "outcome": outcome,
+        "trace": trace,
+        "seconds": round(time.monotonic() - begun, 2),
+    }
+
+
+def _check_code(wanted: Mapping[str, str]) -> None:
+    for name, version in wanted.items():
+        if code()[name] != version:
+            raise ConfigError(
+                f"a worker runs {name} {code()[name]}, and this command {version}: "
+                "install the same everywhere"
+            )
+
+
+def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Outcome and trace of a cell."""
+    with _belief_file(cell.belief) as belief:
+        run = open_run(
+            RunOptions(
+                cell.task, cell.mode, belief=belief, seed=cell.seed, duration=cell.duration,
+                assignments=assignments(cell.setting), environment={},
+            )
+        )  # fmt: skip
+    history, costs, sds = History(run.task), [], []
+    names = run.episode.names
+    sd = np.full(len(names), np.nan)  # of the parameters, as last estimated; NaN before the first estimate
+    for cycle in run.episode.cycles():
+        history.add(cycle)
+        costs.append(run.judge.last_cost)
+        sds.append(sd)
+        sd = next((news.estimate.sd for news in reversed(cycle.news) if news.estimate), sd)
+    outcome = run_record(run.judge.measures(), history, Ending())
+    columns = {**history.columns(), "running_cost": np.array(costs)}
+    if np.isfinite(sds).any():
+        columns |= {f"belief_sd/{name}": column for name, column in zip(names, np.array(sds).T, strict=True)}
+    if not run.task.one_leg:  # no figure shows the feet of a walking robot
+        del columns["foot_x"], columns["foot_y"]
+    return outcome, thinned(columns, run.system.settings.control.period)
+
+
+@contextmanager
+def _belief_file(content: str | None) -> Iterator[Path | None]:
+    if content is None:
+        yield None
+        return
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "belief.yaml"
+        path.write_text(content, encoding="utf-8")
+        yield path
