@@ -1,18 +1,21 @@
-"""What clips say about z, once the error of each clip's first state has been fitted and eliminated.
+"""Information of windows on the parameters: eliminate nuisances, weight residuals, take a Gauss-Newton step.
 
-From the slopes Gz, Gx of residuals r (`linearised`): what the noise of the recorded first state leaves of a
-clip's information on z is
+From the slopes Gz, Gx of residuals r (`linearise`) by the parameters z and by nuisances e ~ N(mean, I), such
+as the errors of a window's recorded first state:
 
-    M = Gz' W Gz - Gz' W Gx (Gx' W Gx + I)^-1 Gx' W Gz.
+    M = Gz' W Gz - Gz' W Gx (Gx' W Gx + I)^-1 Gx' W Gz
 
-W holds the robust weights of the pseudo-Huber loss and, because neighbouring residuals of an imperfect
-model repeat each other, the inverse autocorrelation time of each channel. What the samples bend away from
-a straight line counts as noise, so that a residual behind a chaotic bounce has little weight.
+is the information on z that is left once e has been marginalised. W holds the robust weights of the
+pseudo-Huber loss and, because neighbouring residuals of an imperfect model repeat each other, the inverse
+autocorrelation time of each channel. The nonlinear response to the samples counts as noise, so that residuals
+behind a chaotic bounce have little weight.
+
+Offline identification, the moving-horizon update and the design of experiments all use it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -25,119 +28,203 @@ from amhe_cli.matching.cost import MatchingCost, Residuals
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Information:
-    """What each clip says about z once its first state has been fitted.
+    """Information of c windows on z, their n nuisances fitted and eliminated.
 
     Args:
-        matrix: Information matrix of each clip, shape (c, d, d); zero for a clip that diverged.
-        score: Gradient of half its weighted squared residuals, shape (c, d).
-        first_offset, first_gain: A step dz leaves the clip's best first-state error at
-            offset + gain dz, shapes (c, nx) and (c, nx, d).
-        first_precision: Of that error, given z, shape (c, nx, nx).
-        residual: Residuals with that first state at dz = 0, shape (c, R).
-        times: Autocorrelation time of each channel's residuals, in samples.
-        completed: Clips that count at all, shape (c,).
+        matrix: Information matrices, shape (c, d, d); zero for a window that diverged.
+        score: Gradients of half the weighted squared residuals and nuisances, shape (c, d).
+        residual: Residuals at dz = 0 with the nuisances fitted, shape (c, R).
+        slope: Slopes of these residuals by z, the nuisances moved along, shape (c, d, R).
+        nuisance: Best nuisances at dz = 0, shape (c, n).
+        nuisance_gain: Slopes of the best nuisances by z, shape (c, n, d).
+        nuisance_precision: Precision of the nuisances, given z, shape (c, n, n).
     """
 
     matrix: FloatArray
     score: FloatArray
-    first_offset: FloatArray
-    first_gain: FloatArray
-    first_precision: FloatArray
     residual: FloatArray
-    times: tuple[float, ...]
-    completed: BoolArray
+    slope: FloatArray
+    nuisance: FloatArray
+    nuisance_gain: FloatArray
+    nuisance_precision: FloatArray
 
     def first(self, dz: FloatArray) -> FloatArray:
         """Best first-state errors of every clip after steps dz (p, d): shape (p, c, nx)."""
-        return self.first_offset + np.einsum("cxd,pd->pcx", self.first_gain, dz)
+        return self.nuisance + np.einsum("cxd,pd->pcx", self.nuisance_gain, dz)
 
     def first_states(self, dz: FloatArray, narrowest: float) -> FirstStates:
-        """What is known of the first states after a step dz (d,).
+        """Posterior of the first-state errors after a step of z.
 
         Args:
-            dz: The step.
+            dz: The step, shape (d,).
             narrowest: Smallest sampling sd along any direction, in sd of the recorded state.
         """
-        values, vectors = np.linalg.eigh(self.first_precision)
+        values, vectors = np.linalg.eigh(self.nuisance_precision)
         sd = np.maximum(1.0 / np.sqrt(values), narrowest)
         return FirstStates(self.first(dz[None])[0], vectors * sd[:, None, :])
 
 
-def information(
-    found: Linearisation, channels: Sequence[bool] | None = None, *, straight: bool = False
+def marginalised(
+    residual: FloatArray, gz: FloatArray, gx: FloatArray, weight: FloatArray, mean: FloatArray
 ) -> Information:
-    """Fit each clip's first state and leave its information on z.
+    """Fit the nuisances of each window, and eliminate them.
 
     Args:
-        found: The linearisation.
-        channels: Which channels may speak; None: all.
-        straight: Take the samples' bend for nothing: what narrower samples would find.
+        residual: Residuals at dz = 0 and the nuisances' prior mean, shape (c, R).
+        gz: Slopes by z, shape (c, d, R).
+        gx: Slopes by the nuisances in units of their prior sd, shape (c, n, R).
+        weight: Weight of each squared residual, shape (c, R).
+        mean: Prior mean of the nuisances, shape (c, n).
     """
-    cost, start = found.cost, found.residual
-    mean = found.first.mean
-    nx = mean.shape[1]
-    gz, gx = found.gain[:, : found.gain.shape[1] - nx], found.gain[:, found.gain.shape[1] - nx :]
-    heard = _expand(cost, channels or [True] * len(cost.clips.observed)) * found.completed[:, None]
-    heard = heard if straight else heard / (1.0 + found.bend)
+    wz, wx = gz * weight[:, None], gx * weight[:, None]
+    precision = wx @ gx.transpose(0, 2, 1) + np.eye(mean.shape[1])
+    gradient = wx @ residual[..., None] + mean[..., None]
+    solved = np.linalg.solve(precision, np.concatenate((gradient, wx @ gz.transpose(0, 2, 1)), axis=2))
+    offset, gain = solved[..., 0], solved[..., 1:]
+    fitted = residual - (offset[:, None] @ gx)[:, 0]
+    slope = gz - gain.transpose(0, 2, 1) @ gx
+    return Information(
+        matrix=wz @ slope.transpose(0, 2, 1),
+        score=(wz @ fitted[..., None])[..., 0],
+        residual=fitted,
+        slope=slope,
+        nuisance=mean - offset,
+        nuisance_gain=np.negative(gain),
+        nuisance_precision=precision,
+    )
+
+
+def information(
+    slopes: Linearisation, channels: Sequence[bool] | None = None, *, straight: bool = False
+) -> Information:
+    """Information of each clip, its first state fitted along.
+
+    Args:
+        slopes: The linearised residuals.
+        channels: Which channels count, one flag each; None: all.
+        straight: Ignore the nonlinear response, as if the samples had been narrow.
+    """
+    cost, start, mean = slopes.cost, slopes.residual, slopes.first.mean
+    gz, gx = np.split(slopes.gain, [slopes.gain.shape[1] - mean.shape[1]], axis=1)
+    counted = _flat_mask(cost, channels or [True] * len(cost.clips.observed)) * slopes.completed[:, None]
+    counted = counted if straight else counted / (1.0 + slopes.bend)
     fitted, times = start, (1.0,) * len(cost.clips.observed)
     for _ in range(2):  # the weights need the fitted residuals, which need the weights
-        weight = _weights(cost, fitted, times) * heard
+        weight = weights(cost, fitted, times) * counted
         wx, wz = gx * weight[:, None], gz * weight[:, None]
-        xx = wx @ gx.transpose(0, 2, 1) + np.eye(nx)
+        xx = wx @ gx.transpose(0, 2, 1) + np.eye(mean.shape[1])
         xz = wx @ gz.transpose(0, 2, 1)
         gradient = np.einsum("cir,cr->ci", wx, start) + mean
         solved = np.linalg.solve(xx, np.concatenate((gradient[..., None], xz), axis=2))
         fitted = start - np.einsum("ci,cir->cr", solved[..., 0], gx)
-        times = channel_times(cost, fitted, found.completed)
+        times = channel_times(cost, fitted, slopes.completed)
     return Information(
         matrix=wz @ gz.transpose(0, 2, 1) - xz.transpose(0, 2, 1) @ solved[..., 1:],
         score=np.einsum("cir,cr->ci", wz, start) - np.einsum("cij,ci->cj", xz, solved[..., 0]),
-        first_offset=mean - solved[..., 0],
-        first_gain=np.negative(solved[..., 1:]),
-        first_precision=xx,
         residual=fitted,
-        times=times,
-        completed=found.completed,
+        slope=gz - solved[..., 1:].transpose(0, 2, 1) @ gx,
+        nuisance=mean - solved[..., 0],
+        nuisance_gain=np.negative(solved[..., 1:]),
+        nuisance_precision=xx,
     )
 
 
-def _expand(cost: MatchingCost, channels: Sequence[bool]) -> FloatArray:
-    """Mask of the flat residuals (R,) from a mask of the channels."""
-    parts = [
-        np.full(o.mask.shape[1] * o.width, float(on))
-        for o, on in zip(cost.clips.observed, channels, strict=True)
-    ]
-    return np.concatenate(parts)
+def gauss_newton_step(
+    matrix: FloatArray, score: FloatArray, precision: FloatArray, away: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Step to the minimum of linearised residuals plus a quadratic prior, and the Hessian there.
+
+    Args:
+        matrix: Information of the data, shape (d, d).
+        score: Gradient of half the data's cost, shape (d,).
+        precision: Precision of the prior, shape (d, d).
+        away: Distance from the prior's mean, shape (d,).
+
+    Returns:
+        The step (d,), and half the Hessian (d, d), whose inverse is the posterior covariance.
+    """
+    hessian = matrix + precision
+    return -np.linalg.solve(hessian, score + precision @ away), hessian
 
 
-def _weights(cost: MatchingCost, flat: FloatArray, times: tuple[float, ...]) -> FloatArray:
-    """Weight of every residual, shape (c, R)."""
-    weights = []
-    for values, time in zip(split(cost, flat), times, strict=True):
-        squared = np.einsum("csk,csk->cs", values, values)
-        weight = pseudo_huber_weight(squared, cost.settings.huber) / time
-        weights.append(np.repeat(weight, values.shape[2], axis=1))
-    return np.concatenate(weights, axis=1)
+def weights(
+    cost: MatchingCost,
+    residual: FloatArray,
+    times: Sequence[float],
+    variances: Sequence[float] | None = None,
+) -> FloatArray:
+    """Robust weight of every squared residual, shape (c, R).
+
+    Args:
+        cost: The matching cost on c clips.
+        residual: Shape (c, R).
+        times: Autocorrelation time of each channel's residuals, in samples.
+        variances: Variance of each channel's noise, in declared variances; None: as declared.
+    """
+    parts = []
+    for values, time, variance in zip(
+        split(cost, residual), times, variances or [1.0] * len(times), strict=True
+    ):
+        squared = np.einsum("csk,csk->cs", values, values) / variance
+        weight = pseudo_huber_weight(squared, cost.settings.huber) / (variance * time)
+        parts.append(np.repeat(weight, values.shape[2], axis=1))
+    return np.concatenate(parts, axis=1)
 
 
-def channel_times(cost: MatchingCost, flat: FloatArray, completed: BoolArray) -> tuple[float, ...]:
+def channel_times(cost: MatchingCost, residual: FloatArray, completed: BoolArray) -> tuple[float, ...]:
     """Autocorrelation time of each channel's residuals (c, R), in samples."""
     times = []
-    for observed, values in zip(cost.clips.observed, split(cost, flat), strict=True):
+    for observed, values in zip(cost.clips.observed, split(cost, residual), strict=True):
         rows = np.moveaxis(values[completed], 2, 1)  # (c, k, s)
         mask = np.broadcast_to(observed.mask[completed, None], rows.shape)
         times.append(autocorrelation_time(rows.reshape(-1, rows.shape[2]), mask.reshape(-1, rows.shape[2])))
     return tuple(times)
 
 
-def split(cost: MatchingCost, flat: FloatArray) -> list[FloatArray]:
-    """Cut flat residuals (c, R) into channels (c, samples, k)."""
-    values, at = [], 0
-    for observed in cost.clips.observed:
-        samples, width = observed.mask.shape[1], observed.width
-        values.append(flat[:, at : at + samples * width].reshape(len(flat), samples, width))
-        at += samples * width
-    return values
+def clip_weights(slopes: Linearisation, found: Information) -> FloatArray:
+    """1 for a clip that counts, 0 for one that diverged or is among the worst (`cost.trim`), shape (c,)."""
+    weight = slopes.completed.astype(float)
+    misfit = (found.residual**2).sum(axis=1) / slopes.cost.clips.counts
+    drop = int(np.floor(slopes.cost.settings.trim * len(misfit)))
+    if drop:
+        weight[np.argsort(np.where(slopes.completed, misfit, np.inf))[-drop:]] = 0.0
+    return weight
+
+
+def mean_squares(cost: MatchingCost, residual: FloatArray, keep: BoolArray) -> dict[str, float]:
+    """Mean squared residual of each channel, by its key.
+
+    Args:
+        cost: The matching cost on c clips.
+        residual: Shape (c, R).
+        keep: Clips that count, shape (c,).
+    """
+    squares = {}
+    for observed, values in zip(cost.clips.observed, split(cost, residual), strict=True):
+        count = max(int(observed.mask[keep].sum()) * observed.width, 1)
+        squares[observed.channel.key] = float((values[keep] ** 2).sum()) / count
+    return squares
+
+
+def noise_scale(squares: Mapping[str, float], before: Mapping[str, float]) -> dict[str, float]:
+    """Noise sd that residuals show, over the declared one, for each channel.
+
+    Args:
+        squares: Channel -> mean squared residual.
+        before: Channel -> factor on the declared noise sd that these residuals were divided by.
+    """
+    return {key: before.get(key, 1.0) * float(np.sqrt(max(square, 1e-12))) for key, square in squares.items()}
+
+
+def fitted_noise_scale(
+    slopes: Linearisation, found: Information, before: Mapping[str, float]
+) -> dict[str, float]:
+    """Noise scale of each channel after the first states were fitted; see `noise_scale` for `before`."""
+    keep = clip_weights(slopes, found) > 0.0
+    total = max(float(slopes.cost.clips.counts[keep].sum()), 1.0)
+    hidden = float((found.nuisance[keep] ** 2).sum()) / total  # what fitting the first states took away
+    squares = mean_squares(slopes.cost, found.residual, keep)
+    return noise_scale({key: square + hidden for key, square in squares.items()}, before)
 
 
 def objective(
@@ -147,12 +234,15 @@ def objective(
     times: tuple[float, ...],
     clip_weight: FloatArray,
 ) -> FloatArray:
-    """What the update lowers, without the prior of z, shape (p,); inf where a weighted clip diverged.
+    """The cost that Gauss-Newton steps lower, without the prior of z, shape (p,).
+
+    It is infinite where a clip of positive weight diverged.
 
     Args:
-        residuals: Of p candidates on c clips.
+        cost: The matching cost on c clips.
+        residuals: Residuals of p candidates.
         first: Their first-state errors, shape (p, c, nx).
-        times: Autocorrelation time of each channel.
+        times: Autocorrelation time of each channel, in samples.
         clip_weight: Weight of each clip, shape (c,).
     """
     total = np.einsum("pcx,pcx->pc", first, first)
@@ -161,3 +251,22 @@ def objective(
         total = total + pseudo_huber(squared, cost.settings.huber).sum(axis=2) / time
     total = np.where(residuals.completed, total, np.inf)
     return np.where(clip_weight > 0.0, total * np.maximum(clip_weight, 1e-300), 0.0).sum(axis=1)
+
+
+def split(cost: MatchingCost, residual: FloatArray) -> list[FloatArray]:
+    """Cut residuals (c, R) into channels, (c, samples, k) each."""
+    values, at = [], 0
+    for observed in cost.clips.observed:
+        samples, width = observed.mask.shape[1], observed.width
+        values.append(residual[:, at : at + samples * width].reshape(len(residual), samples, width))
+        at += samples * width
+    return values
+
+
+def _flat_mask(cost: MatchingCost, channels: Sequence[bool]) -> FloatArray:
+    """1 for the residuals (R,) of the channels that count, 0 for others."""
+    parts = [
+        np.full(o.mask.shape[1] * o.width, float(on))
+        for o, on in zip(cost.clips.observed, channels, strict=True)
+    ]
+    return np.concatenate(parts)

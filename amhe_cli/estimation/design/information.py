@@ -10,10 +10,14 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import RolloutEngine
-from amhe_cli.estimation.core.information import Information, information
+from amhe_cli.estimation.core.information import (
+    Information,
+    fitted_noise_scale,
+    gauss_newton_step,
+    information,
+)
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.shape import sampling_width
-from amhe_cli.estimation.offline.search import noise_scale
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 
@@ -47,7 +51,7 @@ def information_at(
     first = FirstStates.recorded(len(windows), cost.nx if fitted else 0)
     shape = np.diag(sampling_width(system.space, setting.step))
     found = linearise(cost, z, first, shape, 0, rng)
-    return information(rescaled(found, noise_scale(cost, information(found), {})))
+    return information(rescaled(found, fitted_noise_scale(found, information(found), {})))
 
 
 def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
@@ -79,8 +83,8 @@ def information_where_it_points(
     for recorded, most in ((True, FAR), (False, NEAR)):
         for _ in range(most):
             found = information_at(system, windows, engine, z, rng, recorded=recorded)
-            hessian = found.matrix.sum(axis=0) + space.prior_precision
-            step = -np.linalg.solve(hessian, found.score.sum(axis=0) + space.prior_precision @ z)
+            matrix, score = found.matrix.sum(axis=0), found.score.sum(axis=0)
+            step, hessian = gauss_newton_step(matrix, score, space.prior_precision, z)
             z = space.clip(z + step)
             if step @ hessian @ step < SETTLED**2:
                 break

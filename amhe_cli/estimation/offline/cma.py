@@ -9,10 +9,11 @@ import numpy as np
 from cmaes import CMA
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.estimation.core.information import mean_squares, noise_scale
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Iteration
-from amhe_cli.matching.cost import MatchingCost, quadratic_prior
+from amhe_cli.matching.cost import quadratic_prior
 
 #: What a `cmaes.CMA` remembers between generations besides its constants, and what a checkpoint keeps.
 MEMORY = ("_mean", "_C", "_sigma", "_p_sigma", "_pc", "_g", "_funhist_values")
@@ -98,6 +99,7 @@ def advance(problem: Problem, state: State) -> State:
     mean[free] = optimizer.mean
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     best = int(np.argmin(values))
+    squares = mean_squares(cost, residuals.flat[best], np.ones(len(windows), dtype=bool))
     entry = Iteration(
         number=state.number + 1,
         method=f"cmaes, start {state.start + 1}",
@@ -113,7 +115,7 @@ def advance(problem: Problem, state: State) -> State:
         generation=state.generation + 1,
         memory={name: np.array(getattr(optimizer, name), dtype=float) for name in MEMORY},
         z=mean if np.isinf(state.best_value) else state.z,
-        scale=_scale(cost, residuals.values, best, declared),
+        scale=noise_scale(squares, state.scale),
         record=(*state.record, entry),
     )
     over = moved.generation >= problem.settings.identify.cmaes_iterations or optimizer.should_stop()
@@ -137,17 +139,6 @@ def _restored(problem: Problem, state: State, rng: np.random.Generator) -> CMA:
     for name, value in state.memory.items():
         setattr(optimizer, name, value if value.ndim else type(getattr(optimizer, name))(value))
     return optimizer
-
-
-def _scale(
-    cost: MatchingCost, values: tuple[FloatArray, ...], best: int, before: list[float]
-) -> dict[str, float]:
-    """Residual sd over declared noise sd of each channel, of the best candidate."""
-    scale = {}
-    for observed, residual, factor in zip(cost.clips.observed, values, before, strict=True):
-        count = max(int(observed.mask.sum()) * observed.width, 1)
-        scale[observed.channel.key] = factor * max(float(np.sqrt((residual[best] ** 2).sum() / count)), 1e-6)
-    return scale
 
 
 def _on_tiles(problem: Problem, z: FloatArray) -> FloatArray:

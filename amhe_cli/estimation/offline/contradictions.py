@@ -130,7 +130,7 @@ def _misfit(study: Study, cost: MatchingCost, found: Information, step: FloatArr
     """Weighted squared residuals a step (d,) from the estimate, first states moved along."""
     z, first = cost.system.space.clip(study.z + step)[None], found.first(step[None])
     residuals = cost.residuals(z, first if first.shape[2] else None)
-    return float(objective(cost, residuals, first, study.found.times, study.weight)[0])
+    return float(objective(cost, residuals, first, study.times, study.weight)[0])
 
 
 def systematic(

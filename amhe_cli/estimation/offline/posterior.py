@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.core.information import Information, information
+from amhe_cli.estimation.core.information import Information, gauss_newton_step, information
 from amhe_cli.estimation.core.linearise import Linearisation
 
 #: Clips that the model's own noise is worth against the scatter of the clips' scores: with few clips the
@@ -64,9 +64,7 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
         prior: The prior's information, shape (d, d).
     """
     matrix = np.einsum("c,cij->ij", weight, found.matrix)
-    hessian = matrix + prior
-    gradient = np.einsum("c,ci->i", weight, found.score) + prior @ z
-    step = -np.linalg.solve(hessian, gradient)
+    step, hessian = gauss_newton_step(matrix, np.einsum("c,ci->i", weight, found.score), prior, z)
     score = found.score + np.einsum("cij,j->ci", found.matrix, step)
     count = int((weight > 0.0).sum())
     centred = score - (weight[:, None] * score).sum(axis=0) / max(weight.sum(), 1e-300)

@@ -11,7 +11,15 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import IdentifySettings
-from amhe_cli.estimation.core.information import Information, information, objective, split
+from amhe_cli.estimation.core.information import (
+    Information,
+    channel_times,
+    clip_weights,
+    fitted_noise_scale,
+    gauss_newton_step,
+    information,
+    objective,
+)
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.shape import (
     WIDEST,
@@ -24,7 +32,7 @@ from amhe_cli.estimation.core.shape import (
 )
 from amhe_cli.estimation.offline.problem import Problem, first_floor, spread_floor
 from amhe_cli.estimation.offline.result import Iteration
-from amhe_cli.matching.cost import MatchingCost, quadratic_prior
+from amhe_cli.matching.cost import quadratic_prior
 
 Stage = Literal["explore", "polish", "done"]
 
@@ -96,7 +104,7 @@ def advance(problem: Problem, state: State) -> State:
     first = state.first or FirstStates.recorded(len(windows), nx)
     slopes = linearise(cost, state.z, first, state.shape, setting.samples, rng, averaged=problem.rough)
     found = information(slopes)
-    taken = gauss_newton(problem, cost, state, found, windows)
+    taken = gauss_newton(problem, state, slopes, found)
     shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
     number = state.number + 1
     trail = state.trail
@@ -113,7 +121,7 @@ def advance(problem: Problem, state: State) -> State:
         trail=trail,
         settled=settled,
         shape=shape,
-        scale=noise_scale(cost, found, state.scale),
+        scale=fitted_noise_scale(slopes, found, state.scale),
         record=(*state.record, _entry(problem, state, taken, slopes)),
         # the tiles are the same next time; random clips are not
         first=None if exploring else found.first_states(z - state.z, first_floor(problem)),
@@ -139,22 +147,22 @@ class Step:
     diverged: int
 
 
-def gauss_newton(
-    problem: Problem, cost: MatchingCost, state: State, found: Information, windows: Sequence[Window]
-) -> Step:
+def gauss_newton(problem: Problem, state: State, slopes: Linearisation, found: Information) -> Step:
     """Step towards the minimum of the linearised cost plus prior; the true cost decides how far."""
-    prior = problem.system.space.prior_precision
-    weight = clip_weights(cost, found) * problem.coverage(windows)
-    hessian = np.einsum("c,cij->ij", weight, found.matrix) + prior
-    gradient = np.einsum("c,ci->i", weight, found.score) + prior @ state.z
-    step = -np.linalg.solve(hessian, gradient) * problem.active
+    cost, prior = slopes.cost, problem.system.space.prior_precision
+    weight = clip_weights(slopes, found) * problem.coverage(cost.clips.windows)
+    matrix = np.einsum("c,cij->ij", weight, found.matrix)
+    score = np.einsum("c,ci->i", weight, found.score)
+    step, hessian = gauss_newton_step(matrix, score, prior, state.z)
+    step = step * problem.active
     reach = np.abs(coordinates(state.shape, step[None])).max() / REACH
     blind = problem.rough and state.stage == "polish"
     line = BLIND_LINE if blind else LINE
     tried = problem.system.space.clip(state.z + line[:, None] * step / max(1.0, reach))
     first = found.first(tried - state.z)
     residuals = cost.residuals(tried, first if first.shape[2] else None)
-    values = objective(cost, residuals, first, found.times, weight)
+    times = channel_times(cost, found.residual, slopes.completed)
+    values = objective(cost, residuals, first, times, weight)
     values = values + quadratic_prior(tried, np.zeros_like(state.z), prior)
     best = int(np.argmax(np.isfinite(values)) if blind else np.argmin(values))
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
@@ -182,30 +190,6 @@ def _reshaped(
     known = straight.matrix.sum(axis=0) * problem.coverage(windows)
     covariance = np.linalg.inv(known + problem.system.space.prior_precision)
     return adapted(covariance, state.shape, floor, problem.active)
-
-
-def clip_weights(cost: MatchingCost, found: Information) -> FloatArray:
-    """1 for a clip that counts, 0 for one that diverged or is among the worst, shape (c,)."""
-    weight = found.completed.astype(float)
-    misfit = (found.residual**2).sum(axis=1) / cost.clips.counts
-    drop = int(np.floor(cost.settings.trim * len(misfit)))
-    if drop:
-        weight[np.argsort(np.where(found.completed, misfit, np.inf))[-drop:]] = 0.0
-    return weight
-
-
-def noise_scale(cost: MatchingCost, found: Information, before: Mapping[str, float]) -> dict[str, float]:
-    """Residual sd over declared noise sd of each channel, after the first states have been fitted."""
-    keep = clip_weights(cost, found) > 0.0
-    total = max(float(cost.clips.counts[keep].sum()), 1.0)
-    spent = float((found.first_offset[keep] ** 2).sum()) / total  # what fitting the first states hid
-    scale = {}
-    for observed, values in zip(cost.clips.observed, split(cost, found.residual), strict=True):
-        count = observed.mask[keep].sum() * observed.width
-        misfit = (values[keep] ** 2).sum() / max(count, 1) + spent
-        key = observed.channel.key
-        scale[key] = float(before.get(key, 1.0) * np.sqrt(max(misfit, 1e-12)))
-    return scale
 
 
 def _averaged(trail: FloatArray) -> FloatArray:

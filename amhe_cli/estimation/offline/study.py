@@ -8,7 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.core.information import Information, information, objective
+from amhe_cli.estimation.core.information import (
+    Information,
+    channel_times,
+    clip_weights,
+    fitted_noise_scale,
+    information,
+    objective,
+)
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.shape import bounded, changed, diagonal, sampling_sd
 from amhe_cli.estimation.offline import cma, search
@@ -43,13 +50,18 @@ class Study:
     scale: Mapping[str, float]
     z: FloatArray
 
+    @property
+    def times(self) -> tuple[float, ...]:
+        """Autocorrelation time of each channel's residuals, in samples."""
+        return channel_times(self.slopes.cost, self.found.residual, self.slopes.completed)
+
     def cost_beside(self, z: FloatArray) -> FloatArray:
         """Mean cost of candidates z (p, d) near the estimate, first states fitted along, shape (p,)."""
         cost = self.slopes.cost
         first = self.found.first(z - self.z)
         residuals = cost.residuals(z, first if first.shape[2] else None)
         counted = (self.weight > 0.0).astype(float)
-        total = objective(cost, residuals, first, (1.0,) * len(self.found.times), counted)
+        total = objective(cost, residuals, first, (1.0,) * len(residuals.values), counted)
         return total / max(float((counted * cost.clips.counts).sum()), 1.0)
 
 
@@ -66,14 +78,14 @@ def study_of(problem: Problem, finding: Finding) -> Study:
     for turn in range(TURNS):
         slopes = _linearised(problem, finding, scale, shape, first, turn)
         found = information(slopes)
-        weight = search.clip_weights(slopes.cost, found) * coverage
+        weight = clip_weights(slopes, found) * coverage
         study = Study(
             slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z
         )
         wanted = bounded(4.0 * study.posterior.covariance, floor, problem.active)
         if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
             break
-        shape, scale, known = wanted, search.noise_scale(slopes.cost, found, scale), True
+        shape, scale, known = wanted, fitted_noise_scale(slopes, found, scale), True
         first = found.first_states(np.zeros_like(finding.z), first_floor(problem))
     return study
 

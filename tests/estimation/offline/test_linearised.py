@@ -47,7 +47,7 @@ def test_what_is_known_of_first_states_is_their_posterior(cost: MatchingCost) ->
     known = found.first_states(step, 0.0)
     covariance = known.shape @ known.shape.transpose(0, 2, 1)
     ones = np.broadcast_to(np.eye(cost.nx), covariance.shape)
-    np.testing.assert_allclose(covariance @ found.first_precision, ones, atol=1e-8)
+    np.testing.assert_allclose(covariance @ found.nuisance_precision, ones, atol=1e-8)
     np.testing.assert_allclose(known.mean, found.first(step[None])[0])
     assert np.linalg.eigvalsh(covariance).max() <= 1.0 + 1e-9
 
