@@ -70,7 +70,7 @@ def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
             )
         )  # fmt: skip
     history, costs, sds = History(run.task), [], []
-    names = run.episode.names
+    names = run.system.space.names
     sd = np.full(len(names), np.nan)  # of the parameters, as last estimated; NaN before the first estimate
     for cycle in run.episode.cycles():
         history.add(cycle)
