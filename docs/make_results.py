@@ -1,6 +1,7 @@
 """Fill docs/results.md from the stored studies of docs/results/: `make results-report`.
 
-A study is a folder that `amhe eval -o docs/results/NAME` wrote; its cells are kept, all else is made of them.
+A study is a folder that `amhe eval -o docs/results/NAME` wrote. Its result files are packed into one file,
+`cells.zip`, and kept; all else is made of them.
 Between `<!-- results NAME/TABLE -->` and `<!-- end -->` stands that table; /figures are its figures, /missed
 the goals that it misses, /made is what it was made with.
 """
@@ -31,7 +32,9 @@ def main() -> None:
             f"{STUDIES}: holds no study; make one: amhe eval -o docs/results/main (docs/results.md has all)"
         )
     for folder in folders:
-        print(write_study(open_store(folder), TASKS, MODES).text)
+        store = open_store(folder)
+        store.pack()
+        print(write_study(store, TASKS, MODES).text)
     PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), PAGE.parent), encoding="utf-8")
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -93,16 +95,16 @@ def _rounded(values: FloatArray, digits: int) -> Any:
     return rows[0] if len(rows) > 1 and len(set(rows)) == 1 else rows
 
 
-def read_result(path: Path) -> Result:
-    """A result file.
+def read_result(path: Path | zipfile.Path) -> Result:
+    """The result in a file.
 
     Raises:
-        AmheError: It is none.
+        AmheError: The file holds no result.
     """
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         return result_of(record)
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error):
         raise AmheError(
             f"{path}: is no result of a cell; delete it, and run it again with --resume"
         ) from None

@@ -1,19 +1,26 @@
-"""The folder of a study: `study.json` says what it is of, `cells/` holds one result file a cell."""
+"""The folder of a study: `study.json` describes it, `cells/` holds one result file for each cell.
+
+The result files of a finished study can be packed into `cells.zip`, which is read as `cells/` is.
+"""
 
 from __future__ import annotations
 
 import json
+import shutil
+import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from amhe_cli.core.errors import AmheError, ConfigError
-from amhe_cli.core.files import write_whole
+from amhe_cli.core.files import whole, write_whole
 from amhe_cli.study.cells import Cell, Setting, setting_of
 from amhe_cli.study.results import Result, read_result
 
-STUDY, CELLS = "study.json", "cells"
+STUDY, CELLS, PACKED = "study.json", "cells", "cells.zip"
+#: Date of all packed files: equal results give equal bytes.
+_PACKED_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +70,31 @@ class Store:
         write_file(self.path(cell), json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
 
     def results(self) -> list[Result]:
-        """All cells so far, by name."""
-        return [read_result(path) for path in sorted((self.folder / CELLS).glob("*.json"))]
+        """Results so far, sorted by the names of their files.
+
+        Raises:
+            AmheError: A result cannot be read.
+        """
+        return [read_result(file) for file in self._files()]
+
+    def pack(self) -> None:
+        """Move all result files into `cells.zip`."""
+        files = self._files()
+        with whole(self.folder / PACKED) as packed, zipfile.ZipFile(packed, "w") as archive:
+            for file in files:
+                entry = zipfile.ZipInfo(file.name, _PACKED_DATE)
+                archive.writestr(entry, file.read_bytes(), zipfile.ZIP_DEFLATED, compresslevel=9)
+        shutil.rmtree(self.folder / CELLS, ignore_errors=True)
+
+    def _files(self) -> list[Path | zipfile.Path]:
+        """Result files, packed or not, sorted by name; a packed one that was run again does not count."""
+        path = self.folder / PACKED
+        try:
+            packed = zipfile.Path(path).iterdir() if path.is_file() else ()
+            files = {file.name: file for file in (*packed, *(self.folder / CELLS).glob("*.json"))}
+        except (OSError, zipfile.BadZipFile) as error:
+            raise AmheError(f"{path}: cannot be read ({error}); restore the file") from None
+        return [files[name] for name in sorted(files)]
 
     def missing(self, cells: list[Cell]) -> list[Cell]:
         """Those of the cells that have no result yet, or failed."""
@@ -118,8 +148,8 @@ def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be written ({error.strerror}); choose another with -o") from None
     if force:
-        for path in (folder / CELLS).glob("*.json"):
-            path.unlink()
+        for path in (folder / PACKED, *(folder / CELLS).glob("*.json")):
+            path.unlink(missing_ok=True)
     record = asdict(study) | {"setting": dict(study.setting)}
     write_file(folder / STUDY, json.dumps(record, indent=1) + "\n")
     return Store(folder, study)

@@ -14,7 +14,7 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.study.cells import Cell
 from amhe_cli.study.conduct import conduct
 from amhe_cli.study.store import Store, Study, open_store, start
-from tests.study.cells_at_play import CODE, played
+from tests.study.cells_at_play import CODE, played, record
 
 STUDY = Study(CODE, {"control.samples": 8}, (), 40.0, ("amhe eval",), "2026-01-01T00:00:00+00:00", {})
 
@@ -92,6 +92,35 @@ def test_a_full_disk_stops_cleanly_and_the_study_goes_on_later(tmp_path: Path, m
     again = start(tmp_path, STUDY, resume=True, force=False)
     run(again, again.missing(cells(0, 2, 3)))
     assert [result.cell.seed for result in again.results()] == [0, 2, 3]
+
+
+def test_a_packed_study_reads_and_goes_on_as_a_folder_of_files(tmp_path: Path) -> None:
+    store = start(tmp_path, STUDY, resume=False, force=False)
+    run(store, cells(0, 1, 2))
+    before = [(result.cell, result.reason, result.outcome) for result in store.results()]
+    store.pack()
+    assert {path.name for path in tmp_path.iterdir()} == {"study.json", "cells.zip"}
+    assert [(result.cell, result.reason, result.outcome) for result in store.results()] == before
+    packed = (tmp_path / "cells.zip").read_bytes()
+    store.pack()
+    assert (tmp_path / "cells.zip").read_bytes() == packed
+    again = start(tmp_path, STUDY, resume=True, force=False)
+    assert again.missing(cells(0, 1, 2, 3)) == cells(1, 3)
+    run(again, cells(3))
+    again.write(cells(1)[0], record({"cell": cells(1)[0].plain(), "code": CODE}))  # failed before
+    assert again.missing(cells(0, 1, 2, 3)) == []
+    assert [result.cell.seed for result in again.results()] == [0, 1, 2, 3]
+    assert start(tmp_path, STUDY, resume=False, force=True).results() == []
+
+
+def test_a_packed_file_that_is_cut_is_refused_by_its_name(tmp_path: Path) -> None:
+    store = start(tmp_path, STUDY, resume=False, force=False)
+    run(store, cells(0, 2))
+    store.pack()
+    packed = tmp_path / "cells.zip"
+    packed.write_bytes(packed.read_bytes()[:-30])
+    with pytest.raises(AmheError, match=r"cells\.zip: cannot be read"):
+        store.results()
 
 
 def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
