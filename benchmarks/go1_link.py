@@ -35,10 +35,10 @@ from amhe_cli.robots.go1.emulator.faults import Faults
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link import command, state, wire
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.phase import Phase
 from amhe_cli.robots.go1.link.state import RobotState
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
@@ -155,7 +155,7 @@ class Robot:
     """An emulated robot in a thread, and a program that plays swaying plans to it."""
 
     def __init__(self, plan: bool = False) -> None:
-        self.heard: list[tuple[float, Command]] = []
+        self.heard: list[tuple[float, MotorCommand]] = []
         options = EmulatorOptions(find_task("t1"), port=0, mocap="none")
         self.emulator = Emulator(options, lambda when, told: self.heard.append((when, told)))
         self._stop = threading.Event()
@@ -199,7 +199,7 @@ def a_robot() -> Iterator[Robot]:
         robot.close()
 
 
-def _reaction(fault: Callable[[Robot], None], test: Callable[[list[Command], int], bool]) -> float:
+def _reaction(fault: Callable[[Robot], None], test: Callable[[list[MotorCommand], int], bool]) -> float:
     """From a fault to the first packet that passes a test [s]; the test looks at all packets and an index."""
     with a_robot() as robot:
         time.sleep(0.5)
@@ -217,18 +217,18 @@ def _reaction(fault: Callable[[Robot], None], test: Callable[[list[Command], int
     raise RuntimeError("no reaction")
 
 
-def damps(told: list[Command], index: int) -> bool:
+def damps(told: list[MotorCommand], index: int) -> bool:
     """A packet only damps."""
     return told[index].kp.max() == 0.0 and told[index].kd.min() > 0.0
 
 
-def holds(told: list[Command], index: int) -> bool:
+def holds(told: list[MotorCommand], index: int) -> bool:
     """Targets, which sway while plans are played, rest: a packet repeats the one before, and the next do."""
     rest = told[index - 1 : index + _AT_REST]
     return len(rest) > _AT_REST and _rests(rest)
 
 
-def _rests(told: list[Command]) -> bool:
+def _rests(told: list[MotorCommand]) -> bool:
     return all(np.array_equal(one.position, told[0].position) for one in told)
 
 
@@ -368,8 +368,10 @@ def _divided(byte: int) -> int:
 _TABLE = [_divided(byte) for byte in range(256)]
 
 
-def _a_command() -> Command:
-    return Command(wire.SERVO, np.array(HOME), np.zeros(12), np.ones(12), np.full(12, 60.0), np.full(12, 3.0))
+def _a_command() -> MotorCommand:
+    return MotorCommand(
+        wire.SERVO, np.array(HOME), np.zeros(12), np.ones(12), np.full(12, 60.0), np.full(12, 3.0)
+    )
 
 
 def _a_state() -> RobotState:

@@ -20,7 +20,7 @@ from probing import POWERS, along, at_the_truth, kept, off_by_two
 
 from amhe_cli.core.belief_file import belief_text
 from amhe_cli.estimation.design.probe import ProbeOptions
-from amhe_cli.robots.go1.probing.motions import STEADY, Motion, Phase, named_motion
+from amhe_cli.robots.go1.probing.motions import STEADY, Motion, Segment, named_motion
 from amhe_cli.robots.go1.probing.push import PushProbe
 
 #: What is looked at.
@@ -31,7 +31,7 @@ MODES = {"held": "baseline", "learning": "adaptive"}
 
 def turns(*phases: tuple[float, float]) -> Motion:
     """Speeds [m/s], each for so long [s], over and over, steering along the line."""
-    return Motion("turns", "speeds by turns", tuple(Phase(seconds, speed) for speed, seconds in phases))
+    return Motion("turns", "speeds by turns", tuple(Segment(seconds, speed) for speed, seconds in phases))
 
 
 MOTIONS = {

@@ -12,8 +12,7 @@ import numpy as np
 from matplotlib.image import imsave
 
 from amhe_cli.robots.go1.run import RunOptions, open_run
-from amhe_cli.robots.go1.scenery import scenery_of
-from amhe_cli.robots.go1.video import Film, strip
+from amhe_cli.robots.go1.video import Film, scenery_of, strip
 
 #: Of one picture [pixels]; more is drawn, and the middle kept.
 SIZE, WIDTH = (640, 320), 400

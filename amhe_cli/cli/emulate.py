@@ -109,7 +109,7 @@ def emulate(
     from amhe_cli.cli.stopping import stopping
     from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
     from amhe_cli.robots.go1.emulator.faults import parse_faults
-    from amhe_cli.robots.go1.link.priority import ROBOT, take_priority
+    from amhe_cli.robots.go1.link.child import ROBOT, take_priority
     from amhe_cli.robots.go1.poses import natnet, udp
     from amhe_cli.robots.go1.run import RunOptions, task_and_system
 

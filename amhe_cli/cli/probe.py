@@ -84,7 +84,7 @@ def probe(
     from amhe_cli.report.folder import filling, reserve
     from amhe_cli.report.probe_table import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.open import open_probe, robot_to_probe
-    from amhe_cli.robots.go1.probing.robot import Robot
+    from amhe_cli.robots.go1.probing.robot import Go1OnLink
     from amhe_cli.system.load import bundled_systems
     from amhe_cli.system.provenance import provenance
 
@@ -93,7 +93,7 @@ def probe(
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)
-    robot = Robot(reached, attend) if reached else None
+    robot = Go1OnLink(reached, attend) if reached else None
     if robot and wire["dry_run"]:
         return at_the_robot.dry_run(session, robot_to_probe(asked, robot))
     opened = open_probe(asked, robot)

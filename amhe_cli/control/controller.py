@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.control.mpopi import Mpopi, Scores, Step
+from amhe_cli.control.mpopi import Mpopi, MpopiStep, Scores
 from amhe_cli.control.protocols import Behaviour, Move, Robot
 from amhe_cli.control.splines import spline_basis
 from amhe_cli.core.arrays import BoolArray, FloatArray
@@ -34,7 +34,7 @@ class Plan:
     targets: FloatArray
     reference: Any = None
     command: FloatArray | None = None
-    step: Step | None = None
+    step: MpopiStep | None = None
 
     def at(self, time: float) -> FloatArray:
         """Joint targets (n,) in force at a time [s]; the last row is held."""

@@ -36,7 +36,7 @@ class Scores:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class MpopiStep:
     """What one step of MPOPI did.
 
     Args:
@@ -90,7 +90,7 @@ class Mpopi:
         knots = x[..., : self._knot_numbers]
         return knots.reshape(*x.shape[:-1], -1, self._joints), x[..., self._knot_numbers :]
 
-    def step(self, evaluate: Callable[[FloatArray], Scores], switched: bool) -> Step:
+    def step(self, evaluate: Callable[[FloatArray], Scores], switched: bool) -> MpopiStep:
         """Move ahead by one period, sample, and update the mean.
 
         Args:
@@ -111,7 +111,7 @@ class Mpopi:
             self._best = x[best]
             self.mean = weights @ x
         finite = scores.cost[np.isfinite(scores.cost)]
-        return Step(
+        return MpopiStep(
             mean=self.mean,
             weights=weights,
             rollouts=len(x),

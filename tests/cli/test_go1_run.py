@@ -23,7 +23,7 @@ import pytest
 from amhe_cli.cli import at_the_robot
 from amhe_cli.cli.main import run
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.robots.go1.link.link import Report, StoppedError
+from amhe_cli.robots.go1.link.link import SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import KINDS
 from tests.robots.go1.emulator.emulating import Emulated, emulating
 from tests.robots.go1.poses.streaming import free_port
@@ -131,7 +131,7 @@ def test_a_fault_damps_fails_and_keeps_a_readable_log(hot: float, ran: bool, cap
 def test_a_robot_that_is_stopped_on_the_way_has_an_ending(monkeypatch, reason, begun, ending) -> None:
     error = StoppedError("stopped")
     monkeypatch.setattr(at_the_robot, "ready", Mock(side_effect=error))
-    target = Mock(begun=begun, report=Report(reason=reason))
+    target = Mock(begun=begun, report=SenderReport(reason=reason))
     if ending is None:
         with pytest.raises(StoppedError):
             at_the_robot.attended(target, Mock(), Mock())

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from amhe_cli.control.mpopi import Mpopi, Scores, Step, mppi_weights
+from amhe_cli.control.mpopi import Mpopi, MpopiStep, Scores, mppi_weights
 from amhe_cli.control.splines import shift_matrix
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import ControlSettings
@@ -314,7 +314,7 @@ def test_where_all_diverge_the_mean_only_moves_on(switched: bool) -> None:
 
 
 def test_the_same_source_of_randomness_gives_the_same_plans() -> None:
-    def run(seed: int) -> Step:
+    def run(seed: int) -> MpopiStep:
         mpopi = sampler(seed)
         for index in range(6):
             step = mpopi.step(Recorder(bowl(np.full(38, 0.03))), switched=index % 3 == 0)

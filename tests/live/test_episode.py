@@ -14,10 +14,9 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.live.episode import Cycle
 from amhe_cli.robots.go1 import tasks
-from amhe_cli.robots.go1.behaviours.balance import box_friction
-from amhe_cli.robots.go1.changes import Change
+from amhe_cli.robots.go1.behaviours.gait import box_friction
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.model import Box, home, plant_model
+from amhe_cli.robots.go1.model import Box, Change, home, plant_model
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.run import Run, RunOptions, measured, open_run, task_and_system
 from amhe_cli.robots.go1.state import State

@@ -19,7 +19,7 @@ from amhe_cli.estimation.design.actuators import drives_of
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
 from amhe_cli.estimation.design.information import information_at
 from amhe_cli.estimation.design.multisine import Multisine, candidates, slow_sine
-from amhe_cli.estimation.design.plan import Plan, parts_of
+from amhe_cli.estimation.design.plan import ProbePlan, parts_of
 from amhe_cli.estimation.design.playback import Playback
 from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, engine_of, tiles
 from amhe_cli.logs import LogWriter
@@ -58,7 +58,7 @@ class DriveProbe:
         self._plant = self._model if options.plant is None else _other(options, folder, settings)
         self._truth = own.space.named(own.space.nominal)
 
-    def design(self, say: Say) -> Plan:
+    def design(self, say: Say) -> ProbePlan:
         """See `Probe`."""
         options, space = self._options, self.system.space
         if options.seconds < _SHORTEST:
@@ -76,14 +76,14 @@ class DriveProbe:
             raise ConfigError(
                 f"{self.system.name}: no excitation that was tried stays within the joints' limits"
             )
-        return Plan(
+        return ProbePlan(
             parts_of([(tried[best].name, "sines within the limits of the controls", options.seconds)]),
             accuracy(space, chosen),
             None if plain is None else accuracy(space, plain),
             tried[0].name,
         )
 
-    def run(self, plan: Plan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
+    def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """See `Probe`; a simulation without a controller is over before anybody could stop it."""
         chosen = next(one for one in self._tried if one.name == plan.parts[0].name)
         theta = np.array([self._truth[name] for name in self.system.space.names])

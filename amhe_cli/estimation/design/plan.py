@@ -31,7 +31,7 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Plan:
+class ProbePlan:
     """A probe before it is run.
 
     Args:
@@ -52,7 +52,7 @@ class Plan:
         return self.parts[-1].start + self.parts[-1].seconds
 
 
-def plan_record(plan: Plan) -> dict[str, Any]:
+def plan_record(plan: ProbePlan) -> dict[str, Any]:
     """A plan as plain values: the content of plan.json."""
     return {
         "sequence": [asdict(part) for part in plan.parts],

@@ -17,7 +17,7 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.design.design import Accuracy, accuracy
 from amhe_cli.estimation.design.information import information_where_it_points
-from amhe_cli.estimation.design.plan import Plan
+from amhe_cli.estimation.design.plan import ProbePlan
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.system.system import System
 
@@ -72,7 +72,7 @@ class Probe(Protocol):
         """Whose box is probed, where the system has tasks."""
         ...
 
-    def design(self, say: Say) -> Plan:
+    def design(self, say: Say) -> ProbePlan:
         """Find the best excitation.
 
         Raises:
@@ -80,7 +80,7 @@ class Probe(Protocol):
         """
         ...
 
-    def run(self, plan: Plan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
+    def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """Do it, and write the log."""
         ...
 

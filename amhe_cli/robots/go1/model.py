@@ -17,7 +17,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.kinematics import HOME, HOME_HEIGHT, JOINTS, LOWER, SERVOS, TORQUE_LIMIT, UPPER
-from amhe_cli.robots.go1.robot_file import Robot, read_robot
+from amhe_cli.robots.go1.robot_file import RobotFile, read_robot
 from amhe_cli.system.boxes import resize
 from amhe_cli.system.load import find_system
 from amhe_cli.system.model_file import compiled, read_spec
@@ -65,7 +65,7 @@ class Servo:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Layout:
+class ModelLayout:
     """Where robot and box are in a model's state; joints in our order, whatever the robot file's.
 
     Args:
@@ -83,13 +83,13 @@ class Layout:
     servos: np.ndarray
 
 
-def layout(model: mujoco.MjModel) -> Layout:
+def layout(model: mujoco.MjModel) -> ModelLayout:
     """Addresses in the state of a model that this module built."""
     q, v = model.jnt_qposadr, model.jnt_dofadr
     trunk, box = model.joint("trunk").id, model.joint("box").id
     rows = [model.joint(name).id for name in JOINTS]
     servos = np.array([model.actuator(name).id for name in SERVOS])
-    return Layout(
+    return ModelLayout(
         slice(q[trunk], q[trunk] + 7), slice(v[trunk], v[trunk] + 6),
         slice(q[box], q[box] + 7), slice(v[box], v[box] + 6),
         q[rows], v[rows], servos,
@@ -169,7 +169,7 @@ def _set_box(spec: mujoco.MjSpec, box: Box) -> None:
     body.quat = [np.cos(0.5 * box.yaw), 0.0, 0.0, np.sin(0.5 * box.yaw)]
 
 
-def _add_robot(spec: mujoco.MjSpec, robot: Robot, self_collisions: bool) -> None:
+def _add_robot(spec: mujoco.MjSpec, robot: RobotFile, self_collisions: bool) -> None:
     """Attach the robot, and give its trunk and joints our names."""
     _take_options(robot.spec, spec)
     root = spec.worldbody.add_frame().attach_body(robot.spec.body(robot.root), _PREFIX, "")
@@ -257,3 +257,47 @@ def _stand_on(pair: mujoco.MjsPair, geom: mujoco.MjsGeom) -> None:
     if geom.condim > 3:
         pair.condim = geom.condim
         pair.friction[2:] = [geom.friction[1], geom.friction[2], geom.friction[2]]
+
+
+def set_floor_friction(model: mujoco.MjModel, friction: float) -> None:
+    """Set the friction of box against floor, in place and in both directions of the floor's plane."""
+    model.pair(FLOOR_PAIR).friction[:2] = friction
+
+
+def set_box_mass(model: mujoco.MjModel, mass: float) -> None:
+    """Set the box's mass [kg] in place; inertia and the model's derived constants follow."""
+    box = model.body("box")
+    box.inertia[:] *= mass / box.mass[0]
+    box.mass[0] = mass
+    # Without this the contact solver keeps scaling by the old mass. It writes into the data it is given.
+    mujoco.mj_setConst(model, mujoco.MjData(model))
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """One change of the plant, once.
+
+    Args:
+        mass: New mass of the box [kg]; None: as it is.
+        floor_friction: New friction of box against floor; None: as it is.
+        at_time: When [s]; None: whenever the place says.
+        beyond_x: As soon as the box's centre passes this x [m]; None: whenever the time says.
+    """
+
+    mass: float | None = None
+    floor_friction: float | None = None
+    at_time: float | None = None
+    beyond_x: float | None = None
+
+    def due(self, time: float, box_x: float) -> bool:
+        """Whether the change has come, at this time [s] and place of the box [m]."""
+        late = self.at_time is not None and time >= self.at_time
+        far = self.beyond_x is not None and box_x >= self.beyond_x
+        return late or far
+
+    def apply(self, model: mujoco.MjModel) -> None:
+        """Write the new numbers into the plant's model."""
+        if self.mass is not None:
+            set_box_mass(model, self.mass)
+        if self.floor_friction is not None:
+            set_floor_friction(model, self.floor_friction)

@@ -11,8 +11,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import SimulationError
-from amhe_cli.robots.go1.changes import Change
-from amhe_cli.robots.go1.model import FLOOR_PAIR, home, layout
+from amhe_cli.robots.go1.model import FLOOR_PAIR, Change, home, layout
 from amhe_cli.robots.go1.state import GRAVITY, Measurements, State, state_of
 
 #: What an accelerometer feels at rest [m/s^2].

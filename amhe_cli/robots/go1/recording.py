@@ -9,8 +9,7 @@ from amhe_cli import __version__
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.robots.go1.run import Run, measured
-from amhe_cli.robots.go1.scenery import scenery_of
-from amhe_cli.robots.go1.video import Film, check_encoder
+from amhe_cli.robots.go1.video import Film, check_encoder, scenery_of
 from amhe_cli.system.provenance import attachments
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.settings import ControlSettings
 from amhe_cli.robots.go1.kinematics import LOWER, UPPER
-from amhe_cli.robots.go1.model import Layout
+from amhe_cli.robots.go1.model import ModelLayout
 from amhe_cli.robots.go1.state import Body, State, coordinates, state_of
 
 
@@ -22,7 +22,7 @@ class Go1:
         sigma: Start sd of the sampling noise on each joint's knots [rad], shape (12,).
     """
 
-    at: Layout
+    at: ModelLayout
     sigma: FloatArray
 
     @property

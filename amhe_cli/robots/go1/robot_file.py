@@ -47,7 +47,7 @@ _NEAR, _PARALLEL = 0.02, 0.98
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class RobotFile:
     """A robot as its file has it.
 
     Args:
@@ -61,7 +61,7 @@ class Robot:
     joints: tuple[str, ...]
 
 
-def read_robot(path: Path) -> Robot:
+def read_robot(path: Path) -> RobotFile:
     """Find a Go1 in a model file.
 
     Raises:
@@ -77,7 +77,7 @@ def read_robot(path: Path) -> Robot:
         for element in list(getattr(spec, kind)):
             spec.delete(element)
     _check_geometry(compiled(spec.copy(), f"the robot of {path.name!r}"), root, joints, path.name)
-    return Robot(spec, root, joints)
+    return RobotFile(spec, root, joints)
 
 
 def _joints(spec: mujoco.MjSpec, file: str) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import yaw_of
-from amhe_cli.robots.go1.model import Layout
+from amhe_cli.robots.go1.model import ModelLayout
 
 #: Of the models, and of all that is computed by hand [m/s^2].
 GRAVITY = 9.81
@@ -87,7 +87,7 @@ def heading_velocity(body: Body) -> tuple[float, float]:
     return float(x * np.cos(yaw) + y * np.sin(yaw)), float(y * np.cos(yaw) - x * np.sin(yaw))
 
 
-def state_of(at: Layout, time: float, qpos: FloatArray, qvel: FloatArray) -> State:
+def state_of(at: ModelLayout, time: float, qpos: FloatArray, qvel: FloatArray) -> State:
     """The state of a model that lies at `at`: copies, whatever happens to the model's own arrays."""
     return State(
         time,
@@ -98,7 +98,7 @@ def state_of(at: Layout, time: float, qpos: FloatArray, qvel: FloatArray) -> Sta
     )
 
 
-def coordinates(at: Layout, state: State) -> tuple[FloatArray, FloatArray]:
+def coordinates(at: ModelLayout, state: State) -> tuple[FloatArray, FloatArray]:
     """The inverse: qpos (26,) and qvel (24,) of a model of robot and box alone."""
     qpos, qvel = np.empty(26), np.empty(24)
     qpos[at.trunk] = np.concatenate((state.trunk.position, state.trunk.orientation))

@@ -11,13 +11,12 @@ import numpy as np
 
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.robots.go1.behaviours.path import Path
+from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.steering import Helm
 from amhe_cli.robots.go1.behaviours.sweeping import Sweeping
 from amhe_cli.robots.go1.behaviours.tripod import Tripod
 from amhe_cli.robots.go1.behaviours.walking import Walking
-from amhe_cli.robots.go1.changes import Change
-from amhe_cli.robots.go1.model import Box
+from amhe_cli.robots.go1.model import Box, Change
 
 #: Commanded speed along the path [m/s], and the last part of the path over which it goes to zero [m].
 SPEED, TAPER = 0.2, 0.2
@@ -57,7 +56,7 @@ class Task:
     name: str
     title: str
     box: Box
-    path: Path
+    path: Course
     nominal_time: float
     changes: tuple[Change, ...] = ()
     baseline: Believed = Believed(4.0, 0.4)
@@ -95,31 +94,31 @@ TASKS = {
     task.name: task
     for task in (
         Task(
-            "t1", "single-goal push", Box(mass=4.0, floor_friction=0.6), Path(_AHEAD, 0.0, 2.4), 12.0,
+            "t1", "single-goal push", Box(mass=4.0, floor_friction=0.6), Course(_AHEAD, 0.0, 2.4), 12.0,
             baseline=_light(),
         ),
         Task(
             "t2", "circular path", Box(mass=4.0, floor_friction=0.4),
-            Path(_AHEAD, 0.0, 1.5 * np.pi, curvature=1.0 / 1.5), 23.6, baseline=_light(), corridor=0.4,
+            Course(_AHEAD, 0.0, 1.5 * np.pi, curvature=1.0 / 1.5), 23.6, baseline=_light(), corridor=0.4,
         ),
         Task(
-            "t3", "mass switch", Box(mass=4.0, floor_friction=0.4), Path(_AHEAD, 0.0, 3.0), 15.0,
+            "t3", "mass switch", Box(mass=4.0, floor_friction=0.4), Course(_AHEAD, 0.0, 3.0), 15.0,
             (Change(mass=6.0, at_time=10.0),), stale=_STALE,
         ),
         Task(
-            "t4", "terrain change", Box(mass=4.0, floor_friction=0.4), Path(_AHEAD, 0.0, 2.4), 12.0,
+            "t4", "terrain change", Box(mass=4.0, floor_friction=0.4), Course(_AHEAD, 0.0, 2.4), 12.0,
             _TERRAIN, stale=_STALE,
         ),
         Task(
-            "t5", "one front leg", Box((0.2, 0.3, 0.3), 3.0, 0.4, _BESIDE), Path(_BESIDE, -0.5 * np.pi, 0.5),
-            10.0, baseline=_light(), one_leg=True,
+            "t5", "one front leg", Box((0.2, 0.3, 0.3), 3.0, 0.4, _BESIDE),
+            Course(_BESIDE, -0.5 * np.pi, 0.5), 10.0, baseline=_light(), one_leg=True,
         ),
         Task(
-            "hw1", "a load put into the basket", Box(mass=3.0, floor_friction=0.4), Path(_AHEAD, 0.0, 2.4),
+            "hw1", "a load put into the basket", Box(mass=3.0, floor_friction=0.4), Course(_AHEAD, 0.0, 2.4),
             12.0, (Change(mass=4.0, beyond_x=1.8),), baseline=Believed(3.0, 0.4),
         ),
         Task(
-            "hw2", "from concrete to turf", Box(mass=4.0, floor_friction=0.4), Path(_AHEAD, 0.0, 2.4), 12.0,
+            "hw2", "from concrete to turf", Box(mass=4.0, floor_friction=0.4), Course(_AHEAD, 0.0, 2.4), 12.0,
             _TERRAIN, baseline=Believed(4.0, 0.6),
         ),
     )

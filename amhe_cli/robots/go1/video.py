@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.model import layout
+from amhe_cli.robots.go1.tasks import Task
 
 Frame = NDArray[np.uint8]
 
@@ -269,3 +270,20 @@ def _forget_opengl() -> None:
         del sys.modules[name]
     for name in [name for name in sys.modules if name.startswith(("mujoco.egl", "mujoco.osmesa"))]:
         del sys.modules[name]
+
+
+def scenery_of(task: Task) -> Scenery:
+    """Path, goal and floor of a task, and a camera that sees them."""
+    path = task.path
+    points = path.points(np.linspace(0.0, path.length, 61 if path.curvature else 2))
+    yaw = task.box.yaw + path.curvature * path.length
+    floors = [c.beyond_x for c in task.changes if c.floor_friction is not None and c.beyond_x is not None]
+    return Scenery(
+        path=points,
+        goal_yaw=yaw,
+        footprint=task.box.size[:2],
+        other_floor=min(floors, default=None),
+        distance=2.2 if task.one_leg else 3.0,
+        azimuth=188.0 if task.one_leg else 108.0,
+        elevation=-24.0 if task.one_leg else -20.0,
+    )

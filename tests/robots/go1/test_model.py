@@ -11,9 +11,18 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.behaviours.gait import Gait, standing, walk
-from amhe_cli.robots.go1.changes import Change, set_box_mass, set_floor_friction
 from amhe_cli.robots.go1.kinematics import HOME, JOINTS, TORQUE_LIMIT
-from amhe_cli.robots.go1.model import Box, Servo, home, layout, planner_model, plant_model
+from amhe_cli.robots.go1.model import (
+    Box,
+    Change,
+    Servo,
+    home,
+    layout,
+    planner_model,
+    plant_model,
+    set_box_mass,
+    set_floor_friction,
+)
 from amhe_cli.system.load import find_system
 from tests.robots.go1.playing import FAR, play
 

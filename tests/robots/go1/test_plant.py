@@ -11,9 +11,8 @@ import pytest
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import SimulationError
-from amhe_cli.robots.go1.changes import Change
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.model import Box, home, layout, plant_model
+from amhe_cli.robots.go1.model import Box, Change, home, layout, plant_model
 from amhe_cli.robots.go1.plant import Plant, SensorNoise
 from amhe_cli.robots.go1.state import Measurements
 

@@ -10,8 +10,8 @@ import pytest
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.behaviours.sweeping import Sweeping
 from amhe_cli.robots.go1.behaviours.walking import Walking
-from amhe_cli.robots.go1.changes import Change
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, HOME, feet
+from amhe_cli.robots.go1.model import Change
 from amhe_cli.robots.go1.tasks import LONGEST, TASKS, Believed, find_task
 
 

@@ -8,8 +8,8 @@ import pytest
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1 import video
 from amhe_cli.robots.go1.model import home, plant_model
-from amhe_cli.robots.go1.scenery import scenery_of
 from amhe_cli.robots.go1.tasks import TASKS
+from amhe_cli.robots.go1.video import scenery_of
 
 SIZE = (160, 90)
 

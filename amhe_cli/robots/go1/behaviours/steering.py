@@ -12,10 +12,52 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.behaviours.course import Course, Place
 from amhe_cli.robots.go1.behaviours.objective import Reference, bumper_from_box, wrapped
-from amhe_cli.robots.go1.behaviours.pacing import Pacing
-from amhe_cli.robots.go1.behaviours.path import Path, Place
 from amhe_cli.robots.go1.state import State, heading_velocity
+
+#: Longest time that one cycle integrates over, after a pause too [s].
+_LONGEST = 0.05
+
+
+@dataclass(slots=True, eq=False)
+class Pacing:
+    """How much more speed to command: soft feet, slip and gears make a robot slower than its model.
+
+    The planner never learns of it. So the missing share of the speed is integrated, as offset-free MPC does
+    with disturbances that its model lacks (Maeder, Borrelli and Morari 2009).
+
+    Args:
+        gain: Integral gain [1/s], slower than any stride.
+        free: Missing share that is ignored, because the mean of a pulsing speed wanders by as much; nothing
+            is ignored while the correction goes the wrong way.
+        smoothing: Time over which the speed is averaged [s].
+        limit: Greatest correction, as a share of the commanded speed.
+        share: Present correction, as a share of the commanded speed.
+    """
+
+    gain: float = 0.6
+    free: float = 0.1
+    smoothing: float = 0.5
+    limit: float = 0.4
+    share: float = 0.0
+    _missing: float = 0.0
+    _time: float | None = None
+
+    def update(self, time: float, missing: float) -> None:
+        """Integrate over one cycle of pushing.
+
+        Args:
+            time: The time now [s].
+            missing: Missing share of the commanded speed.
+        """
+        passed = 0.0 if self._time is None else min(max(time - self._time, 0.0), _LONGEST)
+        self._time = time
+        self._missing += (missing - self._missing) * passed / self.smoothing
+        beyond = self._missing
+        if self._missing * self.share >= 0.0:
+            beyond -= float(np.clip(self._missing, -self.free, self.free))
+        self.share = float(np.clip(self.share + self.gain * passed * beyond, -self.limit, self.limit))
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +123,7 @@ class Helm:
 
     def __init__(
         self,
-        path: Path,
+        path: Course,
         speed: float,
         taper: float,
         half_length: float,

@@ -14,11 +14,9 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
-from amhe_cli.robots.go1.behaviours.balance import box_friction
-from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet, standing
+from amhe_cli.robots.go1.behaviours.course import Course, Plane
+from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, neutral_feet, standing
 from amhe_cli.robots.go1.behaviours.objective import Reference, SweepWeights, lean_terms, sweep_terms
-from amhe_cli.robots.go1.behaviours.path import Path
-from amhe_cli.robots.go1.behaviours.plane import Plane
 from amhe_cli.robots.go1.behaviours.tripod import Tripod, stand_on_three, support_margin
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
 from amhe_cli.robots.go1.state import Body, State
@@ -149,7 +147,7 @@ class Sweeping:
         trunk_height: That is wanted [m].
     """
 
-    path: Path
+    path: Course
     half_width: float
     taper: float = 0.05
     gait: Gait = field(default_factory=lambda: standing(Gait()))

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.robots.go1.behaviours.balance import ground_forces
-from amhe_cli.robots.go1.behaviours.gait import Gait, LegTargets, leg_targets, neutral_feet
+from amhe_cli.robots.go1.behaviours.gait import Gait, LegTargets, ground_forces, leg_targets, neutral_feet
 from amhe_cli.robots.go1.kinematics import LEGS
 
 #: How far the trunk goes back, and away from the free leg [m].

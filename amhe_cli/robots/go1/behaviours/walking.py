@@ -9,8 +9,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.core.rotations import yaw_of
-from amhe_cli.robots.go1.behaviours.balance import box_friction
-from amhe_cli.robots.go1.behaviours.gait import Gait, contacts, mode_switches, walk
+from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, contacts, mode_switches, walk
 from amhe_cli.robots.go1.behaviours.objective import (
     PushWeights,
     Reference,
@@ -19,8 +18,44 @@ from amhe_cli.robots.go1.behaviours.objective import (
     wrapped,
 )
 from amhe_cli.robots.go1.behaviours.steering import Helm
-from amhe_cli.robots.go1.behaviours.stepping import Stepping
 from amhe_cli.robots.go1.state import Body, State, heading_velocity
+
+
+@dataclass(slots=True, eq=False)
+class Stepping:
+    """Where feet land: a robot that drifts aside steps to that side, or it topples over its diagonal.
+
+    Two feet of a trot do not balance: the trunk falls about the line between them until the next two land.
+    They stop it where they land at the capture point, sqrt(h / g) times the velocity beside the trunk (Pratt
+    et al. 2006; Raibert 1986 for the rule). The planner's horizon is shorter than a stride, so it cannot find
+    this out.
+
+    Args:
+        gain: Distance per speed [s]; sqrt(h / g) is 0.17.
+        limit: Greatest distance from neutral [m].
+        settling: Time in which a flying foot goes to a new place [s]; it smooths noisy velocities.
+    """
+
+    gain: float = 0.12
+    limit: float = 0.1
+    settling: float = 0.05
+    _left: FloatArray = field(default_factory=lambda: np.zeros(4))
+    _time: float | None = None
+
+    def update(self, time: float, drift: float, standing: BoolArray) -> FloatArray:
+        """Places of the feet left of neutral [m], shape (4,); standing feet stay where they are.
+
+        Args:
+            time: The time now [s].
+            drift: Speed of the trunk to the left beyond the commanded one [m/s].
+            standing: Which feet are on the floor, shape (4,).
+        """
+        passed, self._time = 0.0 if self._time is None else time - self._time, time
+        wanted = np.clip(self.gain * drift, -self.limit, self.limit)
+        share = min(1.0, max(0.0, passed) / self.settling)
+        self._left = np.where(standing, self._left, self._left + share * (wanted - self._left))
+        return self._left
+
 
 #: Noise of the channels: speed ahead and left [m/s], yaw rate [rad/s], push [N].
 CHANNEL_SIGMA = sealed([0.06, 0.02, 0.15, 10.0])

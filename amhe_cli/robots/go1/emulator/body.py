@@ -7,7 +7,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.state import RobotState
 from amhe_cli.robots.go1.model import plant_model
 from amhe_cli.robots.go1.motor_plant import MotorPlant
@@ -31,7 +31,7 @@ _SERIAL, _VERSION = (0x0304, 0), (0x00010205, 0)
 _AT_REST = np.zeros(12)
 
 
-class Body:
+class EmulatedBody:
     """One emulated robot and its box.
 
     Args:
@@ -64,7 +64,7 @@ class Body:
         """[m]."""
         return float(self._plant.state.trunk.position[2])
 
-    def advance(self, command: Command) -> tuple[RobotState, Measurements]:
+    def advance(self, command: MotorCommand) -> tuple[RobotState, Measurements]:
         """A millisecond under a command: what the robot then says, and what the cameras saw.
 
         Raises:
@@ -78,7 +78,7 @@ class Body:
         self._change_what_is_due()
         return self._state(measured, torques), measured
 
-    def _drive(self, command: Command) -> FloatArray:
+    def _drive(self, command: MotorCommand) -> FloatArray:
         hot = self._temperatures > _SWITCH_OFF
         self._modes = np.where(hot, wire.OVERHEATED, command.mode)
         live = self._modes == wire.SERVO

@@ -11,12 +11,12 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.rotations import exp, multiply, rotate
-from amhe_cli.robots.go1.emulator.body import STEP, Body
+from amhe_cli.robots.go1.emulator.body import STEP, EmulatedBody
 from amhe_cli.robots.go1.emulator.faults import Faults
 from amhe_cli.robots.go1.emulator.motive import Motive, Seen
 from amhe_cli.robots.go1.emulator.robot_port import RobotPort, bound
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.poses import udp
 from amhe_cli.robots.go1.poses.calibration import NO_OFFSET, Offset, rigid_body
 from amhe_cli.robots.go1.poses.source import Pose
@@ -31,7 +31,7 @@ _BREATH = 1e-4
 _Y_UP = exp(np.array([-0.5 * np.pi, 0.0, 0.0]))
 
 #: Called with every good command: when it came [s of the emulator's clock], and what it says.
-OnCommand = Callable[[float, Command], None]
+OnCommand = Callable[[float, MotorCommand], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,7 @@ class Emulator:
         with ExitStack() as opening:  # a port is given back where a later step fails
             self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults)))
             self._cameras = opening.enter_context(closing(_cameras(o)))
-            self._body = Body(o.task, np.random.default_rng(o.seed))
+            self._body = EmulatedBody(o.task, np.random.default_rng(o.seed))
             self._opened = opening.pop_all()
 
     def __enter__(self) -> Emulator:
@@ -102,7 +102,7 @@ class Emulator:
         return self._cameras.address
 
     @property
-    def body(self) -> Body:
+    def body(self) -> EmulatedBody:
         """What is emulated."""
         return self._body
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.robots.go1.link.remote import Remote
-from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.link.state import Remote, RobotState
 
 
 @dataclass(frozen=True, slots=True)

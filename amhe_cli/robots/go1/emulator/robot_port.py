@@ -11,7 +11,7 @@ import numpy as np
 from amhe_cli.core.errors import AmheError
 from amhe_cli.robots.go1.emulator.faults import Dice, Faults
 from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.state import RobotState
 
 _LARGEST = 2048
@@ -57,8 +57,8 @@ class RobotPort:
         self.cause(faults)
         self._waiting: list[tuple[float, int, bool, bytes]] = []
         self._order = itertools.count()
-        self._heard: list[Command] = []
-        self.command = Command(wire.DAMPED)
+        self._heard: list[MotorCommand] = []
+        self.command = MotorCommand(wire.DAMPED)
         self.accepted = self.rejected = 0
         self.undisturbed = faults.after > -np.inf
         self.peer: tuple[str, int] | None = None
@@ -72,7 +72,7 @@ class RobotPort:
         """From now on, let other things go wrong on the way."""
         self._faults, self._dice = faults, Dice(faults, np.random.default_rng(1))
 
-    def receive(self, now: float) -> list[Command]:
+    def receive(self, now: float) -> list[MotorCommand]:
         """Good commands that have come by a time [s]."""
         while True:
             try:

@@ -1,11 +1,12 @@
-"""A child process of our own, and the channel to it.
+"""A child process of our own, and the pipe to it.
 
-The channel keeps messages apart (SOCK_SEQPACKET), never blocks, and tells each side at once when the other
+The pipe keeps messages apart (SOCK_SEQPACKET), never blocks, and tells each side at once when the other
 one has died, however it died: by that a sender watches its parent.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
@@ -18,10 +19,12 @@ from typing import Any
 
 from amhe_cli.robots.go1.link.wire import LinkError
 
+#: Above all that plans and estimates: an emulated robot, and what talks to a robot.
+ROBOT, SENDER = 20, 50
 _LONGEST = 65536
 
 
-class Channel:
+class Pipe:
     """One end of it.
 
     Attributes:
@@ -71,7 +74,7 @@ class Child:
     """A module run by a Python of its own, in a session of its own: keys of a terminal do not suspend it.
 
     Args:
-        module: Dotted name; its `main` gets a channel and the settings by `begun`.
+        module: Dotted name; its `main` gets a pipe and the settings by `begun`.
         settings: Plain values.
         files: Descriptors that the child may use, by the same numbers: from 3 on, 0 to 2 are its own streams.
     """
@@ -86,12 +89,12 @@ class Child:
                 env=_environment(), start_new_session=True,
             )  # fmt: skip
             opening.pop_all()  # ours stays open
-        self.channel = Channel(ours)
-        self.channel.send(json.dumps(settings).encode())
+        self.pipe = Pipe(ours)
+        self.pipe.send(json.dumps(settings).encode())
 
     def end(self, patience: float) -> None:
         """Hang up, wait so long [s] for the child to end by itself, then kill it."""
-        self.channel.close()
+        self.pipe.close()
         try:
             self.process.wait(patience)
         except subprocess.TimeoutExpired:
@@ -105,11 +108,26 @@ def _environment() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": os.pathsep.join([ours, *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
-def begun() -> tuple[Channel, dict[str, Any]]:
-    """The channel and the settings, in the child."""
+def begun() -> tuple[Pipe, dict[str, Any]]:
+    """The pipe and the settings, in the child."""
     end = socket.socket(fileno=int(sys.argv[1]))
     end.settimeout(10.0)
     first = end.recv(_LONGEST)
     if not first:
         raise LinkError("the parent has gone")
-    return Channel(end), json.loads(first)
+    return Pipe(end), json.loads(first)
+
+
+def take_priority(level: int) -> bool:
+    """Let this process go before others; whether it is sure to, or only more likely.
+
+    Args:
+        level: Of real-time processes; the highest goes first.
+    """
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(level))
+    except (OSError, AttributeError):
+        with contextlib.suppress(OSError):
+            os.nice(-10)
+        return False
+    return True

@@ -26,7 +26,7 @@ _NOTHING, _NO_POSITION, _NO_VELOCITY = _off(0.0), _off(wire.POSITION_OFF), _off(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Command:
+class MotorCommand:
     """What the twelve motors are to do: torque + kp (position - q) + kd (velocity - dq); each shape (12,).
 
     The defaults do nothing at all.
@@ -48,7 +48,7 @@ class Command:
     kd: FloatArray = field(default_factory=lambda: _NOTHING)
 
 
-def encode(command: Command, crc: wire.CrcForm = "plain") -> bytes:
+def encode(command: MotorCommand, crc: wire.CrcForm = "plain") -> bytes:
     """The packet of a command, 614 bytes; numbers are cut as the firmware cuts them, towards zero.
 
     Raises:
@@ -64,7 +64,7 @@ def encode(command: Command, crc: wire.CrcForm = "plain") -> bytes:
 
 
 @np.errstate(invalid="ignore")  # a signalling NaN is a matter for the trips
-def decode(datagram: bytes) -> Command:
+def decode(datagram: bytes) -> MotorCommand:
     """The command of a packet, with either form of checksum: the robot's side.
 
     The packet has a mode for each motor; that of the first stands for all, as `encode` writes it.
@@ -73,7 +73,7 @@ def decode(datagram: bytes) -> Command:
         PacketError: It is none.
     """
     motors = wire.opened(datagram, wire.COMMAND, either_form=True)["motors"][:JOINTS]
-    return Command(
+    return MotorCommand(
         int(motors["mode"][0]),
         motors["position"].astype(np.float64),
         motors["velocity"].astype(np.float64),
@@ -83,7 +83,7 @@ def decode(datagram: bytes) -> Command:
     )
 
 
-def _targets(command: Command) -> FloatArray:
+def _targets(command: MotorCommand) -> FloatArray:
     """Position and velocity, shape (2, 12)."""
     targets = np.array((command.position, command.velocity))
     if not np.abs(targets).max() < _LARGEST_FLOAT:  # not >=: nothing is less than NaN
@@ -91,7 +91,7 @@ def _targets(command: Command) -> FloatArray:
     return targets
 
 
-def _counts(command: Command) -> Any:
+def _counts(command: MotorCommand) -> Any:
     """Torque, kp and kd as the packet's whole numbers, shape (3, 12)."""
     # the firmware multiplies in single precision
     counts = np.array((command.torque, command.kp, command.kd), dtype=np.float32) * _SCALES

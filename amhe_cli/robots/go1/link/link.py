@@ -17,10 +17,9 @@ from amhe_cli.core.errors import AmheError
 from amhe_cli.robots.go1.link import mail
 from amhe_cli.robots.go1.link.child import Child
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.letting_down import let_down
+from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.phase import Phase
-from amhe_cli.robots.go1.link.robot_socket import RobotSocket
+from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
 
@@ -37,7 +36,7 @@ class StoppedError(AmheError):
 
 
 @dataclass(slots=True)
-class Report:
+class SenderReport:
     """The newest of the sender: see `sender.Sender._report`."""
 
     phase: Phase = Phase.CONNECT
@@ -70,7 +69,7 @@ class Link:
         self._driven = False
         self._child: Child | None = None
         self._opened = ExitStack()
-        self.report = Report()
+        self.report = SenderReport()
 
     def __enter__(self) -> Link:
         host, port = self._where
@@ -84,7 +83,7 @@ class Link:
             opening.callback(self._child.end, 5.0 * self._clock.slow)
             if threading.current_thread() is threading.main_thread():
                 # the signal itself tells the sender, even while our thread is deep in a rollout
-                descriptor = self._child.channel.fileno()
+                descriptor = self._child.pipe.fileno()
                 before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
                 opening.callback(signal.set_wakeup_fd, before)
             opening.callback(self.finish)
@@ -98,7 +97,7 @@ class Link:
 
     # -- the phases -----------------------------------------------------------------------------------
 
-    def connect(self) -> Report:
+    def connect(self) -> SenderReport:
         """Wait until the robot answers as it should. Nothing moves.
 
         Raises:
@@ -142,7 +141,7 @@ class Link:
             pose_time: Of the older one of the newest poses of trunk and box [s].
         """
         if self._child:
-            self._child.channel.send(mail.plan_message(plan, pose_time))
+            self._child.pipe.send(mail.plan_message(plan, pose_time))
 
     def samples(self) -> list[Any]:
         """States that came since the last call, records of `mail.SAMPLE`."""
@@ -154,19 +153,19 @@ class Link:
         """Damp the motors now."""
         self._order(mail.STOP)
 
-    def finish(self) -> Report:
+    def finish(self) -> SenderReport:
         """Let the robot sit down and its motors go; wait for the end of it."""
         s = self._settings
         self._order(mail.FINISH)
         longest = s.hold_time + s.sit_time + s.damp_time + 2.0
         end = time.monotonic() + longest * max(1.0, self._clock.slow)
         while self._poll(quiet=True).phase != Phase.OVER and time.monotonic() < end:
-            if self._child is None or not self._child.channel.open:
+            if self._child is None or not self._child.pipe.open:
                 break
             time.sleep(_STEP)
         return self.report
 
-    # -- the channel ----------------------------------------------------------------------------------
+    # -- the pipe ----------------------------------------------------------------------------------
 
     def _wait_for_sender(self) -> None:
         end = time.monotonic() + _START
@@ -175,9 +174,9 @@ class Link:
 
     def _order(self, order: bytes) -> None:
         if self._child:
-            self._child.channel.send(order)
+            self._child.pipe.send(order)
 
-    def _poll(self, quiet: bool = False) -> Report:
+    def _poll(self, quiet: bool = False) -> SenderReport:
         """Read what the sender says; where it has died, damp the motors from here.
 
         Raises:
@@ -185,14 +184,14 @@ class Link:
         """
         if self._child is None:
             raise LinkError("the link is not open")
-        for message in self._child.channel.received():
+        for message in self._child.pipe.received():
             said = mail.read(message)
             if isinstance(said, dict):
                 said["phase"] = Phase(said["phase"])
-                self.report = Report(**said)
+                self.report = SenderReport(**said)
             elif said is not None:
                 self._samples.append(said)
-        if not self._child.channel.open and self.report.phase != Phase.OVER:
+        if not self._child.pipe.open and self.report.phase != Phase.OVER:
             self._stand_in()
             if not quiet:
                 raise LinkError("the process that talks to the robot has died; its last words are above")

@@ -12,12 +12,10 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.command import Command
-from amhe_cli.robots.go1.link.limits import allowed
-from amhe_cli.robots.go1.link.motion import Targets, eased, travel_time
-from amhe_cli.robots.go1.link.phase import Phase
-from amhe_cli.robots.go1.link.remote import Remote
-from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.link.command import MotorCommand
+from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.motion import Targets, allowed, eased, travel_time
+from amhe_cli.robots.go1.link.state import Remote, RobotState
 from amhe_cli.robots.go1.link.trips import NO_JUMP, View, power, tripped
 from amhe_cli.robots.go1.settings import Go1Settings
 
@@ -92,7 +90,7 @@ class Machine:
     _over_power: int = 0
     _power_tick: int = -1
 
-    def step(self, now: float, inbox: Inbox) -> Command:
+    def step(self, now: float, inbox: Inbox) -> MotorCommand:
         """The command of this tick.
 
         Args:
@@ -112,8 +110,8 @@ class Machine:
             self._trip("order", inbox.stop or "asked to end", Phase.OVER, now)
         self._sent = None
         if self.phase == Phase.DAMP:
-            return Command(velocity=_AT_REST, kd=np.full(12, self.settings.damping))
-        return Command()
+            return MotorCommand(velocity=_AT_REST, kd=np.full(12, self.settings.damping))
+        return MotorCommand()
 
     def unfit(self, now: float, inbox: Inbox) -> str:
         """Why a robot that is not driven yet would trip as soon as it is; '' if it would not."""
@@ -234,12 +232,14 @@ class Machine:
         begun, duration, offset = self._blend
         return targets + max(0.0, 1.0 - (now - begun) / duration) * offset
 
-    def _servo(self, now: float, state: RobotState, wanted: FloatArray) -> Command:
+    def _servo(self, now: float, state: RobotState, wanted: FloatArray) -> MotorCommand:
         s = self.settings
         gain = min(1.0, (now - self._since) / s.gain_time) if self.phase == Phase.HOLD else 1.0
         self._sent = wanted
         targets = self.commanded = allowed(wanted, state.joints, s.kp, s.torque_share)
-        return Command(wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4))
+        return MotorCommand(
+            wire.SERVO, targets, _AT_REST, _AT_REST, np.full(12, gain * s.kp), np.tile(s.kd, 4)
+        )
 
     def _count_power(self, state: RobotState) -> None:
         """Once for each state, as the vendor's own protection does it."""

@@ -1,13 +1,38 @@
-"""What sender and program tell each other: plans and orders one way, samples and reports the other."""
+"""What sender and program tell each other: plans and orders there, samples and reports back."""
 
 from __future__ import annotations
 
 import json
+from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
 from amhe_cli.robots.go1.link.motion import Targets
+
+
+class Phase(IntEnum):
+    """What the sender is doing; only later ones follow."""
+
+    CONNECT = 0
+    """Packets that do nothing, so that states come."""
+    HOLD = 1
+    """Gains rise about the joints' present angles."""
+    STAND = 2
+    """Slowly by the folded pose to standing."""
+    READY = 3
+    """Stands, and waits for the operator."""
+    RUN = 4
+    """Plays plans."""
+    PAUSE = 5
+    """Plan or poses are lost: stands still where it is."""
+    SIT = 6
+    """Slowly to the folded pose."""
+    DAMP = 7
+    """Motors only damp."""
+    OVER = 8
+    """The last packet that does nothing is sent."""
+
 
 #: One-byte orders. Smaller bytes are numbers of signals: the program's signal handler writes them itself, at
 #: once, even while the program's own thread is inside of a long computation.

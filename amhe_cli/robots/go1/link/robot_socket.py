@@ -7,8 +7,12 @@ import struct
 import sys
 from collections.abc import Iterator
 
+import numpy as np
+
 from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.command import MotorCommand, encode
 from amhe_cli.robots.go1.link.wire import LinkError
+from amhe_cli.robots.go1.settings import Go1Settings
 
 #: Linux stamps datagrams as they arrive, whenever we come to read them; Python has no name for the option.
 _SO_TIMESTAMPNS = 35
@@ -76,3 +80,16 @@ class RobotSocket:
                 seconds, nanoseconds = _TIMESPEC.unpack(value[: _TIMESPEC.size])
                 return self._clock.from_wall(seconds + 1e-9 * nanoseconds)
         return self._clock.now()
+
+
+def let_down(robot: RobotSocket, settings: Go1Settings, clock: Clock) -> None:
+    """Let the robot down without the state machine, after a failure.
+
+    Damps the motors for `settings.damp_time` [s], then commands them to do nothing.
+    """
+    period, end = 1.0 / settings.rate, clock.now() + settings.damp_time
+    damped = MotorCommand(velocity=np.zeros(12), kd=np.full(12, settings.damping))
+    while clock.now() < end:
+        robot.send(encode(damped, settings.crc))
+        clock.sleep_until(clock.now() + period)
+    robot.send(encode(MotorCommand(), settings.crc))

@@ -9,6 +9,7 @@ then lets the robot down (motors damped) and ends.
 from __future__ import annotations
 
 import gc
+import math
 import os
 import select
 import signal
@@ -20,20 +21,18 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.robots.go1.link import mail, state, wire
-from amhe_cli.robots.go1.link.child import Channel, begun
+from amhe_cli.robots.go1.link.child import SENDER, Pipe, begun, take_priority
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap
-from amhe_cli.robots.go1.link.command import Command, encode
-from amhe_cli.robots.go1.link.contact import Contact, Share
-from amhe_cli.robots.go1.link.intervals import Intervals
-from amhe_cli.robots.go1.link.letting_down import let_down
+from amhe_cli.robots.go1.link.command import MotorCommand, encode
+from amhe_cli.robots.go1.link.first_contact import Contact, Share
 from amhe_cli.robots.go1.link.machine import Inbox, Machine
+from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Sent
-from amhe_cli.robots.go1.link.phase import Phase
-from amhe_cli.robots.go1.link.priority import SENDER, take_priority
-from amhe_cli.robots.go1.link.robot_socket import RobotSocket
+from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
 from amhe_cli.robots.go1.link.state import RobotState
 from amhe_cli.robots.go1.settings import Go1Settings
 
+_BIN, _BINS = 1e-5, 10_000
 #: Reports go out at every change and so often [s].
 _REPORT_PERIOD = 0.1
 #: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
@@ -53,13 +52,42 @@ class DrivenError(wire.LinkError):
     """Somebody else drives the robot: it is not ours to let down either."""
 
 
+class Intervals:
+    """A histogram of the time between packets, fine enough for quantiles and of one size for ever."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BINS, dtype=np.int64)
+        self._last = math.nan
+        self._longest = 0.0
+
+    def see(self, time: float) -> None:
+        """A packet at a time [s]."""
+        interval = time - self._last
+        self._last = time
+        if interval >= 0.0:
+            self._counts[min(int(interval / _BIN), _BINS - 1)] += 1
+            self._longest = max(self._longest, interval)
+
+    def summary(self) -> dict[str, float]:
+        """Number of packets, and quantiles of the time between them [ms]."""
+        total = int(self._counts.sum())
+        if not total:
+            return {"packets": 0}
+        upto = np.cumsum(self._counts) / total
+        quantiles = {
+            name: round(1e3 * _BIN * (int(np.searchsorted(upto, share)) + 1), 2)
+            for name, share in (("p50_ms", 0.5), ("p99_ms", 0.99), ("p999_ms", 0.999))
+        }
+        return {"packets": total + 1, **quantiles, "max_ms": round(1e3 * self._longest, 2)}
+
+
 class Sender:
     """The loop; see `run`.
 
     Args:
         settings: Of the robot.
         robot: Socket to it.
-        channel: To the program.
+        pipe: To the program.
         clock: Ours.
         keys: Descriptor of a terminal whose keys are read; -1: none.
         notes: What the report is to say besides.
@@ -69,12 +97,12 @@ class Sender:
         self,
         settings: Go1Settings,
         robot: RobotSocket,
-        channel: Channel,
+        pipe: Pipe,
         clock: Clock,
         keys: int,
         notes: list[str],
     ) -> None:
-        self._settings, self._robot, self._channel, self._clock = settings, robot, channel, clock
+        self._settings, self._robot, self._pipe, self._clock = settings, robot, pipe, clock
         self._keys, self._notes = keys, notes
         self._machine, self._inbox, self._contact = Machine(settings), Inbox(), Contact()
         self._share = Share()
@@ -94,7 +122,7 @@ class Sender:
         while self._machine.phase != Phase.OVER:
             self._clock.sleep_until(due)
             self._read_robot()
-            self._read_channel()
+            self._read_pipe()
             self._read_keys()
             now = self._clock.now()
             self._send(self._machine.step(now, self._inbox), now)
@@ -141,10 +169,10 @@ class Sender:
             # what is sent is some time on its way: those that the robot followed when it told its state
             followed = self._sent.by(time - 0.5 * self._contact.round_trip)
             sample = _sample(time, self._machine.phase, read, followed)
-            self._channel.send(mail.sample_message(sample))
+            self._pipe.send(mail.sample_message(sample))
 
-    def _read_channel(self) -> None:
-        for message in self._channel.received():
+    def _read_pipe(self) -> None:
+        for message in self._pipe.received():
             plan = mail.read_plan(message)
             if plan is not None:
                 self._inbox.plan, self._inbox.pose_time = plan
@@ -153,7 +181,7 @@ class Sender:
                 _ORDERS[message](self._inbox)
             elif len(message) == 1 and message[0] in _STOPPING:
                 self.stop(signal.Signals(message[0]).name)
-        if not self._channel.open:
+        if not self._pipe.open:
             self.stop("the program has died")
 
     def _read_keys(self) -> None:
@@ -173,9 +201,9 @@ class Sender:
 
     # -- what goes out --------------------------------------------------------------------------------
 
-    def _send(self, command: Command, now: float) -> None:
+    def _send(self, command: MotorCommand, now: float) -> None:
         if self._machine.phase == Phase.CONNECT:
-            command = Command(self._contact.turn(now))
+            command = MotorCommand(self._contact.turn(now))
         if self._robot.send(encode(command, self._settings.crc)):
             self._intervals.see(now)
             self._sent.add(now, self._machine.commanded)
@@ -187,7 +215,7 @@ class Sender:
             return
         self._reported = now, machine.phase
         looked_at = machine.phase == Phase.CONNECT and self._contact.complete
-        self._channel.send(
+        self._pipe.send(
             mail.report_message(
                 {
                     "phase": int(machine.phase), "trip": machine.trip, "reason": machine.reason,
@@ -249,18 +277,18 @@ def _robot(read: RobotState | None) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Read the settings from the channel, and send."""
-    channel, given = begun()
+    """Read the settings from the pipe, and send."""
+    pipe, given = begun()
     settings, clock = Go1Settings.model_validate(given["settings"]), Clock(given["slow"])
     try:
         robot = RobotSocket(given["host"], given["port"], clock)
     except wire.LinkError as error:
-        channel.send(mail.report_message({"phase": int(Phase.OVER), "trip": "error", "reason": str(error)}))
+        pipe.send(mail.report_message({"phase": int(Phase.OVER), "trip": "error", "reason": str(error)}))
         return
     gc.freeze()
     gc.disable()  # nothing here makes cycles
     notes = [] if take_priority(SENDER) else [_NO_PRIORITY]
-    sender = Sender(settings, robot, channel, clock, given["keys"], notes)
+    sender = Sender(settings, robot, pipe, clock, given["keys"], notes)
     for number in _STOPPING:
         signal.signal(number, lambda number, _: sender.stop(signal.Signals(number).name))
     try:
@@ -272,7 +300,7 @@ def main() -> None:
         sender.say(f"{type(error).__name__}: {error}")
         raise
     finally:
-        channel.close()
+        pipe.close()
 
 
 if __name__ == "__main__":

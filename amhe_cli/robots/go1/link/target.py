@@ -19,9 +19,9 @@ from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.link import Link, Report, StoppedError
+from amhe_cli.robots.go1.link.link import Link, SenderReport, StoppedError
+from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.phase import Phase
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
 from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
 from amhe_cli.robots.go1.poses.source import Pose, PoseError
@@ -91,7 +91,7 @@ class Go1Target:
         return self._clock.slow
 
     @property
-    def report(self) -> Report:
+    def report(self) -> SenderReport:
         """Newest of the sender."""
         return self._link.report
 

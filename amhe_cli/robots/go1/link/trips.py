@@ -13,10 +13,9 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.robots.go1.kinematics import JOINTS
 from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.limits import beyond
-from amhe_cli.robots.go1.link.phase import Phase
-from amhe_cli.robots.go1.link.remote import Remote
-from amhe_cli.robots.go1.link.state import RobotState
+from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.motion import beyond
+from amhe_cli.robots.go1.link.state import Remote, RobotState
 from amhe_cli.robots.go1.settings import TripSettings
 
 

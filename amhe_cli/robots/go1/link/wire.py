@@ -7,12 +7,12 @@ the first twelve.
 
 from __future__ import annotations
 
+import zlib
 from typing import Any, Literal
 
 import numpy as np
 
 from amhe_cli.core.errors import AmheError
-from amhe_cli.robots.go1.link.crc import crc32, encrypted
 
 HEAD, LOW_LEVEL = b"\xfe\xef", 0xFF
 #: Joints of a Go1, in the order of `legs.JOINTS`; motors that a packet has room for.
@@ -24,6 +24,8 @@ POSITION_OFF, VELOCITY_OFF = 2.146e9, 16000.0
 #: Counts of a packet's whole numbers: per N m, per N m/rad, per N m s/rad.
 TORQUE, KP, KD = 256, 32, 16
 
+_REVERSED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+_ENCRYPTION = 0xEDCAB9DE
 CrcForm = Literal["plain", "encrypted"]
 
 
@@ -118,3 +120,22 @@ def opened(datagram: bytes, layout: Any, either_form: bool = False) -> Any:
 
 def _checksum(packet: bytes | bytearray) -> int:
     return crc32(bytes(packet[: 4 * (len(packet) // 4 - 1)]))
+
+
+def crc32(words: bytes) -> int:
+    """Checksum of Go1 packets, over bytes whose number is a multiple of four.
+
+    CRC-32 with polynomial 0x04C11DB7, all ones at the start, not reflected, no final xor, over little-endian
+    32-bit words, most significant bit first. `zlib.crc32` is the reflected one over bytes: with the bits of
+    each byte reversed and the bytes of each word swapped it computes the same, 50 times faster than a Python
+    loop.
+    """
+    swapped = np.frombuffer(words, dtype=">u4").astype("<u4").tobytes()
+    reflected = zlib.crc32(swapped.translate(_REVERSED)) ^ 0xFFFFFFFF
+    return int.from_bytes(reflected.to_bytes(4, "little").translate(_REVERSED), "big")
+
+
+def encrypted(crc: int) -> int:
+    """A plain checksum in the form that some firmware wants: xor, then rotated right by a byte."""
+    value = crc ^ _ENCRYPTION
+    return (value >> 8) | ((value & 0xFF) << 24)

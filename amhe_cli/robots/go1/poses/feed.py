@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.robots.go1.link.child import Channel, Child, begun
+from amhe_cli.robots.go1.link.child import Child, Pipe, begun
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap
 from amhe_cli.robots.go1.poses.motioncapture import MotionCapture
 from amhe_cli.robots.go1.poses.natnet import NatNet
@@ -145,16 +145,16 @@ class PoseFeed:
         """Let those behind the source know estimates of parameters, where it can; values, sd (d,)."""
         if self._child is not None:
             told = {"names": list(names), "values": values.tolist(), "sd": sd.tolist()}
-            self._child.channel.send(json.dumps(told).encode())
+            self._child.pipe.send(json.dumps(told).encode())
 
     def _messages(self) -> list[dict[str, Any]]:
         if self._child is None:
             raise PoseError("the pose source is not open")
-        messages = [json.loads(message) for message in self._child.channel.received()]
+        messages = [json.loads(message) for message in self._child.pipe.received()]
         for message in messages:
             if "error" in message:
                 raise PoseError(message["error"])
-        if not self._child.channel.open:
+        if not self._child.pipe.open:
             raise PoseError(f"the pose source {self._options.kind} has died")
         return messages
 
@@ -177,12 +177,12 @@ def _pose(message: dict[str, Any]) -> TimedPose | None:
 class _Sender:
     """The child's side: stamps sightings on our clock and passes them on."""
 
-    def __init__(self, channel: Channel, clock: Clock) -> None:
-        self._channel, self._clock, self._map = channel, clock, ClockMap()
+    def __init__(self, pipe: Pipe, clock: Clock) -> None:
+        self._pipe, self._clock, self._map = pipe, clock, ClockMap()
         self._told: dict[str, bytes] = {}
 
     def say(self, message: dict[str, Any]) -> None:
-        self._channel.send(json.dumps(message).encode())
+        self._pipe.send(json.dumps(message).encode())
 
     def pass_on(self, seen: Sighting) -> None:
         told, before = seen.position.tobytes() + seen.orientation.tobytes(), self._told.get(seen.body)
@@ -210,17 +210,17 @@ def main() -> None:
     ):  # meant for the program, which still needs poses to sit down
         signal.signal(number, signal.SIG_IGN)
     _end_with_the_program()
-    channel, given = begun()
+    pipe, given = begun()
     options = FeedOptions(**given)
-    sender = _Sender(channel, Clock(options.slow))
+    sender = _Sender(pipe, Clock(options.slow))
     source = source_of(replace(options, seconds=options.seconds * max(1.0, options.slow)))
     sender.say({"connecting": True})
     try:
         source.connect()
-        while channel.open:
+        while pipe.open:
             for seen in source.wait(_WAIT):
                 sender.pass_on(seen)
-            for message in channel.received():
+            for message in pipe.received():
                 if isinstance(source, EstimateSink):
                     source.publish(**json.loads(message))
     except PoseError as error:

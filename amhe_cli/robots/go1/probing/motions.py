@@ -12,7 +12,7 @@ FASTEST, WIDEST_OFFSET = 0.5, 0.12
 
 
 @dataclass(frozen=True, slots=True)
-class Phase:
+class Segment:
     """One command for some time.
 
     Args:
@@ -38,7 +38,7 @@ class Motion:
 
     name: str
     title: str
-    phases: tuple[Phase, ...]
+    phases: tuple[Segment, ...]
 
     @property
     def seconds(self) -> float:
@@ -47,24 +47,24 @@ class Motion:
 
 
 #: Until the bumper meets the box; tells nothing, and comes before everything else.
-APPROACH = Motion("approach", "walk up to the box", (Phase(1.0, 0.2),))
+APPROACH = Motion("approach", "walk up to the box", (Segment(1.0, 0.2),))
 #: The plain push.
-STEADY = Motion("steady", "push on at one speed", (Phase(1.0, 0.2),))
+STEADY = Motion("steady", "push on at one speed", (Segment(1.0, 0.2),))
 
 
-def _surges(offset: float | None, count: int) -> tuple[Phase, ...]:
+def _surges(offset: float | None, count: int) -> tuple[Segment, ...]:
     """The trot's stride is 0.5 s: one surge in the first half of each.
 
     0.5 m/s tell hardly more, and take a robot's joint targets to where its link trips (`target_jump`).
     """
-    return (Phase(0.25, 0.4, offset), Phase(0.25, 0.1, offset)) * count
+    return (Segment(0.25, 0.4, offset), Segment(0.25, 0.1, offset)) * count
 
 
 MOTIONS = (
     STEADY,
     Motion("surge", "a surge in every stride", _surges(None, 1)),
     Motion("sides", "surges left and right of the middle by turns", _surges(0.12, 4) + _surges(-0.12, 4)),
-    Motion("release", "back off and meet the box again", (Phase(0.6, -0.2), Phase(1.4, 0.4))),
+    Motion("release", "back off and meet the box again", (Segment(0.6, -0.2), Segment(1.4, 0.4))),
 )
 
 
@@ -84,7 +84,7 @@ class Score:
         self.motion = motion
         self._ends = list(accumulate(phase.seconds for phase in motion.phases))
 
-    def at(self, time: float) -> Phase:
+    def at(self, time: float) -> Segment:
         """What is commanded at a time [s]."""
         since = time - APPROACH.seconds + 1e-9
         if since < 0.0:

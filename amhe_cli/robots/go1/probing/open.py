@@ -12,13 +12,13 @@ from amhe_cli.estimation.design.probe import Probe, ProbeOptions
 from amhe_cli.robots.go1.model import SYSTEM
 from amhe_cli.robots.go1.probing.motions import STEADY
 from amhe_cli.robots.go1.probing.push import PushProbe
-from amhe_cli.robots.go1.probing.robot import Robot
+from amhe_cli.robots.go1.probing.robot import Go1OnLink
 from amhe_cli.robots.go1.run import Run
 from amhe_cli.system import overrides
 from amhe_cli.system.load import find_system
 
 
-def open_probe(options: ProbeOptions, robot: Robot | None = None) -> Probe:
+def open_probe(options: ProbeOptions, robot: Go1OnLink | None = None) -> Probe:
     """A walking robot behind its box, or actuators that are driven as they are.
 
     Args:
@@ -34,7 +34,7 @@ def open_probe(options: ProbeOptions, robot: Robot | None = None) -> Probe:
     return DriveProbe(options, folder, overrides.gathered(options.config, os.environ, options.assignments))
 
 
-def _driven(options: ProbeOptions, robot: Robot | None) -> Path | None:
+def _driven(options: ProbeOptions, robot: Go1OnLink | None) -> Path | None:
     """Folder of the system that is driven as it is, or None: the Go1 walks. Refuses what a system has not."""
     folder = find_system(options.system or DEFAULT_SYSTEM)
     if folder.resolve() == find_system(SYSTEM).resolve():
@@ -47,7 +47,7 @@ def _driven(options: ProbeOptions, robot: Robot | None) -> Path | None:
     return folder
 
 
-def robot_to_probe(options: ProbeOptions, robot: Robot) -> Run:
+def robot_to_probe(options: ProbeOptions, robot: Go1OnLink) -> Run:
     """The robot behind the box that it is to probe, for checks; nothing is sent yet.
 
     Raises:

@@ -14,14 +14,14 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, SimulationError
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
 from amhe_cli.estimation.design.information import information_at
-from amhe_cli.estimation.design.plan import Plan, parts_of
+from amhe_cli.estimation.design.plan import ProbePlan, parts_of
 from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, engine_of, read, tiles
 from amhe_cli.live.loop import drive
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.link.open import open_go1_run
 from amhe_cli.robots.go1.probing.motions import APPROACH, MOTIONS, STEADY, Motion, named_motion
 from amhe_cli.robots.go1.probing.pushing import ProbeTask, probe_task
-from amhe_cli.robots.go1.probing.robot import Attend, Robot
+from amhe_cli.robots.go1.probing.robot import Attend, Go1OnLink
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import Run, RunOptions, open_run, system_of
 from amhe_cli.robots.go1.tasks import Believed, find_task
@@ -46,7 +46,7 @@ class PushProbe:
         ConfigError: Unknown task, a belief that does not suit, a setting, what only a simulation can do.
     """
 
-    def __init__(self, options: ProbeOptions, robot: Robot | None = None) -> None:
+    def __init__(self, options: ProbeOptions, robot: Go1OnLink | None = None) -> None:
         self.task = options.task or "t1"
         self._options, self._task, self._robot = options, find_task(self.task), robot
         run = RunOptions(self.task, assignments=options.assignments, config=options.config)
@@ -57,7 +57,7 @@ class PushProbe:
         if robot:  # what it refuses is refused before the rehearsals
             self.on_robot(STEADY, options.seconds, robot).episode.belief.close()
 
-    def design(self, say: Say) -> Plan:
+    def design(self, say: Say) -> ProbePlan:
         """See `Probe`."""
         options, space = self._options, self.system.space
         room = options.seconds - APPROACH.seconds
@@ -78,14 +78,14 @@ class PushProbe:
             )
         best = int(np.argmax([criterion(told, space.prior_precision) for told in found]))
         chosen, plain = MOTIONS[best], found[MOTIONS.index(STEADY)]
-        return Plan(
+        return ProbePlan(
             parts_of([(m.name, m.title, s) for m, s in ((APPROACH, APPROACH.seconds), (chosen, room))]),
             accuracy(space, found[best]),
             accuracy(space, plain) if plain.any() else None,
             "straight push",
         )
 
-    def run(self, plan: Plan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
+    def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """See `Probe`: closed-loop on the task's own box, or the robot's.
 
         The controller begins with the belief, and an estimator beside it brings that up to date: a robot that
@@ -114,7 +114,7 @@ class PushProbe:
         task = self._as_it_is(motion, seconds)
         return self._record(self._open(task, self._options.seed, mode), path, stopped, say)
 
-    def on_robot(self, motion: Motion, seconds: float, robot: Robot) -> Run:
+    def on_robot(self, motion: Motion, seconds: float, robot: Go1OnLink) -> Run:
         """A motion on the robot; nothing is sent yet.
 
         Raises:

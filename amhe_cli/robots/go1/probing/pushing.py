@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.objective import Reference
-from amhe_cli.robots.go1.behaviours.path import Path
 from amhe_cli.robots.go1.behaviours.steering import Helm
 from amhe_cli.robots.go1.behaviours.walking import Walking
 from amhe_cli.robots.go1.model import Box
@@ -29,7 +29,7 @@ class ScoreHelm(Helm):
         half_length, half_width: Of the box along and across the push [m].
     """
 
-    def __init__(self, score: Score, path: Path, half_length: float, half_width: float) -> None:
+    def __init__(self, score: Score, path: Course, half_length: float, half_width: float) -> None:
         super().__init__(path, SPEED, TAPER, half_length, half_width)
         self._score = score
 
@@ -81,6 +81,6 @@ def probe_task(task: Task, motion: Motion, seconds: float, box: Believed, believ
     """
     placed = replace(task.box, position=_PLACE, yaw=0.0, mass=box.box_mass, floor_friction=box.floor_friction)
     return ProbeTask(
-        task.name, f"probing the box of {task.name}", placed, Path(_PLACE, 0.0, _LENGTH), seconds,
+        task.name, f"probing the box of {task.name}", placed, Course(_PLACE, 0.0, _LENGTH), seconds,
         baseline=believed, motion=motion,
     )  # fmt: skip

@@ -17,7 +17,7 @@ Attend = Callable[[SimTarget | Go1Target, Recorder, History], AbstractContextMan
 
 
 @dataclass(frozen=True, slots=True)
-class Robot:
+class Go1OnLink:
     """A robot at the end of a wire.
 
     Args:

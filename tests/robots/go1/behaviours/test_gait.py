@@ -10,8 +10,9 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1 import kinematics as legs
-from amhe_cli.robots.go1.behaviours import balance
 from amhe_cli.robots.go1.behaviours.gait import (
+    CENTRE_OF_MASS,
+    WEIGHT,
     Gait,
     contacts,
     mode_switches,
@@ -75,10 +76,10 @@ def test_swinging_feet_are_lifted_and_never_jump() -> None:
 def test_forces_carry_the_weight_and_the_push_without_a_moment() -> None:
     push, height = np.array([20.0, -8.0]), 0.22
     reference = walk(standing(GAIT), 0.0, np.zeros(3), push)
-    np.testing.assert_allclose(reference.forces.sum(axis=0), [*push, balance.WEIGHT])
+    np.testing.assert_allclose(reference.forces.sum(axis=0), [*push, WEIGHT])
     floor = np.concatenate((reference.feet[:, :2], np.zeros((4, 1))), axis=1)
     moment = np.cross(floor, reference.forces).sum(axis=0)
-    moment += np.cross([*balance.CENTRE_OF_MASS, 0.0], [0.0, 0.0, -balance.WEIGHT])
+    moment += np.cross([*CENTRE_OF_MASS, 0.0], [0.0, 0.0, -WEIGHT])
     moment += np.cross([0.0, 0.0, height], [*-push, 0.0])
     np.testing.assert_allclose(moment[:2], 0.0, atol=0.05)
 
@@ -87,7 +88,7 @@ def test_feet_in_the_air_carry_nothing() -> None:
     reference = walk(GAIT, np.arange(0.0, 1.0, 7e-3), AHEAD, (15.0, 0.0))
     assert (reference.forces[~reference.contact] == 0.0).all()
     assert (reference.forces[..., 2] >= 0.0).all()
-    np.testing.assert_allclose(reference.forces[..., 2].sum(axis=-1), balance.WEIGHT)
+    np.testing.assert_allclose(reference.forces[..., 2].sum(axis=-1), WEIGHT)
 
 
 def test_commands_and_times_broadcast() -> None:
@@ -179,7 +180,7 @@ def test_it_stands_on_three_legs_and_sweeps_with_the_fourth(plant: mujoco.MjMode
 def test_the_free_foot_s_push_is_held_by_the_other_three() -> None:
     reference = stand_on_three(GAIT, Tripod(), 3.0, [0.22, -0.2, -0.14], push=[0.0, -10.0])
     np.testing.assert_allclose(reference.forces[0], [0.0, 10.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(reference.forces[1:].sum(axis=0), [0.0, -10.0, balance.WEIGHT], atol=1e-9)
+    np.testing.assert_allclose(reference.forces[1:].sum(axis=0), [0.0, -10.0, WEIGHT], atol=1e-9)
 
 
 def test_turning_the_trunk_leaves_the_feet_where_they_are() -> None:

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.objective import wrapped
-from amhe_cli.robots.go1.behaviours.path import Path
 from amhe_cli.robots.go1.tasks import find_task
 
 FEW = settings(max_examples=25, deadline=None)
@@ -22,7 +22,7 @@ CURVATURE = st.one_of(st.just(0.0), st.floats(0.05, 2.0), st.floats(-2.0, -0.05)
 SHARE = st.floats(0.0, 1.0)
 
 
-def beside(path: Path, progress: float, left: float) -> tuple[FloatArray, float]:
+def beside(path: Course, progress: float, left: float) -> tuple[FloatArray, float]:
     """The point so far along and left of a path, from the circle's centre; and the heading there."""
     x, y = path.start
     if path.curvature == 0.0:
@@ -46,7 +46,7 @@ def length_of(curvature: float, share: float) -> float:
 def test_points_are_found_again(
     start: tuple[float, float], heading: float, curvature: float, share: float, along: float, aside: float
 ) -> None:
-    path = Path(start, heading, length_of(curvature, share), curvature)
+    path = Course(start, heading, length_of(curvature, share), curvature)
     progress, left = along * path.length, aside * (1.0 if curvature == 0.0 else 1.0 / abs(curvature))
     point, there = beside(path, progress, left)
     place = path.place(point)
@@ -66,7 +66,7 @@ def test_beyond_its_ends_a_path_goes_on(
     start: tuple[float, float], heading: float, curvature: float, share: float, beyond: float, after: bool
 ) -> None:
     """A circle goes on up to the point opposite to the path's middle."""
-    path = Path(start, heading, length_of(curvature, share), curvature)
+    path = Course(start, heading, length_of(curvature, share), curvature)
     rest = 10.0 if curvature == 0.0 else 2.0 * np.pi / abs(curvature) - path.length
     progress = path.length + beyond * rest if after else -beyond * rest
     place = path.place(beside(path, progress, 0.02)[0])
@@ -86,7 +86,7 @@ def test_the_half_circle_of_the_second_task_ends_opposite_to_its_start() -> None
 @FEW
 @given(heading=ANGLE, curvature=CURVATURE)
 def test_points_move_along_the_heading_by_what_is_gone(heading: float, curvature: float) -> None:
-    path = Path((0.3, -0.2), heading, length_of(curvature, 0.7), curvature)
+    path = Course((0.3, -0.2), heading, length_of(curvature, 0.7), curvature)
     at, step = np.linspace(0.0, path.length, 12), 1e-6
     points = path.points(at)
     moved = (path.points(at + step) - points) / step
@@ -103,7 +103,7 @@ def test_points_move_along_the_heading_by_what_is_gone(heading: float, curvature
 )
 def test_a_tiny_curvature_is_nearly_a_line(heading: float, tiny: float, sign: float, left: float) -> None:
     """Off by k s^2 / 2 aside and by k s l along: no jump at k = 0."""
-    arc, line = Path((1.0, 2.0), heading, 3.0, sign * tiny), Path((1.0, 2.0), heading, 3.0)
+    arc, line = Course((1.0, 2.0), heading, 3.0, sign * tiny), Course((1.0, 2.0), heading, 3.0)
     at = np.linspace(-1.0, 4.0, 11)
     np.testing.assert_allclose(arc.points(at), line.points(at), atol=10.0 * tiny)
     points = np.stack([beside(line, s, left)[0] for s in at])
@@ -115,7 +115,7 @@ def test_a_tiny_curvature_is_nearly_a_line(heading: float, tiny: float, sign: fl
 
 def test_the_left_of_a_bend_is_its_inside_where_it_turns_left() -> None:
     for curvature, inside in ((0.5, 1.0), (-0.5, -1.0)):
-        place = Path((0.0, 0.0), 0.0, 2.0, curvature).place(np.array([0.0, inside]))
+        place = Course((0.0, 0.0), 0.0, 2.0, curvature).place(np.array([0.0, inside]))
         assert float(place.left) == pytest.approx(inside)
 
 

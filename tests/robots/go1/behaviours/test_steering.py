@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from amhe_cli.core import rotations
 from amhe_cli.core.rotations import yaw_of
+from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.objective import BUMPER, Reference, wrapped
-from amhe_cli.robots.go1.behaviours.path import Path
 from amhe_cli.robots.go1.behaviours.steering import Helm, Retreat, Steering
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, home, layout, plant_model
@@ -22,11 +22,11 @@ from amhe_cli.robots.go1.state import Body, State
 FEW = settings(max_examples=25, deadline=None)
 
 SPEED, TAPER, HALF_LENGTH, HALF_WIDTH = 0.2, 0.2, 0.15, 0.25
-LINE = Path((0.6, 0.0), 0.0, 3.0)
-ARC = Path((0.6, 0.0), 0.3, 4.0, 1.0 / 1.5)
+LINE = Course((0.6, 0.0), 0.0, 3.0)
+ARC = Course((0.6, 0.0), 0.3, 4.0, 1.0 / 1.5)
 
 
-def helm(path: Path = LINE) -> Helm:
+def helm(path: Course = LINE) -> Helm:
     return Helm(path, SPEED, TAPER, HALF_LENGTH, HALF_WIDTH)
 
 
@@ -44,7 +44,7 @@ def behind(x: float, y: float, yaw: float, gap: float = 0.0, left: float = 0.0, 
     return State(5.0, body(*trunk, yaw + lead), body(x, y, yaw), HOME, np.zeros(12))
 
 
-def along(path: Path, progress: float, astray: float = 0.0, turn: float = 0.0, **robot: float) -> State:
+def along(path: Course, progress: float, astray: float = 0.0, turn: float = 0.0, **robot: float) -> State:
     """The box so far along and left of its path and turned from it; the robot as in `behind`."""
     heading = path.heading + path.curvature * progress
     x, y = path.points(np.array(progress)) + astray * np.array([-np.sin(heading), np.cos(heading)])
@@ -85,7 +85,7 @@ def test_a_box_turned_left_is_pushed_left_of_its_middle(turn: float, sign: float
 def test_a_push_there_turns_a_box_in_the_simulation_back(sign: float) -> None:
     turn = sign * 0.3
     box = Box(position=(5.0, 0.0), yaw=turn)
-    path = Path((5.0, 0.0), 0.0, 3.0)
+    path = Course((5.0, 0.0), 0.0, 3.0)
     offset = helm(path).reference(behind(5.0, 0.0, turn)).offset
 
     def yaw_after(left: float) -> float:
@@ -132,15 +132,15 @@ def test_the_heading_back_has_a_limit() -> None:
 
 @pytest.mark.parametrize("curvature", [0.5, -0.5])
 def test_in_a_bend_the_references_turn_with_the_path(curvature: float) -> None:
-    path = Path((0.6, 0.0), 0.0, 4.0, curvature)
+    path = Course((0.6, 0.0), 0.0, 4.0, curvature)
     at = helm(path).reference(along(path, 1.0))
     assert at.turn == pytest.approx(at.speed * curvature)
     assert np.sign(at.offset) == -np.sign(curvature), "outside of the middle turns the box inwards"
 
 
-@pytest.mark.parametrize("path", [LINE, ARC, Path((0.6, 0.0), 0.0, 4.0, -1.0 / 1.5)])
+@pytest.mark.parametrize("path", [LINE, ARC, Course((0.6, 0.0), 0.0, 4.0, -1.0 / 1.5)])
 @pytest.mark.parametrize(("left", "turn"), [(0.2, 0.0), (-0.2, 0.3), (0.0, -0.4)])
-def test_a_box_that_turns_as_it_is_pushed_comes_to_its_path(path: Path, left: float, turn: float) -> None:
+def test_a_box_that_turns_as_it_is_pushed_comes_to_its_path(path: Course, left: float, turn: float) -> None:
     """On paper: it moves along its own heading and turns by 10 rad a metre and metre of offset."""
     pilot, step = helm(path), 0.005
     state = along(path, 0.0, left, turn)

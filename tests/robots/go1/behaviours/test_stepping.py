@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet, walk
-from amhe_cli.robots.go1.behaviours.stepping import Stepping
+from amhe_cli.robots.go1.behaviours.walking import Stepping
 
 STANDS = np.array([True, False, False, True])
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.gait import Gait, neutral_feet
-from amhe_cli.robots.go1.behaviours.path import Path
 from amhe_cli.robots.go1.behaviours.sweeping import Sweeping, SweepShape
 from amhe_cli.robots.go1.kinematics import joint_angles
 from amhe_cli.robots.go1.state import Body, State
@@ -35,7 +35,7 @@ def stalled(time: float, slipped: float = 0.0) -> State:
 
 
 def test_a_kick_that_stalls_is_given_up() -> None:
-    sweeping = Sweeping(Path((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH))
+    sweeping = Sweeping(Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH))
     speeds = {t: sweeping.move(stalled(t), BELIEF).reference.speed for t in (0.0, 2.0, 2.5, 2.75, 2.85, 3.5)}
     shape = sweeping.shape
     assert speeds[2.0] == speeds[2.5] == speeds[2.75] == shape.kick
@@ -45,7 +45,7 @@ def test_a_kick_that_stalls_is_given_up() -> None:
 
 def test_when_all_is_done_the_foot_is_set_down() -> None:
     """Given up at 12 s; back where it began, the foot goes down to the floor, and stays there."""
-    sweeping = Sweeping(Path((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=2.0))
+    sweeping = Sweeping(Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=2.0))
     shape, heights = sweeping.shape, {}
     for time in (0.0, *np.arange(1.0, 20.0, 0.02)):
         heights[round(float(time), 2)] = sweeping.move(stalled(time), BELIEF).foot[2] + Gait().height
@@ -56,7 +56,7 @@ def test_when_all_is_done_the_foot_is_set_down() -> None:
 
 def test_a_foot_that_has_slipped_is_taken_for_where_it_is() -> None:
     """In a second or so; the others stay, and so does the free one's place under its hip."""
-    sweeping = Sweeping(Path((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH))
+    sweeping = Sweeping(Course((0.1, -0.34), -0.5 * np.pi, 0.5), 0.15, shape=SweepShape(reach=REACH))
     begin, planted = 1.6, {}
     for time in np.arange(0.0, 8.0, 0.02):
         planted[round(float(time), 2)] = sweeping.move(stalled(time, slipped=0.05), BELIEF).planted

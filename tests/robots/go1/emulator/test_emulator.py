@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.robots.go1.emulator.body import Body
+from amhe_cli.robots.go1.emulator.body import EmulatedBody
 from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
 from amhe_cli.robots.go1.emulator.faults import Faults, parse_faults
 from amhe_cli.robots.go1.emulator.motive import Motive, Seen
 from amhe_cli.robots.go1.emulator.robot_port import PortError, RobotPort
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.poses.natnet import NatNet
 from amhe_cli.robots.go1.poses.source import PoseError
 from amhe_cli.robots.go1.tasks import find_task
@@ -32,24 +32,24 @@ FOLDED = np.tile([0.0, 1.2, -2.6], 4)
 
 
 @pytest.fixture(scope="module")
-def lying() -> Body:
+def lying() -> EmulatedBody:
     """A robot as it is switched on; tests leave it as they will."""
-    return Body(T1, np.random.default_rng(0))
+    return EmulatedBody(T1, np.random.default_rng(0))
 
 
-def servo(position: np.ndarray, kp: float = 60.0, kd: float = 3.0) -> Command:
-    return Command(wire.SERVO, position, np.zeros(12), np.zeros(12), np.full(12, kp), np.full(12, kd))
+def servo(position: np.ndarray, kp: float = 60.0, kd: float = 3.0) -> MotorCommand:
+    return MotorCommand(wire.SERVO, position, np.zeros(12), np.zeros(12), np.full(12, kp), np.full(12, kd))
 
 
-def stands_up(body: Body) -> None:
-    told, _ = body.advance(Command())
+def stands_up(body: EmulatedBody) -> None:
+    told, _ = body.advance(MotorCommand())
     for start, end, seconds in ((told.joints, FOLDED, 0.5), (FOLDED, HOME, 1.0), (HOME, HOME, 0.5)):
         for share in np.linspace(0.0, 1.0, round(seconds * 1000)):
             body.advance(servo(start + share * (end - start)))
 
 
-def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: Body) -> None:
-    told, _ = lying.advance(Command(wire.DAMPED))
+def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: EmulatedBody) -> None:
+    told, _ = lying.advance(MotorCommand(wire.DAMPED))
     assert 0.05 < lying.trunk_height < 0.12
     assert (told.joints[2::3] < -2.6).all()
     stands_up(lying)
@@ -60,23 +60,23 @@ def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: Body)
     assert weight == pytest.approx(12.7 * 9.81, rel=0.25)
     assert (told.modes == wire.SERVO).all()
     for _ in range(1500):
-        told, _ = lying.advance(Command(velocity=np.zeros(12), kd=np.full(12, 3.0)))
+        told, _ = lying.advance(MotorCommand(velocity=np.zeros(12), kd=np.full(12, 3.0)))
     assert lying.trunk_height < 0.16
 
 
 def test_torques_are_clipped_and_stopped_loops_are_off() -> None:
-    body = Body(T1, np.random.default_rng(0))
+    body = EmulatedBody(T1, np.random.default_rng(0))
     told, _ = body.advance(servo(HOME + 3.0, kp=200.0))
     assert (np.abs(told.torques) <= TORQUE_LIMIT + 1e-6).all()
     assert np.abs(told.torques).max() > 20.0
-    told, _ = body.advance(replace(Command(), kp=np.full(12, 60.0), kd=np.full(12, 3.0)))
+    told, _ = body.advance(replace(MotorCommand(), kp=np.full(12, 60.0), kd=np.full(12, 3.0)))
     np.testing.assert_allclose(told.torques, 0.0, atol=1e-9)
-    told, _ = body.advance(replace(Command(), torque=np.full(12, 2.0)))
+    told, _ = body.advance(replace(MotorCommand(), torque=np.full(12, 2.0)))
     np.testing.assert_allclose(told.torques, 2.0, atol=1e-9)
 
 
 def test_a_motor_that_works_hard_gets_hot_and_switches_itself_off() -> None:
-    body = Body(T1, np.random.default_rng(0))
+    body = EmulatedBody(T1, np.random.default_rng(0))
     body._temperatures[:] = 89.99
     for _ in range(2000):
         told, _ = body.advance(servo(HOME + 3.0, kp=200.0))
@@ -86,7 +86,7 @@ def test_a_motor_that_works_hard_gets_hot_and_switches_itself_off() -> None:
 
 
 def test_standing_takes_from_the_battery_what_an_hour_or_so_would_empty() -> None:
-    body = Body(T1, np.random.default_rng(0))
+    body = EmulatedBody(T1, np.random.default_rng(0))
     stands_up(body)
     before = body._charge
     for _ in range(1000):
@@ -101,13 +101,13 @@ def test_standing_takes_from_the_battery_what_an_hour_or_so_would_empty() -> Non
 
 
 def test_time_based_changes_count_from_the_first_push() -> None:
-    body = Body(find_task("t3"), np.random.default_rng(0))
+    body = EmulatedBody(find_task("t3"), np.random.default_rng(0))
     mass = body.parameters["box_mass"]
     assert mass == pytest.approx(4.0)
     body._moving_since = body.time - 9.9985
-    body.advance(Command())
+    body.advance(MotorCommand())
     assert body.parameters["box_mass"] == pytest.approx(4.0)
-    body.advance(Command())
+    body.advance(MotorCommand())
     assert body.parameters["box_mass"] == pytest.approx(6.0)
 
 
@@ -326,7 +326,7 @@ def test_the_command_serves_says_where_and_ends_in_order() -> None:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
             client.settimeout(5.0)
             client.connect(("127.0.0.1", emulated.port))
-            client.send(command.encode(Command()))
+            client.send(command.encode(MotorCommand()))
             ticks = [state.decode(client.recv(2000)).tick for _ in range(50)]
         assert (np.diff(ticks) == 1).all()
     assert "1 commands, 0 damaged" in emulated.said

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from amhe_cli.robots.go1.behaviours.gait import Gait, walk
-from amhe_cli.robots.go1.emulator.body import STEP, Body
-from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.emulator.body import STEP, EmulatedBody
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.machine import Inbox, Machine
+from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.phase import Phase
 from amhe_cli.robots.go1.link.trips import tilt
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
@@ -29,9 +29,9 @@ def trotting(start: float, now: float) -> Targets:
 
 def worst_tilt(walked: float, then: str) -> float:
     """The most that the trunk leans [rad] after a robot that trotted so long [s] is asked to end."""
-    body, machine, inbox = Body(find_task("t1"), np.random.default_rng(0)), Machine(SETTINGS), Inbox()
+    body, machine, inbox = EmulatedBody(find_task("t1"), np.random.default_rng(0)), Machine(SETTINGS), Inbox()
     inbox.stand = inbox.arm = True
-    command, begun, leans = Command(), np.inf, 0.0
+    command, begun, leans = MotorCommand(), np.inf, 0.0
     for tick in range(round(LONGEST / STEP)):
         state, _ = body.advance(command)
         now = body.time

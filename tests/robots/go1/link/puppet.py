@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import Command
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.state import RobotState
 from tests.robots.go1.link.makers import FOLDED, a_state
 
@@ -31,7 +31,7 @@ class Puppet:
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
         self.port = self._socket.getsockname()[1]
-        self.heard: list[tuple[float, Command]] = []
+        self.heard: list[tuple[float, MotorCommand]] = []
         self.change: Callable[[RobotState], RobotState] = lambda sent: sent
         self.mangle: Callable[[bytes], bytes | None] = lambda packet: packet
         self._stop = threading.Event()
@@ -46,7 +46,7 @@ class Puppet:
         self._thread.join()
         self._socket.close()
 
-    def wait(self, test: Callable[[Command], bool], patience: float = 15.0) -> float:
+    def wait(self, test: Callable[[MotorCommand], bool], patience: float = 15.0) -> float:
         """When the first command of a kind came [s], from those that come from now on."""
         seen, end = len(self.heard), time.monotonic() + patience
         while time.monotonic() < end:
@@ -79,6 +79,6 @@ class Puppet:
             ticks = max(ticks, done)
 
 
-def damps(told: Command) -> bool:
+def damps(told: MotorCommand) -> bool:
     """Whether a command only damps."""
     return told.kp.max() == 0.0 and told.kd.min() > 0.0

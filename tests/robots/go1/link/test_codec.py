@@ -9,10 +9,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import Command
-from amhe_cli.robots.go1.link.crc import crc32, encrypted
-from amhe_cli.robots.go1.link.remote import Remote
-from amhe_cli.robots.go1.link.wire import LinkError, PacketError
+from amhe_cli.robots.go1.link.command import MotorCommand
+from amhe_cli.robots.go1.link.state import Remote
+from amhe_cli.robots.go1.link.wire import LinkError, PacketError, crc32, encrypted
 from tests.robots.go1.link.makers import a_state
 
 FIELDS = {"position": 1e6, "velocity": 1e4, "torque": 127.9, "kp": 1023.0, "kd": 2047.0}
@@ -25,7 +24,7 @@ def single(size: float, width: int = 12) -> st.SearchStrategy:
 
 
 COMMANDS = st.builds(
-    Command,
+    MotorCommand,
     mode=st.sampled_from([wire.SERVO, wire.DAMPED]),
     **{name: single(float(np.float32(size))) for name, size in FIELDS.items()},
 )
@@ -37,7 +36,7 @@ def test_the_checksum_is_the_published_one() -> None:
 
 
 def test_a_command_that_does_nothing_is_the_vendors_byte_for_byte() -> None:
-    packet = command.encode(Command())
+    packet = command.encode(MotorCommand())
     assert len(packet) == 614
     assert packet[:3].hex() == "feefff"
     assert packet[22:31].hex() == "0ab9d2ff4e00007a46"
@@ -56,14 +55,14 @@ def test_a_command_that_does_nothing_is_the_vendors_byte_for_byte() -> None:
 def test_numbers_are_cut_as_the_firmware_cuts_them(field, offset, value, golden) -> None:
     values = np.zeros(12)
     values[3] = value
-    packet = command.encode(Command(**{field: values}))
+    packet = command.encode(MotorCommand(**{field: values}))
     at = 22 + 27 * 3 + offset
     assert packet[at : at + len(golden) // 2].hex() == golden
 
 
 @settings(deadline=None, max_examples=50)
 @given(COMMANDS, st.sampled_from(["plain", "encrypted"]))
-def test_a_command_comes_back_cut_to_the_firmwares_steps(sent: Command, form) -> None:
+def test_a_command_comes_back_cut_to_the_firmwares_steps(sent: MotorCommand, form) -> None:
     read = command.decode(command.encode(sent, form))
     assert read.mode == sent.mode
     for name in FIELDS:
@@ -75,10 +74,10 @@ def test_a_command_comes_back_cut_to_the_firmwares_steps(sent: Command, form) ->
 
 @settings(deadline=None, max_examples=50)
 @given(COMMANDS)
-def test_no_command_can_switch_the_battery_off(sent: Command) -> None:
+def test_no_command_can_switch_the_battery_off(sent: MotorCommand) -> None:
     packet = command.encode(sent)
     assert packet[562:610] == bytes(48)
-    assert packet[22 + 27 * 12 : 562] == command.encode(Command())[22 + 27 * 12 : 562]
+    assert packet[22 + 27 * 12 : 562] == command.encode(MotorCommand())[22 + 27 * 12 : 562]
 
 
 @pytest.mark.parametrize(
@@ -88,7 +87,7 @@ def test_what_would_wrap_is_refused(field: str, value: float) -> None:
     values = np.zeros(12)
     values[5] = value
     with pytest.raises(LinkError, match=rf"{field} of {abs(value):g} does not fit"):
-        command.encode(Command(**{field: values}))
+        command.encode(MotorCommand(**{field: values}))
 
 
 @pytest.mark.parametrize("field", FIELDS)
@@ -97,7 +96,7 @@ def test_what_is_not_finite_is_refused(field: str, value: float) -> None:
     values = np.zeros(12)
     values[11] = value
     with pytest.raises(LinkError):
-        command.encode(Command(**{field: values}))
+        command.encode(MotorCommand(**{field: values}))
 
 
 @settings(deadline=None, max_examples=50)
@@ -118,7 +117,7 @@ def test_a_state_comes_back(joints, rates, torques, quaternion, gyro, tick) -> N
 @given(st.data())
 def test_one_wrong_bit_is_noticed_wherever_the_checksum_reaches(data) -> None:
     for packet, decode, covered in (
-        (command.encode(Command()), command.decode, 608),
+        (command.encode(MotorCommand()), command.decode, 608),
         (state.encode(a_state()), state.decode, 800),
     ):
         position = data.draw(st.integers(0, covered - 1))
@@ -137,7 +136,7 @@ def test_rubbish_is_a_bad_packet_and_nothing_else(datagram: bytes) -> None:
 
 
 def test_the_robots_side_takes_either_checksum_and_ours_only_the_plain_one() -> None:
-    packet = command.encode(Command(), "encrypted")
+    packet = command.encode(MotorCommand(), "encrypted")
     assert command.decode(packet).mode == wire.SERVO
     sealed = wire.seal(bytearray(state.encode(a_state())), "encrypted")
     with pytest.raises(PacketError, match="checksum"):

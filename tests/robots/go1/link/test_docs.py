@@ -7,7 +7,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from amhe_cli.robots.go1.emulator.faults import Faults
-from amhe_cli.robots.go1.link.phase import Phase
+from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.trips import TRIPS
 from amhe_cli.robots.go1.settings import TripSettings
 

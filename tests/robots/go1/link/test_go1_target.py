@@ -14,7 +14,7 @@ from amhe_cli.core.rotations import exp
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link, StoppedError
-from amhe_cli.robots.go1.link.remote import Remote
+from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
 from amhe_cli.robots.go1.poses.source import PoseError

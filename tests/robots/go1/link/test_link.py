@@ -18,13 +18,13 @@ import pytest
 
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link import state, wire
-from amhe_cli.robots.go1.link.child import Channel
+from amhe_cli.robots.go1.link.child import Pipe
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.contact import Share
+from amhe_cli.robots.go1.link.first_contact import Share
 from amhe_cli.robots.go1.link.link import Link, StoppedError
+from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.phase import Phase
-from amhe_cli.robots.go1.link.remote import Remote
+from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
 from tests.robots.go1.link.puppet import Puppet, damps
@@ -237,7 +237,7 @@ def test_a_sender_that_dies_is_stood_in_for(puppet: Puppet) -> None:
 
 def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
     ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    ours, theirs = map(Channel, ends)
+    ours, theirs = map(Pipe, ends)
     ours.send(b"never read")
     theirs.send(b"last words")
     theirs.close()

@@ -10,13 +10,12 @@ import pytest
 
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.command import Command
-from amhe_cli.robots.go1.link.limits import HIGHEST, LOWEST, allowed
+from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.machine import Inbox, Machine
-from amhe_cli.robots.go1.link.motion import Sent, Targets
-from amhe_cli.robots.go1.link.phase import Phase
-from amhe_cli.robots.go1.link.remote import Remote
+from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.motion import HIGHEST, LOWEST, Sent, Targets, allowed
 from amhe_cli.robots.go1.link.sender import next_tick
+from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.trips import TRIPS
 from amhe_cli.robots.go1.model import layout, planner_model
 from amhe_cli.robots.go1.settings import Go1Settings
@@ -36,9 +35,9 @@ class Robot:
         self.silent = self.no_plans = self.no_poses = False
         self.plan: Targets | None = None
         self.offset = 0.1
-        self.told: list[Command] = []
+        self.told: list[MotorCommand] = []
 
-    def step(self) -> Command:
+    def step(self) -> MotorCommand:
         self.now += TICK
         self.tick += 2
         box = self.inbox
@@ -58,7 +57,7 @@ class Robot:
         self.told.append(told)
         return told
 
-    def until(self, phase: Phase, longest: float = 60.0) -> list[Command]:
+    def until(self, phase: Phase, longest: float = 60.0) -> list[MotorCommand]:
         first = len(self.told)
         end = self.now + longest
         while self.machine.phase != phase:
@@ -66,7 +65,7 @@ class Robot:
             self.step()
         return self.told[first:]
 
-    def for_a_while(self, seconds: float) -> list[Command]:
+    def for_a_while(self, seconds: float) -> list[MotorCommand]:
         return [self.step() for _ in range(round(seconds / TICK))]
 
 
@@ -79,7 +78,7 @@ def running(**settings) -> Robot:
     return robot
 
 
-def is_damping(told: Command) -> bool:
+def is_damping(told: MotorCommand) -> bool:
     return told.mode == wire.SERVO and told.kp.max() == 0.0 and told.kd.min() == 3.0
 
 

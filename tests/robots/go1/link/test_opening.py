@@ -131,7 +131,7 @@ def test_an_emulator_that_cannot_open_gives_its_ports_back(
         other.bind(("127.0.0.1", 0))
         mocap = other.getsockname()[1] if step == "cameras" else 0
         if step == "body":
-            monkeypatch.setattr("amhe_cli.robots.go1.emulator.emulator.Body", fail)
+            monkeypatch.setattr("amhe_cli.robots.go1.emulator.emulator.EmulatedBody", fail)
         with pytest.raises(AmheError, match="cannot be had|no body") as raised:
             Emulator(EmulatorOptions(find_task("t1"), port=port, mocap_port=mocap))
         assert not taken(port), raised.value

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.robots.go1.link import command, state, wire
-from amhe_cli.robots.go1.link.command import Command
-from amhe_cli.robots.go1.link.remote import Remote
+from amhe_cli.robots.go1.link.command import MotorCommand
+from amhe_cli.robots.go1.link.state import Remote
 from tests.robots.go1.link.makers import a_state
 
 sdk = pytest.importorskip(
@@ -55,8 +55,8 @@ def vendor() -> Iterator[Vendor]:
     it.robot.close()
 
 
-def a_command(rng: np.random.Generator) -> Command:
-    return Command(
+def a_command(rng: np.random.Generator) -> MotorCommand:
+    return MotorCommand(
         int(rng.choice([wire.SERVO, wire.DAMPED])),
         *(rng.uniform(-most, most, 12) for most in (3.0, 20.0, 40.0, 200.0, 20.0)),
     )

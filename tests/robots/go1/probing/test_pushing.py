@@ -7,23 +7,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.gait import Gait
 from amhe_cli.robots.go1.behaviours.objective import BUMPER
-from amhe_cli.robots.go1.behaviours.path import Path
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.probing.motions import (
     FASTEST,
     MOTIONS,
     WIDEST_OFFSET,
     Motion,
-    Phase,
     Score,
+    Segment,
     named_motion,
 )
 from amhe_cli.robots.go1.probing.pushing import ScoreHelm
 from amhe_cli.robots.go1.state import Body, State
 
-TRY = Motion("try", "", (Phase(1.0, 0.25), Phase(0.5, -0.1), Phase(2.0, 0.2, 0.1)))
+TRY = Motion("try", "", (Segment(1.0, 0.25), Segment(0.5, -0.1), Segment(2.0, 0.2, 0.1)))
 
 
 def state(time: float, gap: float = 0.0, box_yaw: float = 0.0) -> State:
@@ -36,7 +36,7 @@ def state(time: float, gap: float = 0.0, box_yaw: float = 0.0) -> State:
 
 
 def helm(motion: Motion) -> ScoreHelm:
-    return ScoreHelm(Score(motion), Path((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
+    return ScoreHelm(Score(motion), Course((0.6, 0.0), 0.0, 100.0), 0.15, 0.25)
 
 
 def test_a_score_repeats_its_motion_behind_the_approach() -> None:
@@ -76,5 +76,5 @@ def test_the_motions_and_any_other_stay_within_the_limits() -> None:
     for phase in (phase for motion in MOTIONS for phase in motion.phases):
         assert abs(phase.speed) <= FASTEST
         assert abs(phase.offset or 0.0) <= WIDEST_OFFSET
-    wild = helm(Motion("wild", "", (Phase(5.0, 2.0, 1.0),))).reference(state(2.0))
+    wild = helm(Motion("wild", "", (Segment(5.0, 2.0, 1.0),))).reference(state(2.0))
     assert (wild.speed, wild.offset) == (FASTEST, WIDEST_OFFSET)
