@@ -64,7 +64,7 @@ ROOMED = [module for module in MODULES if module not in ("__init__.py", "__main_
 
 
 def room_of(parts: list[str]) -> str:
-    """'robots/go1' of robots/go1/link/crc.py; else the first folder."""
+    """'robots/go1' of robots/go1/link/wire.py; else the first folder."""
     depth = 2 if parts[0] == "robots" else 1
     return "/".join(part.removesuffix(".py") for part in parts[:depth])
 
@@ -120,3 +120,17 @@ def test_an_outside_library_is_imported_by_its_own_room(library: str) -> None:
 def test_modules_stay_short() -> None:
     lines = {m: len((PACKAGE / m).read_text(encoding="utf-8").splitlines()) for m in ROOMED}
     assert {module: count for module, count in lines.items() if count > 350} == {}
+
+
+#: Names that still mean two things; each is to go.
+AMBIGUOUS = {"Channel", "Group", "Log", "State", "Study", "Task", "Track"}
+
+
+def test_a_class_name_means_one_thing() -> None:
+    places: dict[str, list[str]] = {}
+    for module in MODULES:
+        for node in ast.walk(ast.parse((PACKAGE / module).read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(module)
+    places["Path"] = ["pathlib", *places.get("Path", ())]
+    assert {name: found for name, found in places.items() if len(found) > 1 and name not in AMBIGUOUS} == {}
