@@ -16,7 +16,7 @@ from amhe_cli.core.parameters import Belief
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import Inspection, SignalCheck, read_metadata, read_signals, survey
 from amhe_cli.system import overrides
-from amhe_cli.system.load import bundled_systems, find_system, load_system
+from amhe_cli.system.load import bundled_systems, find_system
 from amhe_cli.system.system import System
 
 #: What a log is taken to be about when neither it nor the user says.
@@ -137,7 +137,7 @@ def open_system(
     folder = find_system(name) if name else _folder_of(source.paths)
     settings = overrides.gathered(config, os.environ, assignments)
     own = _own_overrides(source.paths) if name is None else {}
-    return _remapped(load_system(folder, overrides.merged(own, settings)), source.topics)
+    return _remapped(System.load(folder, overrides.merged(own, settings)), source.topics)
 
 
 def _own_overrides(logs: Sequence[Path]) -> dict[str, Any]:

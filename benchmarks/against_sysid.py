@@ -32,7 +32,6 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_signals
 from amhe_cli.matching.cost import MatchingCost
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 GOAL = 0.5
@@ -64,7 +63,7 @@ class Path:
 
 def pendulum() -> Case:
     """A simulated servo that swings a load 40 % heavier than its prior mean, and one more log."""
-    system = load_system(find_system("pendulum"), CHEAP)
+    system = System.load("pendulum", CHEAP)
     truth = np.array([0.55, 0.03, 0.035, 0.006])
     rng = np.random.default_rng(0)
     logs = [simulated(system, truth, multisine(rng), seconds, rng) for seconds in (15.0, 8.0)]
@@ -76,7 +75,7 @@ def cube_toss() -> Case | None:
     paths = sorted((DATA / "cube_tosses").glob("toss_*.mcap"))
     if not paths:
         return None
-    system = load_system(find_system("cube_toss"), CHEAP)
+    system = System.load("cube_toss", CHEAP)
     logs = [read_signals(p, system.signals, system.model.opt.timestep, system.settings.logs) for p in paths]
     return Case(system, logs[:40], logs[40:])
 

@@ -34,7 +34,6 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.estimation.online.replay import replay, windows
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 GOAL = (0.86, 0.94)
@@ -53,9 +52,9 @@ SETTLED = 2.0
 def system_of(case: str) -> System:
     """The system of a case, with cheap settings."""
     if case == "box":
-        return load_system(SYSTEMS / "pushed_box", CHEAP)
+        return System.load(SYSTEMS / "pushed_box", CHEAP)
     shorter = {"clips": {**CHEAP["clips"], "length": [0.4, 1.2]}, "identify": CHEAP["identify"]}
-    system = load_system(find_system("pendulum"), shorter)
+    system = System.load("pendulum", shorter)
     system.model.opt.timestep = STEP
     return system
 

@@ -22,7 +22,6 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.matching.cost import MatchingCost
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 GOAL = 1.2
@@ -37,7 +36,7 @@ OFFSET = np.array([0.5, -0.5, 0.5, -0.5])
 
 def problem(seed: int) -> tuple[System, FloatArray, MatchingCost, list]:
     """A system, the truth in z, the cost of one log, and the log."""
-    system = load_system(find_system("pendulum"), SETTINGS)
+    system = System.load("pendulum", SETTINGS)
     truth = system.space.theta_of(OFFSET)
     # every seed moves alike, so that all share one bound, and draws noise of its own
     motion, noise = np.random.default_rng(0), np.random.default_rng([seed, 1])
@@ -76,7 +75,7 @@ def main() -> None:
     results = over_seeds("cramer_rao", functools.partial(trial), range(seeds), asked.processes)
     error = np.array([r["error"] for r in results])
     rms, least = np.sqrt((error**2).mean(axis=0)), bound()
-    space = load_system(find_system("pendulum")).space
+    space = System.load("pendulum").space
     show(
         f"Error over the Cramer-Rao bound, {seeds} logs of {SECONDS:g} s (goal {GOAL:g})",
         ("parameter", "bound", "rms error", "ratio", "claimed sd / rms", "in goal"),

@@ -17,7 +17,6 @@ from common import DATA, over_seeds, show
 from amhe_cli.core.log import Log
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_signals
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 FOLDER = DATA / "cube_tosses"
@@ -34,7 +33,7 @@ def tosses(system: System) -> list[Log]:
 def trial(seed: int) -> dict[str, Any]:
     """Identify with the system's own settings."""
     logging.disable(logging.WARNING)
-    system = load_system(find_system("cube_toss"))
+    system = System.load("cube_toss")
     logs = tosses(system)
     result = identify(system, logs[:FITTED], logs[FITTED:], IdentifyOptions(seed=seed))
     return {

@@ -23,7 +23,6 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.cpu import _groups as length_groups
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.matching.cost import MatchingCost
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 GOAL = 1.10
@@ -33,14 +32,14 @@ CLIPS = 24
 
 def pendulum() -> tuple[System, list[Log]]:
     """A servo and a load: the cheapest steps there are, so the hardest case."""
-    system = load_system(find_system("pendulum"))
+    system = System.load("pendulum")
     rng = np.random.default_rng(0)
     return system, [simulated(system, system.space.nominal, multisine(rng), 20.0, rng)]
 
 
 def cube_toss() -> tuple[System, list[Log]]:
     """Tosses of a cube with random spin: contact, quaternions, twelve channels."""
-    system = load_system(find_system("cube_toss"))
+    system = System.load("cube_toss")
     return system, [_toss(system, np.random.default_rng(seed)) for seed in range(CLIPS)]
 
 

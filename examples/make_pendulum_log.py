@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.logs import LogWriter
-from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
 
 TRUTH = {"load_mass": 0.55, "damping": 0.03, "friction_loss": 0.035, "armature": 0.006}
 SECONDS, STATE_HZ, COMMAND_HZ = 15.0, 100, 50
@@ -27,7 +27,7 @@ FINER = 4
 def main() -> None:
     """Simulate and write the log."""
     rng = np.random.default_rng(7)
-    system = load_system(find_system("pendulum"))
+    system = System.load("pendulum")
     model = system.edits.apply(system.model, np.array([TRUTH[name] for name in system.space.names]))
     model.opt.timestep /= FINER
     data = mujoco.MjData(model)

@@ -31,7 +31,7 @@ TO_GO: dict[str, set[str]] = {
     "assembly": {"core", "logs", "system"},
     "replay_assembly": {"assembly", "core", "engine", "estimation", "logs", "system"},
     "cli": {"assembly", "replay_assembly"},
-    "core": {"system", "robots/go1"},
+    "core": {"robots/go1"},
     "estimation": {"assembly"},
     "live": {"robots/go1"},
     "report": {"robots/go1"},

@@ -98,7 +98,7 @@ def identify(
         search = IdentifyOptions(method, seed, threads, max_time, checkpoint, problem.prior, executor)
         result = run(problem.system, problem.training, problem.held_out, search, on_iteration)
     session.interrupted = result.interrupted
-    origin = provenance(session.command_line, seed, result.method, problem.system.folder, logs, held_out)
+    origin = provenance(session.command_line, seed, result.method, problem.system, logs, held_out)
     record = session.record(**identification_record(result, problem.truth), seed=seed, out=str(folder))
     write_identification(folder, problem.system, result, record, origin)
     if session.json:

@@ -74,7 +74,7 @@ def mhe_replay(
         record = session.record(**replay_record(done), seed=seed, out=str(folder))
         inputs = [path, *([belief] if belief else [])]
         method = done.system.settings.mhe.method
-        origin = estimator_provenance(session.command_line, seed, method, done.system.folder, inputs)
+        origin = estimator_provenance(session.command_line, seed, method, done.system, inputs)
         write_replay(folder, done, predicted, fits, record, origin)
     if session.json:
         session.print_json(record)

@@ -103,7 +103,7 @@ def probe(
     inputs = [path for path in (belief, plant) if path]
     about = {
         "system": opened.system.name, "task": opened.task, "target": target, "seed": seed, "out": str(folder),
-        "provenance": provenance(session.command_line, seed, "probe", opened.system.folder, inputs, ()),
+        "provenance": provenance(session.command_line, seed, "probe", opened.system, inputs, ()),
     }  # fmt: skip
     record = plain(session.record(**about, **plan_record(plan)))
     if not session.json:

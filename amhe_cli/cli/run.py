@@ -143,9 +143,7 @@ def run(
             **run_record(opened.judge.measures(), history, ending),
             duration=longest, cut_short=longest < LONGEST, out=str(folder), **link,
         )  # fmt: skip
-        origin = run_provenance(
-            session.command_line, seed, opened.system.folder, [p for p in (belief, plant) if p]
-        )
+        origin = run_provenance(session.command_line, seed, opened.system, [p for p in (belief, plant) if p])
         error = ending.error
         try:
             write_run(scratch, opened.task, opened.system, history, record, origin)

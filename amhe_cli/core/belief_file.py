@@ -12,11 +12,9 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from amhe_cli.core.errors import one_of
-from amhe_cli.core.parameters import Belief
+from amhe_cli.core.parameters import Belief, Described, mistakes_of
 from amhe_cli.core.statistics import Z90
 from amhe_cli.core.yaml_file import Place, YamlFile
-from amhe_cli.system.system import System
 
 SCHEMA_VERSION = 1
 
@@ -74,8 +72,12 @@ def _entry(belief: Belief, i: int, sd: float) -> dict[str, object]:
     }
 
 
-def read_belief(path: Path, system: System) -> Belief:
-    """Read a belief about `system`, to start from.
+def read_belief(path: Path, system: Described | None = None) -> Belief:
+    """Read a belief.
+
+    Args:
+        path: The file.
+        system: The system that it must be about, to start from; None: any.
 
     Raises:
         ConfigError: The file is no belief, not about this system, or of other parameters; every mistake
@@ -101,24 +103,19 @@ def read_belief(path: Path, system: System) -> Belief:
     )
 
 
-def _check(file: YamlFile, content: _File, system: System) -> None:
-    """Refuse what no prior of this system can be."""
-    if content.system != system.name:
+def _check(file: YamlFile, content: _File, system: Described | None) -> None:
+    """Refuse what no belief, or no prior of this system, can be."""
+    if system is not None and content.system != system.name:
         file.problem(("system",), f"this belief is about {content.system!r}, not about {system.name!r}")
         file.raise_problems()
-    known = {p.name: p for p in system.space.parameters}
     names = [entry.name for entry in content.parameters]
     for i, entry in enumerate(content.parameters):
-        place, p = ("parameters", i), known.get(entry.name)
+        place = ("parameters", i)
         if names.count(entry.name) > 1:
             file.problem((*place, "name"), f"parameter {entry.name!r} is here twice")
-        elif p is None:
-            file.problem((*place, "name"), one_of("parameter", entry.name, known))
-        elif (entry.scale == "log") != p.log:
-            file.problem((*place, "scale"), f"the scale of {p.name} is {'log' if p.log else 'linear'}")
-        elif not p.lower < entry.estimate < p.upper:
-            text = f"{p.name} is {entry.estimate:g}; between {p.lower:g} and {p.upper:g} would be valid"
-            file.problem((*place, "estimate"), text)
+        elif system is not None:
+            for key, text in mistakes_of(entry.name, entry.scale == "log", entry.estimate, system.space):
+                file.problem((*place, key), text)
     mistake = _covariance_mistake(content.covariance, len(names))
     if mistake:
         file.problem(("covariance",), mistake)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -82,6 +83,15 @@ class Log:
         except KeyError:
             known = ", ".join(self.series)
             raise LogError(f"{self.source}: no signal {key!r}; there is: {known}") from None
+
+    def digest(self) -> str:
+        """Hash (SHA-256) of all that was measured."""
+        content = hashlib.sha256(f"{self.dt} {self.start_ns}".encode())
+        for key, one in sorted(self.series.items()):
+            content.update(key.encode())
+            for array in (one.values, one.valid, one.sampled):
+                content.update(array.tobytes())
+        return content.hexdigest()
 
     def usable(self, keys: tuple[str, ...]) -> BoolArray:
         """Rows where every one of the named series is valid, shape (T,)."""

@@ -7,13 +7,17 @@ of any parameter.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import FloatArray, sealed
+from amhe_cli.core.errors import ConfigError, one_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +161,20 @@ class ParameterSpace:
         )
 
 
+class Described(Protocol):
+    """What a belief can be about: a system."""
+
+    @property
+    def name(self) -> str:
+        """Name of the system."""
+        ...
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Its parameters."""
+        ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Belief:
     """A Gaussian belief over parameters, in scaled coordinates phi.
@@ -182,6 +200,76 @@ class Belief:
     def __post_init__(self) -> None:
         object.__setattr__(self, "estimate", sealed(self.estimate))
         object.__setattr__(self, "covariance", sealed(self.covariance))
+
+    @classmethod
+    def load(cls, path: str | Path, system: Described | None = None) -> Belief:
+        """Read a `belief.yaml`.
+
+        Args:
+            path: The file.
+            system: The system that the belief must be about; None: any.
+
+        Raises:
+            ConfigError: The file holds no belief, or none that suits the system; one line for each mistake,
+                `file:line:column: what, what would be valid`.
+        """
+        from amhe_cli.core.belief_file import read_belief
+
+        return read_belief(Path(path), system)
+
+    def save(self, path: str | Path) -> None:
+        """Write a `belief.yaml`, whole or not at all."""
+        from amhe_cli.core.belief_file import belief_text
+        from amhe_cli.core.files import write_whole
+
+        write_whole(Path(path), belief_text(self))
+
+    def sample(self, n: int, rng: np.random.Generator | int = 0) -> FloatArray:
+        """Draw parameters.
+
+        Args:
+            n: Number of draws.
+            rng: Generator, or a seed for one.
+
+        Returns:
+            Parameters in their units, shape (n, d), columns in the order of `names`. Bounds of the search
+            do not limit them.
+        """
+        log = np.array(self.log)
+        middle = np.where(log, np.log(np.where(log, self.estimate, 1.0)), self.estimate)
+        phi = np.random.default_rng(rng).multivariate_normal(middle, self.covariance, n, method="cholesky")
+        return np.where(log, np.exp(np.where(log, phi, 0.0)), phi)
+
+    def check(self, system: Described) -> None:
+        """Refuse a system that the belief is not about, or that cannot start from it.
+
+        Raises:
+            ConfigError: The names, scales or bounds of the system's parameters are others.
+        """
+        if self.system != system.name:
+            raise ConfigError(f"this belief is about {self.system!r}, not about {system.name!r}")
+        for name, log, estimate in zip(self.names, self.log, self.estimate, strict=True):
+            for _, text in mistakes_of(name, log, float(estimate), system.space):
+                raise ConfigError(text)
+
+
+def mistakes_of(name: str, log: bool, estimate: float, space: ParameterSpace) -> Iterator[tuple[str, str]]:
+    """Why a belief about one parameter suits no parameter of a space, if so, and which key is wrong.
+
+    Args:
+        name: Name of the parameter in the belief.
+        log: It is log-scaled there.
+        estimate: Its value there.
+        space: Parameters of a system.
+    """
+    known = {p.name: p for p in space.parameters}
+    p = known.get(name)
+    if p is None:
+        yield "name", one_of("parameter", name, known)
+    elif log != p.log:
+        yield "scale", f"the scale of {name} is {'log' if p.log else 'linear'}"
+    elif not p.lower < estimate < p.upper:
+        yield "estimate", f"{name} is {estimate:g}; between {p.lower:g} and {p.upper:g} would be valid"
 
 
 def belief_of(

@@ -27,8 +27,9 @@ from amhe_cli.init.signals import (
 )
 from amhe_cli.init.text import system_text
 from amhe_cli.logs import read_signals, survey
-from amhe_cli.system.load import FILE_NAME, load_system
+from amhe_cli.system.load import FILE_NAME
 from amhe_cli.system.model_file import compiled, read_spec
+from amhe_cli.system.system import System
 
 #: Seconds of log that the noise is estimated from.
 _LISTEN = 60.0
@@ -77,7 +78,7 @@ def init_system(
         (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
         heard = _listen(folder, logs[0], guesses, topics, msg_path)
         (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
-        load_system(folder, warn=False)  # what is written is valid, or it is not written
+        System.load(folder, warn=False)  # what is written is valid, or it is not written
         for file in sorted(path for path in folder.rglob("*") if path.is_file()):
             place = out / file.relative_to(folder)
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -150,7 +151,7 @@ def _listen(
     """Set each signal's noise to what the log itself shows; a signal that cannot be read keeps the guess."""
     rates = {topic.name: topic.rate for topic in topics}
     said: list[str] = []
-    signals = {signal.name: signal for signal in load_system(folder, warn=False).signals}
+    signals = {signal.name: signal for signal in System.load(folder, warn=False).signals}
     for guess in guesses:
         signal = signals[guess.name]
         compared = tuple(key for key, sd in guess.noise.items() if sd is not None)

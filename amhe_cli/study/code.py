@@ -11,8 +11,8 @@ from pathlib import Path
 
 import amhe_cli
 from amhe_cli.robots.go1.model import SYSTEM
-from amhe_cli.system.load import find_system
-from amhe_cli.system.provenance import run_provenance, sha256, versions
+from amhe_cli.system.provenance import sha256, system_files, versions
+from amhe_cli.system.system import System
 
 #: The module that runs cells: what it imports, directly or not, makes their results.
 _RUNS_CELLS = "amhe_cli.study.run"
@@ -22,7 +22,7 @@ _RUNS_CELLS = "amhe_cli.study.run"
 def code() -> dict[str, str]:
     """Versions of the libraries, and hashes of our sources and of the robot's model."""
     sources = source_hash(_RUNS_CELLS, Path(amhe_cli.__file__).parent)
-    files = run_provenance("", 0, find_system(SYSTEM), ())["system_files"]
+    files = system_files(System.load(SYSTEM, warn=False))
     model = hashlib.sha256(json.dumps(files, sort_keys=True).encode())
     numbers = {name: version for name, version in versions().items() if name != "python"}
     return {**numbers, "sources": sources, "model": model.hexdigest()[:12]}

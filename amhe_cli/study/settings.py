@@ -12,7 +12,6 @@ from amhe_cli.core.yaml_file import scalar
 from amhe_cli.robots.go1.model import SYSTEM
 from amhe_cli.study.cells import Setting, assignments, setting_of
 from amhe_cli.system import overrides
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 #: The paper's own symbols for its seven hyper-parameters.
@@ -69,7 +68,7 @@ def ablated(ablations: Sequence[str], base: Setting, defaults: Mapping[str, Any]
 
 def system_with(given: Mapping[str, Any]) -> System:
     """The robot's system with settings from a nested mapping."""
-    return load_system(find_system(SYSTEM), given, warn=False)
+    return System.load(SYSTEM, given, warn=False)
 
 
 def _nested(setting: Setting) -> dict[str, Any]:

@@ -6,9 +6,8 @@ import mujoco
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.signals import QUANTITIES
-from amhe_cli.core.yaml_file import YamlFile
 from amhe_cli.system import driven, measured
-from amhe_cli.system.schema import SignalEntry, SystemEntry
+from amhe_cli.system.schema import Description, SignalEntry, SystemEntry
 from amhe_cli.system.wiring import WiringDraft, chosen, signal_of
 
 #: What a topic that is only read is asked for, by the end of its type's name.
@@ -27,7 +26,7 @@ _CARRIED = {
 
 
 def draft_wiring(
-    file: YamlFile, entry: SystemEntry, spec: mujoco.MjSpec, model: mujoco.MjModel
+    file: Description, entry: SystemEntry, spec: mujoco.MjSpec, model: mujoco.MjModel
 ) -> WiringDraft:
     """Read the signals, and add what they need to the spec; every mistake is noted in `file`."""
     draft = WiringDraft(spec, model)

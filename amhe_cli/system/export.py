@@ -12,7 +12,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.system.model_file import compiled, read_spec
+from amhe_cli.system.model_file import compiled
 from amhe_cli.system.system import System
 
 #: Folder beside an exported model for its meshes, textures and height fields.
@@ -29,7 +29,7 @@ def identified_xml(system: System, theta: FloatArray) -> str:
     in it; a comment lists the parameters, and is the only place where a command delay stands. Files
     are referred to as `assets/...` only: copy those that `identified_assets` names beside the text.
     """
-    spec = read_spec(system.model_path)
+    spec = system.original.copy()
     compiled(spec)  # gives every element its row in the compiled model
     model = system.edits.apply(system.model, theta)
     _write_inertials(spec, model, {c.row for c in system.edits.cells if c.field in _INERTIAL})
@@ -37,14 +37,14 @@ def identified_xml(system: System, theta: FloatArray) -> str:
         if field not in _INERTIAL:
             _write(spec, model, field, row)
     spec.comment = _comment(system.name, system.space, theta)
-    return portable(spec, system.model_path.parent)[0]
+    return portable(spec, Path(spec.modelfiledir))[0]
 
 
 def identified_assets(system: System) -> dict[str, Path]:
     """Files that the text of `identified_xml` refers to: path beside it -> the original."""
-    spec = read_spec(system.model_path)
+    spec = system.original.copy()
     compiled(spec)
-    return portable(spec, system.model_path.parent)[1]
+    return portable(spec, Path(spec.modelfiledir))[1]
 
 
 def _comment(name: str, space: ParameterSpace, theta: FloatArray) -> str:

@@ -1,4 +1,4 @@
-"""From a system folder to a `System`, with every mistake of its file in one error."""
+"""From a system folder, or from a model and arguments, to a `System`: every mistake is in one error."""
 
 from __future__ import annotations
 
@@ -8,16 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import mujoco
+from pydantic import BaseModel
 
 import amhe_cli
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.core.settings import MheSettings
-from amhe_cli.core.yaml_file import YamlFile, merged
+from amhe_cli.core.settings import MheSettings, Settings
+from amhe_cli.core.yaml_file import Place, YamlFile, merged
 from amhe_cli.system.boxes import resize_boxes
 from amhe_cli.system.cautions import caution
 from amhe_cli.system.channels import draft_wiring
-from amhe_cli.system.model_file import compiled, read_spec
-from amhe_cli.system.schema import SystemEntry, keys_at, validated
+from amhe_cli.system.model_file import compiled, read_spec, spec_of
+from amhe_cli.system.schema import Description, SystemEntry, keys_at, validated
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import id_of
 from amhe_cli.system.unknowns import generalise, unknowns_of
@@ -42,7 +43,7 @@ def bundled_systems() -> dict[str, Path]:
     return {p.parent.name: p.parent for p in sorted((bundled_root() / "models").glob(f"*/{FILE_NAME}"))}
 
 
-def find_system(name_or_dir: str) -> Path:
+def find_system(name_or_dir: str | Path) -> Path:
     """Folder of a system: a path to it, or the name of a bundled one.
 
     Raises:
@@ -54,60 +55,140 @@ def find_system(name_or_dir: str) -> Path:
     if folder.name == FILE_NAME and folder.is_file():
         return folder.parent
     bundled = bundled_systems()
-    if name_or_dir in bundled:
-        return bundled[name_or_dir]
+    if str(name_or_dir) in bundled:
+        return bundled[str(name_or_dir)]
     if folder.is_dir():
         raise ConfigError(f"{folder}: no {FILE_NAME} in this folder; `amhe init` writes one")
-    raise ConfigError(f"{one_of('system', name_or_dir, bundled)} (or any folder with a {FILE_NAME})")
+    raise ConfigError(f"{one_of('system', str(name_or_dir), bundled)} (or any folder with a {FILE_NAME})")
 
 
-def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, warn: bool = True) -> System:
-    """Read, check and compile a system.
-
-    Args:
-        folder: The system folder.
-        overrides: Nested settings that replace the folder's own, and `parameters` or `signals` parts of
-            its file; see `overrides`.
-        warn: Log what is allowed but will not do what it seems to.
-
-    Raises:
-        ConfigError: One line for each mistake, `file:line:column: what, what would be valid`.
-    """
-    folder = Path(folder)
-    file = YamlFile(folder / FILE_NAME, _placed(overrides or {}), patient=True)
-    _check_names(file, overrides or {})
+def load(name_or_folder: str | Path, settings: Mapping[str, Any] | None, *, warn: bool) -> System:
+    """See `System.load`."""
+    folder, overrides = find_system(name_or_folder), settings or {}
+    file = YamlFile(folder / FILE_NAME, _placed(overrides), patient=True)
+    _check_names(file, overrides)
     entry = validated(file)
     spec = None if entry is None else _spec(file, folder / entry.model, entry)
     if entry is None or spec is None:
         file.raise_problems()
         raise ConfigError(f"{file.path}: not a system")
-    generalise(spec, entry)
-    plain = _compiled(file, spec)
-    draft = draft_wiring(file, entry, spec, plain)
-    keyframe = _keyframe(file, entry, plain)
-    unknowns_of(file, entry, plain)
-    _refuse_strangers(file, entry)
-    file.raise_problems()
-    for name, parameter in entry.parameters.items():
-        if not draft.has_commands() and any(target.set == "command_delay" for target in parameter.targets):
-            file.problem(
-                ("parameters", name), "a command delay changes nothing: no signal commands actuators"
-            )
-    file.raise_problems()
-    base = _compiled(file, spec)
-    space, edits = unknowns_of(file, entry, base)
-    wiring = draft.wired(base)
-    model = edits.apply(base, space.nominal)
+    text = file.path.read_text(encoding="utf-8")
+    loaded = _built(file, str(file.path), entry, spec, folder.resolve().name, folder, text, warn)
     if warn:
-        caution(str(file.path), base, edits)
-        _warn_of_unset(str(file.path), draft.unset_joints(), keyframe)
-        _warn_of_idle(overrides or {}, entry.settings.mhe)
+        _warn_of_idle(overrides, loaded.settings.mhe)
+    return loaded
+
+
+def from_model(
+    model: mujoco.MjModel | mujoco.MjSpec | str | Path,
+    parameters: Mapping[str, Any],
+    signals: Mapping[str, Any],
+    settings: Mapping[str, Any] | Settings | None = None,
+    keyframe: str | None = None,
+    name: str | None = None,
+    warn: bool = True,
+) -> System:
+    """See `System.from_model`."""
+    spec = spec_of(model)
+    own = Path(model).stem if isinstance(model, str | Path) else spec.modelname
+    arguments = Arguments(
+        {
+            "model": name or own,
+            **({"keyframe": keyframe} if keyframe else {}),
+            "parameters": parameters,
+            "signals": {key: _with_topic(key, signal) for key, signal in signals.items()},
+            "settings": settings or {},
+        }
+    )
+    entry = validated(arguments)
+    arguments.raise_problems()
+    assert entry is not None, "no mistake was noted"
+    text = entry.model_dump_json(indent=2, exclude_defaults=True) + "\n"  # JSON is YAML too
+    return _built(arguments, entry.model, entry, spec, entry.model, None, text, warn)
+
+
+class Arguments:
+    """Arguments that describe a system, and the mistakes found in them; see `schema.Description`.
+
+    Args:
+        data: The arguments by name; models of pydantic become mappings of what was set in them.
+    """
+
+    def __init__(self, data: Mapping[str, Any]) -> None:
+        self.data: dict[str, Any] = _plain(data)
+        self._problems: dict[str, None] = {}
+
+    def problem(self, place: Place, text: str, at_key: bool = False) -> None:
+        """Note a mistake, with the path of its key such as `parameters.mass.targets[0]`."""
+        path = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in place)
+        self._problems[f"{path.removeprefix('.')}: {text}"] = None
+
+    def raise_problems(self) -> None:
+        """Raise one ConfigError that lists every noted mistake, a line each."""
+        if self._problems:
+            raise ConfigError("\n".join(self._problems))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        return value.model_dump(exclude_unset=True)
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    return [_plain(item) for item in value] if isinstance(value, list | tuple) else value
+
+
+def _with_topic(name: str, signal: Any) -> Any:
+    """Arrays have no topics: where none is given, it is the signal's name."""
+    given = _plain(signal)
+    return {"topic": f"/{name}", **given} if isinstance(given, Mapping) else given
+
+
+def _built(
+    source: Description,
+    where: str,
+    entry: SystemEntry,
+    spec: mujoco.MjSpec,
+    name: str,
+    folder: Path | None,
+    text: str,
+    warn: bool,
+) -> System:
+    """Compile a system from its description.
+
+    Args:
+        source: Keeps the mistakes.
+        where: What warnings call the description.
+        entry: The description, validated.
+        spec: The model as it was given; sensors are added to it.
+        name, folder, text: See `System`.
+        warn: Log what is allowed but will not do what it seems to.
+    """
+    original = spec.copy()
+    generalise(spec, entry)
+    draft = draft_wiring(source, entry, spec, _compiled(source, spec))
+    base = _compiled(source, spec)
+    space, edits = unknowns_of(source, entry, base)
+    keyframe = _keyframe(source, entry, base)
+    _refuse_strangers(source, entry)
+    source.raise_problems()
+    for parameter_name, parameter in entry.parameters.items():
+        if not draft.has_commands() and any(target.set == "command_delay" for target in parameter.targets):
+            source.problem(
+                ("parameters", parameter_name),
+                "a command delay changes nothing: no signal commands actuators",
+            )
+    source.raise_problems()
+    wiring = draft.wired(base)
+    if warn:
+        caution(where, base, edits)
+        _warn_of_unset(where, draft.unset_joints(), keyframe)
     return System(
-        name=folder.resolve().name,
+        name=name,
         folder=folder,
-        model_path=folder / entry.model,
+        text=text,
+        original=original,
         spec=spec,
-        model=model,
+        model=edits.apply(base, space.nominal),
         space=space,
         edits=edits,
         signals=wiring.signals,
@@ -119,7 +200,7 @@ def load_system(folder: Path, overrides: Mapping[str, Any] | None = None, *, war
     )
 
 
-def _refuse_strangers(file: YamlFile, entry: SystemEntry) -> None:
+def _refuse_strangers(file: Description, entry: SystemEntry) -> None:
     """Settings by parameter are of parameters that there are."""
     mhe, identify = entry.settings.mhe, entry.settings.identify
     for group, setting, given in (
@@ -186,7 +267,7 @@ def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | Non
     return spec
 
 
-def _compiled(file: YamlFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
+def _compiled(file: Description, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return compiled(spec)
     except ConfigError as error:
@@ -195,7 +276,7 @@ def _compiled(file: YamlFile, spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise
 
 
-def _keyframe(file: YamlFile, entry: SystemEntry, model: mujoco.MjModel) -> int | None:
+def _keyframe(file: Description, entry: SystemEntry, model: mujoco.MjModel) -> int | None:
     if entry.keyframe is None:
         return None
     try:

@@ -7,8 +7,10 @@ import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import mujoco
+import numpy as np
 
 from amhe_cli.core.errors import ConfigError
 
@@ -22,9 +24,44 @@ def read_spec(path: Path) -> mujoco.MjSpec:
         ConfigError: MuJoCo cannot read it.
     """
     with _in_our_words(f"MuJoCo cannot read {path.name!r}"):
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = mujoco.MjSpec.from_file(str(path.absolute()))  # its meshes are found from any folder
     if path.suffix.lower() == ".urdf":
         spec.compiler.fusestatic = False
+    return spec
+
+
+def spec_of(model: mujoco.MjModel | mujoco.MjSpec | str | Path) -> mujoco.MjSpec:
+    """A spec of one's own of a model: read from its MJCF or URDF file, or copied.
+
+    MuJoCo keeps the source of a compiled model only of the XML that was loaded last; the numbers of such a
+    spec have six digits.
+
+    Raises:
+        ConfigError: The file cannot be read, or the source of the compiled model is lost.
+    """
+    if isinstance(model, mujoco.MjModel):
+        return _source_of(model)
+    if not isinstance(model, str | Path):
+        return model.copy()
+    if not Path(model).is_file():
+        raise ConfigError(f"`model`: there is no file {str(model)!r}; give an MJCF or a URDF")
+    return read_spec(Path(model))
+
+
+def _source_of(model: mujoco.MjModel) -> mujoco.MjSpec:
+    try:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "model.xml"
+            mujoco.mj_saveLastXML(str(path), model)
+            spec = mujoco.MjSpec.from_file(str(path))
+            again = spec.compile()
+    except (ValueError, mujoco.FatalError):
+        again = None
+    if again is None or again.names != model.names or not np.allclose(again.qpos0, model.qpos0, atol=1e-4):
+        raise ConfigError(
+            "`model`: MuJoCo no longer has the source of this MjModel; give the MjSpec or the XML file that "
+            "it was made from"
+        )
     return spec
 
 

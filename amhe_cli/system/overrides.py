@@ -1,9 +1,9 @@
 """Settings from outside a system folder: `--set`, `AMHE_*` variables, `--config` files.
 
-All of them become one nested mapping for `load.load_system`, by `gathered`.
+All of them become one nested mapping for `System.load`, by `gathered`.
 
 Keys are those of `core.settings.Settings` (`clips.length`), and `parameters.NAME....` and
-`signals.NAME....` as in `system.yaml`. `load_system` refuses unknown ones, listing what exists.
+`signals.NAME....` as in `system.yaml`. `System.load` refuses unknown ones, listing what exists.
 """
 
 from __future__ import annotations

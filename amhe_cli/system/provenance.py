@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from amhe_cli import __version__
+from amhe_cli.core.log import Log
 from amhe_cli.system.system import System
 
 #: Files of a system folder that decide what the system is.
@@ -20,7 +21,12 @@ SYSTEM_SUFFIXES = frozenset(
 
 
 def provenance(
-    command_line: str, seed: int, method: str, folder: Path, logs: Sequence[Path], held_out: Sequence[Path]
+    command_line: str,
+    seed: int,
+    method: str,
+    system: System,
+    logs: Sequence[Path | Log],
+    held_out: Sequence[Path | Log],
 ) -> dict[str, object]:
     """Versions, hashes of all files, seed and command of one identification, as plain values.
 
@@ -28,8 +34,8 @@ def provenance(
         command_line: The command or the call that made the result.
         seed: Seed of the random numbers.
         method: Name of the estimation method.
-        folder: Folder of the system.
-        logs: Logs that were fitted.
+        system: The system.
+        logs: Logs that were fitted; one that was made from arrays is hashed by its values.
         held_out: Logs that were used only for validation.
     """
     return {
@@ -38,26 +44,34 @@ def provenance(
         "method": method,
         "seed": seed,
         "versions": versions(),
-        "system_files": {
-            str(path.relative_to(folder)): sha256(path)
-            for path in _files(folder)
-            if path.suffix.lower() in SYSTEM_SUFFIXES
-        },
+        "system_files": system_files(system),
         "logs": _hashes(logs),
         "held_out_logs": _hashes(held_out),
     }
 
 
-def run_provenance(command_line: str, seed: int, folder: Path, inputs: Sequence[Path]) -> dict[str, object]:
+def system_files(system: System) -> dict[str, str]:
+    """Hash of each file of a system folder; of its texts where the system has no folder."""
+    if system.folder is None:
+        texts = {"model.xml": system.original.to_xml(), "system.yaml": system.text}
+        return {name: hashlib.sha256(text.encode()).hexdigest() for name, text in texts.items()}
+    return {
+        str(path.relative_to(system.folder)): sha256(path)
+        for path in _files(system.folder)
+        if path.suffix.lower() in SYSTEM_SUFFIXES
+    }
+
+
+def run_provenance(command_line: str, seed: int, system: System, inputs: Sequence[Path]) -> dict[str, object]:
     """The record of a closed-loop run; `inputs` are files such as a belief or another plant."""
-    return estimator_provenance(command_line, seed, "mpopi", folder, inputs)
+    return estimator_provenance(command_line, seed, "mpopi", system, inputs)
 
 
 def estimator_provenance(
-    command_line: str, seed: int, method: str, folder: Path, inputs: Sequence[Path]
+    command_line: str, seed: int, method: str, system: System, inputs: Sequence[Path]
 ) -> dict[str, object]:
     """The record of a command that fits nothing offline; `inputs` are its logs and beliefs."""
-    origin = provenance(command_line, seed, method, folder, inputs, ())
+    origin = provenance(command_line, seed, method, system, inputs, ())
     return origin | {"inputs": origin.pop("logs")}
 
 
@@ -65,7 +79,7 @@ def attachments(system: System) -> dict[str, str]:
     """Texts that are attached to each log that we write: its settings and its system, by file name."""
     return {
         "settings.yaml": system.settings.model_dump_json(indent=2) + "\n",  # JSON is YAML too
-        "system.yaml": (system.folder / "system.yaml").read_text(encoding="utf-8"),
+        "system.yaml": system.text,
     }
 
 
@@ -110,9 +124,16 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _hashes(paths: Sequence[Path]) -> dict[str, str]:
-    """Hash of each log file, by its path; a folder contributes every file in it."""
-    return {str(file): sha256(file) for path in paths for file in (_files(path) if path.is_dir() else [path])}
+def _hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
+    """Hash of each log, by its path or name; a folder contributes every file in it."""
+    hashes: dict[str, str] = {}
+    for log in logs:
+        path = log if isinstance(log, Path) else Path(log.source)
+        if isinstance(log, Log) and not path.exists():
+            hashes[log.source] = log.digest()
+        else:
+            hashes |= {str(file): sha256(file) for file in (_files(path) if path.is_dir() else [path])}
+    return hashes
 
 
 def _files(folder: Path) -> list[Path]:

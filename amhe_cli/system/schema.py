@@ -1,17 +1,17 @@
-"""What may stand in a `system.yaml`."""
+"""What may stand in a `system.yaml`, or in the arguments of `System.from_model`."""
 
 from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from amhe_cli.core.errors import one_of
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.signals import QUANTITIES
-from amhe_cli.core.yaml_file import Place, YamlFile, at_place
+from amhe_cli.core.yaml_file import Place, at_place
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
@@ -124,8 +124,20 @@ class _Remaining(SystemEntry):
     signals: dict[Name, SignalEntry] = Field(default_factory=dict)
 
 
-def validated(file: YamlFile) -> SystemEntry | None:
-    """The file's content; every mistake is noted in `file`, and the entries that have one left out.
+class Description(Protocol):
+    """A system in words: a file or arguments. It keeps the mistakes that are found in it."""
+
+    data: dict[str, Any]
+
+    def problem(self, place: Place, text: str, at_key: bool = False) -> None:
+        """Note a mistake at the value, or key, that `place` names."""
+
+    def raise_problems(self) -> None:
+        """Raise one ConfigError that lists every noted mistake, a line each."""
+
+
+def validated(file: Description) -> SystemEntry | None:
+    """The content of a description; mistakes are noted there, and the entries that have one are left out.
 
     Returns:
         What remains without the wrong entries, so that its names can still be checked against the

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 
@@ -71,9 +72,10 @@ class System:
     """Everything that is known of a robot and its surroundings before a log is read.
 
     Args:
-        name: The folder's name.
-        folder: The system folder.
-        model_path: The model file that the folder names.
+        name: Name of the folder or of the model.
+        folder: The system folder; None: the system was made by `from_model`.
+        text: Text of `system.yaml`; of a system without a folder, its arguments as JSON.
+        original: MuJoCo spec of the model as it was given.
         spec: MuJoCo spec of the estimation model, sensors of the measured quantities added.
         model: `spec` compiled, at the nominal parameters.
         space: The unknown parameters.
@@ -87,8 +89,9 @@ class System:
     """
 
     name: str
-    folder: Path
-    model_path: Path
+    folder: Path | None
+    text: str
+    original: mujoco.MjSpec
     spec: mujoco.MjSpec
     model: mujoco.MjModel
     space: ParameterSpace
@@ -99,6 +102,61 @@ class System:
     input_spec: int
     settings: Settings
     keyframe: int | None = None
+
+    @classmethod
+    def load(
+        cls, name_or_folder: str | Path, settings: Mapping[str, Any] | None = None, *, warn: bool = True
+    ) -> System:
+        """Read, check and compile a system folder.
+
+        Args:
+            name_or_folder: A folder with a `system.yaml`, or the name of a bundled system.
+            settings: Nested settings such as `{"clips": {"count": 40}}` in place of the folder's own;
+                `parameters`, `signals`, `keyframe` and `boxes` replace those parts of `system.yaml`.
+            warn: Log what is allowed but will not do what it seems to.
+
+        Raises:
+            ConfigError: One line for each mistake, `file:line:column: what, what would be valid`.
+        """
+        from amhe_cli.system.load import load
+
+        return load(name_or_folder, settings, warn=warn)
+
+    @classmethod
+    def from_model(
+        cls,
+        model: mujoco.MjModel | mujoco.MjSpec | str | Path,
+        *,
+        parameters: Mapping[str, Any],
+        signals: Mapping[str, Any],
+        settings: Mapping[str, Any] | Settings | None = None,
+        keyframe: str | None = None,
+        name: str | None = None,
+        warn: bool = True,
+    ) -> System:
+        """Make a system from a MuJoCo model and plain dictionaries; no folder and no YAML is needed.
+
+        Args:
+            model: Path of an MJCF or URDF file, or an MjSpec, which is copied. An MjModel is taken while
+                MuJoCo still has its source: it must be the last that was loaded from XML.
+            parameters: Name -> entry with the keys that `parameters` has in `system.yaml`.
+            signals: Name -> entry likewise; `topic` may be left out.
+            settings: Nested settings over the defaults.
+            keyframe: Name of the keyframe that holds the state of everything that no signal gives.
+            name: Name of the system; None: that of the model.
+            warn: Log what is allowed but will not do what it seems to.
+
+        Raises:
+            ConfigError: One line for each mistake, `path.of.the.key: what, what would be valid`.
+        """
+        from amhe_cli.system.load import from_model
+
+        return from_model(model, parameters, signals, settings, keyframe, name, warn)
+
+    @property
+    def dt(self) -> float:
+        """Time step of the model [s]: the clock that logs are read onto."""
+        return float(self.model.opt.timestep)
 
     @property
     def senses(self) -> bool:

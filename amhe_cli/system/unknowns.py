@@ -11,10 +11,10 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.core.yaml_file import Place, YamlFile
+from amhe_cli.core.yaml_file import Place
 from amhe_cli.system.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.inertia import PSEUDO_NAMES
-from amhe_cli.system.schema import ParameterEntry, SystemEntry, TargetEntry
+from amhe_cli.system.schema import Description, ParameterEntry, SystemEntry, TargetEntry
 from amhe_cli.system.targets import SETTERS, Cells, cells_of, id_of, rows_of, selector_of
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
@@ -53,7 +53,7 @@ class _Unknowns:
 
 
 def unknowns_of(
-    file: YamlFile, entry: SystemEntry, model: mujoco.MjModel
+    file: Description, entry: SystemEntry, model: mujoco.MjModel
 ) -> tuple[ParameterSpace, ModelEdits]:
     """Parameters of the file and how they are written; every mistake is noted in `file`."""
     found = _Unknowns()
@@ -69,7 +69,7 @@ def unknowns_of(
 
 
 def _add_plain(
-    file: YamlFile, place: Place, entry: ParameterEntry, model: mujoco.MjModel, found: _Unknowns
+    file: Description, place: Place, entry: ParameterEntry, model: mujoco.MjModel, found: _Unknowns
 ) -> None:
     column, name = len(found.parameters), str(place[1])
     reached: list[tuple[TargetEntry, list[Cells]]] = []
@@ -102,7 +102,7 @@ def _add_plain(
 
 
 def _add_pseudo(
-    file: YamlFile, place: Place, entry: ParameterEntry, model: mujoco.MjModel, found: _Unknowns
+    file: Description, place: Place, entry: ParameterEntry, model: mujoco.MjModel, found: _Unknowns
 ) -> None:
     name, here = str(place[1]), (*place, "targets", 0)
     columns = range(len(found.parameters), len(found.parameters) + len(PSEUDO_NAMES))

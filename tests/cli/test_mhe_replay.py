@@ -14,7 +14,8 @@ from amhe_cli.core.settings import LogSettings, MheSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.estimation.online.horizon import UPDATES, MovingHorizon
 from amhe_cli.logs import read_metadata, read_signals, survey
-from amhe_cli.system.load import bundled_root, find_system, load_system
+from amhe_cli.system.load import bundled_root
+from amhe_cli.system.system import System
 from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
 
 LOGS = bundled_root() / "examples" / "logs"
@@ -143,7 +144,7 @@ def test_the_report_is_one_page_that_needs_no_network(pushed: Path) -> None:
 
 def test_the_options_tell_the_defaults_of_the_library_and_of_go1_push() -> None:
     options = {p.name: p for p in amhe.commands["mhe-replay"].params}
-    told, go1 = MheSettings(), load_system(find_system("go1_push")).settings.mhe
+    told, go1 = MheSettings(), System.load("go1_push").settings.mhe
     assert tuple(options["method"].type.choices) == tuple(UPDATES)  # type: ignore[attr-defined]
     for name in ("method", "learning_rate"):
         assert f"[default: {getattr(told, name)}]" in options[name].help  # type: ignore[attr-defined]

@@ -7,7 +7,7 @@ import yaml
 
 from amhe_cli.core.belief_file import belief_text, read_belief
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.parameters import Belief, Parameter, ParameterSpace
 from tests.report.synthetic import NAMES, identification
 
 SYSTEM = SimpleNamespace(
@@ -81,3 +81,35 @@ def test_what_is_no_belief_is_refused(tmp_path: Path, text: str) -> None:
     path.write_text(text)
     with pytest.raises(ConfigError):
         read_belief(path, SYSTEM)
+
+
+def test_a_belief_can_be_read_without_its_system(file: Path) -> None:
+    assert Belief.load(file).names == identification().belief.names
+    with pytest.raises(ConfigError, match="here twice"):
+        Belief.load(changed(file, parameters__0__name="damping"))
+
+
+def test_save_is_the_inverse_of_load(file: Path, tmp_path: Path) -> None:
+    belief = Belief.load(file, SYSTEM)
+    belief.save(tmp_path / "again.yaml")
+    assert (tmp_path / "again.yaml").read_text() == file.read_text()
+
+
+def test_draws_have_the_moments_of_the_belief() -> None:
+    belief = identification().belief
+    draws = np.log(belief.sample(40_000, np.random.default_rng(1)))
+    sd = np.sqrt(np.diag(belief.covariance))
+    assert all(belief.log)
+    np.testing.assert_allclose((draws.mean(axis=0) - np.log(belief.estimate)) / sd, 0.0, atol=0.03)
+    np.testing.assert_allclose(np.cov(draws.T), belief.covariance, atol=0.03 * sd.max() ** 2)
+    np.testing.assert_array_equal(belief.sample(3, 1), belief.sample(3, np.random.default_rng(1)))
+
+
+def test_a_belief_about_another_system_is_refused() -> None:
+    belief = identification().belief
+    belief.check(SYSTEM)
+    with pytest.raises(ConfigError, match="about 'pendulum', not about 'arm'"):
+        belief.check(SimpleNamespace(name="arm", space=SYSTEM.space))
+    few = SimpleNamespace(name="pendulum", space=ParameterSpace(SYSTEM.space.parameters[1:]))
+    with pytest.raises(ConfigError, match=f"no parameter '{NAMES[0]}'"):
+        belief.check(few)

@@ -7,10 +7,10 @@ import pytest
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.states import integrated
 from amhe_cli.engine.variants import contact_variants
-from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
 
-PENDULUM = load_system(find_system("pendulum"))
-CUBE = load_system(find_system("cube_toss"))
+PENDULUM = System.load("pendulum")
+CUBE = System.load("cube_toss")
 
 
 def engine(system, threads=1, sensors=False, model=None):
@@ -40,7 +40,7 @@ def test_row_k_is_the_state_after_input_k():
 
 
 def test_sensors_describe_the_same_instant_as_the_state():
-    spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))
+    spec = PENDULUM.original.copy()
     spec.add_sensor(
         name="q", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname="hinge"
     )
@@ -75,7 +75,7 @@ def test_a_pool_is_reused_without_memory_of_the_last_call():
 def test_a_diverged_rollout_looks_tame_and_is_marked():
     inputs = np.zeros((3, 50, 1))
     inputs[1, 20] = 1e300
-    system = load_system(find_system("pendulum"))
+    system = System.load("pendulum")
     system.model.actuator_ctrllimited[:] = False
     system.model.actuator_forcelimited[:] = False
     done = engine(system).rollout(

@@ -9,12 +9,12 @@ import pytest
 from amhe_cli.core.errors import AmheError
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.spread import SpreadEngine
-from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
 
 
 def call(count: int):
     """An engine's arguments, and a call of rollouts of different lengths, one of them diverging."""
-    system = load_system(find_system("pendulum"), {}, warn=False)
+    system = System.load("pendulum", {}, warn=False)
     rng = np.random.default_rng(0)
     theta = system.space.nominal * np.exp(rng.normal(0.0, 0.2, (count, len(system.space))))
     qpos, qvel = rng.normal(size=(count, system.model.nq)), rng.normal(size=(count, system.model.nv))

@@ -16,7 +16,7 @@ from amhe_cli.init.folder import init_system
 from amhe_cli.init.names import is_command, matched, names_the_same
 from amhe_cli.init.signals import Topic, fields_example, foreign
 from amhe_cli.logs import LogWriter, read_signals
-from amhe_cli.system.load import bundled_root, load_system
+from amhe_cli.system.load import bundled_root
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import System
 
@@ -62,7 +62,7 @@ def made(
 ) -> tuple[System, str, list[str]]:
     (tmp_path / name).write_text(model)
     guesses = init_system(tmp_path / name, logs, tmp_path / "out")
-    return load_system(tmp_path / "out"), (tmp_path / "out" / "system.yaml").read_text(), guesses
+    return System.load(tmp_path / "out"), (tmp_path / "out" / "system.yaml").read_text(), guesses
 
 
 def test_a_walker_is_matched_by_name_whatever_the_order(tmp_path: Path, walker_log: Path) -> None:
@@ -177,7 +177,7 @@ def test_a_command_has_a_delay_and_a_log_without_commands_has_none(tmp_path: Pat
         for step in range(50):
             log.joint_state("/joint_states", 10**18 + step * STEP_NS, ["FL_hip"], np.array([0.01 * step]))
     init_system(tmp_path / "robot.xml", [silent], tmp_path / "second")
-    assert "command_delay" not in load_system(tmp_path / "second").space.names
+    assert "command_delay" not in System.load(tmp_path / "second").space.names
 
 
 @pytest.mark.parametrize(
@@ -211,7 +211,7 @@ def test_a_fixed_link_of_a_urdf_can_be_named(written: Callable[..., Path], tmp_p
     (tmp_path / "arm.urdf").write_text(URDF.replace("</robot>", load))
     signals = "signals: {j: {topic: /j, joints: [shoulder_joint], noise: {position: 0.01}}}\n"
     folder = written("  p: {targets: [{body: load, set: mass}]}\n", signals=signals, more="")
-    system = load_system(folder, {"model": "arm.urdf"})
+    system = System.load(folder, {"model": "arm.urdf"})
     assert system.space.nominal[0] == pytest.approx(0.3)
 
 
@@ -240,7 +240,7 @@ def test_a_model_whose_files_are_elsewhere_is_written_anew(tmp_path: Path, walke
     (tmp_path / "deep").mkdir()
     (tmp_path / "deep" / "robot.xml").write_text(model)
     init_system(tmp_path / "deep" / "robot.xml", [walker_log], tmp_path / "out")
-    assert load_system(tmp_path / "out").model.nmesh == 1
+    assert System.load(tmp_path / "out").model.nmesh == 1
     assert (tmp_path / "out" / "assets" / "box.obj").is_file()
 
 
@@ -270,7 +270,7 @@ def test_the_bundled_pendulum_is_found_again(system: str, log: str, tmp_path: Pa
     if not (root / log).is_file():
         pytest.skip(f"{log} has not been made yet")
     init_system(root / "models" / system / "scene.xml", [root / log], tmp_path / "out")
-    own, bundled = load_system(tmp_path / "out"), load_system(root / "models" / system)
+    own, bundled = System.load(tmp_path / "out"), System.load(root / "models" / system)
     assert set(own.space.names) == {*bundled.space.names, "gain_scale", "command_delay"}
     assert [signal.topic for signal in own.signals] == [signal.topic for signal in bundled.signals]
 

@@ -8,9 +8,9 @@ from amhe_cli.core.settings import CostSettings
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Rollouts
 from amhe_cli.matching.cost import MatchingCost, quadratic_prior
-from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
 
-CUBE = load_system(find_system("cube_toss"))
+CUBE = System.load("cube_toss")
 ENGINE = CpuEngine(CUBE.model, CUBE.edits, CUBE.input_spec, 1, False)
 SETTINGS = CostSettings(trim=0.0)
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from amhe_cli.system.load import load_system
+from amhe_cli.system.system import System
 
 MODEL = """
 <mujoco>
@@ -30,7 +30,7 @@ def said(written: Callable[..., Path], caplog) -> Callable[..., str]:
     def load(target: str, keys: str = "", box: str = "", pair: str = "") -> str:
         model = MODEL.format(box=box, pair=pair)
         text = f"  p: {{targets: [{target}]{keys}}}\n"
-        load_system(written(text, signals=SIGNALS, model=model, more=""))
+        System.load(written(text, signals=SIGNALS, model=model, more=""))
         return caplog.text
 
     return load

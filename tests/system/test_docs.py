@@ -6,8 +6,9 @@ import re
 import shutil
 from pathlib import Path
 
-from amhe_cli.system.load import bundled_root, load_system
+from amhe_cli.system.load import bundled_root
 from amhe_cli.system.schema import KINDS, ParameterEntry, SignalEntry
+from amhe_cli.system.system import System
 from amhe_cli.system.targets import WORDS
 
 PAGE = Path(__file__).parents[2] / "docs" / "systems.md"
@@ -20,7 +21,7 @@ def test_the_example_loads(tmp_path: Path) -> None:
         scene.replace("</mujoco>", '<keyframe><key name="home"/></keyframe></mujoco>')
     )
     (tmp_path / "system.yaml").write_text(example)
-    system = load_system(tmp_path)
+    system = System.load(tmp_path)
     assert system.space.names == ("load_mass",)
     assert system.keyframe == 0
 
@@ -34,4 +35,4 @@ def test_every_target_kind_and_key_is_explained() -> None:
 def test_bundled_folders_can_be_copied_and_used_from_anywhere(tmp_path: Path) -> None:
     for name in ("pendulum", "cube_toss"):
         shutil.copytree(bundled_root() / "models" / name, tmp_path / name)
-        assert load_system(tmp_path / name).name == name
+        assert System.load(tmp_path / name).name == name

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-import mujoco
 import numpy as np
 import pytest
 from mujoco.batch import Batch
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.load import load_system
+from amhe_cli.system.system import System
 
 Write = Callable[..., Path]
 
@@ -44,7 +43,7 @@ TARGETS = {  # target: (keys, theta, field, index, expected)
 @pytest.mark.parametrize("target", TARGETS)
 def test_a_target_sets_its_number_in_a_batch_and_in_a_model(target: str, with_target: Write) -> None:
     keys, value, field, index, expected = TARGETS[target]
-    system = load_system(with_target(target, keys))
+    system = System.load(with_target(target, keys))
     edited = system.edits.apply(system.model, np.array([value]))
     if index is not None:
         np.testing.assert_allclose(getattr(edited, field)[index], expected)
@@ -69,16 +68,16 @@ def assert_batch_equals_models(system, theta: np.ndarray) -> None:
 
 
 def test_mass_carries_its_inertia_along_unless_told_not_to(with_target: Write) -> None:
-    plain = load_system(with_target("{body: box, set: mass}"))
+    plain = System.load(with_target("{body: box, set: mass}"))
     heavy = plain.edits.apply(plain.model, np.array([6.0]))
     np.testing.assert_allclose(heavy.body_inertia[1], 3.0 * plain.model.body_inertia[1])
-    alone = load_system(with_target("{body: box, set: mass, carry_inertia: false}"))
+    alone = System.load(with_target("{body: box, set: mass, carry_inertia: false}"))
     heavy = alone.edits.apply(alone.model, np.array([6.0]))
     np.testing.assert_array_equal(heavy.body_inertia[1], alone.model.body_inertia[1])
 
 
 def test_mass_and_inertia_scale_compose_in_either_order(written: Write) -> None:
-    system = load_system(
+    system = System.load(
         written(
             "  scale: {targets: [{body: box, set: inertia, mode: scale}]}\n"
             "  mass: {targets: [{body: box, set: mass}]}\n"
@@ -89,7 +88,7 @@ def test_mass_and_inertia_scale_compose_in_either_order(written: Write) -> None:
 
 
 def test_apply_leaves_its_model_alone_and_derives_constants(with_target: Write) -> None:
-    system = load_system(with_target("{body: box, set: mass}"))
+    system = System.load(with_target("{body: box, set: mass}"))
     heavy = system.edits.apply(system.model, np.array([20.0]))
     assert system.model.body_mass[1] == pytest.approx(2.0)
     assert system.edits.needs_set_const
@@ -98,31 +97,31 @@ def test_apply_leaves_its_model_alone_and_derives_constants(with_target: Write) 
 
 
 def test_friction_alone_needs_no_derived_constants(with_target: Write) -> None:
-    assert not load_system(with_target("{pair: slide, set: sliding_friction}")).edits.needs_set_const
+    assert not System.load(with_target("{pair: slide, set: sliding_friction}")).edits.needs_set_const
 
 
 def test_pair_friction_is_written_for_both_tangents(with_target: Write) -> None:
-    system = load_system(with_target("{pair: slide, set: sliding_friction}"))
+    system = System.load(with_target("{pair: slide, set: sliding_friction}"))
     edited = system.edits.apply(system.model, np.array([0.123]))
     np.testing.assert_allclose(edited.pair_friction[0, :2], 0.123)
 
 
 def test_a_moving_centre_of_mass_compiles_the_body_in_its_general_form(with_target: Write) -> None:
     """MuJoCo takes short cuts for bodies whose frame is their inertial frame; Batch refuses to leave them."""
-    system = load_system(with_target("{body: box, set: center_of_mass, axis: y}", "bounds: [-0.05, 0.05]"))
+    system = System.load(with_target("{body: box, set: center_of_mass, axis: y}", "bounds: [-0.05, 0.05]"))
     assert system.model.body_simple[1] == 0
     assert_batch_equals_models(system, np.array([[0.02], [-0.03]]))
 
 
 def test_the_models_own_values_are_the_default_prior(with_target: Write) -> None:
-    parameter = load_system(with_target("{joint: hip, set: damping}")).space.parameters[0]
+    parameter = System.load(with_target("{joint: hip, set: damping}")).space.parameters[0]
     assert (parameter.nominal, parameter.log, parameter.unit) == (0.1, True, "N m s/rad")
     assert (parameter.lower, parameter.upper) == (pytest.approx(0.01), pytest.approx(1.0))
     assert parameter.prior_sd == 0.5
 
 
 def test_the_model_is_compiled_at_the_nominal_parameters(with_target: Write) -> None:
-    system = load_system(with_target("{body: box, set: mass}", "nominal: 5"))
+    system = System.load(with_target("{body: box, set: mass}", "nominal: 5"))
     assert system.model.body_mass[1] == pytest.approx(5.0)
     back = system.edits.apply(system.model, np.array([2.0]))
     assert back.body_inertia[1, 0] == pytest.approx(2.0 * 0.2**2 / 6.0)
@@ -130,7 +129,7 @@ def test_the_model_is_compiled_at_the_nominal_parameters(with_target: Write) -> 
 
 def test_single_moments_stay_those_of_a_real_body(written: Write) -> None:
     keys = "bounds: [0.0001, 1]"
-    system = load_system(
+    system = System.load(
         written(
             f"  x: {{targets: [{{body: box, set: inertia, axis: x}}], {keys}}}\n"
             f"  y: {{targets: [{{body: box, set: inertia, axis: y}}], {keys}}}\n"
@@ -144,7 +143,7 @@ def test_single_moments_stay_those_of_a_real_body(written: Write) -> None:
 class TestPseudoInertia:
     @pytest.fixture
     def system(self, with_target: Write):
-        return load_system(with_target("{body: hand, set: pseudo_inertia}"))
+        return System.load(with_target("{body: hand, set: pseudo_inertia}"))
 
     def test_is_ten_parameters(self, system) -> None:
         names = ["alpha", "d1", "d2", "d3", "s12", "s23", "s13", "t1", "t2", "t3"]
@@ -153,7 +152,7 @@ class TestPseudoInertia:
     def test_zero_is_the_nominal_body(self, system) -> None:
         body = system.model.body("hand").id
         nominal = system.edits.apply(system.model, np.zeros(10))
-        plain = mujoco.MjSpec.from_file(str(system.model_path)).compile()
+        plain = system.original.copy().compile()
         assert nominal.body_mass[body] == pytest.approx(plain.body_mass[body])
         np.testing.assert_allclose(nominal.body_ipos[body], plain.body_ipos[body], atol=1e-12)
         np.testing.assert_allclose(np.sort(nominal.body_inertia[body]), np.sort(plain.body_inertia[body]))
@@ -178,11 +177,11 @@ class TestPseudoInertia:
             + "signals: {b: {topic: /b, body: b, noise: {position: 0.01}}}\n"
         )
         with pytest.raises(ConfigError, match="no real body has"):
-            load_system(folder)
+            System.load(folder)
 
 
 def test_a_command_delay_is_a_column_of_theta(written: Write) -> None:
-    system = load_system(
+    system = System.load(
         written(
             "  mass: {targets: [{body: box, set: mass}]}\n"
             "  delay: {nominal: 0.01, bounds: [0.001, 0.05], targets: [{set: command_delay}]}\n",
@@ -197,11 +196,11 @@ def test_a_command_delay_is_a_column_of_theta(written: Write) -> None:
 def test_a_delay_of_no_command_is_refused(written: Write) -> None:
     folder = written("  delay: {nominal: 0.01, bounds: [0.001, 0.05], targets: [{set: command_delay}]}\n")
     with pytest.raises(ConfigError, match="no signal commands actuators"):
-        load_system(folder)
+        System.load(folder)
 
 
 def test_without_a_command_delay_it_is_zero(with_target: Write) -> None:
-    system = load_system(with_target("{body: box, set: mass}"))
+    system = System.load(with_target("{body: box, set: mass}"))
     assert system.edits.delay_column is None
     np.testing.assert_array_equal(system.edits.delays(np.ones((3, 1))), np.zeros(3))
 
@@ -232,7 +231,7 @@ REFUSED = {
 @pytest.mark.parametrize("target", REFUSED)
 def test_a_target_that_changes_nothing_is_refused_by_name(target: str, with_target: Write) -> None:
     with pytest.raises(ConfigError) as error:
-        load_system(with_target(target))
+        System.load(with_target(target))
     assert REFUSED[target] in str(error.value)
     assert "system.yaml:4:" in str(error.value)
 
@@ -255,7 +254,7 @@ def test_a_target_that_changes_nothing_is_refused_by_name(target: str, with_targ
 def test_impossible_values_are_refused(target: str, keys: str, text: str, with_target: Write) -> None:
     """MuJoCo accepts a negative mass in silence."""
     with pytest.raises(ConfigError, match=text):
-        load_system(with_target(target, keys))
+        System.load(with_target(target, keys))
 
 
 def test_two_parameters_cannot_set_the_same_number(written: Write) -> None:
@@ -264,4 +263,4 @@ def test_two_parameters_cannot_set_the_same_number(written: Write) -> None:
         "  two: {nominal: 1, targets: [{joint: '*', set: damping}]}\n"
     )
     with pytest.raises(ConfigError, match="parameter 'one' already sets this number"):
-        load_system(folder)
+        System.load(folder)

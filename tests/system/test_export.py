@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.system.export import identified_assets, identified_xml
-from amhe_cli.system.load import find_system, load_system
-from amhe_cli.system.model_file import compiled, read_spec
+from amhe_cli.system.model_file import compiled
 from amhe_cli.system.system import System
 
 from .test_edits import TARGETS
@@ -27,7 +26,7 @@ def reloaded(system: System, theta: np.ndarray) -> mujoco.MjModel:
 
 
 def assert_same_numbers(system: System, theta: np.ndarray, model: mujoco.MjModel) -> None:
-    expected = system.edits.apply(compiled(read_spec(system.model_path)), theta)
+    expected = system.edits.apply(compiled(system.original.copy()), theta)
     fields = (
         *system.edits.fields,
         "body_mass",
@@ -45,20 +44,20 @@ def assert_same_numbers(system: System, theta: np.ndarray, model: mujoco.MjModel
 @pytest.mark.parametrize("target", TARGETS)
 def test_every_target_survives(target: str, with_target: Write) -> None:
     keys, value, *_ = TARGETS[target]
-    system = load_system(with_target(target, keys))
+    system = System.load(with_target(target, keys))
     theta = np.array([value])
     assert_same_numbers(system, theta, reloaded(system, theta))
 
 
 def test_a_whole_inertia_survives(with_target: Write) -> None:
-    system = load_system(with_target("{body: hand, set: pseudo_inertia}"))
+    system = System.load(with_target("{body: hand, set: pseudo_inertia}"))
     theta = np.random.default_rng(2).normal(0.0, 0.3, 10)
     assert_same_numbers(system, theta, reloaded(system, theta))
 
 
 @pytest.mark.parametrize("name", ["cube_toss", "pendulum"])
 def test_bundled_systems_survive(name: str) -> None:
-    system = load_system(find_system(name))
+    system = System.load(name)
     theta = system.space.nominal * 1.1
     text = identified_xml(system, theta)
     assert f"{system.space.names[0]} = {theta[0]:.6g}" in text
@@ -71,7 +70,7 @@ def test_compiler_settings_do_not_undo_the_values(compiler: str, with_target: Wr
     from .conftest import MODEL
 
     model = MODEL.replace("<worldbody>", f"<compiler {compiler}/><worldbody>", 1)
-    system = load_system(with_target("{body: hand, set: mass}", model=model))
+    system = System.load(with_target("{body: hand, set: mass}", model=model))
     theta = np.array([0.9])
     assert_same_numbers(system, theta, reloaded(system, theta))
 
@@ -87,7 +86,7 @@ def test_meshes_travel_with_the_file(written: Write, tmp_path: Path) -> None:
         part.parent.mkdir(parents=True)
         part.write_text(corners)
     signals = "signals: {b: {topic: /b, body: b, noise: {position: 0.01}}}\n"
-    system = load_system(
+    system = System.load(
         written("  p: {targets: [{body: b, set: mass}]}\n", signals=signals, model=model, more="")
     )
     out = tmp_path / "elsewhere"

@@ -11,7 +11,6 @@ import pytest
 
 from amhe_cli.robots.go1.kinematics import HOME, HOME_HEIGHT
 from amhe_cli.robots.go1.model import Box, home, layout, planner_model, plant_model
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 G = 9.81
@@ -27,7 +26,7 @@ PUBLISHED = {
 
 @pytest.fixture(scope="module")
 def go1() -> System:
-    return load_system(find_system("go1_push"))
+    return System.load("go1_push")
 
 
 def with_theta(system: System, **values: float) -> mujoco.MjModel:
@@ -49,7 +48,7 @@ def settled(model: mujoco.MjModel, box_x: float = 0.6) -> mujoco.MjData:
 
 def test_it_loads_without_a_word(caplog: pytest.LogCaptureFixture) -> None:
     with caplog.at_level(logging.WARNING):
-        system = load_system(find_system("go1_push"))
+        system = System.load("go1_push")
     assert not caplog.records
     assert system.space.names == ("box_mass", "box_inertia_scale", "floor_friction")
     assert not system.senses

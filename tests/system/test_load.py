@@ -10,7 +10,8 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import YamlFile, scalar
-from amhe_cli.system.load import bundled_root, find_system, load_system
+from amhe_cli.system.load import bundled_root, find_system
+from amhe_cli.system.system import System
 
 Write = Callable[..., Path]
 
@@ -50,7 +51,7 @@ settings:
 
 def problems(folder: Path, **overrides) -> list[str]:
     with pytest.raises(ConfigError) as error:
-        load_system(folder, overrides)
+        System.load(folder, overrides)
     return [line.removeprefix(f"{folder / 'system.yaml'}:") for line in str(error.value).splitlines()]
 
 
@@ -140,9 +141,9 @@ def test_joints_that_no_signal_measures_are_named_unless_a_keyframe_holds_them(
 ) -> None:
     target = "  p: {targets: [{body: box, set: mass}]}\n"
     with caplog.at_level(logging.WARNING):
-        load_system(written(target))
+        System.load(written(target))
         assert not caplog.records
-        load_system(written(target, more=""))
+        System.load(written(target, more=""))
     assert "no signal gives the state of joint box, knee, socket" in caplog.text
 
 
@@ -153,7 +154,7 @@ def test_overrides_reach_settings_parameters_and_signals(written: Write) -> None
         "parameters": {"p": {"nominal": 3.0}},
         "signals": {"hip": {"topic": "/other"}},
     }
-    system = load_system(folder, overrides)
+    system = System.load(folder, overrides)
     assert system.settings.clips.length == (0.1, 0.2)
     assert system.settings.clips.count == 24
     assert system.space.nominal[0] == 3.0

@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 G = 9.81
@@ -14,12 +13,12 @@ G = 9.81
 
 @pytest.fixture(scope="module")
 def cube() -> System:
-    return load_system(find_system("cube_toss"))
+    return System.load("cube_toss")
 
 
 @pytest.fixture(scope="module")
 def pendulum() -> System:
-    return load_system(find_system("pendulum"))
+    return System.load("pendulum")
 
 
 def theta_of(system: System, **values: float) -> np.ndarray:

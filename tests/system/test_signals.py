@@ -11,7 +11,6 @@ import pytest
 
 from amhe_cli.core import rotations
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.load import load_system
 from amhe_cli.system.system import Channel, System
 
 Write = Callable[..., Path]
@@ -22,7 +21,7 @@ def measuring(written: Write) -> Callable[[str], System]:
     """Load a system with one signal."""
 
     def load(signal: str) -> System:
-        return load_system(
+        return System.load(
             written("  p: {targets: [{body: box, set: mass}]}\n", signals=f"signals:\n  s: {signal}\n")
         )
 
@@ -142,7 +141,7 @@ def test_array_commands_are_values(measuring) -> None:
 
 
 def test_input_columns_are_those_of_mujocos_state_vector(written: Write) -> None:
-    system = load_system(
+    system = System.load(
         written(
             "  p: {targets: [{body: box, set: mass}]}\n",
             signals="""

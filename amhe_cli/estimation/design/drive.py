@@ -25,7 +25,6 @@ from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, engin
 from amhe_cli.logs import LogWriter
 from amhe_cli.logs.messages.signal_writer import message_type, write_samples
 from amhe_cli.system.edits import ModelEdits
-from amhe_cli.system.load import load_system
 from amhe_cli.system.model_file import compiled
 from amhe_cli.system.system import System
 
@@ -48,7 +47,7 @@ class DriveProbe:
 
     def __init__(self, options: ProbeOptions, folder: Path, settings: dict[str, Any]) -> None:
         self._options, self.task = options, None
-        own = load_system(folder, settings)
+        own = System.load(folder, settings)
         self.system: System = believing(own, options.belief)
         self._drives = drives_of(own)
         for signal in own.signals:  # refuse what could not be logged before any work is done
@@ -131,7 +130,7 @@ def _other(options: ProbeOptions, folder: Path, settings: dict[str, Any]) -> Pla
     """The plant of `--plant`: another model with the same joints and actuators, as it is."""
     assert options.plant is not None
     try:
-        system = load_system(folder, settings | {"model": str(options.plant.resolve())}, warn=False)
+        system = System.load(folder, settings | {"model": str(options.plant.resolve())}, warn=False)
     except ConfigError as error:
         first = str(error).splitlines()[0]
         raise ConfigError(f"--plant {options.plant}: does not suit the system: {first}") from None

@@ -34,7 +34,6 @@ from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.robot import Go1, joint_sigma
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
 from amhe_cli.system import overrides
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 MODES = ("true", "baseline", "stale", "adaptive")
@@ -192,7 +191,7 @@ def system_of(options: RunOptions, task: Task) -> System:
         ConfigError: A setting is wrong.
     """
     settings = overrides.gathered(options.config, options.environment, options.assignments)
-    return load_system(find_system(SYSTEM), overrides.merged(measured(task), settings), warn=False)
+    return System.load(SYSTEM, overrides.merged(measured(task), settings), warn=False)
 
 
 def belief_source(

@@ -15,7 +15,6 @@ from amhe_cli.estimation.core.linearise import FirstStates, linearise
 from amhe_cli.estimation.design.information import information_at, rescaled
 from amhe_cli.estimation.design.probe import engine_of, read, tiles
 from amhe_cli.matching.cost import MatchingCost
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 from tests.conftest import PENDULUM_TRUTH
 
@@ -25,7 +24,7 @@ Asked = tuple[System, list[Window], CpuEngine, FloatArray]
 @pytest.fixture(scope="module")
 def asked(pendulum_log: Path) -> Asked:
     """System, windows, engine and truth of a log whose first states are noisy."""
-    system = load_system(find_system("pendulum"), {"identify": {"first_state": "polish"}})
+    system = System.load("pendulum", {"identify": {"first_state": "polish"}})
     truth = system.space.z_of(np.array([PENDULUM_TRUTH[name] for name in system.space.names]))
     return system, tiles(system, read(system, pendulum_log)), engine_of(system, 1), truth
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log, Series
-from amhe_cli.system.load import find_system, load_system
 from amhe_cli.system.system import System
 
 TRUTH = np.array([0.55, 0.03, 0.035, 0.006])
@@ -23,7 +22,7 @@ CHEAP = {
 
 @pytest.fixture(scope="session")
 def pendulum() -> System:
-    return load_system(find_system("pendulum"), CHEAP)
+    return System.load("pendulum", CHEAP)
 
 
 @pytest.fixture(scope="session")

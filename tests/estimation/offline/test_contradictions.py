@@ -13,7 +13,7 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.contradictions import allowed, shifts_of
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.study import study_of
-from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP
 from tests.estimation.offline.test_identification import fall
 
@@ -25,7 +25,7 @@ def test_a_change_is_allowed_until_the_misfit_has_risen_by_nine() -> None:
 
 def shifted(noise: float) -> dict[str, np.ndarray]:
     """Shifts of a sliding cube's estimate at the truth, in a log with this noise [SI]."""
-    system = load_system(find_system("cube_toss"), {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
+    system = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
     channels = tuple(replace(channel, noise=noise) for channel in system.channels)
     system = replace(system, channels=channels)
     engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)

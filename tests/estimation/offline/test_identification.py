@@ -10,7 +10,8 @@ import pytest
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log, Series
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.load import find_system
+from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP, TRUTH
 
 
@@ -128,7 +129,7 @@ def test_max_time_stops_and_says_so_once(pendulum, swing, caplog):
 def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):
     """Friction loss of a joint that is also swung by a perfect servo would be felt; a mass that only scales
     with its inertia in free fall is not: the tossed cube."""
-    system = load_system(find_system("cube_toss"), {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
+    system = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
     log = fall(system)
     result = identify(system, [log], None, IdentifyOptions())
     mass = found(result, "mass")
@@ -208,7 +209,7 @@ def test_a_command_delay_is_found(swing, tmp_path):
         "    prior_sd: 0.01\n    targets:\n      - {set: command_delay}\n"
     )
     (folder / "system.yaml").write_text(text.replace("\nsignals:", delay + "\nsignals:", 1))
-    system = load_system(folder, CHEAP)
+    system = System.load(folder, CHEAP)
     log = swing(6.0)
     shift = 6  # steps of 2 ms
     command = log["command.position"]

@@ -6,15 +6,15 @@ import pytest
 
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_signals
-from amhe_cli.system.load import find_system, load_system
+from amhe_cli.system.system import System
 
 DATA = Path(__file__).parents[3].parent / "shared" / "data" / "cube_tosses"
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="the real tosses (../shared/data/cube_tosses) are not here")
 def test_real_tosses_tell_friction_and_not_mass():
-    system = load_system(
-        find_system("cube_toss"),
+    system = System.load(
+        "cube_toss",
         {"identify": {"iterations": 10, "profile_points": 0}, "clips": {"count": 12}},
     )
     dt, logs = system.model.opt.timestep, sorted(DATA.glob("toss_*.mcap"))

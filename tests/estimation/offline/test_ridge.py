@@ -8,7 +8,7 @@ import pytest
 
 from amhe_cli.core.log import Log, Series
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.system.load import load_system
+from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP
 
 MJCF = """
@@ -42,7 +42,7 @@ def system(tmp_path_factory):
     folder: Path = tmp_path_factory.mktemp("cart")
     (folder / "cart.xml").write_text(MJCF)
     (folder / "system.yaml").write_text(SYSTEM)
-    return load_system(folder, CHEAP)
+    return System.load(folder, CHEAP)
 
 
 def drive(system, theta, seconds=8.0, seed=0) -> Log:

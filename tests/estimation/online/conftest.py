@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log, Series
-from amhe_cli.system.load import load_system
 from amhe_cli.system.system import System
 
 DT, NOISE = 0.005, 1e-3
@@ -48,13 +47,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def cart(folder: Path) -> System:
     """Mass and damping may drift."""
-    return load_system(folder)
+    return System.load(folder)
 
 
 @pytest.fixture(scope="session")
 def constant(folder: Path) -> System:
     """They may not."""
-    return load_system(folder, {"parameters": {"mass": {"drift": 0.0}, "damping": {"drift": 0.0}}})
+    return System.load(folder, {"parameters": {"mass": {"drift": 0.0}, "damping": {"drift": 0.0}}})
 
 
 def swing(time: np.ndarray) -> np.ndarray:

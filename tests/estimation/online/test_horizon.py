@@ -15,7 +15,6 @@ from amhe_cli.estimation.online.arrival import arrival_of
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.replay import replay, windows
 from amhe_cli.estimation.online.update import Outcome, Task
-from amhe_cli.system.load import load_system
 from amhe_cli.system.system import System
 
 
@@ -51,7 +50,7 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say(constant, drive) -> N
 def test_intervals_hold_a_truth_that_is_far_from_the_prior(folder, drive) -> None:
     # what the first windows say of it, they say by slopes of another place
     unsure = {"mass": {"drift": 0.0}, "damping": {"drift": 0.0, "prior_sd": 1.0, "bounds": [0.05, 20]}}
-    system, truth = load_system(folder, {"parameters": unsure}), np.array([2.0, 0.3])
+    system, truth = System.load(folder, {"parameters": unsure}), np.array([2.0, 0.3])
     logs = [drive(1.5, damping=lambda t: truth[1], seed=seed) for seed in range(30)]
     ends = [estimates(system, log, seed)[-1] for seed, log in enumerate(logs)]
     held = np.array([(e.lower < truth) & (truth < e.upper) for e in ends]).mean(axis=0)
