@@ -12,8 +12,8 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.estimation.online.arrival import arrival_of
 from amhe_cli.estimation.online.horizon import MovingHorizon
+from amhe_cli.estimation.online.prior import prior_of
 from amhe_cli.estimation.online.replay import ReplayProblem, windows
 from amhe_cli.logs import read_truth
 from amhe_cli.system.load import bundled_root
@@ -50,7 +50,7 @@ def open_replay(
         system=opened,
         engine=engine,
         estimator=MovingHorizon(opened, engine, np.random.default_rng(seed), known),
-        start=arrival_of(opened.space, known, opened.settings.mhe.start_sd),
+        start=prior_of(opened.space, known, opened.settings.mhe.start_sd),
         windows=steps,
         truth=_truth(source.paths[0], opened, log, steps),
         begun=np.ceil((source.start or 0.0) / log.dt - 1e-6) * log.dt,  # as the log is read

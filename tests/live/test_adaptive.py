@@ -302,10 +302,12 @@ def test_a_late_estimator_is_told_once_and_its_last_belief_stays(adaptive: tuple
 
 def test_the_estimator_begins_with_what_the_controller_believes() -> None:
     task = replace(find_task("t1"), baseline=Believed(3.3, 0.44))  # as a probe has its own
-    belief = open_run(RunOptions("t1", mode="adaptive", assignments=QUICK), task).episode.belief
-    theta = SPACE.space.theta_of(belief._worker._estimator._arrival.z)  # type: ignore[attr-defined]
-    assert theta == pytest.approx([3.3, 1.0, 0.44])
-    assert belief.at(0.0)["box_mass"] == pytest.approx(3.3)
+    options = RunOptions("t1", mode="adaptive", duration=0.6, assignments=QUICK)
+    run = list(open_run(options, task).episode.cycles())
+    assert run[0].belief["box_mass"] == pytest.approx(3.3)
+    first = news(run)[0][1]
+    assert first.mark == "still", "the box has not been met yet"
+    assert first.theta == pytest.approx([3.3, 1.0, 0.44])
 
 
 def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cycle]]) -> None:

@@ -1,10 +1,9 @@
-"""Moving-horizon estimation: a belief that is brought up to date by one window after the other."""
+"""Moving-horizon estimation: one window after the other updates a belief."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -16,37 +15,41 @@ from amhe_cli.core.parameters import Belief, belief_of
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import Z90
 from amhe_cli.engine.rollout import RolloutEngine
-from amhe_cli.estimation.online.arrival import Arrival, arrival_of, reported
-from amhe_cli.estimation.online.linearised import linearised_update
-from amhe_cli.estimation.online.logrank import logrank_update
-from amhe_cli.estimation.online.update import Noise, Outcome, Task, Update
+from amhe_cli.estimation.online.prior import prior_of, with_model_error
+from amhe_cli.estimation.online.updates import (
+    Noise,
+    Outcome,
+    WindowProblem,
+    fit_window,
+    linearised_update,
+    logrank_update,
+)
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 
-#: What became of a window. 'gap': a signal was silent in it; 'still': it says nothing, and tells of no jump;
-#: 'diverged': the mean, or too many of the samples, could not be rolled out.
+#: How a window was used. 'jump': the parameters had jumped, and it updated an inflated prior. The others were
+#: skipped; 'still': too little excitation; 'gap': a signal is missing; 'diverged': the rollout of the mean, or
+#: too many of the samples, diverged.
 Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 
-UPDATES: Mapping[str, Update] = {"linearised": linearised_update, "logrank": logrank_update}
-
-#: Fewer steps of the model than this are no window, and fewer samples tell no slopes.
+#: Fewest steps of the model in a window, and fewest samples that determine slopes.
 LEAST, LEAST_SAMPLES = 5, 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
-    """What is believed after one window.
+    """Parameters after one window.
 
     Args:
-        time: Of the window's last instant [s], on the log's clock.
+        time: Time of the window's last instant [s].
         theta: Parameters, shape (d,).
         sd: Their standard deviations in the same units, shape (d,).
         lower, upper: Central 90 % intervals, shape (d,).
-        belief: The same with its covariance.
-        mark: What became of the window.
+        belief: Parameters with their covariance.
+        mark: How the window was used.
         misfit: Rms residual before the update, in noise sd; NaN where nothing was rolled out.
-        excitation: Rms move of the predictions under the samples, in noise sd; NaN likewise.
-        rollouts, diverged: How many were run, and how many of them diverged.
+        excitation: Rms change of the predictions under the samples, in noise sd; NaN likewise.
+        rollouts, diverged: Number of rollouts, and how many of them diverged.
         update_ms: Time that the update took [ms].
     """
 
@@ -65,15 +68,15 @@ class Estimate:
 
     @property
     def updated(self) -> bool:
-        """The window moved the belief."""
+        """Whether the window changed the estimate."""
         return self.mark in ("updated", "jump")
 
 
 def check_window(settings: MheSettings, dt: float) -> None:
-    """A window must hold a few steps of the model, `dt` [s] each, and updates must be a step apart.
+    """Check that a window holds a few steps of the model, `dt` [s] each, and that updates are a step apart.
 
     Raises:
-        ConfigError: It holds fewer, or they are not.
+        ConfigError: The window or the update period is too short.
     """
     if round(settings.window / dt) < LEAST:
         raise ConfigError(
@@ -86,107 +89,146 @@ def check_window(settings: MheSettings, dt: float) -> None:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class JumpTest:
+    """Detector of jumps: so many windows in a row must be far from the prior.
+
+    Args:
+        threshold: Normalised innovation above which a window is far [sd].
+        windows: Number of such windows in a row that are a jump: a single one may be a missed contact.
+        row: Number of such windows so far.
+    """
+
+    threshold: float
+    windows: int
+    row: int = 0
+
+    def after(self, innovation: float) -> JumpTest:
+        """The detector after one more window."""
+        return replace(self, row=self.row + 1 if innovation > self.threshold else 0)
+
+    @property
+    def jumped(self) -> bool:
+        """Whether the windows so far show a jump."""
+        return self.row >= self.windows
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """Speed of the last update, from which a budget of time becomes a number of samples.
+
+    Args:
+        rollout: Time of a rollout [s]; 0 before the first update.
+        fixed: Rollouts of an iteration beside the samples that were requested.
+    """
+
+    rollout: float = 0.0
+    fixed: float = 0.0
+
+    @staticmethod
+    def of(seconds: float, samples: int, outcome: Outcome) -> Pace:
+        """Pace of an update that took some time and requested so many samples an iteration."""
+        each = outcome.rollouts / outcome.iterations
+        return Pace(seconds / outcome.rollouts, max(0.0, each - samples))
+
+    def affordable(self, budget: float | None, most: int) -> int:
+        """Samples of an iteration, in pairs, that fit a budget [s]; None: no limit."""
+        if budget is None or not self.rollout:
+            return most
+        return int(np.clip(2 * ((budget / self.rollout - self.fixed) // 2), LEAST_SAMPLES, most))
+
+
 class MovingHorizon:
-    """The estimator: windows in, estimates out; Algorithm 1's lines 6 to 9 as seen from the buffer.
+    """The online estimator: windows in, estimates out (lines 6 to 9 of Algorithm 1).
 
     Args:
         system: Model, parameters, signals, settings.
         engine: Rollout engine.
-        rng: For samples.
-        belief: To start from; None: the system's prior.
+        rng: Generator of the samples.
+        belief: Belief to start from; None: the system's prior.
     """
 
     def __init__(
         self, system: System, engine: RolloutEngine, rng: np.random.Generator, belief: Belief | None = None
     ) -> None:
         self._system, self._engine, self._rng = system, engine, rng
-        self._settings = system.settings.mhe
-        self._update = UPDATES[self._settings.method]
-        self._arrival = arrival_of(system.space, belief, self._settings.start_sd)
+        self._settings = setting = system.settings.mhe
+        # what passes from window to window
+        self._belief = prior_of(system.space, belief, setting.start_sd)
         self._noise = Noise()
-        self._row = 0
+        self._jump = JumpTest(setting.jump, setting.jump_windows)
+        self._pace = Pace()
         self._last: float | None = None
-        self._took = (0.0, 0.0)
 
     def update(self, window: Window, at: float, budget: float | None = None) -> Estimate:
         """Learn from the newest window.
 
-        A window that says nothing leaves the belief where it is, and less sure. Where windows want the
-        parameters far from it, something has jumped: the linearised update learns with a wider belief.
+        A window with too little excitation leaves the mean where it is, and its covariance grows by the
+        parameters' drift. After a jump, the linearised update starts from an inflated prior.
 
         Args:
-            window: Its signals must be valid at its start; gaps inside are allowed for by their masks.
+            window: The window. Signals must be valid at its start; gaps inside are masked.
             at: Time of its last instant [s].
-            budget: Most time that it may take [s]: no iteration begins after that, and it has no more samples
-                than the time per rollout of the update before allows.
+            budget: Most time that the update may take [s]; None: no limit. No iteration begins after it, and
+                the samples are as many as the pace of the last update allows.
         """
         begun = time.perf_counter()
-        setting, space = self._settings, self._system.space
+        setting = self._settings
         elapsed = min(setting.update_period, window.duration) if self._last is None else at - self._last
         self._last = at
-        self._arrival = self._arrival.widened(space.drift**2 * elapsed)
+        self._belief = self._belief.inflated(self._system.space.drift**2 * elapsed)
         if not usable(self._system, window):
-            self._row = 0
+            self._jump = self._jump.after(0.0)
             return self._estimate(at, "gap", None, begun)
-        cost = MatchingCost(self._system, [window], self._engine, self._system.settings.cost)
-        share = min(1.0, elapsed / window.duration)
-        late = _never if budget is None else (lambda: time.perf_counter() - begun > budget)
-        samples = self._affordable(budget)
-        outcome = self._update(
-            Task(cost, self._arrival, self._surprised, self._noise, share, setting, samples, self._rng, late)
+        problem = WindowProblem(
+            cost=MatchingCost(self._system, [window], self._engine, self._system.settings.cost),
+            prior=self._belief,
+            noise=self._noise,
+            share=min(1.0, elapsed / window.duration),
+            settings=setting,
+            samples=self._pace.affordable(budget, setting.sample_count),
+            rng=self._rng,
+            late=lambda: budget is not None and time.perf_counter() - begun > budget,
         )
-        self._took = self._timed(outcome, samples, time.perf_counter() - begun)
-        return self._estimate(at, self._judge(outcome), outcome, begun)
+        outcome = self._learn(problem)
+        self._pace = Pace.of(time.perf_counter() - begun, problem.samples, outcome)
+        return self._estimate(at, self._accept(outcome), outcome, begun)
 
-    def _timed(self, outcome: Outcome, samples: int, seconds: float) -> tuple[float, float]:
-        """Seconds per rollout, and rollouts of an iteration beside the samples that were asked for."""
-        each = outcome.rollouts / outcome.iterations
-        return seconds / outcome.rollouts, max(0.0, each - samples)
+    def _learn(self, problem: WindowProblem) -> Outcome:
+        """Decide whether the parameters have jumped, and update from the prior that follows from it."""
+        setting, prior = self._settings, problem.prior
+        if setting.method == "logrank":
+            return logrank_update(problem)
+        fit = fit_window(problem, prior.z)
+        self._jump = self._jump.after(fit.innovation)
+        if self._jump.jumped:
+            prior = prior.inflated(np.full(prior.z.size, setting.jump_sd**2))
+        return linearised_update(problem, fit, prior)
 
-    def _affordable(self, budget: float | None) -> int:
-        """Samples of an iteration, in pairs."""
-        most, (pace, beside) = self._settings.sample_count, self._took
-        if budget is None or not pace:
-            return most
-        return int(np.clip(2 * ((budget / pace - beside) // 2), LEAST_SAMPLES, most))
-
-    def _judge(self, outcome: Outcome) -> Mark:
-        """Take the outcome in, or leave it."""
-        jumped, row = self._jumped(outcome.surprise), self._row + 1
-        self._row = 0
+    def _accept(self, outcome: Outcome) -> Mark:
+        """Take over the outcome, unless the window diverged or has too little excitation."""
+        jumped = self._jump.jumped
         if not np.isfinite(outcome.before + outcome.after):
+            self._jump = self._jump.after(0.0)
             return "diverged"
-        self._row = row if outcome.surprise > self._settings.jump else 0
         if outcome.excitation < self._settings.excitation and not jumped:
             return "still"
-        self._arrival, self._noise = outcome.arrival, outcome.noise
+        self._belief, self._noise = outcome.belief, outcome.noise
         return "jump" if jumped else "updated"
-
-    def _jumped(self, surprise: float) -> bool:
-        """Whether a window that wants the parameters so many sd off is the last of enough in a row."""
-        return surprise > self._settings.jump and self._row + 1 >= self._settings.jump_windows
-
-    def _surprised(self, surprise: float) -> Arrival:
-        """The belief before a window, in whose light the window is seen."""
-        if not self._jumped(surprise):
-            return self._arrival
-        return self._arrival.widened(np.full(len(self._system.space), self._settings.jump_sd**2))
 
     def _estimate(self, at: float, mark: Mark, outcome: Outcome | None, begun: float) -> Estimate:
         space = self._system.space
-        arrival = reported(space, self._arrival, self._settings.systematic)
-        theta = space.theta_of(arrival.z)
-        phi_sd = arrival.sd * space.prior_sd
-        lower, upper = (
-            space.theta_of(space.clip(arrival.z + side * Z90 * arrival.sd)) for side in (-1.0, 1.0)
-        )
+        belief = with_model_error(space, self._belief, self._settings.systematic)
+        theta = space.theta_of(belief.z)
+        phi_sd = belief.sd * space.prior_sd
+        lower, upper = (space.theta_of(space.clip(belief.z + side * Z90 * belief.sd)) for side in (-1.0, 1.0))
         return Estimate(
             time=at,
             theta=theta,
             sd=np.where(space.log, theta * phi_sd, phi_sd),
             lower=lower,
             upper=upper,
-            belief=belief_of(self._system.name, space, arrival.z, arrival.covariance, {}),
+            belief=belief_of(self._system.name, space, belief.z, belief.covariance, {}),
             mark=mark,
             misfit=outcome.before if outcome else np.nan,
             excitation=outcome.excitation if outcome else np.nan,
@@ -207,7 +249,3 @@ def usable(system: System, window: Window) -> bool:
     compared = [log[c.key] for c in system.channels if c.compared]
     seen = any((s.sampled[after] & s.valid[after]).any() for s in compared if not s.derived)
     return starts and driven and seen
-
-
-def _never() -> bool:
-    return False

@@ -15,8 +15,8 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import RolloutEngine
-from amhe_cli.estimation.online.arrival import Arrival
 from amhe_cli.estimation.online.horizon import LEAST, Estimate, MovingHorizon, check_window
+from amhe_cli.estimation.online.prior import Gaussian
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -40,7 +40,7 @@ class ReplayProblem:
     system: System
     engine: RolloutEngine
     estimator: MovingHorizon
-    start: Arrival
+    start: Gaussian
     windows: Sequence[Window]
     truth: Mapping[str, FloatArray]
     begun: float
@@ -61,7 +61,7 @@ class Replay:
     """
 
     system: System
-    start: Arrival
+    start: Gaussian
     windows: Sequence[Window]
     estimates: Sequence[Estimate]
     truth: Mapping[str, FloatArray]

@@ -11,10 +11,10 @@ from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.estimation.online.arrival import arrival_of
-from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
+from amhe_cli.estimation.online.horizon import Estimate, JumpTest, MovingHorizon, Pace
+from amhe_cli.estimation.online.prior import Gaussian, prior_of
 from amhe_cli.estimation.online.replay import replay, windows
-from amhe_cli.estimation.online.update import Outcome, Task
+from amhe_cli.estimation.online.updates import Noise, Outcome
 from amhe_cli.system.system import System
 
 
@@ -81,30 +81,30 @@ def test_a_jump_may_have_to_be_told_by_windows_in_a_row(cart, drive) -> None:
 
 
 @pytest.mark.parametrize(
-    ("surprises", "jumps"),
+    ("innovations", "jumps"),
     [
         ([1, 1, 4, 1, 4, 1], []),  # single ones
         ([1, 1, 4, 4, 1, 1], [3]),
-        ([1, 1, 4, 4, 4, 1], [3, 4]),  # it has not arrived yet
-        ([1, 1, 4, -1, 4, 1], []),  # a window that says nothing breaks the row
-        ([1, 1, -4, -4, 1, 1], [3]),  # the samples hardly move them, and yet they surprise
+        ([1, 1, 4, 4, 4, 1], [3, 4]),  # the estimate has not arrived yet
+        ([1, 3, 3, 1, 4, 4], [5]),  # at the threshold is not above it
+        ([4, 4, 0, 4], [1]),  # a window that explains nothing breaks the row
     ],
 )
-def test_jumps_are_told_by_windows_in_a_row(cart, drive, surprises: list[float], jumps: list[int]) -> None:
-    system = with_mhe(cart, jump_windows=2, jump=3.0)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
-    estimator = MovingHorizon(system, engine, np.random.default_rng(0))
-    told, wider = iter(surprises), []
+def test_a_jump_is_so_many_innovations_in_a_row(innovations: list[float], jumps: list[int]) -> None:
+    test, found = JumpTest(threshold=3.0, windows=2), []
+    for i, innovation in enumerate(innovations):
+        test = test.after(innovation)
+        found += [i] if test.jumped else []
+    assert found == jumps
 
-    def update(task: Task) -> Outcome:
-        surprise = next(told)
-        wider.append(task.surprised(abs(surprise)) is not task.arrival)
-        return Outcome(task.arrival, task.noise, 1.0, 1.0, abs(surprise), float(surprise > 0), 9, 0, 1)
 
-    estimator._update = update
-    (window, *_) = windows(system, drive(2.0))
-    marks = [estimator.update(window, 0.2 * i).mark for i in range(len(surprises))]
-    assert [i for i, mark in enumerate(marks) if mark == "jump"] == jumps == list(np.flatnonzero(wider))
+def test_a_jump_inflates_the_prior_of_its_own_window(constant, drive) -> None:
+    log = drive(6.0, mass=lambda t: 2.0 if t < 4.0 else 3.5)
+    one, two = (estimates(with_mhe(constant, jump_sd=sd), log) for sd in (0.6, 1e-6))
+    at = next(i for i, e in enumerate(one) if e.mark == "jump")
+    assert one[at - 1].theta == pytest.approx(two[at - 1].theta)
+    assert one[at].theta[0] > two[at].theta[0] + 0.3
+    assert one[at].sd[0] > 2.0 * two[at].sd[0]
 
 
 def test_at_rest_it_keeps_its_belief_and_grows_less_sure(cart, drive) -> None:
@@ -176,15 +176,16 @@ def test_an_update_with_less_time_than_it_took_before_has_fewer_samples(cart, dr
     assert third.rollouts == first.rollouts
 
 
-def test_a_budget_is_kept_to_by_the_updates_after_it(cart, drive) -> None:
-    engine = CpuEngine(cart.model, cart.edits, cart.input_spec, 1, cart.senses)
-    estimator = MovingHorizon(with_mhe(cart, samples=16), engine, np.random.default_rng(0))
+def test_a_budget_is_kept_to_by_the_updates_after_it() -> None:
+    here = Gaussian(np.zeros(2), np.eye(2))
     samples, counts = 16, []
     for _ in range(4):  # 10 ms for each rollout, of which the mean is one
-        outcome = Outcome(estimator._arrival, estimator._noise, 1.0, 1.0, 0.0, 1.0, samples + 1, 0, 1)
-        estimator._took = estimator._timed(outcome, samples, 0.01 * (samples + 1))
-        counts.append(samples := estimator._affordable(0.1))
+        outcome = Outcome(here, Noise(), 1.0, 1.0, 1.0, rollouts=samples + 1, diverged=0, iterations=1)
+        pace = Pace.of(0.01 * (samples + 1), samples, outcome)
+        counts.append(samples := pace.affordable(0.1, most=16))
     assert counts == [8] * 4
+    assert pace.affordable(0.001, most=16) == 4, "fewer samples determine no slopes"
+    assert pace.affordable(None, most=16) == Pace().affordable(0.1, most=16) == 16
 
 
 def test_what_the_model_has_wrong_widens_what_is_told_and_moves_nothing(cart, drive) -> None:
@@ -227,8 +228,8 @@ def test_a_window_of_few_steps_is_refused_and_one_without_samples_teaches_nothin
 def test_a_loaded_belief_can_still_move(cart) -> None:
     space = cart.space
     belief = belief_of("cart", space, space.z_of(np.array([1.0, 4.0])), 1e-8 * np.eye(2), {})
-    start = arrival_of(space, belief, 0.2)
+    start = prior_of(space, belief, 0.2)
     assert space.theta_of(start.z) == pytest.approx([1.0, 4.0])
     assert start.sd == pytest.approx(space.in_z(0.2))
-    wide = arrival_of(space, None, 0.2)
+    wide = prior_of(space, None, 0.2)
     assert wide.sd == pytest.approx([1.0, 1.0]), "the prior is not narrowed"

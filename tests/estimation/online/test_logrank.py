@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amhe_cli.estimation.online.logrank import learned
+from amhe_cli.estimation.online.updates import learned
 
 
 def test_by_hand() -> None:
