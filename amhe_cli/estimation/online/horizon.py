@@ -28,8 +28,8 @@ from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 
 #: How a window was used. 'jump': the parameters had jumped, and it updated an inflated prior. The others were
-#: skipped; 'still': too little excitation; 'gap': a signal is missing; 'diverged': the rollout of the mean, or
-#: too many of the samples, diverged.
+#: skipped. 'still': too little excitation; 'gap': a signal is missing; 'diverged': the rollout of the mean
+#: diverged, or too many of the samples did.
 Mark = Literal["updated", "jump", "still", "gap", "diverged"]
 
 #: Fewest steps of the model in a window, and fewest samples that determine slopes.
