@@ -11,7 +11,7 @@ from amhe_cli.assembly import LogSource, open_system, told_truth, understood
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.log import Log, Window
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.estimation.online.prior import prior_of
 from amhe_cli.estimation.online.replay import ReplayProblem, windows
@@ -45,7 +45,7 @@ def open_replay(
     known = read_belief(belief, opened) if belief else None
     (log,) = understood(opened, source, system)
     steps = windows(opened, log)
-    engine = CpuEngine(opened.model, opened.edits, opened.input_spec, threads, opened.senses)
+    engine = open_engine(opened, threads=threads)
     return ReplayProblem(
         system=opened,
         engine=engine,

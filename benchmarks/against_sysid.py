@@ -27,7 +27,7 @@ from common import DATA, multisine, show, simulated
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Window
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_signals
@@ -221,7 +221,7 @@ def judge(case: Case) -> Callable[[Sequence[FloatArray]], FloatArray]:
     pool = ClipPool(case.system, [whole(log) for log in case.held_out], settings)
     low, high = settings.length
     windows = pool.tiles(settings.held_out_length or 0.5 * (low + high), settings.held_out_first_only)
-    engine = CpuEngine(case.system.model, case.system.edits, case.system.input_spec, THREADS, sensors=False)
+    engine = open_engine(case.system, threads=THREADS, sensors=False)
     cost = MatchingCost(case.system, windows, engine, case.system.settings.cost)
 
     def error(points: Sequence[FloatArray]) -> FloatArray:

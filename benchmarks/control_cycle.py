@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.table import Table
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.engine.rollout import RolloutEngine, Rollouts
+from amhe_cli.engine.rollout import Engine, Rollouts
 from amhe_cli.robots.go1.run import Run, RunOptions, open_run
 
 DEFAULTS = {"samples": 8, "horizon": 16, "knots": 4, "loops": 3}
@@ -37,12 +37,12 @@ SKIPPED, MEASURED = 100, 60
 class Spy:
     """An engine that remembers a cycle's calls, prediction and samples, to repeat them bare."""
 
-    def __init__(self, engine: RolloutEngine) -> None:
+    def __init__(self, engine: Engine) -> None:
         self._engine = engine
         self._calls: list[tuple[FloatArray, ...]] = []
 
     def rollout(self, *arguments: FloatArray) -> Rollouts:
-        """See `RolloutEngine.rollout`."""
+        """See `Engine.rollout`."""
         self._calls.append(arguments)
         return self._engine.rollout(*arguments)  # type: ignore[arg-type]
 

@@ -30,7 +30,7 @@ from common import (
 )
 
 from amhe_cli.core.log import Log
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.estimation.online.replay import replay, windows
@@ -100,7 +100,7 @@ def online_trial(case: str, seed: int) -> dict[str, Any]:
     system = constant(system_of(case))
     truth = drawn_from_prior(system, rng)
     log = log_of(case, system, truth, rng)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    engine = open_engine(system)
     found = list(replay(MovingHorizon(system, engine, rng), windows(system, log)))
     late = [e for e in found if e.time > SETTLED]
     last, space = late[-1], system.space

@@ -18,7 +18,7 @@ import numpy as np
 from common import multisine, over_seeds, show, simulated
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.matching.cost import MatchingCost
@@ -42,7 +42,7 @@ def problem(seed: int) -> tuple[System, FloatArray, MatchingCost, list]:
     motion, noise = np.random.default_rng(0), np.random.default_rng([seed, 1])
     log = simulated(system, truth, multisine(motion), SECONDS, noise, noisy_start=False)
     windows = ClipPool(system, [whole(log)], system.settings.clips).tiles(SECONDS)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, sensors=False)
+    engine = open_engine(system, sensors=False)
     return system, OFFSET, MatchingCost(system, windows, engine, system.settings.cost), [log]
 
 

@@ -19,8 +19,8 @@ from common import multisine, paired, show, simulated
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Series
 from amhe_cli.core.rotations import exp
-from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.cpu import _groups as length_groups
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
@@ -67,24 +67,23 @@ def matching(system: System, logs: list[Log], threads: int) -> tuple[MatchingCos
     """A cost on clips as SPI draws them, and candidates about the nominal."""
     rng = np.random.default_rng(1)
     pool = ClipPool(system, [whole(log) for log in logs], system.settings.clips)
-    sensors = any(c.source == "sensordata" for c in system.channels)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, threads, sensors)
+    engine = open_engine(system, threads=threads)
     cost = MatchingCost(system, pool.draw(rng, CLIPS), engine, system.settings.cost)
     return cost, 0.2 * rng.standard_normal((CANDIDATES, len(system.space)))
 
 
 def bare(cost: MatchingCost, z: FloatArray, threads: int) -> Callable[[], None]:
     """The same rollouts with nothing around them."""
-    system, clips, model = cost.system, cost.clips, cost.system.model
+    system, starts, model = cost.system, cost.clips.starts, cost.system.model
     theta = system.space.theta_of(z)
-    batch = mujoco.batch.Batch(model, len(z) * len(clips.windows), threads)
+    batch = mujoco.batch.Batch(model, len(z) * len(starts.lengths), threads)
     fields = {name: batch.expand(name) for name in system.edits.fields}
-    system.edits.write(fields, np.repeat(theta, len(clips.windows), axis=0))
+    system.edits.write(fields, np.repeat(theta, len(starts.lengths), axis=0))
     batch.set_const()
-    qpos, qvel = np.tile(clips.qpos, (len(z), 1)), np.tile(clips.qvel, (len(z), 1))
-    inputs = clips.inputs_under(system.edits.delays(theta))
+    qpos, qvel = np.tile(starts.qpos, (len(z), 1)), np.tile(starts.qvel, (len(z), 1))
+    inputs = starts.inputs_under(system.edits.delays(theta) / model.opt.timestep)
     groups = [
-        (ids, steps, inputs[ids, :steps]) for ids, steps in length_groups(np.tile(clips.lengths, len(z)))
+        (ids, steps, inputs[ids, :steps]) for ids, steps in length_groups(np.tile(starts.lengths, len(z)))
     ]
 
     def run() -> None:
@@ -113,7 +112,7 @@ def main() -> None:
         system, logs = case()
         for threads in (1, 2):
             cost, z = matching(system, logs, threads)
-            steps = int(cost.clips.lengths.sum()) * len(z)
+            steps = int(cost.clips.starts.lengths.sum()) * len(z)
             alone, full, ratio = paired(
                 bare(cost, z, threads),
                 lambda c=cost, v=z: c.costs(v),

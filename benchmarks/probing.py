@@ -25,9 +25,10 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief_file import belief_text
 from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import Belief
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import accuracy
 from amhe_cli.estimation.design.information import information_at
-from amhe_cli.estimation.design.probe import ProbeOptions, achieved, engine_of, read, tiles
+from amhe_cli.estimation.design.probe import ProbeOptions, achieved, read, tiles
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.robots.go1.probing.motions import STEADY, Motion, named_motion
 from amhe_cli.robots.go1.probing.push import PushProbe
@@ -111,7 +112,9 @@ def told(probe: PushProbe, motion: Motion, mode: str, log: Path, options: ProbeO
 def at_the_truth(system: System, log: Path, options: ProbeOptions) -> FloatArray:
     """The covariance that a log is worth at the true parameters, which its own estimate does not move."""
     windows, truth = tiles(system, read(system, log)), system.space.z_of(np.array(list(TRUTH.values())))
-    found = information_at(system, windows, engine_of(system, options.threads), truth, options.rng(9))
+    found = information_at(
+        system, windows, open_engine(system, threads=options.threads), truth, options.rng(9)
+    )
     return accuracy(system.space, found.matrix.sum(axis=0)[None]).covariance
 
 

@@ -94,7 +94,7 @@ class Session:
 
     def hush_mujoco(self) -> None:
         """Send MuJoCo's warnings to the log; by default it writes MUJOCO_LOG.TXT where the user stands."""
-        from amhe_cli.engine.quiet import hush_mujoco
+        from amhe_cli.engine.cpu import hush_mujoco
 
         hush_mujoco()
 

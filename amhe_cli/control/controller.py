@@ -13,7 +13,7 @@ from amhe_cli.control.protocols import Behaviour, Move, Robot
 from amhe_cli.control.splines import spline_basis
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.settings import ControlSettings
-from amhe_cli.engine.rollout import RolloutEngine, Rollouts
+from amhe_cli.engine.rollout import Engine, Rollouts
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +58,7 @@ class Controller:
         self,
         behaviour: Behaviour,
         robot: Robot,
-        engine: RolloutEngine,
+        engine: Engine,
         settings: ControlSettings,
         names: Sequence[str],
         rng: np.random.Generator,

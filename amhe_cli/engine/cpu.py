@@ -2,31 +2,36 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Sequence
+
 import mujoco
 import mujoco.batch
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import SimulationError
-from amhe_cli.engine.rollout import Rollouts
+from amhe_cli.engine.rollout import Predicted, Rollouts, Starts, Wanted
 from amhe_cli.system.edits import ModelEdits
 
+#: The records of one batch of rollouts stay below this many bytes; more candidates are run in turns.
+RECORD_BYTES = 256 * 2**20
 #: Rollouts of different lengths are run in at most this many groups of similar length, so that a short
 #: one does not pay for the longest.
 LENGTH_GROUPS = 6
 
 
 class CpuEngine:
-    """A pool of simulations that is kept between calls.
+    """An engine on CPU threads, with a pool of simulations that is kept between calls.
 
     Results are bit-identical at any number of threads.
 
     Args:
-        model: The estimation model.
+        model: The model to roll out.
         edits: How parameters are written into it.
         input_spec: mjtState bits of the input vector.
-        threads: CPU threads.
-        sensors: Whether sensor data are wanted; they cost one more step per rollout.
+        threads: Number of CPU threads.
+        sensors: Whether rollouts record sensors; they cost one more step per rollout.
     """
 
     def __init__(
@@ -41,7 +46,7 @@ class CpuEngine:
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
-        """See `RolloutEngine.rollout`."""
+        """See `Engine.rollout`."""
         count, horizon = inputs.shape[:2]
         batch = self._ready(count)
         self._write(batch, theta)
@@ -57,7 +62,45 @@ class CpuEngine:
         for ids, steps in _groups(lengths):
             self._run(batch, ids, steps, inputs, result)
         result.completed[:] = ~batch.warning[:count].any(axis=(1, 2))
+        _make_finite(result)
         return result
+
+    def predict(
+        self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
+    ) -> Predicted:
+        """See `Engine.predict`."""
+        model = self._model
+        row = model.nq + model.nv + model.nsensordata + starts.inputs.shape[2]
+        each = 8 * row * starts.horizon * len(starts.lengths)
+        turns = max(1, int(np.ceil(len(theta) * each / RECORD_BYTES)))
+        if turns == 1:
+            return self._predict(theta, starts, errors, wanted)
+        return joined(
+            [
+                self._predict(theta[rows], starts, None if errors is None else errors[rows], wanted)
+                for rows in np.array_split(np.arange(len(theta)), turns)
+            ]
+        )
+
+    def _predict(
+        self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
+    ) -> Predicted:
+        """Predict with one batch of rollouts, in the order (candidates, clips)."""
+        model, count, clips = self._model, len(theta), len(starts.lengths)
+        qpos, qvel = starts.states(model, count, errors)
+        rollouts = self.rollout(
+            np.repeat(theta, clips, axis=0),
+            qpos.reshape(-1, model.nq),
+            qvel.reshape(-1, model.nv),
+            starts.inputs_under(self._edits.delays(theta) / model.opt.timestep),
+            np.tile(starts.lengths, count),
+        )
+        values = tuple(one.pick(rollouts, count) for one in wanted)
+        return Predicted(values, rollouts.completed.reshape(count, clips))
+
+    def upon(self, model: mujoco.MjModel) -> CpuEngine:
+        """See `Engine.upon`."""
+        return CpuEngine(model, self._edits.upon(model), self._input_spec, self._threads, self._sensors)
 
     def _ready(self, count: int) -> mujoco.batch.Batch:
         """The pool, grown to at least `count` simulations."""
@@ -68,7 +111,7 @@ class CpuEngine:
         return self._batch
 
     def _write(self, batch: mujoco.batch.Batch, theta: FloatArray) -> None:
-        """Write candidates into their simulations; a planner's are the same cycle after cycle."""
+        """Write candidates into their simulations, unless they hold them already, as a planner's do."""
         count = len(theta)
         if np.array_equal(theta, self._written[:count]):
             return
@@ -80,7 +123,7 @@ class CpuEngine:
     def _run(
         self, batch: mujoco.batch.Batch, ids: IntArray, steps: int, inputs: FloatArray, into: Rollouts
     ) -> None:
-        """Run one group and file its records; the last input is held for the sensors' extra step."""
+        """Run some rollouts and store their records; the last input is held for the sensors' extra step."""
         control = inputs[ids, :steps]
         record = ["qpos", "qvel"]
         if into.sensordata is not None:
@@ -112,3 +155,24 @@ def _groups(lengths: IntArray) -> list[tuple[IntArray, int]]:
         for g in range(edges.size)
         if (group == g).any()
     ]
+
+
+def _make_finite(rollouts: Rollouts) -> None:
+    """Replace NaN and inf of diverged rollouts by 0, in place: a model without MuJoCo's reset keeps them."""
+    failed = np.flatnonzero(~rollouts.completed)
+    for values in (rollouts.qpos, rollouts.qvel, rollouts.sensordata):
+        if failed.size and values is not None:
+            values[failed] = np.nan_to_num(values[failed], posinf=0.0, neginf=0.0)
+
+
+def joined(parts: Sequence[Predicted]) -> Predicted:
+    """The predictions of all candidates, from those of some after others."""
+    return Predicted(
+        tuple(np.concatenate(values) for values in zip(*(part.values for part in parts), strict=True)),
+        np.concatenate([part.completed for part in parts]),
+    )
+
+
+def hush_mujoco() -> None:
+    """Send this process's MuJoCo warnings to the log; by default it writes MUJOCO_LOG.TXT."""
+    mujoco.set_mju_user_warning(logging.getLogger("amhe_cli.mujoco").debug)

@@ -1,4 +1,4 @@
-"""The one interface to the simulator: roll out candidate parameters from given states under given inputs.
+"""What every rollout engine does, and the arrays that it takes and gives.
 
 Alignment is settled here and nowhere else: row k of every array of `Rollouts` is the instant k + 1, the
 state after input k; the initial state is the instant 0. MuJoCo's own rollout records sensors one step
@@ -7,10 +7,18 @@ late (they describe the state before the step); the engine shifts them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Literal, Protocol, Self, TypeAlias
+
+import mujoco
+import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.engine.states import integrated
+
+#: An array of the engine's own: numpy's, or a device's with numpy's functions in `__array_namespace__`.
+EngineArray: TypeAlias = Any
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -19,9 +27,9 @@ class Rollouts:
 
     Args:
         qpos, qvel: States at the instants 1 .. H, shape (n, H, nq) and (n, H, nv).
-        sensordata: Sensors at the same instants, shape (n, H, nsensordata); None if not asked for.
-        completed: False where the simulator warned of divergence, shape (n,). Such a rollout's numbers
-            look tame (MuJoCo stops, or resets, and repeats itself): never use them.
+        sensordata: Sensors at the same instants, shape (n, H, nsensordata); None if the engine has none.
+        completed: False where the simulation diverged, shape (n,). The numbers of such a rollout are
+            finite and look tame (MuJoCo stops, or resets, and repeats itself): never use them.
     """
 
     qpos: FloatArray
@@ -30,22 +38,152 @@ class Rollouts:
     completed: BoolArray
 
 
-class RolloutEngine(Protocol):
-    """What a rollout engine, on CPU or GPU, must offer."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Starts:
+    """Where the rollouts of c clips start, and what drives them.
+
+    Args:
+        qpos, qvel: First states, shape (c, nq) and (c, nv).
+        inputs: Input vectors from `history` steps before each start, shape (c, history + H, nu).
+        history: Steps that the longest command delay reaches back.
+        delayed: True for the columns of the inputs that a command delay shifts, shape (nu,).
+        lengths: Steps of each clip, shape (c,), at most H.
+        first_index: Tangent coordinates of the first state (nv of qpos, then nv of qvel) that may be
+            wrong, shape (nx,).
+        first_sd: Sd of their errors [SI], shape (nx,).
+    """
+
+    qpos: FloatArray
+    qvel: FloatArray
+    inputs: FloatArray
+    history: int
+    delayed: BoolArray
+    lengths: IntArray
+    first_index: IntArray
+    first_sd: FloatArray
+
+    @property
+    def horizon(self) -> int:
+        """Steps of the longest clip, H."""
+        return self.inputs.shape[1] - self.history
+
+    def states(
+        self, model: mujoco.MjModel, count: int, errors: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray]:
+        """First states of p candidates on every clip: qpos (p, c, nq) and qvel (p, c, nv).
+
+        Args:
+            model: The model whose states they are.
+            count: Number of candidates, p.
+            errors: First-state errors in units of their sd, shape (p, c, nx); None for the states as they
+                are.
+        """
+        shape = (count, len(self.lengths))
+        if errors is None:
+            return (
+                np.broadcast_to(self.qpos, (*shape, model.nq)),
+                np.broadcast_to(self.qvel, (*shape, model.nv)),
+            )
+        delta = np.zeros((*shape, 2 * model.nv))
+        delta[..., self.first_index] = errors * self.first_sd
+        return integrated(model, self.qpos, delta[..., : model.nv]), self.qvel + delta[..., model.nv :]
+
+    def inputs_under(self, delays: FloatArray) -> FloatArray:
+        """Inputs of p candidates under command delays [steps] (p,), shape (p * c, H, nu).
+
+        A fraction of a step is interpolated, so that a cost is continuous in the delay.
+        """
+        horizon, prompt = self.horizon, self.inputs[:, self.history :]
+        whole, fraction = np.divmod(delays, 1.0)
+        taken = []
+        for steps, part in zip(whole.astype(int), fraction, strict=True):
+            if steps == 0 and part == 0.0:
+                taken.append(prompt)
+                continue
+            late = self.history - steps
+            now = self.inputs[:, late : late + horizon]
+            before = self.inputs[:, late - 1 : late - 1 + horizon]
+            taken.append(np.where(self.delayed, (1.0 - part) * now + part * before, prompt))
+        return np.concatenate(taken)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wanted:
+    """Numbers to pick from the rollouts of c clips, at most s times on each.
+
+    Args:
+        source: The array of `Rollouts`.
+        rows: Its row (instant - 1) of each sample, shape (c, s); below the clip's length.
+        columns: Its columns, k of them.
+    """
+
+    source: Literal["qpos", "qvel", "sensordata"]
+    rows: IntArray
+    columns: tuple[int, ...]
+
+    def pick(self, rollouts: Rollouts, count: int) -> FloatArray:
+        """The numbers of p candidates, shape (p, c, s, k), from rollouts in the order (p, c)."""
+        source = getattr(rollouts, self.source)
+        clips = len(self.rows)
+        source = source.reshape(count, clips, *source.shape[1:])
+        return source[:, np.arange(clips)[:, None, None], self.rows[..., None], np.array(self.columns)]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """What p candidates predict on c clips.
+
+    Args:
+        values: One array for each `Wanted`, shape (p, c, s, k), in the engine's own array namespace.
+            Finite everywhere, also where a rollout diverged.
+        completed: False where a rollout diverged, shape (p, c); numpy.
+    """
+
+    values: tuple[EngineArray, ...]
+    completed: BoolArray
+
+
+class Engine(Protocol):
+    """What a rollout engine, on CPU or GPU, must do; tests/engine/test_contract.py checks every engine.
+
+    A rollout does not depend on the other rollouts of the call, nor on earlier calls. Diverged rollouts are
+    marked, and their values are finite.
+    """
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
-        """Roll out n candidates.
+        """Roll out n candidates and return their whole states.
 
         Args:
             theta: Parameters in SI units, shape (n, d).
             qpos: Initial positions, shape (n, nq).
             qvel: Initial velocities, shape (n, nv).
-            inputs: Input vectors of the system's `input_spec`, held over one step, shape (n, H, nu).
+            inputs: Input vectors of the system's `input_spec`, each held over one step, shape (n, H, nu).
             lengths: Steps wanted of each rollout, shape (n,), at most H.
 
         Raises:
             SimulationError: The simulator refused the model or an input.
         """
+        ...
+
+    def predict(
+        self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
+    ) -> Predicted:
+        """Roll out p candidates on each of c clips, and return only the wanted numbers.
+
+        Args:
+            theta: Parameters in SI units, shape (p, d); their command delay shifts the inputs.
+            starts: First states and inputs of the clips.
+            errors: First-state errors in units of their sd, shape (p, c, nx); None for the states as they
+                are.
+            wanted: The numbers to pick.
+
+        Raises:
+            SimulationError: The simulator refused the model or an input.
+        """
+        ...
+
+    def upon(self, model: mujoco.MjModel) -> Self:
+        """The same engine, its threads and workers included, on another model of the same layout."""
         ...

@@ -1,97 +1,117 @@
 """Rollouts spread over an executor's workers: the same numbers, to the bit, as the engine of one process.
 
-Rollouts do not see each other, so rows can be computed anywhere. What travels is states in and states out.
+Rollouts do not depend on each other, so they can be computed anywhere. A prediction is cut into whole
+candidates: the clips travel once for each part, and only the wanted numbers come back.
 """
 
 from __future__ import annotations
 
 import pickle
 import zlib
+from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, CancelledError, Executor
 from functools import lru_cache
+from typing import Any, TypeVar
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import AmheError
-from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.engine.quiet import hush_mujoco
-from amhe_cli.engine.rollout import Rollouts
+from amhe_cli.engine.cpu import CpuEngine, hush_mujoco, joined
+from amhe_cli.engine.rollout import Predicted, Rollouts, Starts, Wanted
 from amhe_cli.system.edits import ModelEdits
 
 #: A part of a call has at least so many rollouts, and a call at most so many parts.
 _LEAST, _MOST = 8, 64
 
+T = TypeVar("T")
+
 
 class SpreadEngine:
-    """A rollout engine whose rollouts are done by others.
+    """An engine whose rollouts are computed by the workers of an executor, one thread each.
 
     Args:
         executor: Open as long as the engine is used.
-        model, edits, input_spec, sensors: As of `CpuEngine`.
+        model: The model to roll out.
+        edits: How parameters are written into it.
+        input_spec: mjtState bits of the input vector.
+        sensors: Whether rollouts record sensors.
     """
 
     def __init__(
         self, executor: Executor, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, sensors: bool
     ) -> None:
-        self._executor = executor
+        self._executor, self._edits, self._input_spec, self._sensors = executor, edits, input_spec, sensors
         # a model is megabytes, nearly all of it zeros; it goes with each part, since workers come and go
         self._blueprint = zlib.compress(pickle.dumps((model, edits, input_spec, sensors)), 1)
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
-        """See `RolloutEngine.rollout`.
+        """See `Engine.rollout`.
 
         Raises:
             AmheError: The workers are gone.
         """
-        parts = np.array_split(np.arange(len(theta)), max(1, min(_MOST, len(theta) // _LEAST)))
+        each = [
+            (theta[rows], qpos[rows], qvel[rows], inputs[rows], lengths[rows])
+            for rows in _parts(len(theta), 1)
+        ]
+        done = self._gathered(_rollout, each)
+        sensors = [part.sensordata for part in done if part.sensordata is not None]
+        return Rollouts(
+            np.concatenate([part.qpos for part in done]),
+            np.concatenate([part.qvel for part in done]),
+            np.concatenate(sensors) if sensors else None,
+            np.concatenate([part.completed for part in done]),
+        )
+
+    def predict(
+        self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
+    ) -> Predicted:
+        """See `Engine.predict`.
+
+        Raises:
+            AmheError: The workers are gone.
+        """
+        each = [
+            (theta[rows], starts, None if errors is None else errors[rows], wanted)
+            for rows in _parts(len(theta), len(starts.lengths))
+        ]
+        return joined(self._gathered(_predict, each))
+
+    def upon(self, model: mujoco.MjModel) -> SpreadEngine:
+        """See `Engine.upon`."""
+        return SpreadEngine(self._executor, model, self._edits.upon(model), self._input_spec, self._sensors)
+
+    def _gathered(self, function: Callable[..., T], parts: Sequence[tuple[Any, ...]]) -> list[T]:
+        """Results of all parts, in their order."""
         try:
-            futures = [
-                self._executor.submit(
-                    _rollout,
-                    self._blueprint,
-                    theta[rows],
-                    qpos[rows],
-                    qvel[rows],
-                    inputs[rows],
-                    lengths[rows],
-                )
-                for rows in parts
-            ]
-            return _joined([future.result() for future in futures])
+            futures = [self._executor.submit(function, self._blueprint, *part) for part in parts]
+            return [future.result() for future in futures]
         except (BrokenExecutor, CancelledError):
             raise AmheError(
-                "the workers are gone; with --checkpoint FILE a search goes on where it was"
+                "the workers are gone: start them again; a search with a checkpoint goes on where it was"
             ) from None
 
 
-def _rollout(
-    blueprint: bytes,
-    theta: FloatArray,
-    qpos: FloatArray,
-    qvel: FloatArray,
-    inputs: FloatArray,
-    lengths: IntArray,
-) -> Rollouts:
-    return _engine(blueprint).rollout(theta, qpos, qvel, inputs, lengths)
+def _parts(count: int, rollouts: int) -> list[IntArray]:
+    """Rows of `count` candidates, of so many rollouts each, cut into parts."""
+    return np.array_split(np.arange(count), max(1, min(_MOST, count, count * rollouts // _LEAST)))
+
+
+def _rollout(blueprint: bytes, *arguments: Any) -> Rollouts:
+    return _engine(blueprint).rollout(*arguments)
+
+
+def _predict(blueprint: bytes, *arguments: Any) -> Predicted:
+    return _engine(blueprint).predict(*arguments)
 
 
 @lru_cache(maxsize=2)
 def _engine(blueprint: bytes) -> CpuEngine:
-    """A worker's own, kept from call to call."""
+    """The engine of a worker, kept from call to call."""
     hush_mujoco()
     model, edits, input_spec, sensors = pickle.loads(zlib.decompress(blueprint))
     return CpuEngine(model, edits, input_spec, 1, sensors)
-
-
-def _joined(parts: list[Rollouts]) -> Rollouts:
-    sensors = [part.sensordata for part in parts if part.sensordata is not None]
-    return Rollouts(
-        np.concatenate([part.qpos for part in parts]),
-        np.concatenate([part.qvel for part in parts]),
-        np.concatenate(sensors) if sensors else None,
-        np.concatenate([part.completed for part in parts]),
-    )

@@ -21,13 +21,9 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import CostSettings
 from amhe_cli.core.statistics import pseudo_huber, trimmed_mean
-from amhe_cli.engine.rollout import RolloutEngine
-from amhe_cli.engine.states import integrated
+from amhe_cli.engine.rollout import Engine, Predicted
 from amhe_cli.matching.windows import Clips, Observed, prepare
 from amhe_cli.system.system import Channel, System
-
-#: Rollout records of one engine call stay below this many bytes; more candidates are run in turns.
-RECORD_BYTES = 256 * 2**20
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +60,7 @@ class MatchingCost:
         self,
         system: System,
         windows: Sequence[Window],
-        engine: RolloutEngine,
+        engine: Engine,
         settings: CostSettings,
         noise_scale: Mapping[str, float] | None = None,
     ) -> None:
@@ -74,12 +70,10 @@ class MatchingCost:
     @property
     def nx(self) -> int:
         """Number of first-state coordinates whose measurement error is known."""
-        return int(self.clips.first_sd.size)
+        return int(self.clips.starts.first_sd.size)
 
-    def predict(
-        self, z: FloatArray, first: FloatArray | None = None
-    ) -> tuple[tuple[FloatArray, ...], BoolArray]:
-        """Roll out and pick what the channels measure, at the times they measured it.
+    def predict(self, z: FloatArray, first: FloatArray | None = None) -> Predicted:
+        """What the compared channels would have measured, at the times at which they did.
 
         Args:
             z: Candidates, shape (p, d).
@@ -87,49 +81,16 @@ class MatchingCost:
                 from its recorded state.
 
         Returns:
-            Per channel, predicted values (p, c, samples, columns), and the completed mask (p, c).
+            One array for each channel, shape (p, c, samples, columns), and the completed mask (p, c).
         """
-        turns = max(1, int(np.ceil(len(z) * self.clips.record_bytes / RECORD_BYTES)))
-        parts = [
-            self._predict(z[rows], None if first is None else first[rows])
-            for rows in np.array_split(np.arange(len(z)), turns)
-        ]
-        channels = zip(*(values for values, _ in parts), strict=True)
-        return tuple(np.concatenate(c) for c in channels), np.concatenate([done for _, done in parts])
-
-    def _predict(self, z: FloatArray, first: FloatArray | None) -> tuple[tuple[FloatArray, ...], BoolArray]:
-        clips, count = self.clips, (len(z), len(self.clips.windows))
         theta = self.system.space.theta_of(self.system.space.clip(z))
-        qpos, qvel = self._first_states(first, count)
-        rollouts = self.engine.rollout(
-            np.repeat(theta, count[1], axis=0),
-            qpos.reshape(-1, qpos.shape[-1]),
-            qvel.reshape(-1, qvel.shape[-1]),
-            clips.inputs_under(self.system.edits.delays(theta)),
-            np.tile(clips.lengths, count[0]),
-        )
-        picked = tuple(o.pick(rollouts, count) for o in clips.observed)
-        return picked, rollouts.completed.reshape(count)
-
-    def _first_states(
-        self, first: FloatArray | None, count: tuple[int, int]
-    ) -> tuple[FloatArray, FloatArray]:
-        """Initial qpos (p, c, nq) and qvel (p, c, nv)."""
-        clips, model = self.clips, self.system.model
-        if first is None:
-            return (
-                np.broadcast_to(clips.qpos, (*count, model.nq)),
-                np.broadcast_to(clips.qvel, (*count, model.nv)),
-            )
-        delta = np.zeros((*count, 2 * model.nv))
-        delta[..., clips.first_index] = first * clips.first_sd
-        return integrated(model, clips.qpos, delta[..., : model.nv]), clips.qvel + delta[..., model.nv :]
+        return self.engine.predict(theta, self.clips.starts, first, [o.wanted for o in self.clips.observed])
 
     def residuals(self, z: FloatArray, first: FloatArray | None = None) -> Residuals:
         """Whitened residuals of candidates z (p, d); see `predict` for `first`."""
-        predicted, completed = self.predict(z, first)
-        values = tuple(whitened(o, p) for o, p in zip(self.clips.observed, predicted, strict=True))
-        return Residuals(values, completed)
+        predicted = self.predict(z, first)
+        pairs = zip(self.clips.observed, predicted.values, strict=True)
+        return Residuals(tuple(whitened(observed, values) for observed, values in pairs), predicted.completed)
 
     def clip_costs(self, residuals: Residuals) -> FloatArray:
         """Cost of every candidate on every clip, shape (p, c); inf where the rollout diverged."""

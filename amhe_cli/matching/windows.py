@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Window
-from amhe_cli.engine.rollout import Rollouts
+from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.engine.states import home
 from amhe_cli.matching.starts import first_errors, first_states
 from amhe_cli.system.system import Channel, System
@@ -17,32 +17,26 @@ from amhe_cli.system.system import Channel, System
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observed:
-    """What one channel measured on c clips, at most `samples` times on each.
+    """What one channel measured on c clips, at most s times on each.
 
     Args:
-        rows: Row of `Rollouts` (instant - 1) of each sample, shape (c, samples).
-        measured: Shape (c, samples, columns).
-        mask: False on padding, shape (c, samples).
-        noise: sd of one column.
+        channel: The channel.
+        wanted: Where an engine predicts the samples, (c, s); padded with row 0.
+        measured: The measurements, shape (c, s, columns).
+        mask: False on padding, shape (c, s).
+        noise: Sd of one column [SI].
     """
 
     channel: Channel
-    rows: IntArray
+    wanted: Wanted
     measured: FloatArray
     mask: BoolArray
     noise: float
 
     @property
     def width(self) -> int:
-        """Residuals of one sample: 3 for a rotation, else one a column."""
+        """Residuals of one sample: 3 for a rotation, else one for each column."""
         return 3 if self.channel.kind == "rotation" else len(self.channel.columns)
-
-    def pick(self, rollouts: Rollouts, count: tuple[int, int]) -> FloatArray:
-        """The rollouts' prediction of every sample, shape (p, c, samples, columns)."""
-        source = getattr(rollouts, self.channel.source)
-        source = source.reshape(*count, *source.shape[1:])
-        clip = np.arange(count[1])[:, None, None]
-        return source[:, clip, self.rows[..., None], np.array(self.channel.columns)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,92 +44,64 @@ class Clips:
     """c windows as arrays.
 
     Args:
-        qpos, qvel: First states, shape (c, nq) and (c, nv).
-        inputs: Input vectors from `history` steps before each start, shape (c, history + H, nu).
-        delayed: Which of their columns a command delay shifts, shape (nu,).
-        lengths: Steps of each, shape (c,).
-        observed: The compared channels.
-        counts: Scalar measurements in each clip, shape (c,).
-        first_index: Coordinates of the tangent first state (2 nv) that were measured, shape (nx,).
-        first_sd: Their noise sd, shape (nx,).
-        record_bytes: What one candidate's rollouts weigh.
+        windows: The windows.
+        starts: Their first states and inputs, for an engine.
+        observed: What the compared channels measured.
+        counts: Number of scalar measurements in each clip, shape (c,); at least 1.
     """
 
     windows: tuple[Window, ...]
-    qpos: FloatArray
-    qvel: FloatArray
-    inputs: FloatArray
-    delayed: BoolArray
-    history: int
-    lengths: IntArray
+    starts: Starts
     observed: tuple[Observed, ...]
     counts: FloatArray
-    first_index: IntArray
-    first_sd: FloatArray
-    dt: float
-    record_bytes: int
-
-    def inputs_under(self, delays: FloatArray) -> FloatArray:
-        """Inputs of p candidates with command delays [s] (p,), shape (p * c, H, nu).
-
-        A fraction of a step is interpolated, so that the cost is continuous in the delay.
-        """
-        horizon = self.inputs.shape[1] - self.history
-        prompt = self.inputs[:, self.history :]
-        whole, fraction = np.divmod(np.asarray(delays) / self.dt, 1.0)
-        taken = []
-        for steps, part in zip(whole.astype(int), fraction, strict=True):
-            if steps == 0 and part == 0.0:
-                taken.append(prompt)
-                continue
-            late = self.history - steps
-            now = self.inputs[:, late : late + horizon]
-            before = self.inputs[:, late - 1 : late - 1 + horizon]
-            taken.append(np.where(self.delayed, (1.0 - part) * now + part * before, prompt))
-        return np.concatenate(taken)
 
 
 def prepare(
     system: System, windows: Sequence[Window], noise_scale: Mapping[str, float], smoothing: float = 0.0
 ) -> Clips:
-    """Lay out windows of `system`'s logs.
+    """Lay out windows of a system's logs.
 
     Args:
+        system: The system.
+        windows: The windows; the errors of their first states are those of the first window's log.
         noise_scale: Channel -> factor on its declared noise sd.
-        smoothing: See `first_states`.
+        smoothing: First positions are smoothed over this time [s], see `first_states`.
 
     Raises:
         LogError: A window starts where the state was not measured.
     """
+    compared = [c for c in system.channels if c.compared and not _derived(c, windows)]
+    observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0)) for c in compared)
+    observed = tuple(o for o in observed if o.mask.any())
+    return Clips(
+        windows=tuple(windows),
+        starts=starts_of(system, windows, smoothing),
+        observed=observed,
+        counts=np.maximum(sum(o.mask.sum(axis=1) * o.width for o in observed), 1.0),
+    )
+
+
+def starts_of(system: System, windows: Sequence[Window], smoothing: float) -> Starts:
+    """First states and inputs of windows; see `prepare`."""
     lengths = np.array([w.length for w in windows])
     home_qpos, home_input = home(system.model, system.keyframe, system.input_spec)
     qpos, qvel = first_states(system, windows, home_qpos, smoothing)
     history = _history(system)
-    inputs = _inputs(system, windows, home_input, history, int(lengths.max()))
-    compared = [c for c in system.channels if c.compared and not _derived(c, windows)]
-    observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0)) for c in compared)
-    observed = tuple(o for o in observed if o.mask.any())
     index, sd = first_errors(system, windows[0].log)
-    model = system.model
-    row = model.nq + model.nv + model.nsensordata + inputs.shape[2]
-    return Clips(
-        windows=tuple(windows),
+    return Starts(
         qpos=qpos,
         qvel=qvel,
-        inputs=inputs,
-        delayed=_delayed(system, inputs.shape[2]),
+        inputs=_inputs(system, windows, home_input, history, int(lengths.max())),
         history=history,
+        delayed=_delayed(system, home_input.size),
         lengths=lengths,
-        observed=observed,
-        counts=np.maximum(sum(o.mask.sum(axis=1) * o.width for o in observed), 1.0),
         first_index=index,
         first_sd=sd,
-        dt=model.opt.timestep,
-        record_bytes=8 * row * int(lengths.max()) * len(windows),
     )
 
 
 def _derived(channel: Channel, windows: Sequence[Window]) -> bool:
+    """Whether no log measured the channel itself: a differentiated series is no second measurement."""
     return all(w.log[channel.key].derived for w in windows)
 
 
@@ -163,6 +129,7 @@ def _inputs(
 
 
 def _delayed(system: System, width: int) -> BoolArray:
+    """Which of the engine's input columns a command delay shifts, shape (width,)."""
     delayed = np.zeros(width, dtype=bool)
     for source in system.inputs:
         delayed[list(source.columns)] = source.delayed
@@ -185,4 +152,5 @@ def _observed(channel: Channel, windows: Sequence[Window], scale: float) -> Obse
     for i, (window, steps) in enumerate(zip(windows, found, strict=True)):
         rows[i, : steps.size], mask[i, : steps.size] = steps, True
         measured[i, : steps.size] = window.log[channel.key].values[window.start + 1 + steps]
-    return Observed(channel, rows, measured, mask, scale * (channel.noise or 1.0))
+    wanted = Wanted(channel.source, rows, channel.columns)
+    return Observed(channel, wanted, measured, mask, scale * (channel.noise or 1.0))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError, Ending
-from amhe_cli.engine.quiet import hush_mujoco
+from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.record import run_record
 from amhe_cli.robots.go1.run import RunOptions, open_run

@@ -5,13 +5,12 @@ import pytest
 
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.settings import CostSettings
-from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.engine.rollout import Rollouts
+from amhe_cli.engine.open import open_engine
 from amhe_cli.matching.cost import MatchingCost, quadratic_prior
 from amhe_cli.system.system import System
 
 CUBE = System.load("cube_toss")
-ENGINE = CpuEngine(CUBE.model, CUBE.edits, CUBE.input_spec, 1, False)
+ENGINE = open_engine(CUBE)
 SETTINGS = CostSettings(trim=0.0)
 
 
@@ -88,13 +87,14 @@ def test_first_state_errors_move_the_rollout():
 
 
 class Diverging:
-    """An engine whose second rollout never completes."""
+    """An engine whose second clip never completes under the first candidate."""
 
-    def rollout(self, theta, qpos, qvel, inputs, lengths):
-        done = ENGINE.rollout(theta, qpos, qvel, inputs, lengths)
-        completed = done.completed.copy()
-        completed[1] = False
-        return Rollouts(done.qpos, done.qvel, done.sensordata, completed)
+    rollout, upon = ENGINE.rollout, ENGINE.upon
+
+    def predict(self, theta, starts, errors, wanted):
+        predicted = ENGINE.predict(theta, starts, errors, wanted)
+        predicted.completed[0, 1] = False
+        return predicted
 
 
 def test_a_diverged_candidate_costs_infinity_even_where_the_worst_clip_is_trimmed():

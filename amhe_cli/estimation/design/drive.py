@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,14 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, Ending, SimulationError
 from amhe_cli.core.log import Log
 from amhe_cli.core.samples import sampled
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.actuators import drives_of
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
 from amhe_cli.estimation.design.information import information_at
 from amhe_cli.estimation.design.multisine import Multisine, candidates, slow_sine
 from amhe_cli.estimation.design.plan import ProbePlan, parts_of
 from amhe_cli.estimation.design.playback import Playback
-from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, engine_of, tiles
+from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, tiles
 from amhe_cli.logs import LogWriter
 from amhe_cli.logs.messages.signal_writer import message_type, write_samples
 from amhe_cli.system.edits import ModelEdits
@@ -52,7 +53,7 @@ class DriveProbe:
         self._drives = drives_of(own)
         for signal in own.signals:  # refuse what could not be logged before any work is done
             message_type(signal)
-        self._engine = engine_of(own, options.threads)
+        self._engine = open_engine(own, threads=options.threads)
         self._model = Playback(own, self._engine, own.model.opt.timestep)
         self._plant = self._model if options.plant is None else _other(options, folder, settings)
         self._truth = own.space.named(own.space.nominal)
@@ -135,7 +136,6 @@ def _other(options: ProbeOptions, folder: Path, settings: dict[str, Any]) -> Pla
         first = str(error).splitlines()[0]
         raise ConfigError(f"--plant {options.plant}: does not suit the system: {first}") from None
     model = compiled(system.spec)
-    engine = CpuEngine(
-        model, ModelEdits(model, system.space, ()), system.input_spec, options.threads, system.senses
-    )
+    unedited = replace(system, edits=ModelEdits(model, system.space, ()))
+    engine = open_engine(unedited, threads=options.threads, model=model)
     return Playback(system, engine, model.opt.timestep)

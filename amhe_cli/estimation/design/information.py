@@ -9,7 +9,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Window
-from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.information import (
     Information,
     fitted_noise_scale,
@@ -29,7 +29,7 @@ FAR, NEAR, SETTLED = 5, 3, 1.0
 def information_at(
     system: System,
     windows: Sequence[Window],
-    engine: RolloutEngine,
+    engine: Engine,
     z: FloatArray,
     rng: np.random.Generator,
     *,
@@ -70,7 +70,7 @@ def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
 
 
 def information_where_it_points(
-    system: System, windows: Sequence[Window], engine: RolloutEngine, rng: np.random.Generator
+    system: System, windows: Sequence[Window], engine: Engine, rng: np.random.Generator
 ) -> FloatArray:
     """Information (d, d) of all windows together, at the estimate that a few steps from the belief reach.
 

@@ -9,7 +9,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.log import Log, Series
-from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.states import home
 from amhe_cli.system.system import Channel, System
 
@@ -28,7 +28,7 @@ class Playback:
     """
 
     system: System
-    engine: RolloutEngine
+    engine: Engine
     dt: float
 
     def times(self, seconds: float) -> FloatArray:

@@ -14,7 +14,7 @@ from amhe_cli.assembly import LogSource, trajectories
 from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.errors import AmheError, Ending, EstimationError
 from amhe_cli.core.log import Log, Window
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import Accuracy, accuracy
 from amhe_cli.estimation.design.information import information_where_it_points
 from amhe_cli.estimation.design.plan import ProbePlan
@@ -94,11 +94,6 @@ def believing(system: System, belief: Path | None) -> System:
     return replace(system, space=system.space.with_prior(read_belief(belief, system))) if belief else system
 
 
-def engine_of(system: System, threads: int) -> CpuEngine:
-    """Rollouts of the system's own model."""
-    return CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
-
-
 def read(system: System, path: Path) -> Log:
     """A log that was just written."""
     return trajectories(system, LogSource((path,), {}, None, None, None))[0]
@@ -116,7 +111,7 @@ def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | No
         windows = tiles(system, read(system, path))
         if not windows:
             raise EstimationError("nothing moves in it")
-        engine, rng = engine_of(system, options.threads), options.rng(9)
+        engine, rng = open_engine(system, threads=options.threads), options.rng(9)
         found = information_where_it_points(system, windows, engine, rng)
     except AmheError as error:  # the log is worth more than our word on it
         logger.warning(f"what the log tells cannot be said: {error}")

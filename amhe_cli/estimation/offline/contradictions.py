@@ -14,8 +14,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.engine.variants import contact_variants
+from amhe_cli.engine.open import contact_variants
 from amhe_cli.estimation.core.information import Information, information, objective
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.identifiability import NOTED, SURPRISE, share, size
@@ -102,8 +101,7 @@ def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, Flo
     system, prior = problem.system, problem.system.space.prior_precision
     least = _misfit(study, study.slopes.cost, study.found, study.posterior.step)
     shifts = {}
-    for name, model in contact_variants(system.model).items():
-        engine = CpuEngine(model, system.edits, system.input_spec, problem.threads, system.senses)
+    for name, engine in contact_variants(problem.engine, system.model).items():
         cost = MatchingCost(system, problem.tiles, engine, problem.settings.cost, study.scale)
         slopes, first = study.slopes, study.slopes.first.mean[None]
         residuals = cost.residuals(finding.z[None], first if first.shape[2] else None)

@@ -26,11 +26,11 @@ def fits(problem: Problem, z: FloatArray, windows: Sequence[Window], held_out: b
     picks = order[np.unique(np.linspace(0, len(order) - 1, SHOWN).round().astype(int))]
     chosen = [windows[i] for i in picks]
     cost = MatchingCost(problem.system, chosen, problem.engine, problem.settings.cost)
-    predicted, _ = cost.predict(np.stack((np.zeros_like(z), z)))
+    predicted = cost.predict(np.stack((np.zeros_like(z), z)))
     return tuple(
         fit_of(observed, values[:, i], window, i, held_out)
         for i, window in enumerate(chosen)
-        for observed, values in zip(cost.clips.observed, predicted, strict=True)
+        for observed, values in zip(cost.clips.observed, predicted.values, strict=True)
         if observed.mask[i].any()
     )
 
@@ -51,7 +51,7 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
         channel=observed.channel.key,
         unit="rad" if observed.channel.kind == "rotation" else observed.channel.unit,
         columns=tuple(columns),
-        time=(observed.rows[i, keep] + 1) * dt,
+        time=(observed.wanted.rows[i, keep] + 1) * dt,
         measured=measured,
         initial=initial,
         identified=identified,

@@ -15,9 +15,7 @@ import numpy as np
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.parameters import Belief
-from amhe_cli.engine.cpu import CpuEngine
-from amhe_cli.engine.rollout import RolloutEngine
-from amhe_cli.engine.spread import SpreadEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
 from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
@@ -100,9 +98,8 @@ def _pose(
         fit, held = [whole(log) for log in training], [whole(log) for log in held_out]
     else:
         fit, held = split_held_out(training, clips.held_out)
-    problem = Problem(
-        system, ClipPool(system, fit, clips), _engine(system, options), options.seed, options.threads
-    )
+    engine = open_engine(system, threads=options.threads, executor=options.executor)
+    problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed)
     if not problem.tiles:
         raise EstimationError(_no_clips(problem.pool))
     validation = ClipPool(system, held, clips)
@@ -117,13 +114,6 @@ def _pose(
                 f"because this motion cannot tell it"
             )
     return problem, windows
-
-
-def _engine(system: System, options: IdentifyOptions) -> RolloutEngine:
-    about = (system.model, system.edits, system.input_spec)
-    if options.executor is not None:
-        return SpreadEngine(options.executor, *about, system.senses)
-    return CpuEngine(*about, options.threads, system.senses)
 
 
 def _no_clips(pool: ClipPool) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
-from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.shape import sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool
 from amhe_cli.matching.cost import MatchingCost
@@ -34,15 +34,13 @@ class Problem:
         pool: Source of clips to fit.
         engine: Rollout engine.
         seed: Of every random draw.
-        threads: CPU threads of the engines.
         only: Fit these clips alone, a part of the problem.
     """
 
     system: System
     pool: ClipPool
-    engine: RolloutEngine
+    engine: Engine
     seed: int
-    threads: int = 1
     only: tuple[Window, ...] = ()
 
     @property

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline.fits import SHOWN, fit_of
 from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.matching.cost import MatchingCost
 
 
-def replay_fits(done: Replay, engine: RolloutEngine) -> tuple[Fit, ...]:
+def replay_fits(done: Replay, engine: Engine) -> tuple[Fit, ...]:
     """Of the windows that moved the belief those of least, middling and largest misfit, each channel a Fit.
 
     Their initial prediction is that of the belief before the replay, the identified one that of the
@@ -28,15 +28,15 @@ def replay_fits(done: Replay, engine: RolloutEngine) -> tuple[Fit, ...]:
     return tuple(fit for i in picks for fit in _fits(done, engine, int(i)))
 
 
-def _fits(done: Replay, engine: RolloutEngine, i: int) -> Iterator[Fit]:
+def _fits(done: Replay, engine: Engine, i: int) -> Iterator[Fit]:
     window, estimate, system = done.windows[i], done.estimates[i], done.system
     cost = MatchingCost(system, [window], engine, system.settings.cost)
-    predicted, _ = cost.predict(np.stack((done.start.z, system.space.z_of(estimate.theta))))
+    predicted = cost.predict(np.stack((done.start.z, system.space.z_of(estimate.theta))))
     end = done.times[i]
     label = (
         f"{end - window.duration:.2f} to {end:.2f} s: misfit {estimate.misfit:.2g}"
         f"{'' if estimate.mark == 'updated' else f', {estimate.mark}'}"
     )
-    for observed, values in zip(cost.clips.observed, predicted, strict=True):
+    for observed, values in zip(cost.clips.observed, predicted.values, strict=True):
         if observed.mask[0].any():
             yield replace(fit_of(observed, values[:, 0], window, 0, held_out=False), clip=label)

@@ -14,7 +14,7 @@ from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import Belief, belief_of
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import Z90
-from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.online.prior import prior_of, with_model_error
 from amhe_cli.estimation.online.updates import (
     Noise,
@@ -149,7 +149,7 @@ class MovingHorizon:
     """
 
     def __init__(
-        self, system: System, engine: RolloutEngine, rng: np.random.Generator, belief: Belief | None = None
+        self, system: System, engine: Engine, rng: np.random.Generator, belief: Belief | None = None
     ) -> None:
         self._system, self._engine, self._rng = system, engine, rng
         self._settings = setting = system.settings.mhe

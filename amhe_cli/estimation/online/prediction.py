@@ -9,10 +9,10 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.log import Window
-from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.online.horizon import usable
 from amhe_cli.estimation.online.replay import Replay
-from amhe_cli.matching.windows import prepare
+from amhe_cli.matching.windows import starts_of
 from amhe_cli.system.system import System
 
 #: Windows that are rolled out at once: enough for every thread, and no more memory than that takes.
@@ -32,7 +32,7 @@ class Prediction:
     values: Mapping[str, FloatArray]
 
 
-def predictions(done: Replay, engine: RolloutEngine) -> list[Prediction | None]:
+def predictions(done: Replay, engine: Engine) -> list[Prediction | None]:
     """Roll each window out with the estimate that it led to, and keep the part that no window before held.
 
     Returns:
@@ -51,18 +51,18 @@ def predictions(done: Replay, engine: RolloutEngine) -> list[Prediction | None]:
 
 
 def _ends(
-    system: System, engine: RolloutEngine, windows: Sequence[Window], theta: FloatArray, newest: int
+    system: System, engine: Engine, windows: Sequence[Window], theta: FloatArray, newest: int
 ) -> list[Prediction | None]:
     """Of windows of one length, each with its own theta (windows, d); the last `newest` rows."""
     smoothing = system.settings.cost.smoothing
-    clips = [prepare(system, [window], {}, smoothing) for window in windows]
-    delays = system.edits.delays(theta)
+    starts = [starts_of(system, [window], smoothing) for window in windows]
+    delays = system.edits.delays(theta) / system.model.opt.timestep
     length = windows[0].length
     rollouts = engine.rollout(
         theta,
-        np.concatenate([clip.qpos for clip in clips]),
-        np.concatenate([clip.qvel for clip in clips]),
-        np.concatenate([clip.inputs_under(delays[i : i + 1]) for i, clip in enumerate(clips)]),
+        np.concatenate([start.qpos for start in starts]),
+        np.concatenate([start.qvel for start in starts]),
+        np.concatenate([start.inputs_under(delays[i : i + 1]) for i, start in enumerate(starts)]),
         np.full(len(windows), length),
     )
     end = slice(max(length - newest, 0), length)

@@ -14,7 +14,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Log, Window
-from amhe_cli.engine.rollout import RolloutEngine
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.online.horizon import LEAST, Estimate, MovingHorizon, check_window
 from amhe_cli.estimation.online.prior import Gaussian
 from amhe_cli.system.system import System
@@ -38,7 +38,7 @@ class ReplayProblem:
     """
 
     system: System
-    engine: RolloutEngine
+    engine: Engine
     estimator: MovingHorizon
     start: Gaussian
     windows: Sequence[Window]

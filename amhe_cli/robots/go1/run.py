@@ -18,7 +18,7 @@ from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import Belief, belief_of, completed
 from amhe_cli.core.rotations import exp, multiply
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
 from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
 from amhe_cli.live.buffer import Buffer
@@ -164,7 +164,7 @@ def controller_for(
     """The controller of a task, with the planner's model of its box."""
     settings = system.settings.control
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
-    engine = CpuEngine(planner, system.edits.upon(planner), system.input_spec, threads, sensors=False)
+    engine = open_engine(system, threads=threads, model=planner, sensors=False)
     robot = Go1(layout(planner), joint_sigma(settings))
     return Controller(behaviour, robot, engine, settings, system.space.names, samples)
 
@@ -238,7 +238,7 @@ def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = Non
     """
     system = system_of(options, find_task(options.task))
     threads = 1 if options.live else options.threads
-    engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
+    engine = open_engine(system, threads=threads)
     rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])
     return MovingHorizon(system, engine, rng, belief or start)
 

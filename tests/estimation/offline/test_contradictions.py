@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.contradictions import allowed, shifts_of
@@ -23,12 +24,12 @@ def test_a_change_is_allowed_until_the_misfit_has_risen_by_nine() -> None:
     assert allowed(36.0) == pytest.approx(0.5), "the misfit rises with the square of the change"
 
 
-def shifted(noise: float) -> dict[str, np.ndarray]:
+def shifted(noise: float, executor: Executor | None = None) -> dict[str, np.ndarray]:
     """Shifts of a sliding cube's estimate at the truth, in a log with this noise [SI]."""
     system = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
     channels = tuple(replace(channel, noise=noise) for channel in system.channels)
     system = replace(system, channels=channels)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    engine = open_engine(system, executor=executor)
     problem = Problem(
         system, ClipPool(system, [whole(fall(system, noise))], system.settings.clips), engine, 0
     )
@@ -42,3 +43,18 @@ def test_a_sharp_log_that_rules_soft_contacts_out_is_not_widened_by_them() -> No
     sharp, blunt = shifted(1e-4), shifted(2e-2)
     assert all("as far as the log allows" in name for name in sharp)
     assert any("as far as the log allows" not in name for name in blunt)
+
+
+def test_variants_are_rolled_out_by_the_workers_that_were_given() -> None:
+    models: set[bytes] = set()
+
+    class Noting(ThreadPoolExecutor):
+        def submit(self, fn, /, *args, **kwargs):
+            models.add(args[0])
+            return super().submit(fn, *args, **kwargs)
+
+    with Noting(1) as executor:
+        spread = shifted(1e-4, executor)
+    assert len(models) == 3, "the model itself, softer and harder"
+    for name, shift in shifted(1e-4).items():
+        np.testing.assert_array_equal(spread[name], shift)

@@ -141,10 +141,10 @@ def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):
 
 def fall(system, noise: float = 1e-4) -> Log:
     """A cube that falls flat and slides, measured with this noise [SI]."""
-    from amhe_cli.engine.cpu import CpuEngine
+    from amhe_cli.engine.open import open_engine
 
     steps = 300
-    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, False)
+    engine = open_engine(system)
     qpos, qvel = np.array([[0, 0, 0.06, 1, 0, 0, 0.0]]), np.array([[0.8, 0.1, 0, 0, 0, 1.0]])
     theta = np.array(system.space.nominal)
     theta[0] = 0.3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.offline.clips import ClipPool, whole
@@ -17,7 +17,7 @@ from tests.estimation.offline.conftest import TRUTH
 @pytest.fixture(scope="module")
 def cost(pendulum, swing) -> MatchingCost:
     windows = ClipPool(pendulum, [whole(swing(3.0))], pendulum.settings.clips).tiles(0.5)
-    engine = CpuEngine(pendulum.model, pendulum.edits, pendulum.input_spec, 1, pendulum.senses)
+    engine = open_engine(pendulum)
     return MatchingCost(pendulum, windows, engine, pendulum.settings.cost)
 
 

@@ -10,7 +10,7 @@ import pytest
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.parameters import belief_of
-from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, JumpTest, MovingHorizon, Pace
 from amhe_cli.estimation.online.prior import Gaussian, prior_of
 from amhe_cli.estimation.online.replay import replay, windows
@@ -24,7 +24,7 @@ def with_mhe(system: System, **changes: object) -> System:
 
 
 def estimates(system: System, log: Log, seed: int = 0, threads: int = 1) -> list[Estimate]:
-    engine = CpuEngine(system.model, system.edits, system.input_spec, threads, system.senses)
+    engine = open_engine(system, threads=threads)
     estimator = MovingHorizon(system, engine, np.random.default_rng(seed))
     return list(replay(estimator, windows(system, log)))
 
@@ -152,7 +152,7 @@ def test_weights_hold_a_parameter_at_its_last_estimate(cart, drive, method: str)
 
 def test_time_up_stops_after_the_first_iteration(cart, drive) -> None:
     system = with_mhe(cart, method="logrank", iterations=6)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    engine = open_engine(system)
     window = windows(system, drive(2.0))[2]
     counts = []
     for budget in (None, 1e-9):
@@ -164,7 +164,7 @@ def test_time_up_stops_after_the_first_iteration(cart, drive) -> None:
 @pytest.mark.parametrize("method", ["linearised", "logrank"])
 def test_an_update_with_less_time_than_it_took_before_has_fewer_samples(cart, drive, method: str) -> None:
     system = with_mhe(cart, method=method, samples=12, iterations=1)
-    engine = CpuEngine(system.model, system.edits, system.input_spec, 1, system.senses)
+    engine = open_engine(system)
     estimator = MovingHorizon(system, engine, np.random.default_rng(0))
     first, second, third = (
         estimator.update(window, float(at), budget)
@@ -220,7 +220,7 @@ def test_a_window_of_few_steps_is_refused_and_one_without_samples_teaches_nothin
         windows(with_mhe(cart, update_period=0.001), drive(1.0))
     log = drive(1.0)
     silent = {key: replace(s, sampled=np.zeros_like(s.sampled)) for key, s in log.series.items()}
-    engine = CpuEngine(cart.model, cart.edits, cart.input_spec, 1, cart.senses)
+    engine = open_engine(cart)
     estimator = MovingHorizon(cart, engine, np.random.default_rng(0))
     assert estimator.update(Window(replace(log, series=silent), 10, 5), 0.1).mark == "gap"
 

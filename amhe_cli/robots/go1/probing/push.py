@@ -12,10 +12,11 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, SimulationError
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
 from amhe_cli.estimation.design.information import information_at
 from amhe_cli.estimation.design.plan import ProbePlan, parts_of
-from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, engine_of, read, tiles
+from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, read, tiles
 from amhe_cli.live.loop import drive
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.link.open import open_go1_run
@@ -140,7 +141,7 @@ class PushProbe:
         if ending.error is not None or not windows:
             return np.zeros((z.size, z.size))
         truth = system.space.z_of(np.array([run.first_truth[name] for name in system.space.names]))
-        engine, rng = engine_of(system, options.threads), options.rng(2, number)
+        engine, rng = open_engine(system, threads=options.threads), options.rng(2, number)
         told = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
         return told / sum(window.duration for window in windows)
 

@@ -1,0 +1,81 @@
+"""Opening the engine of a system, and the same engine on variants of the system's model."""
+
+from __future__ import annotations
+
+import copy
+from concurrent.futures import Executor
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.rollout import Engine
+from amhe_cli.engine.spread import SpreadEngine
+from amhe_cli.system.system import System
+
+#: Kinds of engine that can be opened.
+KINDS = ("cpu",)
+
+
+def open_engine(
+    system: System,
+    *,
+    threads: int = 1,
+    executor: Executor | None = None,
+    kind: str = "cpu",
+    sensors: bool | None = None,
+    model: mujoco.MjModel | None = None,
+) -> Engine:
+    """An engine for the rollouts of a system.
+
+    Args:
+        system: The system.
+        threads: Number of CPU threads; results do not depend on it.
+        executor: Its workers compute the rollouts, instead of threads of this process; it must stay open.
+        kind: One of `KINDS`.
+        sensors: Whether rollouts record sensors; None: if the system needs them.
+        model: Roll out this model of the same layout; None: the system's own.
+
+    Raises:
+        ConfigError: There is no such kind of engine.
+    """
+    if kind not in KINDS:
+        raise ConfigError(one_of("engine", kind, KINDS))
+    senses = system.senses if sensors is None else sensors
+    edits = system.edits if model is None else system.edits.upon(model)
+    about = (model or system.model, edits, system.input_spec)
+    if executor is not None:
+        return SpreadEngine(executor, *about, senses)
+    return CpuEngine(*about, threads, senses)
+
+
+def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]:
+    """The same engine on a model's contact variants: details that nobody measured are changed.
+
+    The time constant of MuJoCo's soft contacts is a numerical choice as much as a material: an estimate
+    that follows it absorbs errors of the contact model.
+
+    Args:
+        engine: The engine.
+        model: Its model.
+
+    Returns:
+        Name of the variant -> its engine; empty for a model that cannot collide.
+    """
+    collides = model.npair > 0 or (model.geom_contype.any() and model.geom_conaffinity.any())
+    if not collides:
+        return {}
+    return {
+        "contacts twice as soft": engine.upon(_with_time_constant(model, 2.0)),
+        "contacts twice as hard": engine.upon(_with_time_constant(model, 0.5)),
+    }
+
+
+def _with_time_constant(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
+    """A copy with every positive solref time constant scaled, not below two time steps."""
+    changed = copy.copy(model)
+    for solref in (changed.geom_solref, changed.pair_solref):
+        soft = solref[:, 0] > 0.0
+        solref[soft, 0] = np.maximum(factor * solref[soft, 0], 2.0 * model.opt.timestep)
+    return changed

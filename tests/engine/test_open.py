@@ -1,0 +1,94 @@
+"""Opening engines, and what the engines of one process and of many do with a call."""
+
+from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import AmheError, ConfigError
+from amhe_cli.engine import cpu
+from amhe_cli.engine.open import contact_variants, open_engine
+from tests.engine.test_contract import CUBE, PENDULUM, clips, some
+
+
+class Counting(ThreadPoolExecutor):
+    """Counts the candidates of each part of a call."""
+
+    def __init__(self) -> None:
+        super().__init__(1)
+        self.parts: list[int] = []
+
+    def submit(self, fn, /, *args, **kwargs):
+        self.parts.append(len(args[1]))
+        return super().submit(fn, *args, **kwargs)
+
+
+def test_an_unknown_engine_is_refused_with_those_that_there_are() -> None:
+    with pytest.raises(ConfigError, match="no engine 'abacus'.*cpu"):
+        open_engine(PENDULUM, kind="abacus")
+
+
+def test_a_call_is_spread_in_parts() -> None:
+    with Counting() as executor:
+        open_engine(PENDULUM, executor=executor).rollout(*some(50))
+    assert len(executor.parts) == 6
+    assert sum(executor.parts) == 50
+
+
+def test_a_prediction_is_spread_in_whole_candidates() -> None:
+    """Of 3 rollouts each: parts of 8 rollouts or more."""
+    starts, wanted = clips(PENDULUM)
+    theta = some(10)[0]
+    alone = open_engine(PENDULUM).predict(theta, starts, None, wanted)
+    with Counting() as executor:
+        spread = open_engine(PENDULUM, executor=executor).predict(theta, starts, None, wanted)
+    assert executor.parts == [4, 3, 3]
+    for one, other in zip(spread.values, alone.values, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_workers_that_are_gone_end_a_search_in_one_line() -> None:
+    class Gone(Executor):
+        def submit(self, fn, /, *args, **kwargs):
+            raise BrokenExecutor
+
+    with pytest.raises(AmheError, match="workers are gone.*checkpoint"):
+        open_engine(PENDULUM, executor=Gone()).rollout(*some(3))
+
+
+def test_memory_is_bounded_by_turns_which_change_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
+    starts, wanted = clips(PENDULUM)
+    theta = some(10)[0]
+    errors = np.random.default_rng(0).normal(size=(10, 3, starts.first_sd.size))
+    engine = open_engine(PENDULUM)
+    at_once = engine.predict(theta, starts, errors, wanted)
+    sizes: list[int] = []
+    roll_out = engine.rollout
+    engine.rollout = lambda theta, *rest: sizes.append(len(theta)) or roll_out(theta, *rest)  # type: ignore[method-assign]
+    monkeypatch.setattr(cpu, "RECORD_BYTES", 9000)
+    in_turns = engine.predict(theta, starts, errors, wanted)
+    assert len(sizes) > 1
+    assert sum(sizes) == 30
+    for one, other in zip(in_turns.values, at_once.values, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_only_models_that_collide_have_contact_variants() -> None:
+    assert contact_variants(open_engine(PENDULUM), PENDULUM.model) == {}
+
+
+def test_contact_variants_are_the_given_engine_upon_softer_and_harder_contacts() -> None:
+    class Noting:
+        def __init__(self) -> None:
+            self.models = []
+
+        def upon(self, model):
+            self.models.append(model)
+            return len(self.models)
+
+    engine = Noting()
+    variants = contact_variants(engine, CUBE.model)  # type: ignore[arg-type]
+    assert variants == {"contacts twice as soft": 1, "contacts twice as hard": 2}
+    before = CUBE.model.pair_solref[0, 0]
+    least = 2.0 * CUBE.model.opt.timestep
+    assert [m.pair_solref[0, 0] for m in engine.models] == [2.0 * before, max(0.5 * before, least)]
