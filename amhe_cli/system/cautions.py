@@ -1,4 +1,4 @@
-"""Traps of contact models that make a parameter look unidentifiable: each is said in one line."""
+"""Warnings about models whose simulation does not do what the user expects, each of one line."""
 
 from __future__ import annotations
 
@@ -19,14 +19,32 @@ _WORDS = ("sliding", "torsional", "rolling")
 
 
 def caution(where: str, model: mujoco.MjModel, edits: ModelEdits) -> None:
-    """Warn of every number that is a parameter and yet has no effect, or only in part of its range."""
+    """Warn of a solver known to be wrong, and of parameters without effect in all or part of their range.
+
+    Args:
+        where: Name of the system's file, for the warnings.
+        model: The base model.
+        edits: The parameters and what they set.
+    """
     lines: dict[str, None] = {}
+    if _solver_is_wrong(model):
+        lines[
+            f"{where}: the Newton solver of MuJoCo {mujoco.__version__} is wrong if the constraint Jacobian is "
+            "sparse, as in this model (mujoco issue 3767): update MuJoCo, or write "
+            '<option jacobian="dense"/> into the model'
+        ] = None
     for parameter, cells in edits.by_parameter():
         for part in cells:
             for text in _texts(model, part, cells, parameter.lower):
                 lines[f"{where}: parameter {parameter.name!r}: {text}"] = None
     for line in lines:
         logger.warning(line)
+
+
+def _solver_is_wrong(model: mujoco.MjModel) -> bool:
+    """MuJoCo 4.0.0 factorises the Newton solver's sparse Hessian wrongly; 4.0.1 mended it."""
+    newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
+    return mujoco.__version__ == "4.0.0" and newton and bool(mujoco.mj_isSparse(model))
 
 
 def _texts(model: mujoco.MjModel, part: Cells, cells: tuple[Cells, ...], lower: float) -> Iterator[str]:

@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.system.inertia import body_numbers, log_cholesky, pseudo_inertia, upper_factor
 from amhe_cli.system.targets import Cells
@@ -108,6 +108,19 @@ class PseudoInertiaEdit:
             arrays[field][:, self._body] = values
 
 
+def inputs_of_set_const() -> frozenset[str]:
+    """Fields of MjModel from which `mj_setConst` derives others.
+
+    MuJoCo's bindings list them in a private attribute; nothing else of ours reads it.
+    """
+    fields = getattr(mujoco.MjModel, "_setconst_inputs", None)
+    if fields is None:
+        raise AmheError(
+            f"mujoco {mujoco.__version__} lists no inputs of mj_setConst; install the version 4.0.0"
+        )
+    return frozenset(fields)
+
+
 class ModelEdits:
     """Writes parameter vectors into a model's arrays.
 
@@ -134,7 +147,7 @@ class ModelEdits:
         self._edits = tuple(edits)
         self.cells = tuple(cells for edit in self._edits for cells in edit.cells)
         self.fields: tuple[str, ...] = tuple(dict.fromkeys(cells.field for cells in self.cells))
-        self.needs_set_const = any(field in mujoco.MjModel._setconst_inputs for field in self.fields)
+        self.needs_set_const = bool(inputs_of_set_const() & set(self.fields))
         single = (c for c in self.cells if c.field == "body_inertia" and len(c.columns) == 1)
         self._moments = tuple(dict.fromkeys(c.row for c in single))
         self._base = [(c, np.array(getattr(model, c.field)[c.index[1:]])) for c in self.cells]

@@ -11,6 +11,7 @@ from amhe_cli.system.system import System
 
 MODEL = """
 <mujoco>
+  {option}
   <worldbody>
     <geom name="floor" type="plane" size="5 5 1" friction="1 0.005 0.0001"/>
     <body name="box" pos="0 0 0.1">
@@ -27,8 +28,8 @@ SIGNALS = "signals: {b: {topic: /b, body: box, noise: {position: 0.01}}}\n"
 def said(written: Callable[..., Path], caplog) -> Callable[..., str]:
     """What is warned of one target."""
 
-    def load(target: str, keys: str = "", box: str = "", pair: str = "") -> str:
-        model = MODEL.format(box=box, pair=pair)
+    def load(target: str, keys: str = "", box: str = "", pair: str = "", option: str = "") -> str:
+        model = MODEL.format(box=box, pair=pair, option=option)
         text = f"  p: {{targets: [{target}]{keys}}}\n"
         System.load(written(text, signals=SIGNALS, model=model, more=""))
         return caplog.text
@@ -79,3 +80,24 @@ def test_enough_contact_dimension_is_quiet(said) -> None:
 def test_a_time_constant_below_two_steps_is_not_what_is_simulated(said) -> None:
     text = said("{geom: box, set: contact_time_constant}", ", bounds: [0.001, 0.1]")
     assert "below two time steps, 0.004 s, acts as 0.004 s" in text
+
+
+SPARSE = '<option jacobian="sparse" {}/>'
+
+
+@pytest.mark.parametrize(
+    ("version", "option", "warned"),
+    [
+        ("4.0.0", SPARSE.format(""), True),
+        ("4.0.0", "", False),
+        ("4.0.0", SPARSE.format('solver="CG"'), False),
+        ("4.0.1", SPARSE.format(""), False),
+    ],
+)
+def test_the_sparse_newton_solver_of_mujoco_4_0_0_is_warned_of(
+    said, monkeypatch, version: str, option: str, warned: bool
+) -> None:
+    monkeypatch.setattr("mujoco.__version__", version)
+    text = said(FRICTION, ", nominal: 2, bounds: [1.5, 3]", option=option)
+    assert ('<option jacobian="dense"/>' in text) == warned
+    assert warned or text == ""

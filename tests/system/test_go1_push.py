@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from time import perf_counter
 
 import mujoco
 import numpy as np
@@ -126,19 +125,6 @@ def test_it_stands_for_three_seconds(build) -> None:
     assert np.hypot(*trunk[4:6]) < np.sin(np.radians(2.0) / 2.0)
     assert np.abs(data.qvel[at.trunk_v]).max() < 0.02
     assert not data.warning.number.any()
-
-
-def test_step_cost() -> None:
-    """Printed for `pytest -s`, not judged: machines differ."""
-    models = {"plant, 2 ms": plant_model(), "estimator, 4 ms": planner_model(timestep=0.004),
-              "planner, 10 ms": planner_model()}  # fmt: skip
-    for name, model in models.items():
-        data, best = settled(model), np.inf
-        for _ in range(5):
-            start = perf_counter()
-            mujoco.mj_step(model, data, 100)
-            best = min(best, perf_counter() - start)
-        print(f"{name}: {best * 1e4:.0f} us a step")
 
 
 def test_poses_are_compared_and_twists_bound_the_first_state_only(go1: System) -> None:

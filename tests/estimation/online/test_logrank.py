@@ -32,4 +32,7 @@ def test_the_mean_stays_among_the_samples(seed: int, share: float, rate: float) 
     centre = samples.mean(axis=0)
     mean, sigma = learned(samples, costs, centre, np.ones(3), share, rate)
     assert (mean >= samples.min(axis=0) - 1e-12).all() and (mean <= samples.max(axis=0) + 1e-12).all()
-    assert (sigma > 0.0).all() or rate == 1.0
+    # a mixture of the old variance and the elites' mean square distance from the old mean
+    furthest = ((samples - centre) ** 2).max(axis=0)
+    assert (sigma > 0.0).all()
+    assert (sigma**2 >= 1.0 - rate - 1e-12).all() and (sigma**2 <= 1.0 - rate + rate * furthest + 1e-12).all()

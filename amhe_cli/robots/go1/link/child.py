@@ -80,7 +80,10 @@ class Child:
     """
 
     def __init__(self, module: str, settings: Mapping[str, Any], files: Sequence[int] = ()) -> None:
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        except OSError as error:
+            raise LinkError(f"the link to a robot needs Linux: no SOCK_SEQPACKET here ({error})") from None
         with theirs, ExitStack() as opening:
             opening.enter_context(ours)
             self.process = subprocess.Popen(

@@ -108,7 +108,12 @@ def _listening_to(motive: str, client: type) -> type:
     """A client of the package whose sockets are at its own address, and hear Motive's only.
 
     The package's own ones take datagrams from everybody, the one for data on every network of this computer.
+
+    Raises:
+        PoseError: This version of the package makes its sockets in another way.
     """
+    if not callable(getattr(client, "_NatNetClient__create_socket", None)):
+        raise PoseError("this version of natnet makes its sockets in another way; install natnet 0.3")
 
     class Client(client):
         def _NatNetClient__create_socket(self, address: str = "", port: int = 0) -> socket.socket:  # noqa: N802

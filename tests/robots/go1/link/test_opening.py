@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import signal
 import socket
 import subprocess
@@ -16,6 +17,7 @@ import pytest
 from amhe_cli.core.errors import AmheError
 from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
 from amhe_cli.robots.go1.link.calibration import Calibration
+from amhe_cli.robots.go1.link.child import Child
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.target import Go1Target
@@ -135,3 +137,12 @@ def test_an_emulator_that_cannot_open_gives_its_ports_back(
         with pytest.raises(AmheError, match="cannot be had|no body") as raised:
             Emulator(EmulatorOptions(find_task("t1"), port=port, mocap_port=mocap))
         assert not taken(port), raised.value
+
+
+def test_without_linux_sockets_the_link_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*kind: int) -> None:
+        raise OSError(errno.EPROTONOSUPPORT, "Protocol not supported")  # as macOS does
+
+    monkeypatch.setattr(socket, "socketpair", refuse)
+    with pytest.raises(AmheError, match="the link to a robot needs Linux"):
+        Child("amhe_cli.robots.go1.link.sender", {})
