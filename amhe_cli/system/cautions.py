@@ -29,8 +29,8 @@ def caution(where: str, model: mujoco.MjModel, edits: ModelEdits) -> None:
     lines: dict[str, None] = {}
     if _solver_is_wrong(model):
         lines[
-            f"{where}: the Newton solver of MuJoCo {mujoco.__version__} is wrong if the constraint Jacobian is "
-            "sparse, as in this model (mujoco issue 3767): update MuJoCo, or write "
+            f"{where}: the Newton solver of MuJoCo {mujoco.__version__} is wrong if the constraint Jacobian "
+            "is sparse, as in this model (mujoco issue 3767): update MuJoCo, or write "
             '<option jacobian="dense"/> into the model'
         ] = None
     for parameter, cells in edits.by_parameter():
