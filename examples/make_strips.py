@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.image import imsave
 
 from amhe_cli.robots.go1.run import RunOptions, open_run
-from amhe_cli.robots.go1.video import Film, scenery_of, strip
+from amhe_cli.robots.go1.video import Film, strip
 
 #: Of one picture [pixels]; more is drawn, and the middle kept.
 SIZE, WIDTH = (640, 320), 400
@@ -32,7 +32,7 @@ def main() -> None:
         run = open_run(RunOptions(task, given.mode, seed=given.seed, threads=2, duration=given.until or 40.0))
         seen = [run.target.qpos for _ in run.episode.cycles()]
         rows = np.linspace(0, len(seen) - 1, given.count).astype(int)
-        film = Film(run.plant.model, scenery_of(run.task), SIZE)
+        film = Film(run.plant.model, run.task.floor, SIZE)
         picture = strip([film.frame(seen[row]) for row in rows], WIDTH)
         film.close()
         path = given.out / f"{task}.jpg"

@@ -85,9 +85,11 @@ def identify(
     from amhe_cli.estimation.offline.identification import IdentifyOptions
     from amhe_cli.estimation.offline.identification import identify as run
     from amhe_cli.report.folder import reserve
-    from amhe_cli.report.identification import write_identification
-    from amhe_cli.report.record import identification_record
-    from amhe_cli.report.table import print_identification
+    from amhe_cli.report.identification import (
+        identification_record,
+        print_identification,
+        write_identification,
+    )
     from amhe_cli.system.provenance import provenance
 
     session.hush_mujoco()

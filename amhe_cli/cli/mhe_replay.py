@@ -55,9 +55,8 @@ def mhe_replay(
     from amhe_cli.estimation.online.replay import caution, replayed
     from amhe_cli.replay_assembly import bundled_log, open_replay
     from amhe_cli.report.folder import reserve
-    from amhe_cli.report.replay import write_replay
-    from amhe_cli.report.replay_record import replay_record
-    from amhe_cli.report.replay_table import print_replay
+    from amhe_cli.report.replay import print_replay, write_replay
+    from amhe_cli.report.replay_files import replay_record
     from amhe_cli.system.provenance import estimator_provenance
 
     session.hush_mujoco()

@@ -82,7 +82,7 @@ def probe(
     from amhe_cli.estimation.design.plan import known_record, plan_record
     from amhe_cli.estimation.design.probe import ProbeOptions, achieved
     from amhe_cli.report.folder import filling, reserve
-    from amhe_cli.report.probe_table import print_achieved, print_plan
+    from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.open import open_probe, robot_to_probe
     from amhe_cli.robots.go1.probing.robot import Go1OnLink
     from amhe_cli.system.load import bundled_systems

@@ -97,11 +97,10 @@ def run(
     from amhe_cli.cli.run_progress import run_progress
     from amhe_cli.cli.stopping import stopping
     from amhe_cli.live.loop import drive
-    from amhe_cli.report import run_words
     from amhe_cli.report.folder import filling, reserve
-    from amhe_cli.report.run import write_run
-    from amhe_cli.report.run_table import print_run
+    from amhe_cli.report.run import TaskFacts, print_run, verdict, write_run
     from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.judge import CLOSE_ENOUGH, ON_TIME
     from amhe_cli.robots.go1.record import run_record
     from amhe_cli.robots.go1.recording import film_of, recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
@@ -146,7 +145,16 @@ def run(
         origin = run_provenance(session.command_line, seed, opened.system, [p for p in (belief, plant) if p])
         error = ending.error
         try:
-            write_run(scratch, opened.task, opened.system, history, record, origin)
+            facts = TaskFacts(
+                opened.task.title,
+                opened.task.floor,
+                opened.task.change_texts(),
+                ON_TIME * opened.task.nominal_time,
+                CLOSE_ENOUGH,
+                {p.name: p.unit for p in opened.system.space.parameters},
+                opened.system.settings.control.period * link.get("link", {}).get("slow", 1.0),
+            )
+            write_run(scratch, facts, history.columns(), record, origin)
         except Exception as fault:  # a fault of the page must not cost the log
             error = error or fault
     if session.json:
@@ -155,6 +163,7 @@ def run(
         print_run(record, opened.task.title, folder, session.console())
     if error:
         raise error
-    session.failed = run_words.is_failure(record)
+    tone, text = verdict(record)
+    session.failed = tone == "bad"
     if session.failed:
-        session.say("error", f"{run_words.verdict(record)[1]}; the log is kept in {folder}")
+        session.say("error", f"{text}; the log is kept in {folder}")

@@ -12,6 +12,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -93,7 +94,7 @@ def styled(salt: str, **more: Any) -> AbstractContextManager[None]:
     return matplotlib.rc_context(style)
 
 
-def fit_figure(fits: Sequence[Fit]) -> str:
+def fit_figure(fits: Sequence[Fit]) -> Markup:
     """Measured against predicted, with residuals below, for the channels of one clip."""
     share = max(1, MAX_PANELS // len(fits))
     cells = [(fit, column) for fit in fits for column in _liveliest(fit, share)][:MAX_PANELS]
@@ -169,7 +170,7 @@ def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArra
     return time[index], values[index]
 
 
-def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
+def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> Markup:
     """Cost, sampling width and parameters over the iterations."""
     number = np.arange(1, len(iterations) + 1)
     theta = np.array([i.theta for i in iterations])
@@ -196,7 +197,7 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> str:
         return svg(figure)
 
 
-def correlation_figure(names: Sequence[str], correlations: FloatArray) -> str:
+def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup:
     """Heat map of the posterior correlations."""
     size = len(names)
     label = 0.2 + 0.075 * max(len(name) for name in names)  # [inch]
@@ -224,7 +225,7 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> str:
         return svg(figure)
 
 
-def profile_figure(parameters: Sequence[ParameterResult]) -> str | None:
+def profile_figure(parameters: Sequence[ParameterResult]) -> Markup | None:
     """Cost along each parameter; a flat one says that the logs do not see it."""
     drawn = [(p, *p.profile) for p in parameters if p.profile is not None]
     if not drawn:
@@ -252,10 +253,10 @@ def _draw_profile(axes: Axes, parameter: ParameterResult, values: FloatArray, co
     axes.locator_params(nbins=5)
 
 
-def svg(figure: Figure) -> str:
-    """The SVG element alone, sized by the page."""
+def svg(figure: Figure) -> Markup:
+    """The SVG element of a figure; the page sets its size."""
     text = io.StringIO()
     figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     whole = text.getvalue()
     whole = whole[whole.index("<svg") :].replace("'DejaVu Sans'", FONTS)
-    return _PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), whole)
+    return Markup(_PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), whole))

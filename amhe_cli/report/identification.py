@@ -1,40 +1,85 @@
-"""The files of `amhe identify`, written together."""
+"""An identification as result.json, as the files of `amhe identify`, and on a terminal."""
 
 from __future__ import annotations
 
 import json
 import shutil
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from rich.console import Console
+from rich.text import Text
+
 from amhe_cli.core.belief_file import belief_text
-from amhe_cli.estimation.offline.result import Identification
+from amhe_cli.core.files import plain
+from amhe_cli.estimation.offline.result import HeldOut, Identification, known_together
+from amhe_cli.report import numbers
 from amhe_cli.report.folder import filling
-from amhe_cli.report.page import identification_page
+from amhe_cli.report.identification_page import MAX_COMBINATIONS, error_rows, identification_page
+from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.export import identified_assets, identified_xml
 from amhe_cli.system.system import System
 
+#: Colour of each verdict.
+STYLES = {"identified": "green", "weak": "yellow", "prior": "dim", "model-sensitive": "magenta"}
+
+#: Fields of a parameter in result.json, in its order.
+_PARAMETER_FIELDS = (
+    "name", "unit", "estimate", "prior", "prior_sd", "sd", "lower", "upper", "bounds", "shrinkage", "verdict",
+    "reasons", "step_ratio", "bootstrap_sd",
+)  # fmt: skip
+
+
+def identification_record(result: Identification, truth: Mapping[str, float]) -> dict[str, Any]:
+    """The keys of `amhe identify`, ready for JSON; numbers that do not exist are None.
+
+    Args:
+        result: The identification.
+        truth: True parameter values that the logs contain, by name; {} for logs of a real robot.
+    """
+    return plain(
+        {
+            "system": result.system,
+            "method": result.method,
+            "interrupted": result.interrupted,
+            "parameters": [{name: getattr(p, name) for name in _PARAMETER_FIELDS} for p in result.parameters],
+            "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
+            "correlations": result.correlations,
+            "combinations": [asdict(c) for c in result.combinations],
+            "held_out": result.held_out and asdict(result.held_out),
+            "rollouts": {"count": result.rollouts, "diverged": result.diverged},
+            "clips": asdict(result.clips),
+            "noise_scale": result.noise_scale,
+            "iterations": len(result.iterations),
+            "logs": result.logs,
+        }
+    )
+
 
 def write_identification(
-    folder: Path, system: System, result: Identification, record: Mapping[str, Any], origin: dict[str, object]
+    folder: Path,
+    system: System,
+    result: Identification,
+    record: Mapping[str, Any],
+    provenance: dict[str, object],
 ) -> None:
     """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html, all or none.
 
     Args:
-        folder: Where to; made if it does not exist.
-        system: What was identified.
-        result: What was found.
+        folder: Folder of the files; made if it does not exist.
+        system: The system that was identified.
+        result: The identification.
         record: Content of result.json.
-        origin: Provenance of the belief.
+        provenance: Versions, hashes, seed and command; goes into belief.yaml too.
     """
-    belief = replace(result.belief, provenance=origin)
+    belief = replace(result.belief, provenance=provenance)
     contents = {
         "belief.yaml": belief_text(belief),
         "identified.xml": identified_xml(system, belief.estimate),
         "result.json": json.dumps(record, indent=2, allow_nan=False) + "\n",
-        "report.html": identification_page(result, record, origin),
+        "report.html": identification_page(result, record, provenance),
     }
     with filling(folder) as scratch:
         for name, text in contents.items():
@@ -42,3 +87,72 @@ def write_identification(
         for name, source in identified_assets(system).items():
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, scratch / name)
+
+
+def print_identification(
+    result: Identification, folder: Path, console: Console, truth: Mapping[str, float]
+) -> None:
+    """Print the parameters, the validation, and where the files are."""
+    _print_parameters(result, console)
+    console.print()
+    for parameter in result.parameters:
+        if parameter.verdict != "identified" and parameter.reasons:
+            console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
+    for c in known_together(result)[:MAX_COMBINATIONS]:
+        console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
+    console.print(f"held-out: {held_out_line(result.held_out)}")
+    if truth:
+        console.print(truth_line(result, truth))
+    if result.interrupted:
+        console.print("interrupted: these are the best values so far", style="yellow")
+    console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+
+
+def _print_parameters(result: Identification, console: Console) -> None:
+    """Print the table; a narrow terminal gets fewer columns, never cut names or numbers."""
+    whole = parameter_table(result)
+    for left_out in ((), ("prior",), ("prior", "shrinkage")):
+        table = rich_table(whole.without(*left_out), STYLES)
+        width = console.measure(table, options=console.options.update(width=1000)).maximum
+        if width <= console.width:
+            break
+    console.width = max(width, console.width)
+    console.print(table)
+
+
+def parameter_table(result: Identification) -> Table:
+    """Estimate, interval, prior and verdict of each parameter."""
+    return Table(
+        ("parameter", "estimate ± sd", "unit", "90 % interval", "prior", "shrinkage", "verdict"),
+        ("", NUMBER, "", NUMBER, NUMBER, NUMBER, ""),
+        [
+            (
+                p.name,
+                numbers.with_sd(p.estimate, p.sd),
+                numbers.unit_of(p.unit),
+                numbers.interval(p.lower, p.upper),
+                numbers.rounded(p.prior, p.prior_sd),
+                numbers.shrinkage(p.shrinkage),
+                p.verdict,
+            )
+            for p in result.parameters
+        ],
+    )
+
+
+def truth_line(result: Identification, truth: Mapping[str, float]) -> str:
+    """'true values in the logs: mass 0.55, damping 0.03; outside the 90 % interval: damping'."""
+    known = [p for p in result.parameters if p.name in truth]
+    values = ", ".join(f"{p.name} {truth[p.name]:g}" for p in known)
+    outside = [p.name for p in known if not p.lower <= truth[p.name] <= p.upper]
+    verdict = f"outside the 90 % interval: {', '.join(outside)}" if outside else "inside all 90 % intervals"
+    return f"true values in the logs: {values}; {verdict}"
+
+
+def held_out_line(held_out: HeldOut | None) -> str:
+    """'6 clips: cost 12.3 -> 1.04, position error 42 mm -> 9 mm'."""
+    if held_out is None:
+        return "nothing was held out, so the fit is not validated"
+    parts = [f"cost {held_out.initial_cost:.3g} -> {held_out.cost:.3g}"]
+    parts += [f"{name} {before} -> {after}" for name, before, after in error_rows(held_out)]
+    return f"{held_out.clips} clip{'s' * (held_out.clips != 1)}: {', '.join(parts)}"

@@ -122,7 +122,7 @@ def _remarks(survey: Survey) -> list[str]:
 
 
 def _print_suitability(found: Inspection, console: Console) -> None:
-    console.print(Text.assemble("for system ", (found.system, "bold")))
+    console.print(Text.assemble("for system ", (str(found.system), "bold")))
     for check in found.checks:
         console.print(f"  {check.signal.name}: {check.signal.topic}, {_needs(check.signal)}", soft_wrap=True)
         answer = Text(f"found, {numbers.percent(check.valid)} of its time without a gap", style="green")

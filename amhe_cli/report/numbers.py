@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 #: What stands where a number is missing.
 MISSING = "–"
@@ -41,7 +42,7 @@ def percent(fraction: float) -> str:
 
 
 def shrinkage(fraction: float) -> str:
-    """A percentage that never claims 100 %: no log tells everything."""
+    """A percentage that is never 100 %: no log determines a parameter exactly."""
     value = 100.0 * max(fraction, 0.0)
     return f"{min(value, 99.9):.1f} %" if value > 99.0 else percent(max(fraction, 0.0))
 
@@ -66,3 +67,8 @@ def length(metres: float) -> str:
 def angle(radians: float) -> str:
     """An angle in degrees."""
     return f"{math.degrees(radians):.3g}°" if math.isfinite(radians) else MISSING
+
+
+def joined(names: Sequence[str]) -> str:
+    """'a, b and c'."""
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -1,67 +1,175 @@
-"""`report.html`: everything about an identification on one page that opens without a network."""
+"""A report: one page of HTML that opens without a network and runs no script."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
+from typing import Any, Literal
 
-import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from amhe_cli.estimation.offline.result import VERDICTS, Fit, Identification, ParameterResult
-from amhe_cli.report import figures, numbers, words
+from amhe_cli.report.tables import Table
 
-#: Clips whose fit is drawn, and how many of them are open at once.
-MAX_CLIPS, OPEN_CLIPS = 3, 2
-
-#: Half-width of the strip that sets prior and posterior side by side, in prior sd.
-STRIP = 2.5
+Tone = Literal["good", "mixed", "bad"]
 
 
 @dataclass(frozen=True, slots=True)
-class Strip:
-    """Where things stand on a line from -STRIP to STRIP prior sd about the prior, in percent of it."""
+class Statement:
+    """A sentence, and whether it is good news."""
 
-    left: float
-    width: float
-    mark: float
-    prior_left: float
-    prior_width: float
+    tone: Tone
+    text: str
 
 
-def identification_page(
-    result: Identification, record: Mapping[str, Any], origin: Mapping[str, object]
-) -> str:
-    """The page.
+@dataclass(frozen=True, slots=True)
+class Key:
+    """One entry of a legend.
 
     Args:
-        result: What was found.
-        record: Content of result.json: seconds, warnings, version.
-        origin: Provenance: versions, hashes, seed, command.
+        label: What the line, dot or area means.
+        color: CSS colour.
+        shape: 'solid', 'dashed' or 'dotted' line, 'dot' or 'patch'; '' for text alone.
     """
-    return template("identification.html.j2").render(
-        result=result,
-        record=record,
-        origin=origin,
-        sharp=words.known_together(result),
-        headline=words.headline(result),
-        statements=words.statements(result),
-        verdicts=VERDICTS,
-        strips=_strips(result),
-        fits=_fit_figures(result.fits),
-        convergence=_figure(figures.convergence_figure, result.iterations, result.belief),
-        correlations=_correlations(result),
-        profiles=_figure(figures.profile_figure, result.parameters),
-        residuals=sorted(result.noise_scale.items()),
-    )
+
+    label: str
+    color: str = ""
+    shape: Literal["solid", "dashed", "dotted", "dot", "patch", ""] = "solid"
+
+
+@dataclass(frozen=True, slots=True)
+class Fold:
+    """A part of a section that the reader can open and close."""
+
+    title: str
+    content: Markup
+    remark: str = ""
+    open: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A titled part of a page; everything below the title is optional and shown in this order.
+
+    Args:
+        title: Its heading.
+        text: A paragraph.
+        legend: The entries of a legend.
+        table: A table.
+        figure: An SVG element, as `figures.svg` makes it.
+        natural: Whether the figure keeps its own width, instead of that of the page.
+        folds: Parts that open and close.
+        items: A list.
+        files: Whether the items are names of files.
+        note: A closing remark in small print.
+        name: Anchor of the section, for links.
+    """
+
+    title: str
+    text: str = ""
+    legend: Sequence[Key] = ()
+    table: Table | None = None
+    figure: str = ""
+    natural: bool = False
+    folds: Sequence[Fold] = ()
+    items: Sequence[str] = ()
+    files: bool = False
+    note: str = ""
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """How a result was made.
+
+    Args:
+        commands: The command lines.
+        values: Seed, settings and versions, by name.
+        hashes: SHA-256 of each file that was read, by path.
+        note: A closing remark.
+    """
+
+    commands: Sequence[str]
+    values: Mapping[str, object] = field(default_factory=dict)
+    hashes: Mapping[str, str] = field(default_factory=dict)
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """The content of a report.
+
+    Args:
+        command: The command that made it, without 'amhe'.
+        title: What the report is about.
+        facts: The line below the title, in parts.
+        headline: The result in one line.
+        statements: What a reader should know first.
+        sections: Tables and figures.
+        warnings: Texts of the warnings.
+        origin: How the result was made.
+    """
+
+    command: str
+    title: str
+    facts: Sequence[str]
+    headline: str
+    statements: Sequence[Statement]
+    sections: Sequence[Section]
+    warnings: Sequence[str]
+    origin: Origin
+
+    def html(self) -> str:
+        """The page as a file of its own."""
+        return template("page.html.j2").render(page=self)
+
+
+def result_page(
+    record: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+    *,
+    title: str,
+    facts: Sequence[str],
+    headline: str,
+    statements: Sequence[Statement],
+    sections: Sequence[Section],
+    settings: Mapping[str, object] | None = None,
+) -> str:
+    """The page of a command that writes a result.json.
+
+    Args:
+        record: Content of result.json: command, version, warnings.
+        provenance: Time, command line, seed, versions, and hashes of files in groups.
+        title, facts, headline, statements, sections: See `Page`.
+        settings: Settings to list with the seed, by name.
+    """
+    versions = provenance["versions"]
+    made = str(provenance["created"]).replace("T", " ").replace("+00:00", " UTC")
+    hashes = {
+        path: digest
+        for group in ("inputs", "logs", "held_out_logs", "system_files")
+        for path, digest in provenance.get(group, {}).items()
+    }
+    return Page(
+        record["command"],
+        title,
+        (*facts, made, f"amhe {record['version']}, MuJoCo {versions['mujoco']}"),
+        headline,
+        statements,
+        sections,
+        record["warnings"],
+        Origin(
+            (provenance["command"],),
+            {"seed": provenance["seed"], **(settings or {}), **versions},
+            hashes,
+        ),
+    ).html()
 
 
 @cache
-def template(name: str):
-    """A template of this room; in it `n` is how numbers are written."""
+def template(name: str) -> Any:
+    """A template of this room."""
     environment = Environment(
         loader=PackageLoader("amhe_cli.report"),
         autoescape=True,
@@ -69,53 +177,9 @@ def template(name: str):
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.globals["n"] = numbers
     return environment.get_template(name)
 
 
-def _figure(draw: Any, *content: Any) -> Markup | None:
-    """An SVG for the page; None where there is nothing to draw."""
-    if not content[0]:
-        return None
-    svg = draw(*content)
-    return Markup(svg) if svg else None
-
-
-def _correlations(result: Identification) -> Markup | None:
-    if len(result.parameters) < 2:
-        return None
-    return Markup(figures.correlation_figure(result.belief.names, result.correlations))
-
-
-def _fit_figures(fits: Sequence[Fit]) -> list[dict[str, Any]]:
-    """Clips to show, those that were not fitted first."""
-    clips: dict[str, list[Fit]] = {}
-    for fit in sorted(fits, key=lambda fit: not fit.held_out):
-        clips.setdefault(fit.clip, []).append(fit)
-    return [
-        {
-            "clip": clip,
-            "held_out": group[0].held_out,
-            "open": number < OPEN_CLIPS,
-            "svg": Markup(figures.fit_figure(group)),
-        }
-        for number, (clip, group) in enumerate(list(clips.items())[:MAX_CLIPS])
-    ]
-
-
-def _strips(result: Identification) -> dict[str, Strip]:
-    return {p.name: _strip(p, log) for p, log in zip(result.parameters, result.belief.log, strict=True)}
-
-
-def _strip(p: ParameterResult, log: bool) -> Strip:
-    def place(value: float) -> float:
-        """Percent of the strip's width, on the parameter's own scale."""
-        if log:
-            away = (np.log(max(value, 1e-300)) - np.log(p.prior)) / (p.prior_sd / p.prior)
-        else:
-            away = (value - p.prior) / p.prior_sd
-        return float(np.clip(50.0 + 50.0 * away / STRIP, 0.0, 100.0))
-
-    left, right = place(p.lower), place(p.upper)
-    half = 50.0 * 1.645 / STRIP
-    return Strip(left, max(right - left, 0.8), place(p.estimate), 50.0 - half, 2.0 * half)
+def cell(name: str, *content: object, **more: object) -> Markup:
+    """A table cell with something drawn in it: a macro of cells.html.j2 and its arguments."""
+    return getattr(template("cells.html.j2").module, name)(*content, **more)

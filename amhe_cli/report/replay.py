@@ -1,19 +1,29 @@
-"""The files of `amhe mhe-replay`, written together."""
+"""A replay in sentences, on a page and on a terminal, and the files of `amhe mhe-replay`."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup
+from rich.console import Console
+from rich.text import Text
 
 from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.prediction import Prediction
 from amhe_cli.estimation.online.replay import Replay
+from amhe_cli.report import figures, numbers, replay_figures
 from amhe_cli.report.folder import filling
-from amhe_cli.report.replay_log import write_log
-from amhe_cli.report.replay_page import replay_page
-from amhe_cli.report.replay_record import estimates_csv
+from amhe_cli.report.identification_page import fit_legend
+from amhe_cli.report.page import Fold, Key, Section, Statement, result_page
+from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
+from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
+
+#: An honest 90 % interval holds the truth in 90 % of all cases; a share below this one is pointed out.
+_HONEST = 0.8
 
 
 def write_replay(
@@ -22,31 +32,240 @@ def write_replay(
     predicted: Sequence[Prediction | None],
     fits: Sequence[Fit],
     record: Mapping[str, Any],
-    origin: Mapping[str, Any],
+    provenance: Mapping[str, Any],
 ) -> None:
     """Write estimates.mcap, estimates.csv, result.json and report.html, all or none.
 
     Args:
-        folder: Where to; made if it does not exist.
-        replay: What was found.
-        predicted: What each estimate says of the newest part of its window.
+        folder: Folder of the files; made if it does not exist.
+        replay: The replay.
+        predicted: For each estimate its prediction of the newest part of its window.
         fits: Measured against predicted in a few windows.
         record: Content of result.json.
-        origin: Provenance.
+        provenance: Versions, hashes, seed and command.
     """
     contents = {
         "estimates.csv": estimates_csv(replay),
         "result.json": json.dumps(record, indent=2, allow_nan=False) + "\n",
-        "report.html": replay_page(replay, fits, record, origin),
+        "report.html": replay_page(replay, fits, record, provenance),
     }
     metadata = {
         "system": replay.system.name,
         "log": Path(replay.windows[0].log.source).name,
-        "method": str(origin["method"]),
-        "seed": str(origin["seed"]),
+        "method": str(provenance["method"]),
+        "seed": str(provenance["seed"]),
         "version": str(record["version"]),
     }
     with filling(folder) as scratch:
         write_log(scratch / "estimates.mcap", replay, predicted, metadata)
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
+
+
+def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> None:
+    """Print the parameters at the end, how many windows were used, and where the files are.
+
+    Args:
+        record: Content of result.json.
+        folder: Folder of the files.
+        console: Console on stdout.
+    """
+    console.print(f"{record['log']}, at {record['end_s']:.2f} s", soft_wrap=True)
+    console.print()
+    console.print(rich_table(parameter_table(record)))
+    console.print()
+    for c in record["combinations"]:
+        console.print(f"known together: {c['text']} to {numbers.percent(c['sd'])}")
+    console.print(windows_line(record))
+    console.print(speed_line(record))
+    if record["interrupted"]:
+        console.print("interrupted: the estimates end here", style="yellow")
+    console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+
+
+def replay_page(
+    replay: Replay, fits: Sequence[Fit], record: Mapping[str, Any], provenance: Mapping[str, Any]
+) -> str:
+    """The page as HTML.
+
+    Args:
+        replay: The replay.
+        fits: Measured against predicted in a few windows.
+        record: Content of result.json.
+        provenance: Versions, hashes, seed and command.
+    """
+    settings = record["settings"]
+    return result_page(
+        record,
+        provenance,
+        title=record["system"],
+        facts=(
+            record["log"],
+            f"{record['method']}, window {settings['window']:g} s, "
+            f"update every {settings['update_period']:g} s",
+            f"{record['rollouts']['count']:,} rollouts, {record['real_time_factor']:.1f} times real time",
+        ),
+        headline=headline(record),
+        statements=statements(record),
+        sections=list(_sections(replay, fits, record)),
+        settings={f"mhe.{name}": value for name, value in settings.items() if value},
+    )
+
+
+def headline(record: Mapping[str, Any]) -> str:
+    """The final estimates in one line."""
+    final = [
+        f"{p['name']} {numbers.quantity(numbers.with_sd(p['estimate'], p['sd']), p['unit'])}"
+        for p in record["parameters"]
+    ]
+    return f"At {record['end_s']:.1f} s: {', '.join(final)}."
+
+
+def statements(record: Mapping[str, Any]) -> list[Statement]:
+    """What a reader should know before using a number."""
+    return [
+        *_stopped(record), *_truth(record), *_together(record), *_windows(record), *_speed(record),
+        *_diverged(record),
+    ]  # fmt: skip
+
+
+def _stopped(record: Mapping[str, Any]) -> Iterator[Statement]:
+    if record["interrupted"]:
+        yield Statement("mixed", f"The replay was interrupted: the estimates end at {record['end_s']:.1f} s.")
+
+
+def _truth(record: Mapping[str, Any]) -> Iterator[Statement]:
+    known = [p for p in record["parameters"] if p["coverage"] is not None]
+    if known:
+        held = numbers.joined([f"of {p['name']} in {numbers.percent(p['coverage'])}" for p in known])
+        honest = all(p["coverage"] >= _HONEST for p in known)
+        yield Statement(
+            "good" if honest else "mixed",
+            f"The 90 % interval held the true value {held} of the updates.",
+        )
+
+
+def _together(record: Mapping[str, Any]) -> Iterator[Statement]:
+    if record["combinations"]:
+        known = numbers.joined(
+            [f"{c['text']} (sd {numbers.percent(c['sd'])})" for c in record["combinations"]]
+        )
+        yield Statement("good", f"Known more precisely together than apart: {known}.")
+
+
+def _windows(record: Mapping[str, Any]) -> Iterator[Statement]:
+    yield Statement("good" if record["updated"] else "bad", f"{windows_line(record)}.")
+
+
+def _speed(record: Mapping[str, Any]) -> Iterator[Statement]:
+    ms, period = record["update_ms"], 1e3 * record["settings"]["update_period"]
+    if ms["p50"] is not None:
+        yield Statement(
+            "good" if ms["p99"] <= period else "mixed",
+            f"An update took {ms['p50']:.0f} ms (median) and {ms['p99']:.0f} ms (99th percentile); the "
+            f"update period is {period:g} ms.",
+        )
+
+
+def _diverged(record: Mapping[str, Any]) -> Iterator[Statement]:
+    count, diverged = record["rollouts"]["count"], record["rollouts"]["diverged"]
+    if diverged:
+        share = numbers.percent(diverged / max(count, 1))
+        yield Statement("mixed", f"{diverged:,} of {count:,} rollouts ({share}) diverged and were left out.")
+
+
+def windows_line(record: Mapping[str, Any]) -> str:
+    """'61 windows used (2 jumps detected), 5 skipped (too little excitation)'."""
+    used, jumps = record["updated"], record["jumps"]
+    reasons = {
+        "too little excitation": record["still"],
+        "a missing signal": record["gaps"],
+        "diverged rollouts": record["lost"],
+    }
+    reasons = {reason: count for reason, count in reasons.items() if count}
+    text = f"{used} window{'s' * (used != 1)} used"
+    if jumps:
+        text += f" ({jumps} jump{'s' * (jumps != 1)} detected)"
+    if len(reasons) == 1:
+        text += "".join(f", {count} skipped ({reason})" for reason, count in reasons.items())
+    elif reasons:
+        listed = ", ".join(f"{count} with {reason}" for reason, count in reasons.items())
+        text += f", {sum(reasons.values())} skipped ({listed})"
+    return text
+
+
+def speed_line(record: Mapping[str, Any]) -> str:
+    """'4.1 times real time; an update takes 35 ms (median), 52 ms (99th percentile)'."""
+    ms = record["update_ms"]
+    took = [numbers.MISSING if ms[key] is None else f"{ms[key]:.0f} ms" for key in ("p50", "p99")]
+    factor = record["real_time_factor"]
+    return f"{factor:.1f} times real time; an update takes {took[0]} (median), {took[1]} (99th percentile)"
+
+
+def parameter_table(record: Mapping[str, Any]) -> Table:
+    """The final estimates; with truth and coverage where the log has true values."""
+    head = ("parameter", "estimate ± sd", "unit", "90 % interval", "start", "truth", "coverage")
+    looks = ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", NUMBER, NUMBER)
+    rows = [
+        (
+            p["name"],
+            numbers.with_sd(p["estimate"], p["sd"]),
+            numbers.unit_of(p["unit"]),
+            numbers.interval(p["lower"], p["upper"]),
+            f"{p['start']:.3g}",
+            numbers.MISSING if p["truth"] is None else f"{p['truth']:.4g}",
+            numbers.MISSING if p["coverage"] is None else numbers.percent(p["coverage"]),
+        )
+        for p in record["parameters"]
+    ]
+    table = Table(head, looks, rows)
+    return table if _has_truth(record) else table.without("truth", "coverage")
+
+
+def _has_truth(record: Mapping[str, Any]) -> bool:
+    return any(p["truth"] is not None for p in record["parameters"])
+
+
+def _sections(replay: Replay, fits: Sequence[Fit], record: Mapping[str, Any]) -> Iterator[Section]:
+    marks = set(replay.marks)
+    legend = {
+        "": Key("estimate, with its 90 % band", figures.IDENTIFIED),
+        "truth": Key("true value in the log", figures.INK),
+        "jump": Key("jump detected", replay_figures.JUMP, "dotted"),
+        "still": Key("window skipped: too little excitation", replay_figures.STILL, "patch"),
+        "lost": Key("window skipped: missing signal or diverged rollouts", replay_figures.LOST, "patch"),
+    }
+    shown = marks | {""}
+    shown |= {"truth"} if _has_truth(record) else set()
+    shown |= {"lost"} if marks & {"gap", "diverged"} else set()
+    yield Section(
+        "Estimates",
+        legend=[key for name, key in legend.items() if name in shown],
+        figure=replay_figures.estimates_figure(replay),
+    )
+    yield Section(
+        "Final estimates",
+        table=parameter_table(record),
+        note="Coverage is the share of the updates in which the 90 % interval held the true value. Errors of "
+        "consecutive updates are alike, so the coverage of one log can be far from 90 %."
+        if _has_truth(record)
+        else "",
+    )
+    yield Section(
+        "Windows",
+        figure=replay_figures.windows_figure(replay),
+        note=Markup(" ").join(
+            Markup("<b>{}</b>: {}.").format(name, text) for name, text in MARKS.items() if name in marks
+        ),
+    )
+    if fits:
+        yield Section(
+            "Measured against predicted",
+            text="Three of the windows that were used: those with the smallest, the median and the largest "
+            "misfit.",
+            legend=fit_legend("the estimate before the replay", "the estimate after the window"),
+            folds=[
+                Fold(clip, figures.fit_figure(list(group)))
+                for clip, group in groupby(fits, lambda fit: fit.clip)
+            ],
+        )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator
 
@@ -12,14 +13,14 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report.figures import IDENTIFIED, INITIAL, INK, MEASURED, Grid, styled, svg, thinned
 
-#: Of what a window was marked with: a jump is a line, the others are shaded for as long as they last.
-JUMP, STILL, SILENT = "#b45309", "#e8edf3", "#fee2e2"
-_SHADES = {"still": STILL, "gap": SILENT, "diverged": SILENT}
+#: Colour of the line at a jump, and of the background where windows were skipped.
+JUMP, STILL, LOST = "#b45309", "#e8edf3", "#fee2e2"
+_SHADES = {"still": STILL, "gap": LOST, "diverged": LOST}
 _BAND = "#dbeafe"
 
 
-def estimates_figure(replay: Replay) -> str:
-    """Each parameter over time with its 90 % band, the truth where it is told, and the marks."""
+def estimates_figure(replay: Replay) -> Markup:
+    """Each parameter over time with its 90 % band, its true value where the log has one, and the marks."""
     space, times = replay.system.space, _held_until(replay)
     theta, lower, upper = (_held(replay.column(name)) for name in ("theta", "lower", "upper"))
     across = 3 if len(space) in (3, 5, 6) or len(space) > 8 else min(2, len(space))
@@ -42,8 +43,8 @@ def estimates_figure(replay: Replay) -> str:
         return svg(figure)
 
 
-def windows_figure(replay: Replay) -> str:
-    """Misfit and excitation of each window, and the time that its update took."""
+def windows_figure(replay: Replay) -> Markup:
+    """Misfit and excitation of each window, and how long its update took."""
     grid = Grid(3, 3, height=2.4)
     setting = replay.system.settings.mhe
     with styled("windows"):
@@ -53,7 +54,7 @@ def windows_figure(replay: Replay) -> str:
         misfit.set_title("misfit before the update, in noise sd")
         _log_line(excitation, replay, replay.column("excitation"), MEASURED)
         excitation.axhline(setting.excitation, color=INITIAL, linewidth=1.2, linestyle="--")
-        if setting.excitation:  # how far below the gate is no matter
+        if setting.excitation:  # values far below the gate are all alike
             excitation.set_ylim(bottom=0.2 * setting.excitation)
         excitation.set_title("excitation, in noise sd; dashed: the gate")
         took.plot(*thinned(replay.times, replay.update_ms), color=MEASURED, linewidth=1.0)
@@ -68,12 +69,12 @@ def windows_figure(replay: Replay) -> str:
 
 
 def _held_until(replay: Replay) -> FloatArray:
-    """Times of the estimates, and when the last of them would be replaced, shape (n + 1,)."""
+    """Times of the estimates and of the update after the last one [s], shape (n + 1,)."""
     return np.append(replay.times, replay.times[-1] + replay.system.settings.mhe.update_period)
 
 
 def _held(values: FloatArray) -> FloatArray:
-    """Values (n, ...) with the last of them once more."""
+    """Values (n, ...) with the last one repeated."""
     return np.concatenate((values, values[-1:]))
 
 
@@ -87,7 +88,7 @@ def _log_line(axes: Axes, replay: Replay, values: FloatArray, color: str) -> Non
 
 
 def _limits(replay: Replay, i: int) -> tuple[float, float]:
-    """What the estimates and the truth need; a first band as wide as the prior may leave the picture."""
+    """Limits that hold the estimates and the truth; the band of the first third may leave the picture."""
     parameter = replay.system.space.parameters[i]
     theta, settled = replay.column("theta")[:, i], len(replay.estimates) // 3
     shown = [theta, replay.column("lower")[settled:, i], replay.column("upper")[settled:, i]]
@@ -101,7 +102,7 @@ def _limits(replay: Replay, i: int) -> tuple[float, float]:
 
 
 def _marks(axes: Axes, replay: Replay) -> None:
-    """Stretches in which nothing was learnt, and jumps."""
+    """Shade stretches of skipped windows, and draw a line at each jump."""
     for mark, begin, end in _stretches(replay):
         if mark == "jump":
             axes.axvline(begin, color=JUMP, linewidth=1.0, linestyle=":")
@@ -110,7 +111,7 @@ def _marks(axes: Axes, replay: Replay) -> None:
 
 
 def _stretches(replay: Replay) -> Iterator[tuple[str, float, float]]:
-    """Neighbours of one mark as one: mark, begin and end; each jump for itself."""
+    """Consecutive windows with the same mark: mark, begin and end [s]; each jump by itself."""
     times = _held_until(replay)
     begin = 0
     for i, estimate in enumerate(replay.estimates):

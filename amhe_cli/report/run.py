@@ -1,40 +1,271 @@
-"""The files of `amhe run` that are made when it is over."""
+"""A run in sentences, on a page and on a terminal, and the files of `amhe run` besides its log."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from amhe_cli.report.run_page import run_page
-from amhe_cli.robots.go1.history import History
-from amhe_cli.robots.go1.tasks import Task
-from amhe_cli.system.system import System
+from rich.console import Console
+from rich.text import Text
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.floor import Floor
+from amhe_cli.report import figures, numbers, run_figures
+from amhe_cli.report.page import Key, Section, Statement, Tone, result_page
+from amhe_cli.report.tables import STRONG, Table, rich_table
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TaskFacts:
+    """What a report states about the task of a run.
+
+    Args:
+        title: The task in a few words.
+        floor: Path and goal of the box.
+        changes: What changes during the run, each in a few words.
+        on_time: A success that takes no longer than this counts as on time [s].
+        close_enough: A final distance from the goal up to this one is a success [m].
+        units: Unit of each parameter, by name.
+        period: Control period by the wall clock [s].
+    """
+
+    title: str
+    floor: Floor
+    changes: Sequence[str]
+    on_time: float
+    close_enough: float
+    units: Mapping[str, str]
+    period: float
 
 
 def write_run(
     folder: Path,
-    task: Task,
-    system: System,
-    history: History,
+    task: TaskFacts,
+    columns: Mapping[str, FloatArray],
     record: Mapping[str, Any],
-    origin: Mapping[str, object],
+    provenance: Mapping[str, Any],
 ) -> None:
     """Write result.json and report.html.
 
     Args:
-        folder: That holds the log already.
-        task: That was done.
-        system: That was simulated.
-        history: Of the run.
+        folder: Folder of the run's log.
+        task: The task.
+        columns: Numbers of each cycle by name, shape (cycles,) each; {} if there was no cycle.
         record: Content of result.json.
-        origin: Provenance.
+        provenance: Versions, hashes, seed and command.
     """
     text = json.dumps(record, indent=2, allow_nan=False) + "\n"
     (folder / "result.json").write_text(text, encoding="utf-8")
-    units = {p.name: p.unit for p in system.space.parameters}
-    # by the computer's clock, as the times of cycles are
-    period = system.settings.control.period * record.get("link", {}).get("slow", 1.0)
-    page = run_page(task, history, record, origin, units, period)
+    page = run_page(task, columns, record, provenance)
     (folder / "report.html").write_text(page, encoding="utf-8")
+
+
+def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Console) -> None:
+    """Print the verdict, the measures, belief and truth, and where the files are.
+
+    Args:
+        record: Content of result.json.
+        title: The task in a few words.
+        folder: Folder of the files.
+        console: Console on stdout.
+    """
+    tone, text = verdict(record)
+    style = {"good": "green", "mixed": "yellow", "bad": "red"}[tone]
+    console.print(Text.assemble((f"{record['task']} ({title}), mode {record['mode']}: "), (text, style)))
+    console.print()
+    console.print(rich_table(measure_table(record)))
+    console.print()
+    console.print(belief_line(record))
+    if (folder / "report.html").exists():
+        console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+
+
+def run_page(
+    task: TaskFacts,
+    columns: Mapping[str, FloatArray],
+    record: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+) -> str:
+    """The page as HTML; for the arguments see `write_run`."""
+    name = record["task"].upper() if record["task"].startswith("t") else record["task"]
+    text = verdict(record)[1]
+    return result_page(
+        record,
+        provenance,
+        title=f"{name}: {task.title}",
+        facts=(
+            f"mode {record['mode']}",
+            f"target {record['target']}",
+            f"seed {record['seed']}",
+            f"{record['cycles']} cycles in {record['seconds']:.1f} s",
+        ),
+        headline=f"{text[0].upper()}{text[1:]}.",
+        statements=list(statements(record, task)),
+        sections=list(_sections(task, columns, record)),
+    )
+
+
+def verdict(record: Mapping[str, Any]) -> tuple[Tone, str]:
+    """How the run ended, and whether that is good."""
+    if record["error"]:
+        return "bad", f"stopped by an error: {record['error']}"
+    if record["fell"]:
+        return "bad", "the robot fell"
+    if record["interrupted"]:
+        return "mixed", "interrupted: the numbers end there"
+    if record["success"] and not record["arrived"]:
+        return "good", f"success: the box is close enough to its goal after {record['duration']:g} s"
+    if record["success"]:
+        return "good", "success, on time" if record["on_time"] else "success, but late"
+    if record["cut_short"]:
+        return "mixed", f"stopped after {record['duration']:g} s, before the task was done"
+    return "bad", "failed: the box is not at its goal, or it strayed from its path"
+
+
+def statements(record: Mapping[str, Any], task: TaskFacts) -> Iterator[Statement]:
+    """What a reader should know first."""
+    if record["goal_error_m"] is not None:
+        near = record["goal_error_m"] <= task.close_enough
+        yield Statement(
+            "good" if near else "mixed",
+            f"The box is {number(record['goal_error_m'], '{:.3f}')} m from its goal; up to "
+            f"{task.close_enough:g} m is close enough.",
+        )
+    if record["success"] and record["arrived"]:
+        yield Statement(
+            "good" if record["on_time"] else "mixed",
+            f"The run took {record['time_s']:.1f} s; up to {task.on_time:.1f} s is on time.",
+        )
+    yield from _belief(record)
+    if estimator := record.get("estimator"):
+        yield from (Statement("mixed", f"Estimator: {trouble}.") for trouble in estimator["troubles"])
+    yield from _pace(record, task.period)
+
+
+def _belief(record: Mapping[str, Any]) -> Iterator[Statement]:
+    truth = record["truth"]
+    wrong = [
+        f"{name} {value:.3g} (true: {truth[name]:.3g})"
+        for name, value in record["belief"].items()
+        if name in truth and abs(value - truth[name]) > 0.02 * abs(truth[name])
+    ]
+    if wrong:
+        yield Statement("mixed", f"At the end the controller planned with {numbers.joined(wrong)}.")
+
+
+def _pace(record: Mapping[str, Any], period: float) -> Iterator[Statement]:
+    """A warning if some cycles take longer than the control period."""
+    slow = record["cycle_ms"]["p99"]
+    if slow is None or slow <= 1e3 * period:
+        return
+    late = record["deadline_misses"]
+    effect = (
+        "The simulation waits for each plan (lock-step); a robot would not."
+        if record["lock_step"]
+        else f"{late} of {record['cycles'] + late} periods went on with an older plan."
+    )
+    yield Statement(
+        "mixed",
+        f"One cycle in a hundred took longer than {slow:.0f} ms; the control period is {1e3 * period:g} ms. "
+        f"{effect}",
+    )
+
+
+def measure_table(record: Mapping[str, Any]) -> Table:
+    """The numbers of a run, with their units."""
+    ms = record["cycle_ms"]
+    rows = [
+        ("time", number(record["time_s"], "{:.2f}"), "s"),
+        ("distance of the box from its goal", number(record["goal_error_m"], "{:.3f}"), "m"),
+        ("speed error, rms", number(record["speed_rmse"], "{:.3f}"), "m/s"),
+        ("path error, rms", number(record["path_rmse_m"], "{:.3f}"), "m"),
+        ("cost J", number(record["cost"], "{:,.0f}"), ""),
+        ("cycle time, median", number(ms["p50"], "{:.1f}"), "ms"),
+        ("cycle time, 99th percentile", number(ms["p99"], "{:.1f}"), "ms"),
+    ]
+    if not record["lock_step"]:
+        rows.append(("missed deadlines", str(record["deadline_misses"]), ""))
+    rows.append(("diverged rollouts", f"{record['diverged']:,} of {record['rollouts']:,}", ""))
+    if estimator := record.get("estimator"):
+        used = sum(estimator["marks"].get(mark, 0) for mark in ("updated", "jump"))
+        rows += [
+            ("windows used by the estimator", f"{used} of {estimator['updates']}", ""),
+            ("update time, median", number(estimator["update_ms"]["p50"], "{:.0f}"), "ms"),
+        ]
+    return Table(("measure", "value", "unit"), ("", STRONG, "unit"), rows)
+
+
+def belief_line(record: Mapping[str, Any]) -> str:
+    """'belief (truth) at the end: box_mass 2 (4), floor_friction 0.3 (0.6)'."""
+    if not record["belief"]:
+        return f"belief: {numbers.MISSING}"
+    truth = record["truth"]
+    values = [
+        f"{name} {value:.3g}" + (f" ({truth[name]:.3g})" if name in truth else "")
+        for name, value in record["belief"].items()
+    ]
+    return f"belief (truth) at the end: {', '.join(values)}"
+
+
+def number(value: float | None, form: str) -> str:
+    """A number in a format of `str.format`, or a dash where there is none."""
+    return numbers.MISSING if value is None else form.format(value)
+
+
+def _sections(
+    task: TaskFacts, columns: Mapping[str, FloatArray], record: Mapping[str, Any]
+) -> Iterator[Section]:
+    if columns:
+        yield from _motion_sections(task, columns, bool(record.get("estimator")))
+    states = (
+        "All numbers are computed from the true states of the simulation, which the controller never sees."
+        if record["truth"]
+        else "All numbers are computed from the states that the robot's sensors and motion capture measure; "
+        "the true states are not known."
+    )
+    yield Section(
+        "Numbers",
+        table=measure_table(record),
+        note=f"{states} J is the sum of the running cost at 50 Hz; if the box does not arrive, its last "
+        "value is charged until the task's time is over.",
+    )
+    if columns:
+        yield Section("Cost by term", figure=run_figures.cost_figure(record["cost_terms"]), natural=True)
+        yield Section(
+            "Planning",
+            text="The number of effective samples is 1 where one rollout decides, and the number of rollouts "
+            "where all count the same.",
+            figure=run_figures.planning_figure(columns, 1e3 * task.period),
+        )
+
+
+def _motion_sections(
+    task: TaskFacts, columns: Mapping[str, FloatArray], estimated: bool
+) -> Iterator[Section]:
+    box, robot = Key("box", run_figures.BOX), Key("robot", figures.IDENTIFIED)
+    foot = [Key("front right foot", figures.INK)] if task.floor.one_leg else []
+    changed = [Key("change of box or floor", figures.MUTED, "dotted")] if task.changes else []
+    yield Section(
+        "From above",
+        legend=(
+            box, robot, *foot,
+            Key("path", figures.MUTED, "dashed"), Key("goal of the box", run_figures.GOAL),
+            *(Key(text, shape="") for text in task.changes),
+        ),
+        figure=run_figures.path_figure(columns, task.floor),
+        natural=True,
+    )  # fmt: skip
+    yield Section(
+        "Motion",
+        legend=(robot, Key("commanded speed", figures.INITIAL, "dashed"), box, *changed),
+        figure=run_figures.motion_figure(columns),
+    )
+    interval = [Key("90 % interval", run_figures.BAND, "patch")] if estimated else []
+    yield Section(
+        "Belief and truth",
+        legend=(Key("true", figures.INK), Key("believed", figures.IDENTIFIED, "dashed"), *interval),
+        figure=run_figures.belief_figure(columns, task.units),
+    )

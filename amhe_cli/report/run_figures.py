@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TypeAlias
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.floor import Floor, outline
 from amhe_cli.report.figures import (
     IDENTIFIED,
     INITIAL,
@@ -21,36 +24,48 @@ from amhe_cli.report.figures import (
     svg,
     thinned,
 )
-from amhe_cli.report.run_words import TERMS
-from amhe_cli.robots.go1.history import History
-from amhe_cli.robots.go1.tasks import Task
 
-GOAL, BOX = "#15803d", "#b45309"
-#: The view from above is no higher than this [inch], and shows no less than this [m].
+Columns: TypeAlias = Mapping[str, FloatArray]
+
+GOAL, BOX, BAND = "#15803d", "#b45309", "#dbeafe"
+#: Greatest height of the view from above [inch], and the least that it shows [m].
 _HIGHEST, _LEAST = 6.0, 1.2
-#: Outlines of the box along its way.
+#: Outlines of the box along its path.
 _OUTLINES = 5
 
+#: Terms of the running cost, in words.
+_TERMS = {
+    "box_speed": "speed of the box",
+    "robot_speed": "speed of the robot",
+    "box_left": "box beside its path",
+    "robot_left": "robot beside the box",
+    "yaw": "heading of the robot",
+    "box_yaw": "heading of the box",
+    "height": "height of the trunk",
+    "tilt": "tilt of the trunk",
+    "box_tilt": "tilt of the box",
+    "knots": "plan off the reference",
+}
 
-def path_figure(history: History, task: Task) -> str:
-    """From above: the path, the goal, the ways of box and robot, and of the foot that pushes."""
-    c = history.columns()
-    path = task.path.points(np.linspace(0.0, task.path.length, 181))
+
+def path_figure(c: Columns, floor: Floor) -> Markup:
+    """From above: the path and the goal, and the tracks of box and robot, or of the foot that pushes."""
+    path = floor.path
     xs = np.concatenate((path[:, 0], c["box_x"], c["trunk_x"]))
     ys = np.concatenate((path[:, 1], c["box_y"], c["trunk_y"]))
-    x, y = (_span(values, 0.5 * max(task.box.size[:2]) + 0.1) for values in (xs, ys))
+    x, y = (_span(values, 0.5 * max(floor.footprint) + 0.1) for values in (xs, ys))
     scale = min((WIDTH - 0.7) / (x[1] - x[0]), _HIGHEST / (y[1] - y[0]))
     wide, high = scale * (x[1] - x[0]), scale * (y[1] - y[0])
     with styled("path"):
         figure = Figure(figsize=(wide + 0.7, high + 0.55))
         w, h = figure.get_size_inches()
         axes = figure.add_axes((0.55 / w, 0.45 / h, wide / w, high / h))
-        _floors(axes, task, x[1])
+        _floors(axes, floor, x[1])
         axes.plot(path[:, 0], path[:, 1], color=MUTED, linewidth=1.0, linestyle="--")
-        _outlines(axes, c, task)
+        _outlines(axes, c, floor)
         axes.plot(c["trunk_x"][::5], c["trunk_y"][::5], color=IDENTIFIED, linewidth=1.3)
         axes.plot(c["box_x"][::5], c["box_y"][::5], color=BOX, linewidth=1.8)
-        if task.one_leg:
+        if floor.one_leg:
             axes.plot(c["foot_x"][::2], c["foot_y"][::2], color=INK, linewidth=0.8)
         axes.set_xlim(*x)
         axes.set_ylim(*y)
@@ -59,9 +74,8 @@ def path_figure(history: History, task: Task) -> str:
         return svg(figure)
 
 
-def motion_figure(history: History, task: Task) -> str:
-    """Over time: speed against command, the way to the goal, the distance from the path."""
-    c = history.columns()
+def motion_figure(c: Columns) -> Markup:
+    """Over time: speed and command, distance from the goal, distance from the path."""
     grid = Grid(3, 3, height=2.6)
     with styled("motion"):
         figure = grid.figure()
@@ -70,7 +84,7 @@ def motion_figure(history: History, task: Task) -> str:
         speed.plot(*thinned(c["time"], c["command"]), "--", color=INITIAL, linewidth=1.3)
         speed.set_title("forward speed of the robot [m/s]")
         goal.plot(*thinned(c["time"], c["to_goal"]), color=BOX)
-        goal.set_ylim(bottom=0.0)
+        goal.set_ylim(0.0, 1.05 * float(np.nanmax(c["to_goal"])) or 1.0)
         goal.set_title("box from the goal [m]")
         left.axhline(0.0, color=MUTED, linewidth=0.8, linestyle="--")
         left.plot(*thinned(c["time"], 1e3 * c["left"]), color=BOX)
@@ -81,9 +95,8 @@ def motion_figure(history: History, task: Task) -> str:
         return svg(figure)
 
 
-def belief_figure(history: History, units: Mapping[str, str]) -> str:
-    """What was believed, against what was true."""
-    c = history.columns()
+def belief_figure(c: Columns, units: Mapping[str, str]) -> Markup:
+    """Each parameter over time, as the controller believed it and as it was."""
     names = [name.removeprefix("belief/") for name in c if name.startswith("belief/")]
     grid = Grid(len(names), 3, height=2.3)
     with styled("belief"):
@@ -107,9 +120,8 @@ def belief_figure(history: History, units: Mapping[str, str]) -> str:
         return svg(figure)
 
 
-def planning_figure(history: History, period_ms: float) -> str:
-    """How long cycles took, and how many samples counted."""
-    c = history.columns()
+def planning_figure(c: Columns, period_ms: float) -> Markup:
+    """Histogram of the cycle times [ms], and the number of effective samples over time."""
     grid = Grid(2, 2, height=2.5)
     with styled("planning"):
         figure = grid.figure()
@@ -126,15 +138,15 @@ def planning_figure(history: History, period_ms: float) -> str:
         return svg(figure)
 
 
-def cost_figure(terms: Mapping[str, float]) -> str:
-    """The cost by its terms, dearest on top."""
+def cost_figure(terms: Mapping[str, float]) -> Markup:
+    """The terms of the cost, the largest on top."""
     ranked = sorted(terms.items(), key=lambda item: item[1])
     high = 0.27 * len(ranked) + 0.45
     with styled("cost", **{"axes.grid": False}):
         figure = Figure(figsize=(0.75 * WIDTH, high))
         axes = figure.add_axes((0.24, 0.36 / high, 0.64, 1.0 - 0.42 / high))
         values = [value for _, value in ranked]
-        bars = axes.barh([TERMS.get(name, name) for name, _ in ranked], values, color="#93b4f5", height=0.62)
+        bars = axes.barh([_TERMS.get(name, name) for name, _ in ranked], values, color="#93b4f5", height=0.62)
         total = sum(values) or 1.0
         axes.bar_label(
             bars, [f"{v:,.0f} ({v / total:.0%})" for v in values], padding=4, color=MUTED, fontsize=8
@@ -149,35 +161,25 @@ def _span(values: FloatArray, margin: float) -> tuple[float, float]:
     return low - 0.5 * lacking, high + 0.5 * lacking
 
 
-def _floors(axes: Axes, task: Task, right: float) -> None:
-    for change in task.changes:
-        if change.beyond_x is None:
-            continue
-        if change.floor_friction is not None:
-            axes.axvspan(change.beyond_x, right, color="#e7efe9", linewidth=0)
-        else:
-            axes.axvline(change.beyond_x, color=MUTED, linewidth=1.0, linestyle=":")
+def _floors(axes: Axes, floor: Floor, right: float) -> None:
+    if floor.other_floor is not None:
+        axes.axvspan(floor.other_floor, right, color="#e7efe9", linewidth=0)
+    for x in floor.marks:
+        axes.axvline(x, color=MUTED, linewidth=1.0, linestyle=":")
 
 
-def _outlines(axes: Axes, c: Mapping[str, FloatArray], task: Task) -> None:
-    """The box now and then, and where it is to stand."""
+def _outlines(axes: Axes, c: Columns, floor: Floor) -> None:
+    """The box at a few times, and at its goal."""
     for row in np.linspace(0, c["time"].size - 1, _OUTLINES).astype(int):
-        place = np.array([c["box_x"][row], c["box_y"][row]])
-        x, y = _rectangle(place, float(c["box_yaw"][row]), task)
+        x, y = outline(
+            np.array([c["box_x"][row], c["box_y"][row]]), float(c["box_yaw"][row]), floor.footprint
+        )
         axes.fill(x, y, facecolor="#fdf2e3", edgecolor="#d9a566", linewidth=0.8, alpha=0.9)
-    turn = task.box.yaw + task.path.curvature * task.path.length
-    axes.plot(*_rectangle(task.path.goal, turn, task), color=GOAL, linewidth=1.5)
+    axes.plot(*outline(floor.path[-1], floor.goal_yaw, floor.footprint), color=GOAL, linewidth=1.5)
 
 
-def _rectangle(place: FloatArray, yaw: float, task: Task) -> tuple[FloatArray, FloatArray]:
-    depth, width = 0.5 * task.box.size[0], 0.5 * task.box.size[1]
-    ahead, left = depth * np.array([1, 1, -1, -1, 1]), width * np.array([1, -1, -1, 1, 1])
-    c, s = np.cos(yaw), np.sin(yaw)
-    return place[0] + c * ahead - s * left, place[1] + s * ahead + c * left
-
-
-def _changes(axes: Axes, c: Mapping[str, FloatArray]) -> None:
-    """Where the truth changes."""
+def _changes(axes: Axes, c: Columns) -> None:
+    """A dotted line wherever a true parameter changes."""
     for name, values in c.items():
         if name.startswith("truth/"):
             for row in np.flatnonzero(np.diff(values)):
@@ -185,13 +187,13 @@ def _changes(axes: Axes, c: Mapping[str, FloatArray]) -> None:
 
 
 def _band(axes: Axes, time: FloatArray, lower: FloatArray, upper: FloatArray) -> None:
-    """An interval over time, thinned."""
+    """An interval over time; every fifth cycle."""
     kept = np.flatnonzero(np.isfinite(lower))[::5]
-    axes.fill_between(time[kept], lower[kept], upper[kept], step="post", color="#dbeafe", linewidth=0)
+    axes.fill_between(time[kept], lower[kept], upper[kept], step="post", color=BAND, linewidth=0)
 
 
 def _steps(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Only the corners of what seldom changes."""
+    """The corners of a curve that seldom changes."""
     kept = np.flatnonzero(np.diff(values, prepend=np.nan) != 0.0)
     kept = np.union1d(np.union1d(kept, np.maximum(kept - 1, 0)), [values.size - 1])
     return time[kept], values[kept]

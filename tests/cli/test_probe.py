@@ -126,7 +126,7 @@ def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> N
     monkeypatch.setattr(DriveProbe, "_told", only_quick)
     assert run([*PENDULUM, "--plan-only", "-o", "plan"]) == 0
     (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("load_mass"))
-    assert row.split()[-1] == "-"
+    assert row.split()[-1] == "–"
     assert "plain_sd" not in json.loads(Path("plan/plan.json").read_text())["parameters"][0]
 
 

@@ -212,7 +212,7 @@ def test_json_on_stdout_is_result_json(capsys) -> None:
 def test_the_table_is_on_stdout_and_progress_on_stderr(capsys) -> None:
     assert run(["run", "--task", "t1", *(word for word in QUICK if word != "-q")]) == 0
     out, err = capsys.readouterr()
-    assert "not done in the 0.6 s" in out
+    assert "stopped after 0.6 s, before the task was done" in out
     assert "report: amhe-out/run-" in out
     assert "m from the goal" in err
     assert not Path("MUJOCO_LOG.TXT").exists()

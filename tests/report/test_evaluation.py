@@ -37,7 +37,7 @@ def groups() -> Groups:
     return Groups([result(cell, worse[cell.mode]) for cell in cells], (), tuple(TASKS), MODES)
 
 
-def made(groups: Groups, name: str) -> formats.Table:
+def made(groups: Groups, name: str) -> formats.StudyTable:
     every = tables.tables(groups, ablations(groups, DEFAULTS), goals(groups))
     return next(table for table in every if table.name == name)
 
@@ -115,7 +115,7 @@ def test_every_figure_is_written_twice_and_drawn_for_the_page(groups: Groups, tm
     names = {picture.name for picture in pictures}
     assert names == {"paths", "speed", "costs", "parameters", "final", "ablations"}
     assert {path.name for path in tmp_path.iterdir()} == {f"{n}.{s}" for n in names for s in ("png", "pdf")}
-    assert all(picture.svg.startswith("<svg") for picture in pictures)
+    assert all(picture.figure.startswith("<svg") for picture in pictures)
 
 
 def test_the_box_that_was_measured_is_the_one_that_is_drawn() -> None:

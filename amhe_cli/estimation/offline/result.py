@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.parameters import Belief
 
-#: Verdicts, best first, with what each says to the user.
+#: Verdicts, best first, and what each means to the user.
 VERDICTS: Mapping[str, str] = {
-    "identified": "the log determines it",
-    "weak": "the log says something; trust the interval, not the digit",
-    "prior": "the log says nothing; this is your prior",
-    "model-sensitive": "the number depends on details the model gets wrong",
+    "identified": "the logs determine the value",
+    "weak": "the logs narrow the value down a little: use the interval, not the estimate",
+    "prior": "the logs contain no information about the value: it is the prior",
+    "model-sensitive": "the value depends on details that the model gets wrong",
 }
 
 
@@ -59,6 +60,16 @@ class Combination:
     text: str
     sd: float  # of the logarithm (or of the scaled sum): 0.01 is 1 %
     shrinkage: float
+
+
+def sharper(combinations: Sequence[Combination], relative: Mapping[str, float]) -> list[Combination]:
+    """Those known more precisely than each of their parameters, whose relative sd are given; best first."""
+
+    def parts(combination: Combination) -> Iterator[float]:
+        for factor in combination.text.replace(" / ", " * ").split(" * "):
+            yield relative.get(factor.partition("^")[0], math.inf)
+
+    return sorted((c for c in combinations if c.sd < min(parts(c))), key=lambda c: c.sd)
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,3 +160,9 @@ class Identification:
     fits: tuple[Fit, ...]
     interrupted: bool = False
     logs: tuple[str, ...] = field(default=())
+
+
+def known_together(result: Identification) -> list[Combination]:
+    """Combinations that are known more precisely than each of their parameters, best first."""
+    relative = {p.name: p.sd / abs(p.estimate) for p in result.parameters if p.estimate}
+    return sharper(result.combinations, relative)

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from amhe_cli.report.figures import INK, MUTED, Grid, styled, svg
+from amhe_cli.report.page import Section
 
 #: Of each mode, everywhere; a mode of another name is grey.
 COLORS = {"true": INK, "baseline": "#d97706", "stale": "#b91c1c", "adaptive": "#2563eb"}
@@ -36,24 +37,14 @@ class Drawing:
     draw: Callable[[], Figure]
 
 
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A figure on the page: `svg` is its element."""
-
-    name: str
-    title: str
-    caption: str
-    svg: str
-
-
-def drawn(drawings: Sequence[Drawing], folder: Path) -> list[Picture]:
-    """Draw figures, write each as PNG and PDF, and give them for the page.
+def drawn(drawings: Sequence[Drawing], folder: Path) -> list[Section]:
+    """Draw figures, write each as PNG and PDF, and return them as sections of a page.
 
     Args:
         drawings: What to draw.
         folder: For the files; made where there is something to draw.
     """
-    pictures = []
+    sections = []
     for drawing in drawings:
         folder.mkdir(exist_ok=True)
         with styled(drawing.name):
@@ -63,8 +54,10 @@ def drawn(drawings: Sequence[Drawing], folder: Path) -> list[Picture]:
                 folder / f"{drawing.name}.png", dpi=200, facecolor="white", metadata={"Software": None}
             )
             figure.savefig(folder / f"{drawing.name}.pdf", metadata={"CreationDate": None})
-        pictures.append(Picture(drawing.name, drawing.title, drawing.caption, element))
-    return pictures
+        sections.append(
+            Section(drawing.title, drawing.caption, figure=element, natural=True, name=drawing.name)
+        )
+    return sections
 
 
 def color_of(mode: str) -> str:

@@ -20,7 +20,7 @@ _LATEX = {
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
+class StudyTable:
     """Text for people, numbers for programs.
 
     Args:
@@ -40,7 +40,7 @@ class Table:
     note: str = ""
 
 
-def text(table: Table) -> str:
+def text(table: StudyTable) -> str:
     """For a terminal: columns side by side, the first to the left."""
     lines = [table.head, *table.rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(table.head))]
@@ -53,14 +53,14 @@ def text(table: Table) -> str:
     return "\n".join((table.title, "", *ruled, *(["", table.note] if table.note else []))) + "\n"
 
 
-def markdown(table: Table) -> str:
+def markdown(table: StudyTable) -> str:
     """For GitHub."""
     lines = [table.head, ("---", *["---:"] * (len(table.head) - 1)), *table.rows]
     body = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join((f"**{table.title}**", "", *body, *(["", table.note] if table.note else []))) + "\n"
 
 
-def latex(table: Table) -> str:
+def latex(table: StudyTable) -> str:
     """For a paper that loads booktabs."""
     columns = "l" + "r" * (len(table.head) - 1)
     lines = [" & ".join(map(_escaped, line)) + r" \\" for line in (table.head, *table.rows)]
@@ -74,7 +74,7 @@ def latex(table: Table) -> str:
     )  # fmt: skip
 
 
-def comma_separated(table: Table) -> str:
+def comma_separated(table: StudyTable) -> str:
     """The numbers, one row each."""
     out = io.StringIO()
     names = list(dict.fromkeys(name for record in table.records for name in record))
@@ -84,14 +84,14 @@ def comma_separated(table: Table) -> str:
     return out.getvalue()
 
 
-def as_json(table: Table) -> str:
+def as_json(table: StudyTable) -> str:
     """The numbers and the title."""
     record = {"name": table.name, "title": table.title, "note": table.note, "rows": plain(table.records)}
     return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
 
 #: Suffix of a file -> what is in it.
-FORMATS: Mapping[str, Callable[[Table], str]] = {
+FORMATS: Mapping[str, Callable[[StudyTable], str]] = {
     "txt": text, "md": markdown, "tex": latex, "csv": comma_separated, "json": as_json,
 }  # fmt: skip
 

@@ -1,12 +1,13 @@
-"""`report.html` of a study: one page that opens without a network."""
+"""`report.html` of a study."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from amhe_cli.report.page import template
-from amhe_cli.report.study.drawing import Picture
-from amhe_cli.report.study.formats import Table
+from amhe_cli.report.page import Origin, Page, Section, Statement
+from amhe_cli.report.study.formats import StudyTable
+from amhe_cli.report.tables import NUMBER, Table
+from amhe_cli.robots.go1.tasks import LONGEST
 from amhe_cli.study.cells import words
 from amhe_cli.study.store import Study
 from amhe_cli.study.summary import Groups
@@ -16,32 +17,89 @@ def study_page(
     study: Study,
     groups: Groups,
     failures: Mapping[str, str],
-    tables: Sequence[Table],
-    pictures: Sequence[Picture],
+    tables: Sequence[StudyTable],
+    figures: Sequence[Section],
 ) -> str:
-    """The page.
+    """The page as HTML.
 
     Args:
         study: What all cells share.
-        groups: Its results.
-        failures: Title of a cell -> why it brought none.
-        tables: To show, in order.
-        pictures: Likewise.
+        groups: The results.
+        failures: Title of a cell -> why it has no result.
+        tables: The tables, in order.
+        figures: The figures, in order.
     """
-    judged = [
+    cells, code, machine = sum(group.n for group in groups), study.code, study.machine
+    lacking = [
+        Section(
+            "Cells without a result",
+            items=[f"{title}: {reason}" for title, reason in failures.items()],
+            name="failures",
+        )
+    ]
+    return Page(
+        command="eval",
+        title="Tasks by beliefs by seeds",
+        facts=(
+            f"{cells} cells",
+            f"begun {study.made.replace('T', ' ').replace('+00:00', ' UTC')}",
+            f"amhe {code['amhe']} (sources {code['sources']}), MuJoCo {code['mujoco']}, "
+            f"numpy {code['numpy']}, Python {machine['python']}",
+            f"{machine['processor']}, {machine['cores']} cores",
+        ),
+        headline=_headline(groups, tables),
+        statements=_statements(study, failures, tables),
+        sections=[*map(_section, tables), *figures, *(lacking if failures else [])],
+        warnings=(),
+        origin=Origin(
+            study.commands,
+            note="Every number is computed from the result files in cells/, one file for each run. A "
+            "file's name contains a hash of task, mode, setting, seed, belief and code. `amhe eval --report` "
+            "computes everything again.",
+        ),
+    ).html()
+
+
+def _goals(tables: Sequence[StudyTable]) -> list[dict[str, str]]:
+    """Rows of the table of goals."""
+    return [
         dict(zip(table.head, row, strict=True))
         for table in tables
         if table.name == "goals"
         for row in table.rows
     ]
-    return template("study.html.j2").render(
-        study=study,
-        setting=words(study.setting),
-        cells=sum(group.n for group in groups),
-        seeds=sorted({group.n for group in groups.at_base()}),
-        failures=failures,
-        goals=judged,
-        missed=[goal for goal in judged if goal["reached"] == "NO"],
-        tables=tables,
-        pictures=pictures,
-    )
+
+
+def _headline(groups: Groups, tables: Sequence[StudyTable]) -> str:
+    goals = _goals(tables)
+    if not goals:
+        return f"{sum(group.n for group in groups)} cells."
+    reached = sum(goal["reached"] != "NO" for goal in goals)
+    seeds = sorted({group.n for group in groups.at_base()})
+    number = f"{seeds[0]} to {seeds[-1]}" if len(seeds) > 1 else f"{seeds[0]}"
+    return f"{reached} of {len(goals)} goals reached, with {number} seeds."
+
+
+def _statements(study: Study, failures: Mapping[str, str], tables: Sequence[StudyTable]) -> list[Statement]:
+    said = [
+        Statement(
+            "bad",
+            f"{goal['']}: {goal['measure']} is {goal['value [95 % interval]']}"
+            f"{'' if goal['unit'] == '-' else ' ' + goal['unit']}; the goal is {goal['goal']}.",
+        )
+        for goal in _goals(tables)
+        if goal["reached"] == "NO"
+    ]
+    if failures:
+        said.append(Statement("bad", f"{len(failures)} cell{'s' * (len(failures) != 1)} have no result."))
+    if study.setting:
+        said.append(Statement("mixed", f"The operating point is not the default: {words(study.setting)}."))
+    if study.duration < LONGEST:
+        text = f"Runs were stopped after {study.duration:g} s; a task needs up to {LONGEST:g} s."
+        said.append(Statement("mixed", text))
+    return said
+
+
+def _section(table: StudyTable) -> Section:
+    looks = ("", *(NUMBER for _ in table.head[1:]))
+    return Section(table.title, table=Table(table.head, looks, table.rows), note=table.note, name=table.name)

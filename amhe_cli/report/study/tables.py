@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from amhe_cli.report.numbers import MISSING
-from amhe_cli.report.study.formats import Table
+from amhe_cli.report.study.formats import StudyTable
 from amhe_cli.study import paper
 from amhe_cli.study.ablations import Ablation
 from amhe_cli.study.estimates import BEGUN, NEAR, RESOLVED, SETTLED, estimates
@@ -29,7 +29,7 @@ SIGNS: dict[str, tuple[str, str, int]] = {
 }
 
 
-def tables(groups: Groups, found: list[Ablation], judged: list[Goal]) -> list[Table]:
+def tables(groups: Groups, found: list[Ablation], judged: list[Goal]) -> list[StudyTable]:
     """All that have a row."""
     made = (
         table_1(groups),
@@ -54,7 +54,7 @@ def mean_sd(name: str, spread: Spread) -> str:
     return _with_sd(name, spread.mean, spread.sd)
 
 
-def table_1(groups: Groups) -> Table:
+def table_1(groups: Groups) -> StudyTable:
     """Like the paper's table I: T4."""
     task = paper.TABLE_1_TASK
     ours = groups.of(task)
@@ -65,7 +65,7 @@ def table_1(groups: Groups) -> Table:
         records += [_record(g, name) | _theirs(theirs.get(g.mode)) for g in ours]
     head = ("", *(_mode(group) for group in ours), *(f"paper: {mode}" for mode in paper.MODES.values()))
     note = "Costs are ours and the paper's own: compare them along a row of either, not across."
-    return Table(
+    return StudyTable(
         "table1",
         f"{task.upper()}: mean ± sd over seeds, beside the paper's table I",
         head,
@@ -75,7 +75,7 @@ def table_1(groups: Groups) -> Table:
     )
 
 
-def table_2(groups: Groups) -> Table:
+def table_2(groups: Groups) -> StudyTable:
     """Like the paper's table II: all tasks."""
     modes = groups.modes_of(groups.tasks)
     rows, records = [], []
@@ -87,10 +87,12 @@ def table_2(groups: Groups) -> Table:
             rows.append((f"{task.upper()} {label(name)}", *mine, *told))
             records += [_record(g, name) | {"paper_mean": theirs.get(m)} for m, g in ours.items()]
     head = ("", *modes, *(f"paper: {mode}" for mode in paper.MODES.values()))
-    return Table("table2", "Speed error and final error, beside the paper's table II", head, rows, records)
+    return StudyTable(
+        "table2", "Speed error and final error, beside the paper's table II", head, rows, records
+    )
 
 
-def measures(groups: Groups) -> Table:
+def measures(groups: Groups) -> StudyTable:
     """Everything that is measured, at the operating point."""
     rows, records = [], []
     for group in groups.at_base():
@@ -106,10 +108,10 @@ def measures(groups: Groups) -> Table:
         "S_R, S_T: with Wilson's 95 % interval. Others: mean ± sd (median). "
         "Bootstrap intervals of the means are in the CSV and JSON."
     )
-    return Table("measures", "All measures", head, rows, records, note)
+    return StudyTable("measures", "All measures", head, rows, records, note)
 
 
-def differences(groups: Groups) -> Table:
+def differences(groups: Groups) -> StudyTable:
     """Every mode against the true belief, on the same seeds."""
     rows, records = [], []
     for group in groups.at_base():
@@ -136,10 +138,10 @@ def differences(groups: Groups) -> Table:
     note = (
         "Means of paired differences [95 % bootstrap interval]; J and t_exec in percent of the true mode's."
     )
-    return Table("differences", "Against the true belief, seed by seed", head, rows, records, note)
+    return StudyTable("differences", "Against the true belief, seed by seed", head, rows, records, note)
 
 
-def goal_table(judged: list[Goal]) -> Table:
+def goal_table(judged: list[Goal]) -> StudyTable:
     """What was to be reached."""
     rows = []
     for goal in judged:
@@ -154,10 +156,10 @@ def goal_table(judged: list[Goal]) -> Table:
         rows.append((f"{goal.task} {goal.mode}", str(goal.n), what, unit, shown, bound, reached))
     records = [asdict(goal) | {"reached": goal.reached} for goal in judged]
     head = ("", "n", "measure", "unit", "value [95 % interval]", "goal", "reached")
-    return Table("goals", "Goals", head, rows, records)
+    return StudyTable("goals", "Goals", head, rows, records)
 
 
-def estimate_table(groups: Groups) -> Table:
+def estimate_table(groups: Groups) -> StudyTable:
     """How good the online estimates were."""
     found = [told for group in groups.at_base() if (told := estimates(group))]
     rows = [
@@ -178,10 +180,10 @@ def estimate_table(groups: Groups) -> Table:
         f"change on; where nothing changes, from {BEGUN:g} s on. "
         f"Resolved: m and mu within {100 * NEAR:.0f} %, or held."
     )
-    return Table("estimates", "Online estimates", head, rows, [asdict(e) for e in found], note)
+    return StudyTable("estimates", "Online estimates", head, rows, [asdict(e) for e in found], note)
 
 
-def ablation_table(found: list[Ablation]) -> Table:
+def ablation_table(found: list[Ablation]) -> StudyTable:
     """Every value that was tried, the operating point marked."""
     rows, records = [], []
     for ablation in found:
@@ -204,7 +206,7 @@ def ablation_table(found: list[Ablation]) -> Table:
         "n",
         *(label(m) for m in ("success", "goal_error_m", "speed_rmse", "cost", "time_s")),
     )
-    return Table(
+    return StudyTable(
         "ablations", "Ablations", head, rows, records, "* the operating point; mean ± sd over seeds."
     )
 

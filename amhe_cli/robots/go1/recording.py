@@ -9,7 +9,7 @@ from amhe_cli import __version__
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.live.recorder import Recorder
 from amhe_cli.robots.go1.run import Run, measured
-from amhe_cli.robots.go1.video import Film, check_encoder, scenery_of
+from amhe_cli.robots.go1.video import Film, check_encoder
 from amhe_cli.system.provenance import attachments
 
 
@@ -41,4 +41,4 @@ def film_of(run: Run) -> Film:
     if run.plant is None:
         raise ConfigError("--video films a simulated plant; leave it out with --target go1")
     check_encoder()
-    return Film(run.plant.model, scenery_of(run.task))
+    return Film(run.plant.model, run.task.floor)

@@ -11,6 +11,7 @@ import numpy as np
 
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.floor import Floor
 from amhe_cli.robots.go1.behaviours.course import Course
 from amhe_cli.robots.go1.behaviours.steering import Helm
 from amhe_cli.robots.go1.behaviours.sweeping import Sweeping
@@ -81,6 +82,35 @@ class Task:
     def judged_from(self) -> float:
         """Since when the speed is judged [s]: with one leg, since it is free."""
         return Tripod().shift_time if self.one_leg else 1.0
+
+    @property
+    def floor(self) -> Floor:
+        """What a film and a report draw on the floor."""
+        path = self.path
+        placed = [(c.beyond_x, c.floor_friction) for c in self.changes if c.beyond_x is not None]
+        return Floor(
+            path.points(np.linspace(0.0, path.length, 61 if path.curvature else 2)),
+            self.box.yaw + path.curvature * path.length,
+            self.box.size[:2],
+            min((x for x, friction in placed if friction is not None), default=None),
+            tuple(x for x, friction in placed if friction is None),
+            self.one_leg,
+        )
+
+    def change_texts(self) -> list[str]:
+        """What changes during the run, in words."""
+        texts = []
+        for change in self.changes:
+            when = (
+                f"from x = {change.beyond_x:g} m on"
+                if change.at_time is None
+                else f"from {change.at_time:g} s on"
+            )
+            if change.mass is not None:
+                texts.append(f"{when} the box weighs {change.mass:g} kg")
+            if change.floor_friction is not None:
+                texts.append(f"{when} the floor friction is {change.floor_friction:g}")
+        return texts
 
 
 def _light() -> Believed:

@@ -11,7 +11,6 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +20,8 @@ from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.floor import Floor
 from amhe_cli.robots.go1.model import layout
-from amhe_cli.robots.go1.tasks import Task
 
 Frame = NDArray[np.uint8]
 
@@ -34,31 +33,11 @@ _PATH_COLOR, _GOAL_COLOR, _FLOOR_COLOR = (
     (0.08, 0.55, 0.25, 1.0),
     (0.2, 0.3, 0.22, 0.4),
 )
+#: Distance [m], azimuth and elevation [degrees] of the camera, where a leg pushes and where the robot walks.
+_VIEW_OF_LEG, _VIEW_OF_WALK = (2.2, 188.0, -24.0), (3.0, 108.0, -20.0)
 #: Angle of view [degrees]: as of a lens from some way off.
 _VIEW = 30.0
 _LINE = 0.012  # half the width of lines on the floor [m]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Scenery:
-    """What is drawn on the floor, and from where it is seen.
-
-    Args:
-        path: Points of the box's path [m], shape (n, 2).
-        goal_yaw: Of the box at the end of the path [rad].
-        footprint: Of the box [m].
-        other_floor: From this x on the floor is another one [m]; None: nowhere.
-        distance: Of the camera [m].
-        azimuth, elevation: Where it looks to [degrees].
-    """
-
-    path: FloatArray
-    goal_yaw: float
-    footprint: tuple[float, float]
-    other_floor: float | None = None
-    distance: float = 3.0
-    azimuth: float = 108.0
-    elevation: float = -20.0
 
 
 class Film:
@@ -66,15 +45,15 @@ class Film:
 
     Args:
         model: Of the plant; a copy is drawn.
-        scenery: Around it.
+        floor: What is drawn on the floor.
         size: Width and height [pixels].
 
     Raises:
         ConfigError: Nothing can be drawn on this machine.
     """
 
-    def __init__(self, model: mujoco.MjModel, scenery: Scenery, size: tuple[int, int] = (848, 480)) -> None:
-        self._model, self._at, self._scenery = copy.copy(model), layout(model), scenery
+    def __init__(self, model: mujoco.MjModel, floor: Floor, size: tuple[int, int] = (848, 480)) -> None:
+        self._model, self._at, self._floor = copy.copy(model), layout(model), floor
         _simplify(self._model)
         self._data = mujoco.MjData(self._model)
         self.size = size
@@ -85,8 +64,8 @@ class Film:
         self._scene = mujoco.MjvScene(self._model, maxgeom=1000)
         self._options = mujoco.MjvOption()
         self._camera = mujoco.MjvCamera()
-        self._camera.distance, self._camera.azimuth = scenery.distance, scenery.azimuth
-        self._camera.elevation = scenery.elevation
+        view = _VIEW_OF_LEG if floor.one_leg else _VIEW_OF_WALK
+        self._camera.distance, self._camera.azimuth, self._camera.elevation = view
         self._looking: FloatArray | None = None
 
     def frame(self, qpos: FloatArray, elapsed: float = np.inf) -> Frame:
@@ -138,20 +117,20 @@ class Film:
         self._camera.lookat[:] = self._looking
 
     def _decorate(self) -> None:
-        scenery = self._scenery
-        if scenery.other_floor is not None:
+        floor = self._floor
+        if floor.other_floor is not None:
             half = 4.0
-            self._plate((scenery.other_floor + half, 0.0), (half, 1.2), 0.0, _FLOOR_COLOR, 0.0005)
-        for start, end in zip(scenery.path[:-1], scenery.path[1:], strict=True):
+            self._plate((floor.other_floor + half, 0.0), (half, 1.2), 0.0, _FLOOR_COLOR, 0.0005)
+        for start, end in zip(floor.path[:-1], floor.path[1:], strict=True):
             along = end - start
             half = 0.5 * float(np.hypot(*along))
             yaw = float(np.arctan2(along[1], along[0]))
             self._plate(0.5 * (start + end), (half + 0.2 * _LINE, _LINE), yaw, _PATH_COLOR, 0.001)
-        self._outline(scenery.path[-1], scenery.goal_yaw)
+        self._outline(floor.path[-1], floor.goal_yaw)
 
     def _outline(self, place: FloatArray, yaw: float) -> None:
         """Where the box is to stand."""
-        depth, width = (0.5 * edge for edge in self._scenery.footprint)
+        depth, width = (0.5 * edge for edge in self._floor.footprint)
         ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
         self._plate(place, (depth, width), yaw, (*_GOAL_COLOR[:3], 0.25), 0.0015)
         for side in (-1.0, 1.0):
@@ -270,20 +249,3 @@ def _forget_opengl() -> None:
         del sys.modules[name]
     for name in [name for name in sys.modules if name.startswith(("mujoco.egl", "mujoco.osmesa"))]:
         del sys.modules[name]
-
-
-def scenery_of(task: Task) -> Scenery:
-    """Path, goal and floor of a task, and a camera that sees them."""
-    path = task.path
-    points = path.points(np.linspace(0.0, path.length, 61 if path.curvature else 2))
-    yaw = task.box.yaw + path.curvature * path.length
-    floors = [c.beyond_x for c in task.changes if c.floor_friction is not None and c.beyond_x is not None]
-    return Scenery(
-        path=points,
-        goal_yaw=yaw,
-        footprint=task.box.size[:2],
-        other_floor=min(floors, default=None),
-        distance=2.2 if task.one_leg else 3.0,
-        azimuth=188.0 if task.one_leg else 108.0,
-        elevation=-24.0 if task.one_leg else -20.0,
-    )

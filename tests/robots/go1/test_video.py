@@ -9,7 +9,6 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1 import video
 from amhe_cli.robots.go1.model import home, plant_model
 from amhe_cli.robots.go1.tasks import TASKS
-from amhe_cli.robots.go1.video import scenery_of
 
 SIZE = (160, 90)
 
@@ -18,7 +17,7 @@ SIZE = (160, 90)
 def film():
     task = TASKS["t4"]
     try:
-        film = video.Film(plant_model(task.box), scenery_of(task), SIZE)
+        film = video.Film(plant_model(task.box), task.floor, SIZE)
     except ConfigError as error:
         pytest.skip(str(error))
     yield film
@@ -51,7 +50,7 @@ def test_a_film_has_its_frames_also_when_the_run_breaks_off(tmp_path: Path, late
     task = TASKS["t1"]
     model = plant_model(task.box)
     try:
-        film = video.Film(model, scenery_of(task), SIZE)
+        film = video.Film(model, task.floor, SIZE)
     except ConfigError as error:
         pytest.skip(str(error))
     path = tmp_path / "video.mp4"

@@ -10,10 +10,8 @@ from rich.console import Console
 
 from amhe_cli.core.files import plain
 from amhe_cli.estimation.offline.result import HeldOut, Identification
-from amhe_cli.report import words
-from amhe_cli.report.page import identification_page
-from amhe_cli.report.record import identification_record
-from amhe_cli.report.table import held_out_line, print_identification
+from amhe_cli.report.identification import held_out_line, identification_record, print_identification
+from amhe_cli.report.identification_page import identification_page, statements
 from tests.report.synthetic import fit, identification, parameter
 
 ORIGIN = {
@@ -31,14 +29,13 @@ TRUTH = {"load_mass": 0.74, "damping": 0.06, "another": 1.0}
 
 
 def page(result: Identification, warnings: tuple[str, ...] = ()) -> str:
-    record = {"version": "0.1.0", "seconds": 1.5, "warnings": list(warnings)} | identification_record(
-        result, TRUTH
-    )
+    common = {"command": "identify", "version": "0.1.0", "seconds": 1.5, "warnings": list(warnings)}
+    record = common | identification_record(result, TRUTH)
     return identification_page(result, record, ORIGIN)
 
 
-def said(result: Identification) -> str:
-    return " ".join(statement.text for statement in words.statements(result))
+def stated(result: Identification) -> str:
+    return " ".join(statement.text for statement in statements(result))
 
 
 @pytest.fixture(scope="module")
@@ -124,8 +121,8 @@ def test_the_poorest_result_still_has_a_page() -> None:
         interrupted=True,
     )
     assert "No parameter is identified" in page(result)
-    assert "interrupted" in said(result)
-    assert "Nothing was held out" in said(result)
+    assert "interrupted" in stated(result)
+    assert "Nothing was held out" in stated(result)
 
 
 def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
@@ -133,28 +130,29 @@ def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
     runaway = np.array(one.initial)
     runaway[100:] = np.inf
     runaway[50:100] = 1e12
-    assert "inf" not in page(identification(fits=(replace(one, initial=runaway),))).split("<svg")[1].lower()
+    html = page(identification(fits=(replace(one, initial=runaway),)))
+    assert "inf" not in html.split("<svg")[1].split("</svg>")[0].lower()
 
 
 def test_words_warn_when_validation_does_not_improve() -> None:
     nan = math.nan
-    text = said(identification(held_out=HeldOut(3, 2.0, 1.9, nan, nan, nan, nan)))
+    text = stated(identification(held_out=HeldOut(3, 2.0, 1.9, nan, nan, nan, nan)))
     assert "do not predict unseen data better" in text
-    good = said(identification(held_out=HeldOut(1, 1.0, 9.0, 0.009, 0.042, 0.02, 0.3)))
+    good = stated(identification(held_out=HeldOut(1, 1.0, 9.0, 0.009, 0.042, 0.02, 0.3)))
     assert "On a clip that was not fitted the cost falls from 9 to 1" in good
     assert "the mean position error from 42 mm to 9 mm" in good
 
 
 def test_only_what_is_known_better_than_its_parts_is_called_known() -> None:
-    text = said(identification())
-    assert "damping * friction_loss^0.07 to 1.2 %" in text
+    text = stated(identification())
+    assert "damping * friction_loss^0.07 (sd 1.2 %)" in text
     assert "damping^-0.07" not in text
 
 
 def test_words_name_every_verdict_that_is_not_identified() -> None:
-    text = said(identification())
-    assert "friction_loss: the log says something" in text
-    assert "armature: the log says nothing" in text
+    text = stated(identification())
+    assert "friction_loss: the logs narrow the value down a little" in text
+    assert "armature: the logs contain no information about the value" in text
     assert "arm.velocity are 3.6 times the declared noise" in text
     assert "arm.position" not in text
 

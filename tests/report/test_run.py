@@ -1,0 +1,68 @@
+"""Statements about a run, and its page."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.floor import Floor
+from amhe_cli.report.run import TaskFacts, measure_table, statements, verdict
+
+RECORD: dict[str, Any] = {
+    "error": None, "fell": False, "interrupted": False, "success": True, "arrived": True, "on_time": True,
+    "goal_error_m": 0.02, "time_s": 14.0, "duration": 40.0, "cut_short": False, "lock_step": True,
+    "cycles": 500, "deadline_misses": 100, "cycle_ms": {"p50": 19.0, "p99": 25.0}, "speed_rmse": 0.03,
+    "path_rmse_m": 0.01, "cost": 1200.0, "diverged": 0, "rollouts": 4000,
+    "belief": {"box_mass": 4.0}, "truth": {"box_mass": 4.0},
+}  # fmt: skip
+
+
+FLOOR = Floor(np.array([[0.6, 0.0], [3.0, 0.0]]), 0.0, (0.3, 0.5), other_floor=1.5)
+TASK = TaskFacts("a push", FLOOR, ["from x = 1.5 m on the floor friction is 0.8"], 15.0, 0.15, {}, 0.02)
+
+
+def stated(**changed: Any) -> str:
+    return " ".join(statement.text for statement in statements(RECORD | changed, TASK))
+
+
+def test_late_cycles_wait_in_lock_step_and_cost_periods_against_the_clock() -> None:
+    assert "The simulation waits for each plan (lock-step)" in stated()
+    assert "100 of 600 periods went on with an older plan" in stated(lock_step=False)
+    assert "period" not in stated(cycle_ms={"p50": 10.0, "p99": 19.0})
+
+
+@pytest.mark.parametrize(("lock_step", "there"), [(True, False), (False, True)])
+def test_deadlines_are_those_of_the_clock(lock_step: bool, there: bool) -> None:
+    names = [name for name, *_ in measure_table(RECORD | {"lock_step": lock_step}).rows]
+    assert ("missed deadlines" in names) is there
+
+
+def test_used_windows_are_counted_and_troubles_are_stated() -> None:
+    marks = {"still": 11, "updated": 13, "jump": 1}
+    estimator = {
+        "updates": 25,
+        "marks": marks,
+        "troubles": ["at 3.0 s the estimator is late"],
+        "update_ms": {"p50": 80.0},
+    }
+    record = RECORD | {"estimator": estimator}
+    assert ("windows used by the estimator", "14 of 25", "") in measure_table(record).rows
+    assert "Estimator: at 3.0 s the estimator is late." in stated(estimator=estimator)
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ({}, ("good", "success, on time")),
+        ({"on_time": False}, ("good", "success, but late")),
+        ({"arrived": False}, ("good", "success: the box is close enough to its goal after 40 s")),
+        ({"success": False}, ("bad", "failed: the box is not at its goal, or it strayed from its path")),
+        ({"success": False, "fell": True}, ("bad", "the robot fell")),
+        ({"error": "it broke"}, ("bad", "stopped by an error: it broke")),
+    ],
+)
+def test_the_verdict_is_one_of_a_few(changed: dict[str, Any], expected: tuple[str, str]) -> None:
+    assert verdict(RECORD | changed) == expected
+    assert ("The run took" in stated(**changed)) == bool(
+        (RECORD | changed)["success"] and (RECORD | changed)["arrived"]
+    )
