@@ -6,8 +6,8 @@ Both start at the prior mean, in the same coordinates z within the same bounds, 
 threads, with models made by the same code. `mujoco.sysid` gets the logs cut into clips side by side, as
 amhe's own validation cuts them, and three variants: its defaults as its guide uses them; residuals in
 units of the sensors' noise; and those with a finite-difference step of 0.05 prior sd instead of 1.5e-8,
-which contact swallows. Every point that a search visits is judged afterwards, off the clock, on held-out
-clips.
+which is lost in contacts. Every point that a search visits is evaluated afterwards, outside of the measured
+time, on held-out clips.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 
 GOAL = 0.5
-#: A search has arrived once its held-out error is within this factor of what the better one settles on.
+#: A search has arrived once its held-out error is within this factor of the better one's last error.
 ARRIVED = 1.05
 THREADS = 2
 #: What amhe reports beyond the estimate has no counterpart here.

@@ -1,4 +1,4 @@
-"""What one control cycle costs, against the bare rollouts of the same steps, side by side in one run.
+"""Time of one control cycle, against the bare rollouts of the same steps, side by side in one run.
 
     python benchmarks/control_cycle.py            the table of docs/benchmarks.md
     python benchmarks/control_cycle.py --realtime --seconds 20    cycle times against the wall clock
@@ -25,7 +25,7 @@ from amhe_cli.engine.rollout import Engine, Rollouts
 from amhe_cli.robots.go1.run import Run, RunOptions, open_run
 
 DEFAULTS = {"samples": 8, "horizon": 16, "knots": 4, "loops": 3}
-#: One number changed at a time.
+#: Each row changes one number.
 ROWS = (
     {}, {"samples": 16}, {"samples": 32}, {"horizon": 10}, {"horizon": 24}, {"knots": 3}, {"knots": 8},
     {"loops": 1}, {"loops": 6},
@@ -35,7 +35,7 @@ SKIPPED, MEASURED = 100, 60
 
 
 class Spy:
-    """An engine that remembers a cycle's calls, prediction and samples, to repeat them bare."""
+    """An engine that stores a cycle's calls (prediction and samples), to repeat them without the rest."""
 
     def __init__(self, engine: Engine) -> None:
         self._engine = engine

@@ -4,9 +4,9 @@
     python benchmarks/coverage.py --online ...
 
 Each trial draws its truth from the prior and simulates a short log with sensor noise, first states included.
-`amhe identify` has the product's own settings, but fewer and shorter clips. Online, the log is replayed from
-the prior with the system's own settings, but no drift, as the truth is constant; every estimate from
-2 s on counts, and chance is that of trials.
+`amhe identify` has its default settings, but fewer and shorter clips. Online, the log is replayed from the
+prior with the system's own settings, but no drift, because the truth is constant. Every estimate from 2 s on
+counts; the standard errors are over trials.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def system_of(case: str) -> System:
 
 
 def constant(system: System) -> System:
-    """The system as one whose parameters are known not to drift."""
+    """The system with parameters that do not drift."""
     parameters = tuple(replace(p, drift=0.0) for p in system.space.parameters)
     return replace(system, space=replace(system.space, parameters=parameters))
 

@@ -4,7 +4,7 @@
 
 A pendulum with white noise of known sd, one clip from its exact first state. The bound comes from the
 slopes of the noise-free trajectory at the truth, by central differences; the truth is the prior's mean,
-so that the prior, whose share is included, does not pull. At 1 the estimate is as good as can be.
+so that the prior, whose information is included, adds no bias. At 1 the estimate is optimal.
 """
 
 from __future__ import annotations

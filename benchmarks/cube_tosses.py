@@ -2,7 +2,7 @@
 
     python benchmarks/cube_tosses.py [--seeds 3] [--quick]
 
-Published for this cube: friction 0.18. The logs are no part of the project; without them it says so.
+Published for this cube: friction 0.18. The logs are not part of the project; without them the script says so.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The link to a Go1, on an emulated one: time of the codec, reactions to faults, evenness of packets, fuzz.
+"""The link to a Go1, on an emulated one: time of the codec, reactions to faults, jitter of packets, fuzz.
 
     python benchmarks/go1_link.py                     all four tables; the jitter for 60 s, 1e6 datagrams
     python benchmarks/go1_link.py codec trips         some of them
@@ -45,7 +45,7 @@ from amhe_cli.robots.go1.tasks import find_task
 
 #: The trips keep their defaults; only standing up and sitting down are in a hurry.
 SETTINGS = {"gain_time": 0.3, "stand_speed": 3.0, "sit_time": 1.0, "damp_time": 0.3, "arm": "auto"}
-#: So many packets with the same targets are a rest, not the turn of a sway.
+#: With this many equal packets the targets are at rest, and not at the turn of a sway.
 _AT_REST = 4
 TABLES = ("codec", "trips", "jitter", "fuzz")
 
@@ -176,7 +176,7 @@ class Robot:
         self.emulator.serve(self._stop.is_set)
 
     def close(self) -> str:
-        """End both; the program's last words."""
+        """End both; returns what the program printed last."""
         self.process.send_signal(signal.SIGCONT)
         self.process.send_signal(signal.SIGTERM)
         words, _ = self.process.communicate()
@@ -188,7 +188,7 @@ class Robot:
 
 @contextmanager
 def a_robot() -> Iterator[Robot]:
-    """A robot that is running; one that stumbles over a busy computer on its way there is started again."""
+    """A robot that is running; it is started again if a busy computer trips it on the way."""
     robot = Robot()
     while not robot.runs:
         robot.close()
@@ -233,7 +233,7 @@ def _rests(told: list[MotorCommand]) -> bool:
 
 
 def program(port: int, plan: bool) -> None:
-    """Stand up, and play plans that sway a little; with planner and estimator that work for nobody."""
+    """Stand up, and play plans that sway a little; with planner and estimator running beside it, unused."""
     stop, poses, work = threading.Event(), [True], Counter[str]()
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     signal.signal(signal.SIGINT, lambda *_: stop.set())

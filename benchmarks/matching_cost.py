@@ -31,7 +31,7 @@ CLIPS = 24
 
 
 def pendulum() -> tuple[System, list[Log]]:
-    """A servo and a load: the cheapest steps there are, so the hardest case."""
+    """A servo and a load: the cheapest steps, so the hardest case."""
     system = System.load("pendulum")
     rng = np.random.default_rng(0)
     return system, [simulated(system, system.space.nominal, multisine(rng), 20.0, rng)]

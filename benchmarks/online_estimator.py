@@ -1,7 +1,7 @@
 """Accuracy and time of the online estimator after a switch: the linearised update against the paper's.
 
     python benchmarks/online_estimator.py --seeds 2         the table of docs/benchmarks.md
-    python benchmarks/online_estimator.py --logs FOLDER     of logs that are there: FOLDER/t3-0.mcap, ...
+    python benchmarks/online_estimator.py --logs FOLDER     for stored logs: FOLDER/t3-0.mcap, ...
 
 Makes logs of t3 and t4 under the true belief first, where they are missing. Errors are rms over all logs,
 from 1.5 s after the switch on. Times are of this process (CPU) per update, beside its bare rollouts.
@@ -37,7 +37,7 @@ ROWS = (
     ("logrank, 32 x 4", ("mhe.method=logrank",)),
     ("logrank, 8 x 1", ("mhe.method=logrank", "mhe.samples=8", "mhe.iterations=1")),
 )
-#: From so long after a switch on estimates count [s].
+#: Estimates count from this time after a switch on [s].
 SETTLED = 1.5
 
 

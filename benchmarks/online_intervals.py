@@ -1,11 +1,11 @@
-"""How often the online 90 % intervals hold the truth in closed loop, by the systematic part that they have.
+"""How often the online 90 % intervals hold the truth in closed loop, by the size of the systematic part.
 
     python benchmarks/online_intervals.py                   of the stored runs, docs/results/main
     python benchmarks/online_intervals.py FOLDER --had 0    of a study whose runs declared none
 
-Of adaptive runs, before the change of box or floor (from 3 s on) and after it (from 1.5 s on): mean error of
-mass and friction, and how often either is held, in percent. `mhe.systematic` moves no estimate: what stored
-intervals have of it (--had) can be taken off, and another one added.
+Uses adaptive runs, before the change of box or floor (from 3 s on) and after it (from 1.5 s on). Prints the
+mean error of mass and friction, and how often the intervals hold, in percent. `mhe.systematic` leaves
+estimates as they are: the part in the stored intervals (--had) can be subtracted, and another one added.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from amhe_cli.study.results import Result
 from amhe_cli.study.store import open_store
 
 STUDY = Path(__file__).resolve().parent.parent / "docs" / "results" / "main"
-#: Tried, as a share of mass and friction.
+#: Sizes of the systematic part, as a share of mass and friction.
 PARTS = (0.0, 0.06, 0.08, 0.1, 0.12, 0.15)
 
 

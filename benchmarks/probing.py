@@ -1,10 +1,10 @@
-"""From a belief off by 2x: `amhe probe` against straight pushes, and what is identified from each.
+"""`amhe probe` against straight pushes, from a belief that is wrong by a factor of 2.
 
     python benchmarks/probing.py --seeds 15
 
-A straight push has the estimator beside the controller, as the probe has; one that is `held` believes what it
-believed at the start. What has a file is not done again: stop it, and go on later. `--report` only prints
-the table.
+A straight push has the online estimator beside the controller, as the probe has; one that is `held` keeps its
+first belief. Finished parts are stored in files, so the script can be stopped and continued. `--report` only
+prints the table.
 """
 
 from __future__ import annotations
@@ -34,17 +34,17 @@ from amhe_cli.robots.go1.probing.motions import STEADY, Motion, named_motion
 from amhe_cli.robots.go1.probing.push import PushProbe
 from amhe_cli.system.system import System
 
-#: Half of what is true of T1's box, with the spread of the system's own prior.
+#: Half of the true values of T1's box, with the sd of the system's own prior.
 BELIEVED = {"box_mass": 2.0, "box_inertia_scale": 1.0, "floor_friction": 0.3}
 TRUTH = {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
-#: What is looked at: products of parameters to these powers.
+#: The products of the table: parameters to these powers.
 POWERS = {name: row for name, row in zip(TRUTH, np.eye(3), strict=True)} | {
     "m mu": np.array([1.0, 0.0, 1.0]),
     "m / mu": np.array([1.0, 0.0, -1.0]),
 }
 
 
-#: What is pushed, and what its plan calls it.
+#: Names of the table, and the plan's names for the same motions.
 PUSHES = {"probe": "probe", "straight": "straight", "held": "straight"}
 
 
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def run(which: str, seed: int, arguments: argparse.Namespace, belief: Path) -> None:
-    """The probe or a straight push of one seed: designed, run, asked, identified from; a file for each."""
+    """The probe or a straight push of one seed: plan, run, information, identification; a file for each."""
     threads = arguments.threads or 1
     options = ProbeOptions(seconds=arguments.seconds, belief=belief, seed=seed, threads=threads)
     probe, log = PushProbe(options), arguments.out / f"{seed}-{which}.mcap"
@@ -80,7 +80,7 @@ def run(which: str, seed: int, arguments: argparse.Namespace, belief: Path) -> N
 
 
 def kept(file: Path, make: Callable[[], dict]) -> dict:
-    """What is in a file, made before where there is none."""
+    """The content of a file, which is made first if it is missing."""
     if not file.exists():
         text = json.dumps(plain(make()), indent=2)
         file.write_text(text)
@@ -89,7 +89,7 @@ def kept(file: Path, make: Callable[[], dict]) -> dict:
 
 
 def designed(probe: PushProbe) -> dict[str, object]:
-    """The chosen motion, and the covariances that are expected of it and of the straight push."""
+    """The chosen motion, and the expected covariances of it and of the straight push."""
     plan = probe.design(lambda text: None)
     assert plan.plain is not None
     return {
@@ -100,7 +100,7 @@ def designed(probe: PushProbe) -> dict[str, object]:
 
 
 def told(probe: PushProbe, motion: Motion, mode: str, log: Path, options: ProbeOptions) -> dict[str, object]:
-    """Push; the covariance that the log is worth where it points."""
+    """Push; the posterior covariance from the log, at the parameters to which it leads."""
     ending = probe.push(motion, options.seconds, log, mode=mode)
     known = achieved(probe.system, log, options)
     return {
@@ -110,7 +110,7 @@ def told(probe: PushProbe, motion: Motion, mode: str, log: Path, options: ProbeO
 
 
 def at_the_truth(system: System, log: Path, options: ProbeOptions) -> FloatArray:
-    """The covariance that a log is worth at the true parameters, which its own estimate does not move."""
+    """The posterior covariance from a log at the true parameters, independent of its own estimate."""
     windows, truth = tiles(system, read(system, log)), system.space.z_of(np.array(list(TRUTH.values())))
     found = information_at(
         system, windows, open_engine(system, threads=options.threads), truth, options.rng(9)
@@ -131,7 +131,7 @@ def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, ob
 
 
 def off_by_two() -> Belief:
-    """Half of the truth, with the spread of the system's own prior."""
+    """A belief at half of the truth, with the sd of the system's own prior."""
     names = tuple(BELIEVED)
     sd = np.array([0.5, 0.2, 0.5])
     estimate = np.array(list(BELIEVED.values()))
@@ -139,7 +139,7 @@ def off_by_two() -> Belief:
 
 
 def table(out: Path) -> str:
-    """Medians over the seeds that are there: sd, errors, how often 90 % intervals hold; in Markdown."""
+    """Medians over the stored seeds: sd, errors, how often 90 % intervals hold; in Markdown."""
     lines = [
         "| motion | seeds | known | expected | achieved | at the truth | identify | error | 90 % holds |",
         "|---|---|---|---|---|---|---|---|---|",
@@ -172,7 +172,7 @@ def _gains(out: Path, which: str) -> str:
 
 
 def _gain(out: Path, which: str, end: str, key: str) -> float:
-    """How much better the probe tells mass from friction, by what the logs are worth."""
+    """How much smaller the sd of m / mu is after the probe than after a straight push."""
     pairs = []
     for path in sorted(out.glob(f"*-probe.{end}.json")):
         both = [path, path.with_name(path.name.replace("probe", which))]

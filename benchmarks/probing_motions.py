@@ -1,9 +1,9 @@
-"""What tells mass from friction: ways to push a box, and what each log is worth at the truth.
+"""What separates mass from friction: ways to push a box, and the information of each log at the truth.
 
     python benchmarks/probing_motions.py --seeds 3
 
-A controller that is `held` believes half of what is true; one that is `learning` has the estimator beside it.
-What has a file is not done again.
+A controller that is `held` believes half of the true values; one that is `learning` has the online estimator
+beside it. Finished runs are stored in files and not repeated.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.robots.go1.probing.motions import STEADY, Motion, Segment, named_motion
 from amhe_cli.robots.go1.probing.push import PushProbe
 
-#: What is looked at.
+#: Parameters and products of the table.
 KNOWN = ("box_mass", "m mu", "m / mu")
-#: The run's mode for what the controller believes.
+#: The run's mode for each kind of belief.
 MODES = {"held": "baseline", "learning": "adaptive"}
 
 
 def turns(*phases: tuple[float, float]) -> Motion:
-    """Speeds [m/s], each for so long [s], over and over, steering along the line."""
+    """Repeated (speed [m/s], seconds [s]) phases, steering along the line."""
     return Motion("turns", "speeds by turns", tuple(Segment(seconds, speed) for speed, seconds in phases))
 
 
@@ -47,7 +47,7 @@ MOTIONS = {
 
 
 def main() -> None:
-    """Push in all ways that are missing, then print."""
+    """Run the motions that are not stored yet, then print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--threads", type=int, default=os.cpu_count() or 1)
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def told(title: str, believes: str, options: ProbeOptions, out: Path) -> list:
-    """Push once; the covariance that the log is worth."""
+    """Push once; the posterior covariance from the log."""
     name = f"{list(MOTIONS).index(title)}-{believes}-{options.seed}"
 
     def push() -> dict[str, object]:
@@ -82,7 +82,7 @@ def told(title: str, believes: str, options: ProbeOptions, out: Path) -> list:
 
 
 def cell(covariances: list[list]) -> str:
-    """Median sd in percent of all that is looked at."""
+    """Median sd of the table's parameters and products, in percent."""
     sds = [np.median([100.0 * along(one, POWERS[name]) for one in covariances]) for name in KNOWN]
     return " / ".join(f"{sd:.2g}" for sd in sds)
 
