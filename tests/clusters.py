@@ -28,9 +28,12 @@ class Cluster:
             "127.0.0.1",
         )
         deadline = time.monotonic() + 60.0
-        while not ready.exists() and time.monotonic() < deadline:
+        found = None
+        while not found and time.monotonic() < deadline:  # the file is there before its text is
             time.sleep(0.1)
-        self.address = re.findall(r'"address": "([^"]+)"', ready.read_text())[0]
+            found = ready.exists() and re.search(r'"address": "([^"]+)"', ready.read_text())
+        assert found, "the scheduler gave no address"
+        self.address = found[1]
 
     def worker(self) -> subprocess.Popen[bytes]:
         options = ("--nthreads", "1", "--no-dashboard", "--no-nanny", "--host", "127.0.0.1")
