@@ -22,10 +22,9 @@ from rich.console import Console
 from rich.table import Table
 
 import amhe_cli
-from amhe_cli.core import rotations
+from amhe_cli.core import differentiate, rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Series
-from amhe_cli.logs import differentiate
 from amhe_cli.system.system import Channel, System
 
 PROJECT = Path(__file__).resolve().parent.parent

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed, sealed_mask
 from amhe_cli.core.errors import LogError
+from amhe_cli.core.signals import Measured
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,6 +68,32 @@ class Log:
     def __reduce__(self) -> tuple[object, ...]:
         """As plain values: windows go to an estimator in another process, and mapping proxies do not."""
         return Log, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata))
+
+    @classmethod
+    def from_arrays(
+        cls, arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measured, *, name: str = "arrays"
+    ) -> Log:
+        """Make a log from arrays, such as numpy arrays or columns of pandas.
+
+        All signals are brought onto the model's clock, as those of a log file are: commands are held until
+        the next one, states are interpolated, and silences longer than the setting `logs.max_gap` stay gaps.
+        Velocities that are not given are differentiated.
+
+        Args:
+            arrays: Signal -> `time` [s], shape (n,), and quantities in SI units, shape (n, k), or (n,) for a
+                single column. Columns stand in the order of the joints or actuators of the system's signal;
+                orientations are quaternions w, x, y, z. Each signal has times of its own, on one clock. A
+                value that is NaN was not measured.
+            system: The system, whose signals these are.
+            name: What messages and results call the log.
+
+        Raises:
+            LogError: A signal or quantity is missing or unknown, or an array has the wrong shape; times are
+                not finite or not increasing; or the signals do not overlap in time.
+        """
+        from amhe_cli.core.from_arrays import log_from_arrays
+
+        return log_from_arrays(arrays, system, name)
 
     @property
     def steps(self) -> int:

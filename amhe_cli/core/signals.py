@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Protocol
+
+from amhe_cli.core.errors import ConfigError, one_of
+
+if TYPE_CHECKING:
+    from amhe_cli.core.settings import Settings
 
 #: Quantities a signal can carry, with the unit of their values once read.
 QUANTITIES: Mapping[str, str] = {
@@ -17,6 +23,13 @@ QUANTITIES: Mapping[str, str] = {
     "force": "N",  # (3)
     "torque": "N m",  # (3)
     "value": "any",  # plain numbers (n): commands, arrays, fields of foreign types
+}
+
+#: Quantity -> the quantity that it can be differentiated from.
+DERIVED: Mapping[str, str] = {
+    "velocity": "position",
+    "linear_velocity": "position",
+    "angular_velocity": "orientation",
 }
 
 
@@ -52,3 +65,49 @@ class Signal:
     def key(self, quantity: str) -> str:
         """Name of the series that holds `quantity`."""
         return f"{self.name}.{quantity}"
+
+
+class Measured(Protocol):
+    """What a log is read for: a system."""
+
+    @property
+    def name(self) -> str:
+        """Name of the system."""
+        ...
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """What is read from a log."""
+        ...
+
+    @property
+    def widths(self) -> Mapping[str, int]:
+        """Number of columns of each series, `signal.quantity`, that meets the model."""
+        ...
+
+    @property
+    def dt(self) -> float:
+        """Step of the clock [s] that logs are read onto."""
+        ...
+
+    @property
+    def settings(self) -> Settings:
+        """Settings, those of clocks and gaps among them."""
+        ...
+
+
+def remapped(signals: Sequence[Signal], topics: Mapping[str, str]) -> tuple[Signal, ...]:
+    """The signals, some of them read from other topics.
+
+    Args:
+        signals: Signals of a system.
+        topics: Name of a signal -> topic to read it from.
+
+    Raises:
+        ConfigError: There is no such signal.
+    """
+    names = [signal.name for signal in signals]
+    for name in topics:
+        if name not in names:
+            raise ConfigError(f"`topics`: {one_of('signal', name, names)}")
+    return tuple(replace(signal, topic=topics.get(signal.name, signal.topic)) for signal in signals)

@@ -9,9 +9,9 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Series, Window
+from amhe_cli.core.resample import resample
 from amhe_cli.core.signals import Signal
 from amhe_cli.live.samples import CycleSamples
-from amhe_cli.logs.resample import resample
 from amhe_cli.robots.go1.kinematics import JOINTS
 
 #: Kept before a window's start [s]: a command lasts until the next, and first states are smoothed.

@@ -1,9 +1,9 @@
-"""Robot logs of any common format, as immutable trajectories; the only room that knows mcap and rosbags."""
+"""Robot logs of any common format, as immutable `Log`s; the only room that knows mcap and rosbags."""
 
 from __future__ import annotations
 
 from amhe_cli.logs.messages.writer import LogWriter
-from amhe_cli.logs.read import read_signals
+from amhe_cli.logs.read import inspect_log, read_log, read_signals
 from amhe_cli.logs.survey import Inspection, SignalCheck, Survey, TopicSurvey, read_metadata, survey
 from amhe_cli.logs.truth import read_truth
 
@@ -13,6 +13,8 @@ __all__ = [
     "SignalCheck",
     "Survey",
     "TopicSurvey",
+    "inspect_log",
+    "read_log",
     "read_metadata",
     "read_signals",
     "read_truth",

@@ -5,23 +5,24 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import overload
 
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, Series
+from amhe_cli.core.resample import longest_bridge, resample
 from amhe_cli.core.settings import LogSettings
-from amhe_cli.core.signals import Signal
+from amhe_cli.core.signals import DERIVED, Measured, Signal, remapped
 from amhe_cli.logs.collect import collect
 from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.raw import readable
-from amhe_cli.logs.differentiate import angular_velocity, derivative
 from amhe_cli.logs.messages.definitions import Definitions
-from amhe_cli.logs.messages.types import DERIVED
 from amhe_cli.logs.physics import twist_looks_global
-from amhe_cli.logs.resample import longest_bridge, resample
+from amhe_cli.logs.survey import Inspection, SignalCheck, survey
 from amhe_cli.logs.tracks import Track, grid_of, on_one_clock, tracks_of
 
 logger = logging.getLogger(__name__)
@@ -29,6 +30,111 @@ logger = logging.getLogger(__name__)
 #: A signal that is missing for a larger share of the log is worth a warning, which names so many gaps.
 _LOSS = 0.05
 _GAPS_SHOWN = 3
+
+
+@overload
+def read_log(
+    paths: str | Path,
+    system: Measured,
+    *,
+    topics: Mapping[str, str] | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    msg_path: str | Path | None = None,
+) -> Log: ...
+@overload
+def read_log(
+    paths: Sequence[str | Path],
+    system: Measured,
+    *,
+    topics: Mapping[str, str] | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    msg_path: str | Path | None = None,
+) -> list[Log]: ...
+def read_log(
+    paths: str | Path | Sequence[str | Path],
+    system: Measured,
+    *,
+    topics: Mapping[str, str] | None = None,
+    start: float | None = None,
+    end: float | None = None,
+    msg_path: str | Path | None = None,
+) -> Log | list[Log]:
+    """Read what a system needs from one log or several, onto the clock of its model.
+
+    Args:
+        paths: A .mcap, .db3 or .bag file or a rosbag2 folder, or a sequence of them.
+        system: Says which topics are read, and the time step.
+        topics: Name of a signal -> topic to read it from instead.
+        start, end: Part of each log, in seconds from its start.
+        msg_path: Folder of .msg files for message types that the log does not define.
+
+    Returns:
+        One log for a single path, a list for a sequence.
+
+    Raises:
+        ConfigError: A path does not exist, or an argument makes no sense.
+        LogError: A log cannot be read, or lacks what the system needs.
+    """
+    if start is not None and end is not None and end <= start:
+        raise ConfigError(f"`end`: {end:g} is not after `start` {start:g}")
+    if not isinstance(paths, str | Path):
+        return [
+            read_log(path, system, topics=topics, start=start, end=end, msg_path=msg_path) for path in paths
+        ]
+    signals = remapped(system.signals, topics or {})
+    folder = None if msg_path is None else Path(msg_path)
+    return read_signals(
+        Path(paths), signals, system.dt, system.settings.logs, start=start, end=end, msg_path=folder
+    )
+
+
+def inspect_log(
+    path: Path,
+    system: Measured | None = None,
+    *,
+    start: float | None = None,
+    end: float | None = None,
+    msg_path: Path | None = None,
+) -> Inspection:
+    """See what is in a log, and how it suits a system.
+
+    Args:
+        path: The log.
+        system: The system that it is held against; None: the log is only surveyed.
+        start, end, msg_path: As for `read_log`.
+
+    Raises:
+        LogError: The log cannot be read at all.
+    """
+    found = survey(path, msg_path=msg_path)
+    if system is None:
+        return Inspection(found)
+    dt, settings = system.dt, system.settings.logs
+
+    def read(*signals: Signal) -> Log | str:
+        """The log with these signals; in words, why it cannot be read."""
+        try:
+            return read_signals(path, signals, dt, settings, start=start, end=end, msg_path=msg_path)
+        except LogError as error:
+            return str(error).removeprefix(f"{path}: ")
+
+    checks = tuple(_check(signal, read(signal)) for signal in system.signals)
+    if any(check.problem for check in checks):
+        return Inspection(found, system.name, checks)
+    log = read(*system.signals)
+    if isinstance(log, str):
+        return Inspection(found, system.name, checks, problem=log)
+    return Inspection(found, system.name, checks, log.duration)
+
+
+def _check(signal: Signal, alone: Log | str) -> SignalCheck:
+    """How a signal was read alone: whatever would stop `identify` is found in the same words."""
+    if isinstance(alone, str):
+        return SignalCheck(signal, alone, 0.0)
+    valid = alone.usable(tuple(alone.series))
+    return SignalCheck(signal, None, float(valid.mean()) if valid.size else 0.0)
 
 
 def read_signals(
@@ -146,23 +252,4 @@ def _values(
         raise LogError(f"{path}: topic {track.signal.topic!r} carries no {quantity}")
     logger.info("%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source)
     columns = ("x", "y", "z") if source == "orientation" else track.samples.columns[source]
-    return _differentiated(times, known[source], source, bridge), columns, True
-
-
-def _differentiated(times: FloatArray, values: FloatArray, source: str, bridge: float) -> FloatArray:
-    if source == "orientation":
-        slopes = np.full((times.size, 3), np.nan)
-        present = np.isfinite(values).all(axis=1)
-        slopes[present] = angular_velocity(times[present], values[present], bridge)
-        return slopes
-    slopes = np.full(values.shape, np.nan)
-    finite = np.isfinite(values)
-    for columns in _columns_alike(finite):
-        present = finite[:, columns[0]]
-        slopes[np.ix_(present, columns)] = derivative(times[present], values[present][:, columns], bridge)
-    return slopes
-
-
-def _columns_alike(finite: np.ndarray) -> list[IntArray]:
-    _, kind = np.unique(finite, axis=1, return_inverse=True)
-    return [np.flatnonzero(kind.ravel() == k) for k in range(int(kind.max(initial=-1)) + 1)]
+    return differentiated(times, known[source], source, bridge), columns, True

@@ -11,6 +11,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.resample import common_rows
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.clocks import (
@@ -160,14 +161,8 @@ def grid_of(
     path: Path, tracks: Sequence[Track], dt: float, start: float | None, end: float | None
 ) -> tuple[FloatArray, int]:
     """Instants of the rows [s] from the first one, shape (T,), and the stamp of the first one [ns]."""
-    states = [track for track in tracks if not track.signal.is_input] or list(tracks)
-    begun = max(int(track.times.stamps_ns[0]) for track in tracks)
-    anchor = max(int(track.times.stamps_ns[0]) for track in states)
-    last = max(int(track.times.stamps_ns[-1]) for track in states)
     step = dt * 1e9
-    # Relative to the anchor: a stamp in float64 would be off by hundreds of nanoseconds.
-    begin = float(np.ceil((begun - anchor) / step - 1e-6)) * step
-    rows = int(np.floor((last - anchor - begin) / step + 1e-6)) + 1
+    anchor, begin, rows = common_rows([(t.times.stamps_ns, t.signal.is_input) for t in tracks], step)
     if rows < 1:
         raise LogError(f"{path}: {_no_overlap(tracks)}")
     low = 0 if start is None else int(np.ceil(start / dt - 1e-6))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import mujoco
 
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.settings import Settings
-from amhe_cli.core.signals import Signal
+from amhe_cli.core.signals import Signal, remapped
 from amhe_cli.system.edits import ModelEdits
 
 
@@ -157,6 +157,22 @@ class System:
     def dt(self) -> float:
         """Time step of the model [s]: the clock that logs are read onto."""
         return float(self.model.opt.timestep)
+
+    @property
+    def widths(self) -> dict[str, int]:
+        """Number of columns of each series, `signal.quantity`, that meets the model."""
+        return {one.key: len(one.columns) for one in (*self.channels, *self.inputs)}
+
+    def reading(self, topics: Mapping[str, str]) -> System:
+        """The system with some of its signals read from other topics.
+
+        Args:
+            topics: Name of a signal -> topic.
+
+        Raises:
+            ConfigError: There is no such signal.
+        """
+        return replace(self, signals=remapped(self.signals, topics))
 
     @property
     def senses(self) -> bool:

@@ -12,13 +12,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from amhe_cli.core import rotations
+from amhe_cli.core.differentiate import angular_velocity, derivative
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.resample import resample
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter, read_signals, survey
 from amhe_cli.logs.clocks import increasing
-from amhe_cli.logs.differentiate import angular_velocity, derivative
-from amhe_cli.logs.resample import resample
 from tests.logs.log_makers import DT, JS, ROS2, SETTINGS, T0, Message, joint_state, write_mcap
 
 S = 10**9

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, LogError, one_of
-from amhe_cli.core.signals import Signal
+from amhe_cli.core.signals import DERIVED, Signal
 from amhe_cli.logs.containers.raw import Batch, Channel
 from amhe_cli.logs.messages.layout import Layout, Leaf
 from amhe_cli.logs.messages.split import Group
-from amhe_cli.logs.messages.types import DERIVED, TYPES, TypeInfo
+from amhe_cli.logs.messages.types import TYPES, TypeInfo
 
 _Bytes = NDArray[np.uint8]
 

@@ -103,10 +103,3 @@ TYPES: Mapping[str, TypeInfo] = {
         for name in (width, f"{width}MultiArray")
     },
 }
-
-#: A velocity that a topic lacks -> the quantity it is differentiated from.
-DERIVED: Mapping[str, str] = {
-    "velocity": "position",
-    "linear_velocity": "position",
-    "angular_velocity": "orientation",
-}

@@ -74,3 +74,30 @@ def _segments(times: FloatArray, bridge: float) -> tuple[IntArray, IntArray]:
     edges = np.concatenate(([0], breaks, [times.size]))
     stretch = np.searchsorted(breaks, np.arange(times.size), side="right")
     return edges[stretch], edges[stretch + 1]
+
+
+def differentiated(times: FloatArray, values: FloatArray, source: str, bridge: float) -> FloatArray:
+    """Velocities (n, k) of positions or orientations (n, k) at stamps (n,) [s]; NaN where none can be told.
+
+    Args:
+        times: Stamps [s], strictly increasing.
+        values: Samples of `source`; NaN where a message lacks some of them.
+        source: 'position' or 'orientation'.
+        bridge: Longest silence [s] that a velocity may span.
+    """
+    if source == "orientation":
+        slopes = np.full((times.size, 3), np.nan)
+        present = np.isfinite(values).all(axis=1)
+        slopes[present] = angular_velocity(times[present], values[present], bridge)
+        return slopes
+    slopes = np.full(values.shape, np.nan)
+    finite = np.isfinite(values)
+    for columns in _columns_alike(finite):
+        present = finite[:, columns[0]]
+        slopes[np.ix_(present, columns)] = derivative(times[present], values[present][:, columns], bridge)
+    return slopes
+
+
+def _columns_alike(finite: np.ndarray) -> list[IntArray]:
+    _, kind = np.unique(finite, axis=1, return_inverse=True)
+    return [np.flatnonzero(kind.ravel() == k) for k in range(int(kind.max(initial=-1)) + 1)]

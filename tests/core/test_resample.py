@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from amhe_cli.logs.resample import longest_bridge, resample
+from amhe_cli.core.resample import longest_bridge, resample
 
 
 def test_a_latched_command_stays_in_force():

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.log import Series
 
 #: A topic may stay silent for this many of its own median periods.
@@ -21,6 +23,28 @@ def longest_bridge(times: FloatArray, max_gap: float, hold: bool = False) -> flo
     if hold and (times.size < 3 or period > max_gap):
         return np.inf
     return max(max_gap, _PERIODS * period) if times.size > 1 else max_gap
+
+
+def common_rows(stamps_ns: Sequence[tuple[IntArray, bool]], step: float) -> tuple[int, float, int]:
+    """Rows of one uniform clock at which all signals are known.
+
+    Row 0 is the first instant at which every signal has begun, in phase with the first sample of the state
+    that begins last.
+
+    Args:
+        stamps_ns: Stamps [ns] of each signal, and whether it is an input.
+        step: Step of the clock [ns].
+
+    Returns:
+        A stamp of the phase [ns]; row 0, relative to it [ns], since a stamp in float64 would be off by
+        hundreds of nanoseconds; and the number of rows.
+    """
+    states = [stamps for stamps, is_input in stamps_ns if not is_input] or [stamps for stamps, _ in stamps_ns]
+    begun = max(int(stamps[0]) for stamps, _ in stamps_ns)
+    phase = max(int(stamps[0]) for stamps in states)
+    last = max(int(stamps[-1]) for stamps in states)
+    begin = float(np.ceil((begun - phase) / step - 1e-6)) * step
+    return phase, begin, int(np.floor((last - phase - begin) / step + 1e-6)) + 1
 
 
 def resample(

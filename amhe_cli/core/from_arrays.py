@@ -1,0 +1,131 @@
+"""A log from arrays: checked, given missing velocities, and brought onto the model's clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.differentiate import differentiated
+from amhe_cli.core.errors import LogError, one_of
+from amhe_cli.core.log import Log, Series
+from amhe_cli.core.resample import common_rows, longest_bridge, resample
+from amhe_cli.core.signals import DERIVED, Measured, Signal
+
+#: Quaternions may be off the unit norm by this much.
+_NORM = 0.05
+
+
+def log_from_arrays(arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measured, name: str) -> Log:
+    """See `Log.from_arrays`."""
+    signals = {signal.name: signal for signal in system.signals}
+    for key in arrays:
+        if key not in signals:
+            raise LogError(f"{name}: {one_of('signal', str(key), signals)}")
+    missing = [key for key in signals if key not in arrays]
+    if missing:
+        raise LogError(f"{name}: the system {system.name!r} needs the signal {' and '.join(missing)} too")
+    stamps_ns = {key: _stamps(arrays[key], signal, name) for key, signal in signals.items()}
+    step = system.dt * 1e9
+    phase, begin, rows = common_rows([(stamps_ns[k], s.is_input) for k, s in signals.items()], step)
+    if rows < 1:
+        spans = ", ".join(f"{k} {t[0] / 1e9:g} to {t[-1] / 1e9:g} s" for k, t in stamps_ns.items())
+        raise LogError(f"{name}: the signals do not overlap in time: {spans}")
+    start_ns = phase + round(begin)
+    grid = np.arange(rows, dtype=np.float64) * system.dt
+    series: dict[str, Series] = {}
+    for key, signal in signals.items():
+        times = (stamps_ns[key] - start_ns) / 1e9
+        samples = _samples(arrays[key], signal, times.size, system.widths, name)
+        bridge = longest_bridge(times, system.settings.logs.max_gap, signal.is_input)
+        for quantity in signal.quantities:
+            source = quantity if quantity in samples else DERIVED[quantity]
+            derived = source != quantity
+            values = samples[source]
+            series[signal.key(quantity)] = resample(
+                times,
+                differentiated(times, values, source, bridge) if derived else values,
+                _columns(signal, 3 if derived and source == "orientation" else values.shape[1]),
+                grid,
+                bridge=bridge,
+                hold=signal.is_input,
+                rotation=quantity == "orientation",
+                derived=derived,
+            )
+    return Log(system.dt, series, name, start_ns)
+
+
+def _stamps(given: Any, signal: Signal, name: str) -> np.ndarray:
+    """Times of a signal in ns, with the signal's own offset."""
+    where = f"{name}: signal {signal.name!r}"
+    if not isinstance(given, Mapping) or "time" not in given:
+        raise LogError(f"{where}: give a dictionary with `time` and {', '.join(signal.quantities)}")
+    times = _floats(given["time"], f"{where}: time")
+    if times.ndim != 1 or times.size < (1 if signal.is_input else 2):
+        raise LogError(f"{where}: time has the shape {times.shape}; it must be (n,), of two samples or more")
+    if not np.isfinite(times).all():
+        raise LogError(f"{where}: time is not finite at row {int(np.argmin(np.isfinite(times)))}")
+    backwards = np.flatnonzero(np.diff(times) <= 0.0)
+    if backwards.size:
+        row = int(backwards[0]) + 1
+        step = f"from {times[row - 1]:g} to {times[row]:g} s"
+        raise LogError(f"{where}: time must increase; at row {row} it goes {step}")
+    return np.round((times + signal.offset) * 1e9).astype(np.int64)
+
+
+def _samples(
+    given: Mapping[str, ArrayLike], signal: Signal, count: int, widths: Mapping[str, int], name: str
+) -> dict[str, FloatArray]:
+    """Quantity -> values (n, k), checked."""
+    where = f"{name}: signal {signal.name!r}"
+    known = dict.fromkeys((*signal.quantities, *(DERIVED[q] for q in signal.quantities if q in DERIVED)))
+    samples: dict[str, FloatArray] = {}
+    for quantity, array in given.items():
+        if quantity == "time":
+            continue
+        if quantity not in known:
+            raise LogError(f"{where}: {one_of('quantity', quantity, ('time', *known))}")
+        values = _floats(array, f"{where}: {quantity}")
+        values = values[:, None] if values.ndim == 1 else values
+        width = widths.get(signal.key(quantity)) or (4 if quantity == "orientation" else values.shape[-1])
+        if values.shape != (count, width):
+            wanted = f"({count}, {width})" if width > 1 else f"({count},) or ({count}, 1)"
+            text = f"{quantity} has the shape {np.shape(array)}; it must be {wanted}"
+            raise LogError(f"{where}: {text}, with a row for each time")
+        if quantity == "orientation":
+            values = _unit(values, where)
+        samples[quantity] = values
+    for quantity in signal.quantities:
+        if quantity not in samples and DERIVED.get(quantity) not in samples:
+            raise LogError(f"{where}: {quantity} is missing")
+    return samples
+
+
+def _unit(quaternions: FloatArray, where: str) -> FloatArray:
+    norms = np.linalg.norm(quaternions, axis=1)
+    wrong = np.flatnonzero(np.abs(norms - 1.0) > _NORM)
+    if wrong.size:
+        row = int(wrong[0])
+        raise LogError(f"{where}: orientation is no unit quaternion at row {row}: {quaternions[row]}")
+    return rotations.normalised(quaternions)
+
+
+def _floats(array: ArrayLike, what: str) -> FloatArray:
+    try:
+        values = np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise LogError(f"{what} is no array of numbers") from None
+    if np.isinf(values).any():
+        raise LogError(f"{what} is infinite somewhere; write NaN where nothing was measured")
+    return values
+
+
+def _columns(signal: Signal, width: int) -> tuple[str, ...]:
+    """Names of the columns, as a log file's would be."""
+    if len(signal.names) == width:
+        return signal.names
+    return ("w", "x", "y", "z")[-width:] if width in (3, 4) else tuple(f"[{i}]" for i in range(width))
