@@ -7,24 +7,29 @@ PIP := $(BIN)/python -m pip --quiet --quiet --disable-pip-version-check
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test lint format docs results-report bench clean
+.PHONY: help demo test test-lowest lint format docs results-report bench clean
 
 help:
 	@echo "make demo    identify a pushed box from the bundled Go1 log, print the table, write the report"
 	@echo "make test    run the whole test suite"
+	@echo "make test-lowest"
+	@echo "             run the fast tests with the lowest versions that pyproject.toml allows (Python 3.11)"
 	@echo "make lint    ruff and pyright"
 	@echo "make format  let ruff format the code"
 	@echo "make docs    write docs/cli.md from the commands' own help"
 	@echo "make results-report"
 	@echo "             tables and figures of docs/results/, in docs/results.md"
 	@echo "make bench   run the benchmarks"
-	@echo "make clean   remove .venv and all caches"
+	@echo "make clean   remove the environments and all caches"
 
 demo: .venv/.installed
 	$(BIN)/amhe identify examples/logs/t1.mcap -o amhe-out/demo --force
 
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest -q -n auto
+
+test-lowest: .venv-lowest/.installed
+	.venv-lowest/bin/python -m pytest -q -n auto -m "not slow"
 
 lint: .venv/.installed-dev
 	$(BIN)/ruff check .
@@ -45,7 +50,7 @@ bench: .venv/.installed-bench
 	@for table in $(filter-out benchmarks/common.py,$(wildcard benchmarks/*.py)); do echo "== $$table"; $(BIN)/python $$table || exit 1; done
 
 clean:
-	rm -rf .venv amhe-out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
+	rm -rf .venv .venv-lowest amhe-out build dist .pytest_cache .ruff_cache .hypothesis *.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 $(BIN)/python:
@@ -62,6 +67,14 @@ $(BIN)/python:
 	@# the maker's own library, to test against: not for every Python, and what it says it needs, it does not
 	@$(PIP) install --no-deps --only-binary :all: unitree-legged-sdk==3.8.20231105 2>/dev/null || true
 	@touch .venv/.installed $@
+
+# wheels only: versions so old that they must be built are none that anybody installs
+.venv-lowest/.installed: pyproject.toml | $(BIN)/python
+	@$(PIP) install uv
+	@$(BIN)/uv venv --quiet --clear --seed --python 3.11 .venv-lowest
+	@$(BIN)/uv pip install --quiet --python .venv-lowest --resolution lowest-direct \
+		--only-binary :all: --no-binary amhe --editable '.[dev]'
+	@touch $@
 
 .venv/.installed-bench: pyproject.toml | $(BIN)/python
 	@$(PIP) install --editable '.[bench]'
