@@ -48,6 +48,7 @@ class Signal:
         child_frame: Name of the body's frame. Of a TFMessage the one transform that is wanted; a log that is
             written has it in its Odometry and Imu messages.
         fields: quantity -> paths such as 'motorState[0].q', for types that are not built in.
+        columns: quantity -> columns of a table (CSV, npz ...), names or patterns such as 'q*' and 'q{1..6}'.
         is_input: Commands are held until the next message; everything else is interpolated.
         offset: Seconds to add to the topic's stamps to bring them onto the log's common clock.
     """
@@ -59,6 +60,7 @@ class Signal:
     names: tuple[str, ...] = ()
     child_frame: str | None = None
     fields: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     is_input: bool = False
     offset: float = 0.0
 

@@ -22,14 +22,19 @@ from amhe_cli.init.signals import (
     fields_example,
     foreign,
     guess_signals,
+    joint_of,
     notes_on,
     single_joints,
 )
+from amhe_cli.init.tables import topics_in, with_columns
 from amhe_cli.init.text import system_text
-from amhe_cli.logs import read_signals, survey
+from amhe_cli.logs import TopicSurvey, read_signals, survey
+from amhe_cli.logs.containers.table_file import TYPE as TABLE
+from amhe_cli.system.driven import commanded
 from amhe_cli.system.load import FILE_NAME
 from amhe_cli.system.model_file import compiled, read_spec
 from amhe_cli.system.system import System
+from amhe_cli.system.targets import names_of
 
 #: Seconds of log that the noise is estimated from.
 _LISTEN = 60.0
@@ -56,9 +61,9 @@ def init_system(
     """
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or pass --force")
-    topics = _topics(logs, msg_path)
     spec = read_spec(model_path)
     model = compiled(spec)
+    topics = _with_tables(_topics(logs, msg_path), model)
     urdf = model_path.suffix.lower() == ".urdf"
     notes: list[str] = []
     added = urdf and not model.nactuator
@@ -69,6 +74,8 @@ def init_system(
     parameters = guess_parameters(model, guesses, guessed_gains=added)
     _refuse_nothing(model, topics, guesses, parameters)
     notes += notes_on(model, topics, guesses)
+    for guess in guesses:
+        with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
     skeletons = _skeletons(model, topics, guesses)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
@@ -89,13 +96,31 @@ def init_system(
 
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
     """Topics that can be read in every log, as the first one shows them."""
-    surveys = [survey(log, msg_path=msg_path) for log in logs]
-    common = set.intersection(*({topic.name for topic in seen.topics} for seen in surveys))
+    surveys = [survey(log, msg_path=msg_path).topics for log in logs]
+    surveys = [
+        [replace(t, name="table") if t.type == TABLE and len(s) == 1 else t for t in s] for s in surveys
+    ]
+    common = set.intersection(*({topic.name for topic in seen} for seen in surveys))
     return [
         Topic(seen.name, seen.type, seen.rate, seen.entries, seen.quantities)
-        for seen in surveys[0].topics
+        for seen in surveys[0]
         if seen.name in common and seen.problem is None and seen.rate > 0.0
     ]
+
+
+def _unnamed(topic: TopicSurvey, alone: bool) -> TopicSurvey:
+    """A table that is a log by itself, without its name: run1.csv and run2.csv hold the same table."""
+    return replace(topic, name="table") if alone and topic.type == TABLE else topic
+
+
+def _with_tables(topics: Sequence[Topic], model: mujoco.MjModel) -> list[Topic]:
+    """The topics, with tables replaced by the joint states and commands that their columns hold."""
+    tables = [topic for topic in topics if topic.type == TABLE]
+    motors = [a for a in names_of(model, "actuator") if commanded(model, model.actuator(a).id) == "effort"]
+    driven = [joint for actuator in motors if (joint := joint_of(model, actuator))]
+    joints, alone = single_joints(model), len(tables) == 1
+    held = [part for table in tables for part in topics_in(table, joints, driven, alone)]
+    return [*(topic for topic in topics if topic.type != TABLE), *held]
 
 
 def _refuse_nothing(
@@ -149,7 +174,7 @@ def _listen(
     folder: Path, log: Path, guesses: Sequence[Guess], topics: Sequence[Topic], msg_path: Path | None
 ) -> list[str]:
     """Set each signal's noise to what the log itself shows; a signal that cannot be read keeps the guess."""
-    rates = {topic.name: topic.rate for topic in topics}
+    rates = {topic.table or topic.name: topic.rate for topic in topics}
     said: list[str] = []
     signals = {signal.name: signal for signal in System.load(folder, warn=False).signals}
     for guess in guesses:
@@ -158,7 +183,7 @@ def _listen(
         if not compared:
             continue
         try:
-            dt = 1.0 / rates[signal.topic]
+            dt = 1.0 / rates[signal.topic or next(iter(rates))]
             wanted = replace(signal, quantities=compared)
             sample = read_signals(log, [wanted], dt, LogSettings(), end=_LISTEN, msg_path=msg_path)
         except AmheError as error:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 
 #: Words that say what kind of thing a name is, not which one.
-_KINDS = {
+KINDS = {
     "joint",
     "jnt",
     "link",
@@ -20,7 +20,7 @@ _KINDS = {
     "free",
     "freejoint",
 }
-_COMMANDS = {
+COMMANDS = {
     *("cmd", "cmds", "command", "commands", "commanded", "goal", "goals", "desired", "target", "targets"),
     *("setpoint", "setpoints", "reference", "ref", "control", "controls", "ctrl", "action", "actions"),
 }
@@ -35,12 +35,12 @@ def words(name: str) -> list[str]:
 def core(name: str) -> str:
     """What is left of a name without namespace and without the words for its kind."""
     own = words(name.rsplit("/", 1)[-1])
-    return "_".join(word for word in own if word not in _KINDS) or "_".join(own)
+    return "_".join(word for word in own if word not in KINDS) or "_".join(own)
 
 
 def is_command(topic: str, kind: str) -> bool:
     """A topic carries commands, to judge by its name and type."""
-    return kind.endswith("JointTrajectory") or bool(_COMMANDS & set(words(topic)))
+    return kind.endswith("JointTrajectory") or bool(COMMANDS & set(words(topic)))
 
 
 def matched(own: Mapping[str, Sequence[str]], logged: Iterable[str]) -> dict[str, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -40,6 +40,8 @@ class Topic:
         rate: Messages per second.
         entries: Joints or child frames that it names; '[n]' for an array of n numbers.
         quantities: What can be taken from it, keys of QUANTITIES.
+        columns: Of a part of a table: quantity -> its columns, in the order of `entries`.
+        table: The table's name.
     """
 
     name: str
@@ -47,6 +49,8 @@ class Topic:
     rate: float
     entries: tuple[str, ...]
     quantities: tuple[str, ...]
+    columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    table: str = ""
 
 
 @dataclass
@@ -87,18 +91,24 @@ def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[G
     if not any("actuators" in guess.entry for guess in guesses):
         idle = "the actuators hold the control 0" if model.nactuator else "nothing drives the joints"
         notes += [f"no command topic was found: {idle}"] if measured else []
-        notes += [
-            f"if {guess.entry['topic']} holds the motors' torques, they can drive the model. Add the signal "
-            f"torque: {{topic: {guess.entry['topic']}, joint_force: [{', '.join(guess.entry['joints'])}]}}"
-            for guess in guesses
-            if "joints" in guess.entry
-        ]
+        notes += [_torques(guess, topics) for guess in guesses if "joints" in guess.entry]
     free = {guess.entry.get("body") for guess in guesses}
     notes += [
         f"no topic gives the pose of free body {body}" for body in free_bodies(model) if body not in free
     ]
     used = {guess.entry["topic"] for guess in guesses}
     return notes + [f"not used: {topic.name} ({topic.type})" for topic in topics if topic.name not in used]
+
+
+def _torques(guess: Guess, topics: Sequence[Topic]) -> str:
+    """How to drive the model by measured torques."""
+    name, joints = guess.entry["topic"], ", ".join(guess.entry["joints"])
+    columns = next((topic.columns.get("effort") for topic in topics if topic.name == name), None)
+    source = f"columns: {{effort: [{', '.join(columns)}]}}" if columns else f"topic: {name}"
+    return (
+        f"if {name} holds the motors' torques, they can drive the model. Add the signal "
+        f"torque: {{{source}, joint_force: [{joints}]}}"
+    )
 
 
 def foreign(topics: Sequence[Topic]) -> list[Topic]:

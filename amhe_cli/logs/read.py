@@ -23,6 +23,7 @@ from amhe_cli.logs.containers.raw import readable
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.physics import twist_looks_global
 from amhe_cli.logs.survey import Inspection, SignalCheck, survey
+from amhe_cli.logs.tables import signals_on_tables
 from amhe_cli.logs.tracks import Track, grid_of, on_one_clock, tracks_of
 
 logger = logging.getLogger(__name__)
@@ -174,6 +175,7 @@ def read_signals(
         raise ConfigError("reading a log takes at least one signal and a positive time step")
     with readable(path):
         log = open_log(path)
+        signals = signals_on_tables(log.channels, signals)
         decoders = collect(log, signals, Definitions(msg_path))
         tracks = on_one_clock(path, tracks_of(path, signals, decoders, settings), settings)
         grid, start_ns = grid_of(path, tracks, dt, start, end)

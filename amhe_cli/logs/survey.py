@@ -18,6 +18,7 @@ from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.layout import Layout
 from amhe_cli.logs.messages.split import Group, Splitter
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
+from amhe_cli.logs.tables import table_columns
 
 #: Messages that it takes to judge a topic's clock by.
 _ENOUGH = 10
@@ -278,7 +279,7 @@ def _topic(
         header="good" if mixed and clock == "header" else _header(samples),
         clock=clock,
         quantities=tuple(q for q in info.fields if q in scan.carried or not scan.carried) if info else (),
-        entries=tuple(scan.entries),
+        entries=tuple(scan.entries) or table_columns(channel),
         problem=definitions.problem(channel),
         notes=tuple(notes),
     )

@@ -107,6 +107,8 @@ def _carries(topic: TopicSurvey) -> Text:
         return Text.assemble((kind, "dim"), ": ", (topic.problem, "yellow"))
     shown = ", ".join(topic.entries[:MAX_ENTRIES])
     more = f" and {len(topic.entries) - MAX_ENTRIES} more" if len(topic.entries) > MAX_ENTRIES else ""
+    if topic.encoding == "table":
+        return Text(f"columns {shown}{more}", style="dim")
     what = ", ".join(topic.quantities) or "fields by path"
     clock = f", {topic.clock} stamps" if topic.count else ""
     return Text(f"{kind}{clock}: {what}{f' of {shown}{more}' if shown else ''}", style="dim")

@@ -41,7 +41,7 @@ def draft_wiring(
 
 def _read_only(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     usual = next((q for end, q in _CARRIED.items() if str(entry.type).endswith(f"/{end}")), ())
-    quantities = tuple(entry.fields) or chosen(entry, usual)
+    quantities = tuple(entry.fields) or tuple(entry.columns) or chosen(entry, usual)
     if not quantities:
         raise ConfigError(
             "say what to read: type: PACKAGE/msg/NAME, or quantity: one of " + ", ".join(QUANTITIES)

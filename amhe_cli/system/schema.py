@@ -56,7 +56,7 @@ class ParameterEntry(_Entry):
 class SignalEntry(_Entry):
     """One topic, and what it is to the model."""
 
-    topic: Name
+    topic: str
     type: Name | None = None
     body: Name | None = None
     joints: Names | None = None
@@ -71,6 +71,7 @@ class SignalEntry(_Entry):
     compare: list[Name] | None = None
     slope: dict[str, Positive] = Field(default_factory=dict)
     fields: dict[str, Name | list[Name]] = Field(default_factory=dict)
+    columns: dict[str, Name | int | list[Name | int]] = Field(default_factory=dict)
     child_frame: Name | None = None
     offset: Number = 0.0
     frame: Literal["world", "body"] = "world"
@@ -82,13 +83,19 @@ class SignalEntry(_Entry):
         """Which of KINDS it is."""
         return next((kind for kind in KINDS if getattr(self, kind) is not None), None)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _topic_or_columns(cls, data: Any) -> Any:
+        """Columns of a table need no topic; everything else does."""
+        return {"topic": "", **data} if isinstance(data, Mapping) and "columns" in data else data
+
     @model_validator(mode="after")
     def _one_kind(self) -> SignalEntry:
         given = [kind for kind in KINDS if getattr(self, kind) is not None]
         if len(given) > 1:
             raise ValueError(f"a signal is one thing; keep one of: {', '.join(given)}")
         quantities = [self.quantity] if isinstance(self.quantity, str) else self.quantity or []
-        for name in (*self.noise, *self.fields, *self.slope, *quantities):
+        for name in (*self.noise, *self.fields, *self.columns, *self.slope, *quantities):
             if name not in QUANTITIES:
                 raise ValueError(one_of("quantity", name, QUANTITIES))
         for name in self.slope:
@@ -236,6 +243,7 @@ _VALID = {
 #: Keys whose shape is told best by an example.
 _EXAMPLES = {
     "noise": "a mapping such as {position: 0.002}",
+    "columns": "a mapping such as {position: [q1, q2]} or {position: 'q*'}",
     "fields": "a mapping such as {position: ['motor[0].q', 'motor[1].q']}",
     "bounds": "[lower, upper]",
     "length": "[shortest, longest]",

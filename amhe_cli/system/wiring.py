@@ -95,6 +95,7 @@ def signal_of(
 ) -> Signal:
     """What to read from the log for an entry of the file."""
     fields = {q: (p,) if isinstance(p, str) else tuple(p) for q, p in entry.fields.items()}
+    columns = {q: tuple(map(str, c if isinstance(c, list) else [c])) for q, c in entry.columns.items()}
     return Signal(
         name,
         entry.topic,
@@ -103,6 +104,7 @@ def signal_of(
         names=tuple(names),
         child_frame=entry.child_frame,
         fields=fields,
+        columns=columns,
         is_input=is_input,
         offset=entry.offset,
     )
@@ -168,7 +170,7 @@ def one_quantity(entry: SignalEntry, usual: str) -> str:
     if entry.noise and entry.sensor is None:
         raise ConfigError("noise is for what is compared with the model; a command is not")
     given = [entry.quantity] if isinstance(entry.quantity, str) else list(entry.quantity or ())
-    given = given or list(entry.fields) or [usual]
+    given = given or list(entry.fields) or list(entry.columns) or [usual]
     if len(given) > 1:
         raise ConfigError(f"one quantity drives this, not {', '.join(given)}")
     return given[0]

@@ -55,7 +55,8 @@ def read(path: Path) -> Any:
         (b"\x89MCAP", "ends after 5 bytes"),
         (b"\x89MCAP0\r\n", "no topic"),
         (b"#ROSBAG V2.0\n", "no topic"),
-        (b"PK\x03\x04 a zip archive, say", "neither MCAP"),
+        (b"PK\x03\x04 a zip archive, say", "a .zip file that is no .npz of numbers"),
+        (b"\x7fELF a program, say", "neither MCAP"),
         (b"SQLite format 3\0" + bytes(200), "cannot be read"),
     ],
 )

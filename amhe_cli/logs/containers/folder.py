@@ -15,9 +15,12 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.logs.containers import bag_file, mcap_file, sqlite_file
 from amhe_cli.logs.containers.compression import decompress, unfold_file
 from amhe_cli.logs.containers.raw import Batch, Channel, LogFile, batch_of, readable
+from amhe_cli.logs.containers.table_file import open_tables
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _METADATA_LIMIT = 2**24
+#: Endings of the tables that make a folder a log; a single file may have any name.
+_TABLES = (".csv", ".tsv", ".npz", ".npy", ".parquet", ".feather", ".h5", ".hdf5")
 
 
 _READERS: tuple[tuple[bytes, Callable[[Path], LogFile]], ...] = (
@@ -81,11 +84,22 @@ def open_log(path: Path) -> Log:
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
     if not path.is_dir():
-        return Log(path, (_open_file(path),))
+        return Log(path, tuple(_open_tables(path)) or (_open_file(path),))
     metadata = path / "metadata.yaml"
     if not metadata.exists():
         return _open_bare_folder(path)
     return _open_folder(path, _information(metadata))
+
+
+def _open_tables(path: Path) -> list[LogFile]:
+    """The tables of a file, or of a folder; an empty list where there is none."""
+    if not path.is_file():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in _TABLES and file.is_file())
+        return [table for file in files for table in _open_tables(file)]
+    with path.open("rb") as file:
+        head = file.read(16)
+    known = any(head.startswith(magic) for magic in (_ZSTD, *(magic for magic, _ in _READERS)))
+    return [] if known else [*open_tables(path)]
 
 
 def _open_file(path: Path) -> LogFile:
@@ -100,7 +114,9 @@ def _open_file(path: Path) -> LogFile:
             return reader(path)
     if any(magic.startswith(head) for magic, _ in _READERS):
         raise LogError(f"{path}: the file ends after {len(head)} bytes")
-    raise LogError(f"{path}: neither MCAP, nor a rosbag2 .db3, nor a ROS 1 .bag (judged by its first bytes)")
+    raise LogError(
+        f"{path}: neither MCAP, nor a rosbag2 .db3, nor a ROS 1 .bag, nor a table (judged by its first bytes)"
+    )
 
 
 def _open_packed(path: Path) -> LogFile:
@@ -114,7 +130,9 @@ def _open_packed(path: Path) -> LogFile:
 def _open_bare_folder(path: Path) -> Log:
     inner = [file for file in path.iterdir() if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
     if not inner:
-        raise LogError(f"{path}: a folder without metadata.yaml, .mcap or .db3 file is no log")
+        if tables := _open_tables(path):
+            return Log(path, tuple(tables))
+        raise LogError(f"{path}: a folder without metadata.yaml, .mcap, .db3 or .csv file is no log")
     inner.sort(key=lambda file: [int(n) for n in re.findall(r"\d+", file.name)])
     note = f"the folder has no metadata.yaml: {', '.join(file.name for file in inner)} taken as its parts"
     return _open_parts(path, inner, [note], packed=False)

@@ -12,6 +12,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, LogError, one_of
 from amhe_cli.core.signals import DERIVED, Signal
 from amhe_cli.logs.containers.raw import Batch, Channel
+from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.layout import Layout, Leaf
 from amhe_cli.logs.messages.split import Group
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
@@ -87,6 +88,7 @@ class SignalDecoder:
             raise LogError(f"topic {signal.topic!r} carries {channel.type}, not {signal.type}")
         self._signal = signal
         self.type = channel.type
+        self._sparse = channel.encoding == TABLE
         self._topic = f"topic {signal.topic!r} ({channel.type})"
         self.info = self._info(channel.type)
         self._wanted = self._quantities()
@@ -228,6 +230,11 @@ class SignalDecoder:
 
     def _take(self, columns: _Columns, group: Group, batch: Batch) -> None:
         rows, members = group.rows, group.members
+        blocks = {quantity: _gather(rows, leaves) for quantity, leaves in columns.values.items()}
+        if self._sparse:  # a row of a table need not hold every topic's numbers
+            filled = np.any([np.isfinite(block).any(axis=1) for block in blocks.values()], axis=0)
+            rows, members = rows[filled], members[filled]
+            blocks = {quantity: block[filled] for quantity, block in blocks.items()}
         size = members.size
         zero = np.zeros(size, dtype=np.int64)
         parts = self._parts
@@ -237,7 +244,7 @@ class SignalDecoder:
         parts.header_ns.append(nanoseconds(rows, columns.stamp) if columns.stamp else zero)
         parts.delay_ns.append(nanoseconds(rows, columns.delay) if columns.delay else zero)
         for quantity, leaves in columns.values.items():
-            block = _gather(rows, leaves)
+            block = blocks[quantity]
             present = [leaf is not None for leaf in leaves]
             self.not_finite[quantity] += int((~np.isfinite(block[:, present])).any(axis=1).sum())
             if quantity in columns.unknown:

@@ -15,6 +15,7 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.logs.containers.raw import Channel, normal_type
+from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 
 #: Type -> its fields in order: (name, rosbags' description of the field's type).
 Types: TypeAlias = Mapping[str, Sequence[tuple[str, Any]]]
@@ -54,6 +55,8 @@ class Definitions:
 
     def _lookup(self, channel: Channel) -> Types:
         topic = f"topic {channel.topic!r}"
+        if channel.encoding == TABLE:
+            return {}
         if channel.encoding not in ("cdr", "ros1"):
             raise LogError(
                 f"{topic} is encoded as {channel.encoding!r}; only ROS messages (cdr, ros1) are read"

@@ -7,6 +7,7 @@ has all its fields at the same places, and whole batches are then read as stride
 
 from __future__ import annotations
 
+import json
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -85,6 +86,21 @@ class Layout:
         if not bracket or array is None or array.count is None or not index[:-1].isdecimal():
             return []
         return [array.column(int(index[:-1]))] if int(index[:-1]) < array.count else []
+
+
+def table_layout(definition: str) -> tuple[Layout, int]:
+    """Layout of a table's rows, and the bytes of one row.
+
+    Args:
+        definition: JSON list of [name, count]: one float64 where count is null, else an array of so many.
+    """
+    leaves: dict[str, Leaf] = {}
+    offset = 0
+    for name, count in json.loads(definition):
+        leaves[name] = Leaf(offset, np.dtype("<f8"), count)
+        offset += 8 * (count or 1)
+    nothing = np.empty(0, dtype=np.int64)
+    return Layout(leaves, {}, {}, nothing, nothing.astype(np.uint8)), offset
 
 
 def walk(message: NDArray[np.uint8], type_name: str, types: Types, encoding: str) -> Layout:

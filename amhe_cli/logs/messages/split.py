@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import IntArray
 from amhe_cli.logs.containers.raw import Batch, Channel
+from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.definitions import Definitions
-from amhe_cli.logs.messages.layout import Layout, MalformedMessageError, walk
+from amhe_cli.logs.messages.layout import Layout, MalformedMessageError, table_layout, walk
 
 _Bytes = NDArray[np.uint8]
 #: Layouts remembered for each message length, the latest ones.
@@ -34,6 +35,9 @@ class Splitter:
         self._channel = channel
         self._types = definitions.of(channel)
         self._layouts: dict[int, list[Layout]] = {}
+        if channel.encoding == TABLE:
+            layout, size = table_layout(channel.definition)
+            self._layouts[size] = [layout]
         self.damaged = 0
         self.reason = ""
 

@@ -1,0 +1,132 @@
+"""What the columns of a table hold, judged by their names: joint states and commands, as topics would."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from amhe_cli.init.names import COMMANDS, KINDS, words
+from amhe_cli.init.signals import Guess, Topic
+
+#: Words of a column's name -> the quantity of joints that it holds.
+_QUANTITIES = {
+    word: quantity
+    for quantity, names in {
+        "position": "position positions pos q qpos angle angles theta joint_pos deg rad",
+        "velocity": "velocity velocities vel qd dq qvel speed speeds omega dtheta thetadot qdot",
+        "effort": "effort efforts torque torques tau trq force forces load current currents",
+    }.items()
+    for word in names.split()
+}
+#: Words that only say that a number was measured, the best first; any other word ranks behind them.
+_MEASURED = ("", "measured", "meas", "actual", "act", "state", "raw", "filtered", "filt")
+_COMMANDED = {*COMMANDS, "con", "des"}
+
+
+@dataclass(frozen=True, slots=True)
+class _Meaning:
+    """What one column is taken for; `entry` is the joint's name or number, `count` the numbers in a cell."""
+
+    column: str
+    quantity: str
+    command: bool
+    rank: int
+    entry: str
+    count: int
+
+
+def topics_in(table: Topic, joints: Sequence[str], driven: Sequence[str], alone: bool) -> list[Topic]:
+    """Joint states and joint commands that a table holds, each as a topic with its columns.
+
+    Args:
+        table: The table: its columns are its entries.
+        joints: Single joints of the model, in its order.
+        driven: Joints with an actuator that takes a torque.
+        alone: The log has no other table: its name means nothing, and measured torques of `driven` may be all
+            that drives the model.
+    """
+    named = "" if alone else table.name
+    meanings = [m for column in table.entries if (m := _meaning(named, column)) is not None]
+    head = named or "the table"
+    states = _topic(head, table, [m for m in meanings if not m.command], joints)
+    commands = _topic(f"{head} command", table, [m for m in meanings if m.command], joints)
+    if commands is None and states is not None and alone and driven and "effort" in states.columns:
+        effort = {"effort": states.columns["effort"]}
+        commands = replace(states, name=f"{head} command", quantities=("effort",), columns=effort)
+    return [topic for topic in (states, commands) if topic is not None]
+
+
+def with_columns(guess: Guess, topics: Sequence[Topic], alone: bool) -> None:
+    """Let a guessed signal name the columns of its table in place of a topic and a type."""
+    topic = next(topic for topic in topics if topic.name == guess.entry["topic"])
+    if not topic.columns:
+        return
+    entry, names = guess.entry, guess.entry.get("joints") or guess.entry.get("actuators") or {}
+    logged = list(names.values()) if isinstance(names, dict) else list(names)
+    wanted = [entry["quantity"]] if "quantity" in entry else [q for q in topic.quantities if q in guess.noise]
+    place = {entry: i for i, entry in enumerate(topic.entries)}
+    columns = {
+        quantity: [topic.columns[quantity][place[name]] for name in logged]
+        for quantity in wanted
+        if quantity in topic.columns
+    }
+    rest = {key: value for key, value in entry.items() if key not in ("topic", "type")}
+    if isinstance(names, dict):
+        rest["actuators" if "actuators" in entry else "joints"] = list(names)
+    taken = "; ".join(f"{quantity} from {', '.join(names)}" for quantity, names in columns.items())
+    guess.why = f"{taken}: judged by the names of the columns"
+    guess.entry = ({} if alone else {"topic": topic.table}) | {"columns": columns} | rest
+
+
+def _meaning(table: str, column: str) -> _Meaning | None:
+    name, _, count = column.removesuffix("]").partition("[")
+    found = [w for word in words(name) for w in re.findall(r"[a-z]+|\d+", word)]
+    quantity = next((_QUANTITIES[word] for word in found if word in _QUANTITIES), None)
+    if quantity is None or "time" in found:
+        return None
+    rest = [word for word in found if word not in _QUANTITIES]
+    command = bool(_COMMANDED & set(rest)) or bool(COMMANDS & set(words(table)))
+    rest = [word for word in rest if word not in _COMMANDED]
+    said = [word for word in rest if word in _MEASURED]
+    entry = "_".join(word for word in rest if word not in _MEASURED and word not in KINDS)
+    return _Meaning(name, quantity, command, _MEASURED.index(said[0] if said else ""), entry, int(count or 0))
+
+
+def _topic(name: str, table: Topic, meanings: Sequence[_Meaning], joints: Sequence[str]) -> Topic | None:
+    """The best columns of each quantity as one topic of joints, or None."""
+    columns: dict[str, tuple[str, ...]] = {}
+    names: tuple[str, ...] = ()
+    for quantity in ("position", "velocity", "effort"):
+        own = [m for m in meanings if m.quantity == quantity]
+        for kind in sorted({(m.rank, re.sub(r"\d+", "#", m.column)) for m in own}):
+            group = [m for m in own if (m.rank, re.sub(r"\d+", "#", m.column)) == kind]
+            if named := _named(group, [m for m in own if m.rank == kind[0]], joints):
+                names, columns[quantity] = named
+                break
+    if not columns:
+        return None
+    kind = "table/msg/JointState"
+    return Topic(name, kind, table.rate, names, tuple(columns), columns, table.name)
+
+
+def _named(
+    group: Sequence[_Meaning], alike: Sequence[_Meaning], joints: Sequence[str]
+) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
+    """Names of joints and their columns: numbers count the model's joints, in its order."""
+    if len(group) == 1 and group[0].count:
+        count, column = group[0].count, group[0].column
+        if count == len(joints):
+            return tuple(joints), tuple(f"{column}[{i}]" for i in range(count))
+        return None
+    by_name = {joint: m.column for joint in joints for m in alike if m.entry and m.entry == _bare(joint)}
+    if by_name:
+        return tuple(by_name), tuple(by_name.values())
+    if len(group) == len(joints) and (len(joints) == 1 or all(re.search(r"\d", m.entry) for m in group)):
+        ordered = sorted(group, key=lambda m: [int(n) for n in re.findall(r"\d+", m.column)])
+        return tuple(joints), tuple(m.column for m in ordered)
+    return None
+
+
+def _bare(joint: str) -> str:
+    return "_".join(w for word in words(joint) for w in re.findall(r"[a-z]+|\d+", word) if w not in KINDS)
