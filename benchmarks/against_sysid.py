@@ -143,7 +143,7 @@ def _sequences(sysid, case: Case):
     system, model = case.system, case.system.model
     layout = _layout(sysid, model)
     starts, controls, measured = [], [], []
-    clips = _tiles(case)
+    clips = _clips_of(case)
     for window in clips:
         state = _states(system, window)
         starts.append(sysid.create_initial_state(model, state[0, : model.nq], state[0, model.nq :]))
@@ -161,10 +161,10 @@ def _sequences(sysid, case: Case):
     )
 
 
-def _tiles(case: Case) -> list[Window]:
+def _clips_of(case: Case) -> list[Window]:
     low, high = case.system.settings.clips.length
     pool = ClipPool(case.system, [whole(log) for log in case.fitted], case.system.settings.clips)
-    return pool.tiles(0.5 * (low + high))
+    return pool.cut(0.5 * (low + high))
 
 
 def _layout(sysid, model: mujoco.MjModel) -> list[tuple]:
@@ -220,7 +220,7 @@ def judge(case: Case) -> Callable[[Sequence[FloatArray]], FloatArray]:
     settings = case.system.settings.clips
     pool = ClipPool(case.system, [whole(log) for log in case.held_out], settings)
     low, high = settings.length
-    windows = pool.tiles(settings.held_out_length or 0.5 * (low + high), settings.held_out_first_only)
+    windows = pool.cut(settings.held_out_length or 0.5 * (low + high), settings.held_out_first_only)
     engine = open_engine(case.system, threads=THREADS, sensors=False)
     cost = MatchingCost(case.system, windows, engine, case.system.settings.cost)
 

@@ -41,7 +41,7 @@ def problem(seed: int) -> tuple[System, FloatArray, MatchingCost, list]:
     # every seed moves alike, so that all share one bound, and draws noise of its own
     motion, noise = np.random.default_rng(0), np.random.default_rng([seed, 1])
     log = simulated(system, truth, multisine(motion), SECONDS, noise, noisy_start=False)
-    windows = ClipPool(system, [whole(log)], system.settings.clips).tiles(SECONDS)
+    windows = ClipPool(system, [whole(log)], system.settings.clips).cut(SECONDS)
     engine = open_engine(system, sensors=False)
     return system, OFFSET, MatchingCost(system, windows, engine, system.settings.cost), [log]
 

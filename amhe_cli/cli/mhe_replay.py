@@ -50,8 +50,7 @@ def mhe_replay(
     from amhe_cli.assembly import LogSource
     from amhe_cli.cli.replay_progress import replay_progress
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.estimation.online.fits import replay_fits
-    from amhe_cli.estimation.online.prediction import predictions
+    from amhe_cli.estimation.online.predictions import predictions, replay_fits
     from amhe_cli.estimation.online.replay import caution, replayed
     from amhe_cli.replay_assembly import bundled_log, open_replay
     from amhe_cli.report.folder import reserve

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.estimation.offline.result import Fit
-from amhe_cli.estimation.online.prediction import Prediction
+from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report import figures, numbers, replay_figures
 from amhe_cli.report.folder import filling

@@ -144,7 +144,8 @@ def gauss_newton_step(
         The step (d,), and half the Hessian (d, d), whose inverse is the posterior covariance.
     """
     hessian = matrix + precision
-    return -np.linalg.solve(hessian, score + precision @ away), hessian
+    step: FloatArray = np.asarray(-np.linalg.solve(hessian, score + precision @ away), dtype=np.float64)
+    return step, hessian
 
 
 def weights(

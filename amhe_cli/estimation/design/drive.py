@@ -22,7 +22,7 @@ from amhe_cli.estimation.design.information import information_at
 from amhe_cli.estimation.design.multisine import Multisine, candidates, slow_sine
 from amhe_cli.estimation.design.plan import ProbePlan, parts_of
 from amhe_cli.estimation.design.playback import Playback
-from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, tiles
+from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, clips_of
 from amhe_cli.logs import LogWriter
 from amhe_cli.logs.messages.signal_writer import message_type, write_samples
 from amhe_cli.system.edits import ModelEdits
@@ -113,7 +113,7 @@ class DriveProbe:
         ):
             if log is None:
                 return None
-            windows = tiles(system, log)
+            windows = clips_of(system, log)
             told = information_at(system, windows, self._engine, z, self._options.rng(4)) if windows else None
             found.append(np.zeros((z.size, z.size)) if told is None else told.matrix.sum(axis=0))
         return np.stack(found)

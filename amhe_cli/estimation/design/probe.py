@@ -99,16 +99,16 @@ def read(system: System, path: Path) -> Log:
     return trajectories(system, LogSource((path,), {}, None, None, None))[0]
 
 
-def tiles(system: System, log: Log) -> list[Window]:
+def clips_of(system: System, log: Log) -> list[Window]:
     """Windows of a log side by side, as `amhe identify` cuts them; none where nothing moves."""
     clips = system.settings.clips
-    return ClipPool(system, [whole(log)], clips).tiles(0.5 * sum(clips.length))
+    return ClipPool(system, [whole(log)], clips).cut(0.5 * sum(clips.length))
 
 
 def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | None:
     """How well the parameters are known from a log and the prior; None where it cannot be said."""
     try:
-        windows = tiles(system, read(system, path))
+        windows = clips_of(system, read(system, path))
         if not windows:
             raise EstimationError("nothing moves in it")
         engine, rng = open_engine(system, threads=options.threads), options.rng(9)

@@ -13,12 +13,13 @@ import numpy as np
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import write_whole
 from amhe_cli.estimation.core.linearise import FirstStates
-from amhe_cli.estimation.offline import cma, search
+from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Iteration
+from amhe_cli.estimation.offline.search import SearchState
 
 FORMAT = 2
-_STATES = {"linearised": search.State, "cmaes": cma.State}
+_STATES = {"linearised": SearchState, "cmaes": CmaState}
 
 
 class Checkpoint:
@@ -36,16 +37,16 @@ class Checkpoint:
         self._path = path
         self._key = _fingerprint(problem, method)
 
-    def save(self, state: search.State | cma.State) -> None:
+    def save(self, state: SearchState | CmaState) -> None:
         """Replace the file by `state`, whole or not at all."""
         if self._path is None:
             return
-        kind = "linearised" if isinstance(state, search.State) else "cmaes"
+        kind = "linearised" if isinstance(state, SearchState) else "cmaes"
         saved = {f.name: _plain(getattr(state, f.name)) for f in fields(state)}
         text = json.dumps({"format": FORMAT, "problem": self._key, "kind": kind, "state": saved})
         write_whole(self._path, text)
 
-    def load(self) -> search.State | cma.State | None:
+    def load(self) -> SearchState | CmaState | None:
         """The saved state; None where there is none.
 
         Raises:
@@ -82,9 +83,9 @@ def _fingerprint(problem: Problem, method: str) -> str:
         system.settings.model_dump_json(),
     ):
         digest.update(text.encode())
-    for stretch in problem.pool.stretches:
-        digest.update(f"{stretch.start} {stretch.stop} {stretch.log.dt}".encode())
-        for key, series in sorted(stretch.log.series.items()):
+    for part in problem.pool.parts:
+        digest.update(f"{part.start} {part.stop} {part.log.dt}".encode())
+        for key, series in sorted(part.log.series.items()):
             digest.update(key.encode())
             digest.update(series.values.tobytes())
             digest.update(series.sampled.tobytes())
@@ -103,7 +104,7 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _restore(kind: str, saved: dict[str, Any]) -> search.State | cma.State:
+def _restore(kind: str, saved: dict[str, Any]) -> SearchState | CmaState:
     values = {k: _array(v) for k, v in saved.items()}
     values["record"] = tuple(Iteration(**{**i, "theta": tuple(i["theta"])}) for i in saved["record"])
     if values.get("first"):

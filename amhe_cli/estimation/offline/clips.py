@@ -1,4 +1,4 @@
-"""Which stretches of the logs are rolled out: SPI's clips of random start and length."""
+"""Clips: the windows of the logs that identification rolls out (SPI, section III-B of the paper)."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from amhe_cli.system.system import System
 WHOLE_LOGS = 4
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stretch:
-    """Instants start .. stop of a log that may be used for one purpose."""
-
-    log: Log
-    start: int
-    stop: int
+def whole(log: Log) -> Window:
+    """All of a log."""
+    return Window(log, 0, log.steps - 1)
 
 
-def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Stretch], list[Stretch]]:
-    """Divide logs into stretches to fit and stretches to validate on.
+def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Window], list[Window]]:
+    """Divide logs into parts to fit and parts to validate on.
 
     With many logs every n-th is held out whole; with few, the last part of each.
+
+    Args:
+        logs: The logs.
+        share: Share of their time that is held out.
     """
     if share <= 0.0:
         return [whole(log) for log in logs], []
@@ -42,28 +42,24 @@ def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Stretch], li
         )
     cuts = [round((1.0 - share) * (log.steps - 1)) for log in logs]
     return (
-        [Stretch(log, 0, cut) for log, cut in zip(logs, cuts, strict=True)],
-        [Stretch(log, cut, log.steps - 1) for log, cut in zip(logs, cuts, strict=True)],
+        [Window(log, 0, cut) for log, cut in zip(logs, cuts, strict=True)],
+        [Window(log, cut, log.steps - 1 - cut) for log, cut in zip(logs, cuts, strict=True)],
     )
-
-
-def whole(log: Log) -> Stretch:
-    """All of a log."""
-    return Stretch(log, 0, log.steps - 1)
 
 
 @dataclass
 class ClipPool:
-    """Source of clips from some stretches; counts those that it had to drop.
+    """Source of clips from some parts of logs; counts the clips that it had to drop.
 
     Args:
-        system: Says which series a clip needs.
-        stretches: Where clips may lie.
-        settings: Lengths, and what counts as motionless.
+        system: The system, which defines the series that a clip needs.
+        parts: Parts of logs in which clips may lie.
+        settings: Lengths of clips, and when a clip is motionless.
+        motionless, across_gaps: Number of clips dropped for either reason.
     """
 
     system: System
-    stretches: Sequence[Stretch]
+    parts: Sequence[Window]
     settings: ClipSettings
     motionless: int = 0
     across_gaps: int = 0
@@ -71,39 +67,41 @@ class ClipPool:
     _noise: dict[str, float] = field(default_factory=dict)
 
     def draw(self, rng: np.random.Generator, count: int) -> list[Window]:
-        """At most `count` clips: start and length uniform, motionless and gap-crossing ones re-drawn."""
-        steps = np.array([s.stop - s.start for s in self.stretches], dtype=float)
+        """At most `count` clips of random start and length; unusable ones are drawn again."""
+        steps = np.array([part.length for part in self.parts], dtype=float)
         if steps.sum() <= 0.0:
             return []
         clips: list[Window] = []
         for _ in range(10 * count):
             if len(clips) == count:
                 break
-            stretch = self.stretches[rng.choice(len(steps), p=steps / steps.sum())]
-            length = self._steps(rng.uniform(*self.settings.length), stretch)
-            start = int(rng.integers(stretch.start, stretch.stop - length + 1))
-            clip = Window(stretch.log, start, length)
-            if self._fit(clip):
+            part = self.parts[rng.choice(len(steps), p=steps / steps.sum())]
+            length = _steps(rng.uniform(*self.settings.length), part)
+            start = int(rng.integers(part.start, part.stop - length + 1))
+            clip = Window(part.log, start, length)
+            if self._accepts(clip):
                 clips.append(clip)
         return clips
 
-    def tiles(self, seconds: float, first_only: bool = False) -> list[Window]:
-        """Clips of one length side by side, each instant used once; dropped ones are counted."""
+    def cut(self, seconds: float, first_only: bool = False) -> list[Window]:
+        """Clips of one length [s] side by side, each instant used once.
+
+        Args:
+            seconds: Length of a clip [s].
+            first_only: Only the first clip of each part.
+        """
         clips: list[Window] = []
-        for stretch in self.stretches:
-            length = self._steps(seconds, stretch)
-            stop = min(stretch.stop, stretch.start + length) if first_only else stretch.stop
-            for start in range(stretch.start, stop - length + 1, length) if length else ():
-                clip = Window(stretch.log, start, length)
-                if self._fit(clip):
+        for part in self.parts:
+            length = _steps(seconds, part)
+            stop = min(part.stop, part.start + length) if first_only else part.stop
+            for start in range(part.start, stop - length + 1, length) if length else ():
+                clip = Window(part.log, start, length)
+                if self._accepts(clip):
                     clips.append(clip)
         return clips
 
-    def _steps(self, seconds: float, stretch: Stretch) -> int:
-        return min(max(1, round(seconds / stretch.log.dt)), stretch.stop - stretch.start)
-
-    def _fit(self, clip: Window) -> bool:
-        """Whether a clip can be used, counting it if not."""
+    def _accepts(self, clip: Window) -> bool:
+        """Whether a clip can be used; it is counted if not."""
         if not self._usable_rows(clip.log)[clip.start : clip.stop + 1].all():
             self.across_gaps += 1
             return False
@@ -119,7 +117,7 @@ class ClipPool:
         return self._usable[id(log)]
 
     def _is_still(self, clip: Window) -> bool:
-        """No compared position moves by more than a few noise sd."""
+        """Whether no compared position moves by more than a few noise sd."""
         for channel in self.system.channels:
             if not channel.compared or channel.source == "qvel":
                 continue
@@ -135,3 +133,8 @@ class ClipPool:
             series = log[key]
             self._noise[key] = white_noise_sd(series.values[series.sampled & series.valid])
         return self._noise[key]
+
+
+def _steps(seconds: float, part: Window) -> int:
+    """Steps of a clip of some length [s], no more than the part has."""
+    return min(max(1, round(seconds / part.log.dt)), part.length)

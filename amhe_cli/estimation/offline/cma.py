@@ -10,9 +10,9 @@ from cmaes import CMA
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.core.information import mean_squares, noise_scale
-from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Iteration
+from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.matching.cost import quadratic_prior
 
 #: What a `cmaes.CMA` remembers between generations besides its constants, and what a checkpoint keeps.
@@ -20,7 +20,7 @@ MEMORY = ("_mean", "_C", "_sigma", "_p_sigma", "_pc", "_g", "_funhist_values")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class CmaState:
     """Where a CMA-ES search stands; all that a checkpoint needs.
 
     Args:
@@ -29,7 +29,7 @@ class State:
         number: Iterations done, of all starts.
         generation: Iterations done of this start.
         memory: MEMORY of the current start's CMA; empty before its first generation.
-        best_value: Value of z on the tiles; inf while there is nothing better than the first start's mean.
+        best_value: Cost of z on all clips; inf while there is nothing better than the first start's mean.
         z: Best of the finished starts and of what was known before them; the mean of the first start while
             there is none. What is reported if the search is cut short here, shape (d,).
         scale: Channel -> residual sd over declared noise sd.
@@ -49,14 +49,14 @@ class State:
     done: bool = False
 
 
-def start(problem: Problem, starts: int, after: search.State | None = None) -> State:
+def start(problem: Problem, starts: int, after: SearchState | None = None) -> CmaState:
     """Before the first generation; `after` carries a failed linearised search's record over."""
     zero = np.zeros(len(problem.system.space))
-    state = State(0, starts, 0, 0, {}, np.inf, zero)
+    state = CmaState(0, starts, 0, 0, {}, np.inf, zero)
     if after is None:
         return state
     known = np.stack((after.z, zero))  # a rescue gives back nothing worse than what it was called for
-    values = _on_tiles(problem, known)
+    values = _on_clips(problem, known)
     best = int(np.argmin(values))
     return replace(
         state,
@@ -68,7 +68,7 @@ def start(problem: Problem, starts: int, after: search.State | None = None) -> S
     )
 
 
-def total(problem: Problem, state: State) -> int:
+def total(problem: Problem, state: CmaState) -> int:
     """Expected number of iterations."""
     return (
         state.number
@@ -77,7 +77,7 @@ def total(problem: Problem, state: State) -> int:
     )
 
 
-def advance(problem: Problem, state: State) -> State:
+def advance(problem: Problem, state: CmaState) -> CmaState:
     """One generation: draw clips, ask, evaluate all candidates on the same clips, tell."""
     rng = problem.rng(1, state.start, state.generation)
     windows = problem.pool.draw(rng, problem.clip_count)
@@ -122,7 +122,7 @@ def advance(problem: Problem, state: State) -> State:
     return _finish_start(problem, moved, mean) if over else moved
 
 
-def _restored(problem: Problem, state: State, rng: np.random.Generator) -> CMA:
+def _restored(problem: Problem, state: CmaState, rng: np.random.Generator) -> CMA:
     """The optimizer as the last generation left it, with this generation's own random numbers."""
     free = np.flatnonzero(problem.active)
     lower, upper = problem.system.space.bounds
@@ -141,16 +141,16 @@ def _restored(problem: Problem, state: State, rng: np.random.Generator) -> CMA:
     return optimizer
 
 
-def _on_tiles(problem: Problem, z: FloatArray) -> FloatArray:
-    """By what starts are compared: cost of candidates (p, d) on every tile, with the prior, shape (p,)."""
-    cost = problem.cost(problem.tiles)
+def _on_clips(problem: Problem, z: FloatArray) -> FloatArray:
+    """Cost of candidates (p, d) on all clips, with the prior, shape (p,), by which starts are compared."""
+    cost = problem.cost(problem.clips)
     prior = quadratic_prior(z, np.zeros(z.shape[1]), problem.system.space.prior_precision)
     return cost.costs(z) + prior / cost.clips.counts.sum()
 
 
-def _finish_start(problem: Problem, state: State, mean: FloatArray) -> State:
+def _finish_start(problem: Problem, state: CmaState, mean: FloatArray) -> CmaState:
     """Keep the better of this start's mean and what was known before."""
-    value = float(_on_tiles(problem, mean[None])[0])
+    value = float(_on_clips(problem, mean[None])[0])
     better = value < state.best_value
     return replace(
         state,

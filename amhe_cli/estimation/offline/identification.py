@@ -19,10 +19,12 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
 from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
-from amhe_cli.estimation.offline.conclusion import conclude, validate
+from amhe_cli.estimation.offline.cma import CmaState
+from amhe_cli.estimation.offline.conclude import conclude, validate
+from amhe_cli.estimation.offline.posterior import Finding
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Identification, Iteration
-from amhe_cli.estimation.offline.study import Finding
+from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -100,11 +102,11 @@ def _pose(
         fit, held = split_held_out(training, clips.held_out)
     engine = open_engine(system, threads=options.threads, executor=options.executor)
     problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed)
-    if not problem.tiles:
+    if not problem.clips:
         raise EstimationError(_no_clips(problem.pool))
     validation = ClipPool(system, held, clips)
     low, high = clips.length
-    windows = validation.tiles(clips.held_out_length or 0.5 * (low + high), clips.held_out_first_only)
+    windows = validation.cut(clips.held_out_length or 0.5 * (low + high), clips.held_out_first_only)
     if held and not windows:
         logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")
     if not problem.active.all():
@@ -153,7 +155,7 @@ def _search(
     if not problem.active.any():
         return replace(search.start(problem), stage="done", settled=True)  # nothing to look for
     saved = kept.load()
-    if isinstance(saved, cma.State):
+    if isinstance(saved, CmaState):
         return _run(cma.advance, cma.total, problem, saved, watch, kept)
     if method == "cmaes":
         return _run(cma.advance, cma.total, problem, cma.start(problem, 1), watch, kept)
@@ -167,7 +169,7 @@ def _search(
     return _run(cma.advance, cma.total, problem, cma.start(problem, starts, found), watch, kept)
 
 
-S = TypeVar("S", search.State, cma.State)
+S = TypeVar("S", SearchState, CmaState)
 
 
 def _run(
@@ -194,7 +196,7 @@ def _run(
 _BAD = 4.0
 
 
-def _needs_rescue(problem: Problem, finding: search.State, validation: list[Window]) -> bool:
+def _needs_rescue(problem: Problem, finding: SearchState, validation: list[Window]) -> bool:
     """The held-out cost stayed bad, or got worse by more than its scatter.
 
     Who begins at the truth cannot gain.

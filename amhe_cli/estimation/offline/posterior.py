@@ -1,27 +1,46 @@
-"""The posterior covariance: what the clips, the independent units of a log, say about z."""
+"""The posterior covariance of z: a final linearisation on all clips, and what they determine together."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.core.information import Information, gauss_newton_step, information
-from amhe_cli.estimation.core.linearise import Linearisation
+from amhe_cli.estimation.core.information import (
+    Information,
+    channel_times,
+    clip_weights,
+    fitted_noise_scale,
+    gauss_newton_step,
+    information,
+    objective,
+)
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
+from amhe_cli.estimation.core.shape import bounded, changed, diagonal, sampling_sd
+from amhe_cli.estimation.offline.cma import CmaState
+from amhe_cli.estimation.offline.problem import Problem, first_floor, spread_floor
+from amhe_cli.estimation.offline.search import SearchState
 
-#: Clips that the model's own noise is worth against the scatter of the clips' scores: with few clips the
-#: scatter is itself uncertain.
+#: The last state of a search.
+Finding = SearchState | CmaState
+
+#: Clips that the model's own noise counts for against the scatter of the clips' scores, which is itself
+#: uncertain where there are few clips.
 NOISE_WORTH = 10.0
+#: Most linearisations until the shape of the samples is that of the posterior.
+TURNS = 4
+#: Sampling sd of the first of them after CMA-ES, in prior sd.
+SMALL = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
-    """Estimate and covariance of z, from some clips and channels.
+    """Gaussian approximation of the posterior of z, from some clips and channels.
 
     Args:
-        step: One Gauss-Newton step away from where the information was taken, shape (d,).
+        step: Gauss-Newton step from where the clips were linearised to the posterior's mean, shape (d,).
         hessian: Information of data and prior, shape (d, d).
         scatter: Covariance of the data's score, shape (d, d).
         prior: Information of the prior, shape (d, d).
@@ -45,7 +64,7 @@ class Posterior:
 
     @property
     def data_covariance(self) -> FloatArray:
-        """The part of it that other data would change, shape (d, d)."""
+        """Part of the covariance that is due to the data alone, H^-1 B H^-1, shape (d, d)."""
         inverse = np.linalg.inv(self.hessian)
         return inverse @ self.scatter @ inverse
 
@@ -58,10 +77,10 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
     the latter where there are few clips.
 
     Args:
-        z: Where the information was taken, shape (d,).
+        z: Where the clips were linearised, shape (d,); the prior's mean is 0.
         found: Information of c clips.
-        weight: How often each clip counts, shape (c,); 0 leaves it out.
-        prior: The prior's information, shape (d, d).
+        weight: Number of times that each clip counts, shape (c,); 0 leaves it out.
+        prior: Information of the prior, shape (d, d).
     """
     matrix = np.einsum("c,cij->ij", weight, found.matrix)
     step, hessian = gauss_newton_step(matrix, np.einsum("c,ci->i", weight, found.score), prior, z)
@@ -82,7 +101,10 @@ def bootstrap_sd(
     resamples: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Spread of the one-step estimate over resampled clips, sd of z, shape (d,); NaN without clips."""
+    """Bootstrap over clips: sd of z over the one-step estimates from resampled clips, shape (d,).
+
+    It is NaN with fewer than two clips or resamples. See `posterior` for the other arguments.
+    """
     count = len(weight)
     if count < 2 or resamples < 2:
         return np.full(z.size, np.nan)
@@ -104,9 +126,105 @@ def by_kind(
     """Posterior from each kind of measurement alone.
 
     Args:
+        z: Where the clips were linearised, shape (d,).
+        slopes: Linearisation of c clips.
+        weight: Number of times that each clip counts, shape (c,).
+        prior: Information of the prior, shape (d, d).
         kinds: Kind of each compared channel, such as 'position'.
     """
     return {
         kind: posterior(z, information(slopes, [k == kind for k in kinds]), weight, prior)
         for kind in dict.fromkeys(kinds)
     }
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FinalFit:
+    """Linearisation of all clips at the estimate.
+
+    Args:
+        slopes: Residuals of c clips and their slopes.
+        found: Information of the clips.
+        weight: Number of times that each clip counts, shape (c,).
+        posterior: Posterior of z.
+        shape: Shape of the samples of z, (d, d).
+        scale: Channel -> residual sd over declared noise sd.
+        z: The estimate, shape (d,).
+    """
+
+    slopes: Linearisation
+    found: Information
+    weight: FloatArray
+    posterior: Posterior
+    shape: FloatArray
+    scale: Mapping[str, float]
+    z: FloatArray
+
+    @property
+    def times(self) -> tuple[float, ...]:
+        """Autocorrelation time of each channel's residuals, in samples."""
+        return channel_times(self.slopes.cost, self.found.residual, self.slopes.completed)
+
+    def cost_beside(self, z: FloatArray) -> FloatArray:
+        """Mean cost of candidates z (p, d) near the estimate, first states fitted along, shape (p,)."""
+        cost = self.slopes.cost
+        first = self.found.first(z - self.z)
+        residuals = cost.residuals(z, first if first.shape[2] else None)
+        counted = (self.weight > 0.0).astype(float)
+        total = objective(cost, residuals, first, (1.0,) * len(residuals.values), counted)
+        return total / max(float((counted * cost.clips.counts).sum()), 1.0)
+
+
+def final_fit(problem: Problem, finding: Finding) -> FinalFit:
+    """Linearise all clips at the estimate.
+
+    Samples have the shape of the posterior, which depends on the linearisation: this is repeated until the
+    shape no longer changes.
+    """
+    prior = problem.system.space.prior_precision
+    coverage = problem.coverage(problem.clips)
+    floor = spread_floor(problem)
+    searched = isinstance(finding, SearchState)
+    shape = finding.shape if searched else diagonal(SMALL, problem.active)
+    scale, first = finding.scale, finding.first if searched else None
+    # on a rough cost, the last steps of the search have sampled in this shape and fitted the first states
+    known = problem.rough and first is not None
+    for turn in range(TURNS):
+        slopes = _linearised(problem, finding, scale, shape, first, turn)
+        found = information(slopes)
+        weight = clip_weights(slopes, found) * coverage
+        fit = FinalFit(
+            slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z
+        )
+        wanted = bounded(4.0 * fit.posterior.covariance, floor, problem.active)
+        if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
+            break
+        shape, scale, known = wanted, fitted_noise_scale(slopes, found, scale), True
+        first = found.first_states(np.zeros_like(finding.z), first_floor(problem))
+    return fit
+
+
+def step_ratio(problem: Problem, finding: Finding, fit: FinalFit) -> FloatArray:
+    """Ratio of the posterior sd to that from samples twice as wide, shape (d,); 1 where the model is linear.
+
+    It is NaN for parameters that no measurement depends on.
+    """
+    first = fit.slopes.first
+    found = information(_linearised(problem, finding, fit.scale, 2.0 * fit.shape, first, TURNS))
+    doubled = posterior(finding.z, found, fit.weight, problem.system.space.prior_precision)
+    return np.where(problem.active, fit.posterior.sd / doubled.sd, np.nan)
+
+
+def _linearised(
+    problem: Problem,
+    finding: Finding,
+    scale: Mapping[str, float],
+    shape: FloatArray,
+    first: FirstStates | None,
+    place: int,
+) -> Linearisation:
+    cost = problem.cost(problem.clips, scale)
+    fitted = problem.settings.identify.first_state != "never"
+    at = first or FirstStates.recorded(len(problem.clips), cost.nx if fitted else 0)
+    samples = problem.settings.identify.samples
+    return linearise(cost, finding.z, at, shape, samples, problem.rng(3, place), averaged=problem.rough)

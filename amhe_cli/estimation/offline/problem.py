@@ -57,23 +57,23 @@ class Problem:
         return np.random.default_rng([self.seed, *place])
 
     @cached_property
-    def _all_tiles(self) -> Sequence[Window]:
-        """Every usable tile; the pool counts what it drops, so it is asked once."""
+    def _all_clips(self) -> Sequence[Window]:
+        """Every usable clip; cut only once, since the pool counts what it drops."""
         low, high = self.settings.clips.length
-        return self.only or self.pool.tiles(0.5 * (low + high))
+        return self.only or self.pool.cut(0.5 * (low + high))
 
     @cached_property
-    def tiles(self) -> tuple[Window, ...]:
+    def clips(self) -> tuple[Window, ...]:
         """The fitted logs cut into clips, each instant used once; thinned evenly where there are many."""
-        tiles, most = self._all_tiles, 4 * self.settings.clips.count
-        if len(tiles) > most and not self.only:
-            tiles = [tiles[i] for i in np.linspace(0, len(tiles) - 1, most).round().astype(int)]
-        return tuple(tiles)
+        clips, most = self._all_clips, 4 * self.settings.clips.count
+        if len(clips) > most and not self.only:
+            clips = [clips[i] for i in np.linspace(0, len(clips) - 1, most).round().astype(int)]
+        return tuple(clips)
 
     @cached_property
     def clip_count(self) -> int:
         """Random clips of one iteration: no more than the logs hold side by side, but some."""
-        return min(self.settings.clips.count, max(FEWEST, len(self.tiles)))
+        return min(self.settings.clips.count, max(FEWEST, len(self.clips)))
 
     def coverage(self, windows: Sequence[Window]) -> float:
         """Time in the fitted logs over time in these clips: how often each clip's information counts."""
@@ -82,13 +82,13 @@ class Problem:
     @cached_property
     def moving_time(self) -> float:
         """Time of the fitted logs that clips can use [s]."""
-        return sum(w.duration for w in self._all_tiles)
+        return sum(w.duration for w in self._all_clips)
 
     @cached_property
     def active(self) -> BoolArray:
         """Parameters that these logs can feel at all, shape (d,)."""
         d = len(self.system.space)
-        clips = self.tiles[:: max(1, len(self.tiles) // 8)]
+        clips = self.clips[:: max(1, len(self.clips) // 8)]
         steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d), -0.5 * np.eye(d)))
         residuals = self.cost(clips).residuals(self.system.space.clip(steps))
         moved = np.abs(residuals.flat - residuals.flat[0]).max(axis=(1, 2))[1:].reshape(2, d)
@@ -101,7 +101,7 @@ class Problem:
         d = len(self.system.space)
         steps = np.diag(self.system.space.in_z(0.005) * self.active)
         candidates = self.system.space.clip(np.concatenate((np.zeros((1, d)), steps, -steps)))
-        residuals = self.cost(self.tiles[:: max(1, len(self.tiles) // 8)]).residuals(candidates)
+        residuals = self.cost(self.clips[:: max(1, len(self.clips) // 8)]).residuals(candidates)
         centre, plus, minus = np.split(residuals.flat, [1, d + 1])
         odd = ((plus - minus) ** 2).sum(axis=(0, 2))  # (c,)
         even = ((plus + minus - 2.0 * centre) ** 2).sum(axis=(0, 2))

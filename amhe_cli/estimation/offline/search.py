@@ -47,11 +47,11 @@ BLIND_LINE = np.array([1.0, 0.5, 0.2])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class State:
+class SearchState:
     """Where a linearised search stands; all that a checkpoint needs.
 
     Args:
-        stage: 'explore' re-draws random clips each iteration, 'polish' uses every tile.
+        stage: 'explore' re-draws random clips each iteration, 'polish' uses the same ones.
         number: Iterations done.
         z: Estimate, shape (d,).
         shape: Of the sampling, shape (d, d).
@@ -59,7 +59,7 @@ class State:
         record: One entry an iteration.
         settled: The last step was short, and the samples no wider than the posterior.
         trail: Where each step of polishing a rough cost ended, shape (k, d).
-        first: What is known of the tiles' first states; None: what was recorded.
+        first: Posterior of the clips' first states; None: as recorded.
     """
 
     stage: Stage
@@ -78,27 +78,27 @@ class State:
         return self.stage == "done"
 
 
-def start(problem: Problem) -> State:
+def start(problem: Problem) -> SearchState:
     """The prior mean, and a spread of half the prior."""
-    return State("explore", 0, np.zeros(len(problem.system.space)), diagonal(WIDEST, problem.active))
+    return SearchState("explore", 0, np.zeros(len(problem.system.space)), diagonal(WIDEST, problem.active))
 
 
-def total(problem: Problem, state: State) -> int:
+def total(problem: Problem, state: SearchState) -> int:
     """Most iterations that the search may take."""
     return problem.settings.identify.iterations
 
 
-def restart(problem: Problem, z: FloatArray) -> State:
+def restart(problem: Problem, z: FloatArray) -> SearchState:
     """Polishing from z (d,), for a problem that is part of a solved one."""
-    return State("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
+    return SearchState("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
 
 
-def advance(problem: Problem, state: State) -> State:
+def advance(problem: Problem, state: SearchState) -> SearchState:
     """One iteration: draw clips, linearise, step, and decide what comes next."""
     setting = problem.settings.identify
     exploring = state.stage == "explore"
     rng = problem.rng(0, state.number)
-    windows = problem.pool.draw(rng, problem.clip_count) if exploring else problem.tiles
+    windows = problem.pool.draw(rng, problem.clip_count) if exploring else problem.clips
     cost = problem.cost(windows, state.scale)
     nx = cost.nx if _fits_first_states(setting.first_state, exploring) else 0
     first = state.first or FirstStates.recorded(len(windows), nx)
@@ -123,13 +123,13 @@ def advance(problem: Problem, state: State) -> State:
         shape=shape,
         scale=fitted_noise_scale(slopes, found, state.scale),
         record=(*state.record, _entry(problem, state, taken, slopes)),
-        # the tiles are the same next time; random clips are not
+        # these clips are the same next time; random ones are not
         first=None if exploring else found.first_states(z - state.z, first_floor(problem)),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class LineStep:
     """A Gauss-Newton step that was tried and accepted.
 
     Args:
@@ -147,7 +147,7 @@ class Step:
     diverged: int
 
 
-def gauss_newton(problem: Problem, state: State, slopes: Linearisation, found: Information) -> Step:
+def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, found: Information) -> LineStep:
     """Step towards the minimum of the linearised cost plus prior; the true cost decides how far."""
     cost, prior = slopes.cost, problem.system.space.prior_precision
     weight = clip_weights(slopes, found) * problem.coverage(cost.clips.windows)
@@ -167,7 +167,7 @@ def gauss_newton(problem: Problem, state: State, slopes: Linearisation, found: I
     best = int(np.argmax(np.isfinite(values)) if blind else np.argmin(values))
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     moved = tried[best] - state.z
-    return Step(
+    return LineStep(
         z=tried[best],
         moved=float(np.sqrt(moved @ hessian @ moved)),
         far=bool(reach > 1.0),
@@ -178,7 +178,7 @@ def gauss_newton(problem: Problem, state: State, slopes: Linearisation, found: I
 
 
 def _reshaped(
-    problem: Problem, state: State, taken: Step, straight: Information, windows: Sequence[Window]
+    problem: Problem, state: SearchState, taken: LineStep, straight: Information, windows: Sequence[Window]
 ) -> FloatArray:
     """Where to sample next: narrower, along the posterior; wider where the step wanted out.
 
@@ -201,14 +201,14 @@ def _fits_first_states(when: str, exploring: bool) -> bool:
     return when == "always" or (when == "polish" and not exploring)
 
 
-def _next_stage(state: State, number: int, settled: bool, setting: IdentifySettings) -> Stage:
+def _next_stage(state: SearchState, number: int, settled: bool, setting: IdentifySettings) -> Stage:
     if state.stage == "explore":
         late = number >= setting.iterations - setting.polish
         return "polish" if (settled and number >= 3) or late else "explore"
     return "done" if settled or number >= setting.iterations else "polish"
 
 
-def _entry(problem: Problem, state: State, taken: Step, found: Linearisation) -> Iteration:
+def _entry(problem: Problem, state: SearchState, taken: LineStep, found: Linearisation) -> Iteration:
     return Iteration(
         number=state.number + 1,
         method=f"linearised, {state.stage}",

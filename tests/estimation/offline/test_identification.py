@@ -221,12 +221,12 @@ def test_a_command_delay_is_found(swing, tmp_path):
 
 
 def test_ctrl_c_while_concluding_still_gives_a_result(pendulum, swing, monkeypatch, caplog):
-    from amhe_cli.estimation.offline import conclusion
+    from amhe_cli.estimation.offline import conclude
 
     def press(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(conclusion, "shifts_of", press)
+    monkeypatch.setattr(conclude, "shifts_of", press)
     result = identify(pendulum, [swing(3.0)], None, IdentifyOptions())
     assert result.interrupted
     assert "checks are not complete" in caplog.text

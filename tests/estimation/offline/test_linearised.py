@@ -16,7 +16,7 @@ from tests.estimation.offline.conftest import TRUTH
 
 @pytest.fixture(scope="module")
 def cost(pendulum, swing) -> MatchingCost:
-    windows = ClipPool(pendulum, [whole(swing(3.0))], pendulum.settings.clips).tiles(0.5)
+    windows = ClipPool(pendulum, [whole(swing(3.0))], pendulum.settings.clips).cut(0.5)
     engine = open_engine(pendulum)
     return MatchingCost(pendulum, windows, engine, pendulum.settings.cost)
 

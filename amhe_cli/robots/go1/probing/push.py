@@ -16,7 +16,7 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
 from amhe_cli.estimation.design.information import information_at
 from amhe_cli.estimation.design.plan import ProbePlan, parts_of
-from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, read, tiles
+from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, clips_of, read
 from amhe_cli.live.loop import drive
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.link.open import open_go1_run
@@ -137,7 +137,7 @@ class PushProbe:
             path = Path(folder) / "rehearsal.mcap"
             ending = self._record(run, path)
             log = read(system, path)
-        windows = [w for w in tiles(system, log) if w.start * log.dt >= APPROACH.seconds]
+        windows = [w for w in clips_of(system, log) if w.start * log.dt >= APPROACH.seconds]
         if ending.error is not None or not windows:
             return np.zeros((z.size, z.size))
         truth = system.space.z_of(np.array([run.first_truth[name] for name in system.space.names]))

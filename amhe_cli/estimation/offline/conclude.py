@@ -8,8 +8,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.statistics import correlation
-from amhe_cli.estimation.offline import cma
-from amhe_cli.estimation.offline.contradictions import (
+from amhe_cli.estimation.offline.checks import (
     disagreements,
     report_drift,
     report_misfit,
@@ -17,12 +16,12 @@ from amhe_cli.estimation.offline.contradictions import (
     shifts_of,
     systematic,
 )
+from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.fits import fits
-from amhe_cli.estimation.offline.identifiability import Evidence, combinations, profiles, verdicts
-from amhe_cli.estimation.offline.posterior import bootstrap_sd
+from amhe_cli.estimation.offline.posterior import Finding, bootstrap_sd, final_fit, step_ratio
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import ClipCount, HeldOut, Identification
-from amhe_cli.estimation.offline.study import Finding, step_ratio, study_of
+from amhe_cli.estimation.offline.verdicts import Evidence, combinations, profiles, verdicts
 from amhe_cli.matching.cost import MatchingCost
 
 
@@ -42,7 +41,7 @@ def conclude(
     evidence = _evidence(problem, finding, hurried)
     return Identification(
         system=system.name,
-        method="cmaes" if isinstance(finding, cma.State) else "linearised",
+        method="cmaes" if isinstance(finding, CmaState) else "linearised",
         parameters=verdicts(system.space, evidence),
         belief=belief_of(system.name, system.space, finding.z, evidence.covariance, {}),
         correlations=correlation(evidence.covariance),
@@ -52,32 +51,32 @@ def conclude(
         rollouts=sum(i.rollouts for i in finding.record),
         diverged=sum(i.diverged for i in finding.record),
         clips=ClipCount(
-            fitted=len(problem.tiles),
+            fitted=len(problem.clips),
             held_out=len(validation),
             motionless=problem.pool.motionless,
             across_gaps=problem.pool.across_gaps,
         ),
         noise_scale=evidence.noise_scale,
-        fits=fits(problem, finding.z, validation or list(problem.tiles), bool(validation)),
+        fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
         interrupted=interrupted,
-        logs=tuple(dict.fromkeys(s.log.source for s in problem.pool.stretches)),
+        logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
     )
 
 
 def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     """All that can be said of how well the estimate is known."""
     space, setting = problem.system.space, problem.settings.identify
-    study = study_of(problem, finding)
-    compared = disagreements(problem, finding, study, with_halves=not hurried)
-    report_misfit(study)
-    report_unsettled(problem, finding, study)
+    fit = final_fit(problem, finding)
+    compared = disagreements(problem, finding, fit, with_halves=not hurried)
+    report_misfit(fit)
+    report_unsettled(problem, finding, fit)
     report_drift(space, compared)
-    shifts = {} if hurried else shifts_of(problem, finding, study)
-    ratio = step_ratio(problem, finding, study)
-    own = study.posterior.covariance
+    shifts = {} if hurried else shifts_of(problem, finding, fit)
+    ratio = step_ratio(problem, finding, fit)
+    own = fit.posterior.covariance
     rough = np.diag(own) * (np.nan_to_num(np.maximum(1.0 / ratio, 1.0), nan=1.0) ** 2 - 1.0)
     wrong = space.in_z([setting.model_error.get(name, 0.0) for name in space.names])
-    extra = systematic(study.posterior, compared, shifts) + rough + wrong**2
+    extra = systematic(fit.posterior, compared, shifts) + rough + wrong**2
     wider = np.sqrt(1.0 + extra * problem.active / np.diag(own))
     covariance = own * np.outer(wider, wider)  # what is known together stays so
     points = 0 if hurried else setting.profile_points
@@ -87,14 +86,14 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
         active=problem.active,
         step_ratio=ratio,
         bootstrap=bootstrap_sd(
-            finding.z, study.found, study.weight, space.prior_precision, setting.bootstrap, problem.rng(4)
+            finding.z, fit.found, fit.weight, space.prior_precision, setting.bootstrap, problem.rng(4)
         ),
         disagreements=compared,
         shifts=shifts,
         profiles=profiles(
-            space, study.cost_beside, finding.z, np.sqrt(np.diag(covariance)), problem.active, points
+            space, fit.cost_beside, finding.z, np.sqrt(np.diag(covariance)), problem.active, points
         ),
-        noise_scale=study.scale,
+        noise_scale=fit.scale,
     )
 
 

@@ -1,21 +1,24 @@
-"""What estimates say of the newest part of their windows: the measured topics, as they should have been."""
+"""Predictions of a replay's windows from their own estimates: for the written log, and for figures."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import Engine
+from amhe_cli.estimation.offline.fits import SHOWN, fit_of
+from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.horizon import usable
 from amhe_cli.estimation.online.replay import Replay
+from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.windows import starts_of
 from amhe_cli.system.system import System
 
-#: Windows that are rolled out at once: enough for every thread, and no more memory than that takes.
+#: Windows that are rolled out at once: enough for every thread without much memory.
 _AT_ONCE = 16
 
 
@@ -33,10 +36,10 @@ class Prediction:
 
 
 def predictions(done: Replay, engine: Engine) -> list[Prediction | None]:
-    """Roll each window out with the estimate that it led to, and keep the part that no window before held.
+    """Roll each window out with the estimate after it, and keep the part that is new in it.
 
     Returns:
-        One for each window; None where it lacks a signal to start from, or the rollout diverged.
+        One prediction for each window; None where a signal is missing at its start, or the rollout diverged.
     """
     theta, system = done.column("theta"), done.system
     newest = round(system.settings.mhe.update_period / done.windows[0].log.dt)
@@ -53,7 +56,7 @@ def predictions(done: Replay, engine: Engine) -> list[Prediction | None]:
 def _ends(
     system: System, engine: Engine, windows: Sequence[Window], theta: FloatArray, newest: int
 ) -> list[Prediction | None]:
-    """Of windows of one length, each with its own theta (windows, d); the last `newest` rows."""
+    """The last `newest` rows of windows of one length, each rolled out with its own theta (windows, d)."""
     smoothing = system.settings.cost.smoothing
     starts = [starts_of(system, [window], smoothing) for window in windows]
     delays = system.edits.delays(theta) / system.model.opt.timestep
@@ -76,3 +79,31 @@ def _ends(
         else None
         for i, window in enumerate(windows)
     ]
+
+
+def replay_fits(done: Replay, engine: Engine) -> tuple[Fit, ...]:
+    """Measured against predicted in the used windows of least, median and largest misfit, by channel.
+
+    The initial prediction is from the belief before the replay, the identified one from the estimate after
+    the window.
+    """
+    moved = done.column("updated")
+    order = np.argsort(np.where(moved, done.column("misfit"), np.inf))[: int(moved.sum())]
+    if not order.size:
+        return ()
+    picks = order[np.unique(np.linspace(0, order.size - 1, SHOWN).round().astype(int))]
+    return tuple(fit for i in picks for fit in _fits(done, engine, int(i)))
+
+
+def _fits(done: Replay, engine: Engine, i: int) -> Iterator[Fit]:
+    window, estimate, system = done.windows[i], done.estimates[i], done.system
+    cost = MatchingCost(system, [window], engine, system.settings.cost)
+    predicted = cost.predict(np.stack((done.start.z, system.space.z_of(estimate.theta))))
+    end = done.times[i]
+    label = (
+        f"{end - window.duration:.2f} to {end:.2f} s: misfit {estimate.misfit:.2g}"
+        f"{'' if estimate.mark == 'updated' else f', {estimate.mark}'}"
+    )
+    for observed, values in zip(cost.clips.observed, predicted.values, strict=True):
+        if observed.mask[0].any():
+            yield replace(fit_of(observed, values[:, 0], window, 0, held_out=False), clip=label)

@@ -17,10 +17,18 @@ from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.open import contact_variants
 from amhe_cli.estimation.core.information import Information, information, objective
 from amhe_cli.estimation.offline import search
-from amhe_cli.estimation.offline.identifiability import NOTED, SURPRISE, share, size
-from amhe_cli.estimation.offline.posterior import Posterior, by_kind, disagreement, posterior
+from amhe_cli.estimation.offline.posterior import (
+    FinalFit,
+    Finding,
+    Posterior,
+    by_kind,
+    disagreement,
+    final_fit,
+    posterior,
+)
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.study import Finding, Study, study_of
+from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, share, size
 from amhe_cli.matching.cost import MatchingCost
 
 logger = logging.getLogger(__name__)
@@ -33,7 +41,7 @@ REFITS, FEWEST_CLIPS = 2, 3
 
 
 def disagreements(
-    problem: Problem, finding: Finding, study: Study, *, with_halves: bool
+    problem: Problem, finding: Finding, fit: FinalFit, *, with_halves: bool
 ) -> dict[str, tuple[FloatArray, FloatArray]]:
     """Estimates from one part of the data against another: under a right model they agree.
 
@@ -41,8 +49,8 @@ def disagreements(
         What is compared -> (difference, its sd), each (d,) in z.
     """
     prior = problem.system.space.prior_precision
-    kinds = [_kind(o.channel.key) for o in study.slopes.cost.clips.observed]
-    alone = by_kind(finding.z, study.slopes, study.weight, prior, kinds)
+    kinds = [_kind(o.channel.key) for o in fit.slopes.cost.clips.observed]
+    alone = by_kind(finding.z, fit.slopes, fit.weight, prior, kinds)
     names = list(alone)
     compared = {
         f"{one} and {other} data": disagreement(alone[one], alone[other])
@@ -51,11 +59,9 @@ def disagreements(
     }
     if with_halves and (parts := _halves(problem, finding)) is not None:
         compared[HALVES] = parts
-    logs = _later_logs(problem.tiles)
+    logs = _later_logs(problem.clips)
     if _both(logs):
-        earlier, later = (
-            posterior(finding.z, study.found, study.weight * side, prior) for side in (~logs, logs)
-        )
+        earlier, later = (posterior(finding.z, fit.found, fit.weight * side, prior) for side in (~logs, logs))
         compared["the earlier and the later logs"] = disagreement(later, earlier)
     return compared
 
@@ -66,16 +72,16 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
     Each half is searched by itself, from the recorded first states: where they differ much, the misfit of
     their compromise looks like noise, and would hide that they do. So would first states fitted to it.
     """
-    late = np.array([w.start + 0.5 * w.length > 0.5 * (w.log.steps - 1) for w in problem.tiles])
+    late = np.array([w.start + 0.5 * w.length > 0.5 * (w.log.steps - 1) for w in problem.clips])
     if not _both(late):
         return None
     means, variances = [], []
     for rows in (np.flatnonzero(late), np.flatnonzero(~late)):
-        part = replace(problem, only=tuple(problem.tiles[i] for i in rows))
+        part = replace(problem, only=tuple(problem.clips[i] for i in rows))
         state = search.restart(part, finding.z)
         for _ in range(REFITS):
             state = search.advance(part, state)
-        found = study_of(part, state).posterior
+        found = final_fit(part, state).posterior
         means.append(state.z + found.step)
         variances.append(np.diag(found.data_covariance))
     return means[0] - means[1], np.sqrt(variances[0] + variances[1])
@@ -86,33 +92,33 @@ def _both(side: BoolArray) -> bool:
     return min(side.sum(), (~side).sum()) >= FEWEST_CLIPS
 
 
-def _later_logs(tiles: Sequence[Window]) -> BoolArray:
+def _later_logs(clips: Sequence[Window]) -> BoolArray:
     """Which clips are of the second half of the logs; none where there is one log."""
-    order = {source: i for i, source in enumerate(dict.fromkeys(w.log.source for w in tiles))}
-    return np.array([2 * order[w.log.source] >= len(order) > 1 for w in tiles])
+    order = {source: i for i, source in enumerate(dict.fromkeys(w.log.source for w in clips))}
+    return np.array([2 * order[w.log.source] >= len(order) > 1 for w in clips])
 
 
-def shifts_of(problem: Problem, finding: Finding, study: Study) -> dict[str, FloatArray]:
+def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> dict[str, FloatArray]:
     """Where the estimate would move if unmeasured details of contact were others.
 
     A detail that the log itself speaks against, even with another estimate and other first states, is taken
     only as far as the log allows: to where the misfit would have risen by SURPRISE squared.
     """
     system, prior = problem.system, problem.system.space.prior_precision
-    least = _misfit(study, study.slopes.cost, study.found, study.posterior.step)
+    least = _misfit(fit, fit.slopes.cost, fit.found, fit.posterior.step)
     shifts = {}
     for name, engine in contact_variants(problem.engine, system.model).items():
-        cost = MatchingCost(system, problem.tiles, engine, problem.settings.cost, study.scale)
-        slopes, first = study.slopes, study.slopes.first.mean[None]
+        cost = MatchingCost(system, problem.clips, engine, problem.settings.cost, fit.scale)
+        slopes, first = fit.slopes, fit.slopes.first.mean[None]
         residuals = cost.residuals(finding.z[None], first if first.shape[2] else None)
         both = slopes.completed & residuals.completed[0]
         shifted = slopes.residual + residuals.flat[0] - slopes.centre
         moved = information(replace(slopes, residual=shifted, completed=both))
-        there = posterior(finding.z, moved, study.weight * both, prior)
-        rise = _misfit(study, cost, moved, there.step) - least
+        there = posterior(finding.z, moved, fit.weight * both, prior)
+        rise = _misfit(fit, cost, moved, there.step) - least
         share = allowed(rise)
         told = name if share == 1.0 else f"{name}, as far as the log allows it,"
-        shifts[told] = share * (there.step - study.posterior.step)
+        shifts[told] = share * (there.step - fit.posterior.step)
     return shifts
 
 
@@ -124,11 +130,11 @@ def allowed(rise: float) -> float:
     return SURPRISE / float(np.sqrt(max(rise, SURPRISE**2)))
 
 
-def _misfit(study: Study, cost: MatchingCost, found: Information, step: FloatArray) -> float:
+def _misfit(fit: FinalFit, cost: MatchingCost, found: Information, step: FloatArray) -> float:
     """Weighted squared residuals a step (d,) from the estimate, first states moved along."""
-    z, first = cost.system.space.clip(study.z + step)[None], found.first(step[None])
+    z, first = cost.system.space.clip(fit.z + step)[None], found.first(step[None])
     residuals = cost.residuals(z, first if first.shape[2] else None)
-    return float(objective(cost, residuals, first, study.times, study.weight)[0])
+    return float(objective(cost, residuals, first, fit.times, fit.weight)[0])
 
 
 def systematic(
@@ -149,11 +155,11 @@ def systematic(
     return contradicted + found.step**2
 
 
-def report_unsettled(problem: Problem, finding: Finding, study: Study) -> None:
+def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
     """Warn of a search that stopped on its way; on a rough cost the steps never get short."""
     space = problem.system.space
-    left = np.abs(study.posterior.step) / study.posterior.sd
-    moving = isinstance(finding, search.State) and not (finding.settled or problem.rough)
+    left = np.abs(fit.posterior.step) / fit.posterior.sd
+    moving = isinstance(finding, SearchState) and not (finding.settled or problem.rough)
     if moving or left.max() > UNSETTLED:
         logger.warning(
             f"the search stopped before it settled ({space.names[int(left.argmax())]} was still moving): "
@@ -161,9 +167,9 @@ def report_unsettled(problem: Problem, finding: Finding, study: Study) -> None:
         )
 
 
-def report_misfit(study: Study) -> None:
+def report_misfit(fit: FinalFit) -> None:
     """Warn of channels that the model does not explain."""
-    for key, scale in study.scale.items():
+    for key, scale in fit.scale.items():
         if scale > MISFIT:
             logger.warning(
                 f"the model misses {key} by {scale:.1f} times its declared noise: something is missing in it "

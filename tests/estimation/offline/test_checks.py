@@ -10,10 +10,10 @@ import pytest
 
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.checks import allowed, shifts_of
 from amhe_cli.estimation.offline.clips import ClipPool, whole
-from amhe_cli.estimation.offline.contradictions import allowed, shifts_of
+from amhe_cli.estimation.offline.posterior import final_fit
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.study import study_of
 from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP
 from tests.estimation.offline.test_identification import fall
@@ -36,7 +36,7 @@ def shifted(noise: float, executor: Executor | None = None) -> dict[str, np.ndar
     z = np.zeros(len(system.space))
     z[0] = system.space.z_of(np.array([0.3, *system.space.nominal[1:]]))[0]
     state = search.restart(problem, z)
-    return shifts_of(problem, state, study_of(problem, state))
+    return shifts_of(problem, state, final_fit(problem, state))
 
 
 def test_a_sharp_log_that_rules_soft_contacts_out_is_not_widened_by_them() -> None:
