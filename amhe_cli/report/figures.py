@@ -22,7 +22,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.offline.result import Fit, Iteration, ParameterResult
 
-logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it tells users about its font cache
+logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its notes on its font cache are of no use to users
 
 INK, MUTED, RULE = "#1e293b", "#64748b", "#e2e8f0"
 IDENTIFIED, INITIAL, MEASURED = "#2563eb", "#d97706", "#475569"
@@ -33,13 +33,13 @@ FONTS = "Inter, 'Segoe UI', 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 #: Width of the page's figures [inch].
 WIDTH = 10.4
 
-#: Panels of one clip; of a robot with 12 joints those that move most are shown.
+#: Panels of one clip; if there are more columns, those that move most are shown.
 MAX_PANELS = 9
 
-#: Points of one line: a clip has thousands, a panel has hundreds of pixels.
+#: Points of one line: a clip has thousands, but a panel is only hundreds of pixels wide.
 MAX_POINTS = 240
 
-#: Coordinates in paths, and their digits below a hundredth of a point, which nobody sees.
+#: Coordinates in paths, and their digits below a hundredth of a point, which are too small to see.
 _PATH, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d\d)\d+")
 
 _STYLE = {
@@ -68,18 +68,18 @@ _STYLE = {
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Cells of equal size over the width of the page; twice as fast as a layout engine."""
+    """Cells of equal size over the width of the page; twice as fast as matplotlib's layout engine."""
 
     count: int
     across: int
     height: float  # of a cell [inch]
 
     def figure(self) -> Figure:
-        """An empty one that holds the cells."""
+        """An empty figure with room for the cells."""
         return Figure(figsize=(WIDTH, self.height * -(-self.count // self.across)))
 
     def axes(self, figure: Figure, index: int, bottom: float = 0.42, top: float = 0.26) -> Axes:
-        """Axes in one cell, so many inches from its lower and its upper edge."""
+        """Axes in one cell, `bottom` and `top` inches from its lower and upper edge."""
         row, column = divmod(index, self.across)
         total = figure.get_figheight()
         low = total - (row + 1) * self.height + bottom
@@ -89,7 +89,7 @@ class Grid:
 
 
 def styled(salt: str, **more: Any) -> AbstractContextManager[None]:
-    """The look of a figure; `salt` keeps the ids of several figures on one page apart."""
+    """The style of a figure; `salt` makes the ids of figures on the same page differ."""
     style: Any = {**_STYLE, "svg.hashsalt": salt, **more}
     return matplotlib.rc_context(style)
 
@@ -128,7 +128,7 @@ def _draw_fit(above: Axes, below: Axes, fit: Fit, column: int) -> None:
 
 
 def _dots(axes: Axes, x: FloatArray, y: FloatArray, color: str) -> None:
-    """Points as one path of lines without length: a tenth of the size of as many markers."""
+    """Points as one path of lines without length: a tenth of the file size of markers."""
     gap = np.full(x.size, np.nan)
     axes.plot(
         np.stack((x, x, gap), axis=1).ravel(),
@@ -141,7 +141,7 @@ def _dots(axes: Axes, x: FloatArray, y: FloatArray, color: str) -> None:
 
 
 def _frame(axes: Axes, *shown: FloatArray) -> None:
-    """Limits that hold what matters; a prediction that runs away may leave the picture."""
+    """Set limits that hold the given values; other curves may leave the picture."""
     values = np.concatenate([s[np.isfinite(s)] for s in shown])
     low, high = (values.min(), values.max()) if values.size else (0.0, 1.0)
     margin = 0.15 * (high - low) or 0.1 * abs(high) or 1.0
@@ -157,7 +157,7 @@ def _liveliest(fit: Fit, count: int) -> list[int]:
 
 
 def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """At most MAX_POINTS points that keep every peak: the extremes of each of many short stretches."""
+    """At most MAX_POINTS points that keep every peak: the extremes of many short stretches."""
     values = np.where(np.isfinite(values), values, np.nan)
     if values.size <= MAX_POINTS:
         return time, values
@@ -226,7 +226,7 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup
 
 
 def profile_figure(parameters: Sequence[ParameterResult]) -> Markup | None:
-    """Cost along each parameter; a flat one says that the logs do not see it."""
+    """Cost along each parameter; None if no profile was computed."""
     drawn = [(p, *p.profile) for p in parameters if p.profile is not None]
     if not drawn:
         return None

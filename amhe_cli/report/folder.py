@@ -1,4 +1,4 @@
-"""The folder that a command writes: refused early if it holds something, filled whole or not at all."""
+"""The folder that a command writes: refused early if it is not empty, filled completely or not at all."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
     """The folder to write to; refused before any work is done.
 
     Args:
-        out: What the user asked for; None: a fresh `amhe-out/<command>-<date>-<time>`.
+        out: The folder that the user named; None: a new `amhe-out/<command>-<date>-<time>`.
         command: Name of the command.
-        force: Write into a folder that is not empty; what else is in it stays.
+        force: Whether a folder that is not empty may be written to; its other files stay.
 
     Raises:
-        ConfigError: `out` holds something and `force` is not given, it is a file, or cannot be written.
+        ConfigError: `out` is not empty and `force` is not given, or it is a file or cannot be written.
     """
     if out is None:
         out = _fresh(Path("amhe-out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}")
@@ -46,7 +46,7 @@ def _fresh(path: Path) -> Path:
 
 @contextmanager
 def filling(folder: Path) -> Iterator[Path]:
-    """Give an empty scratch folder; on a good end its files become `folder`'s, on an error they vanish.
+    """Yield an empty scratch folder; its files move into `folder` at the end, or are deleted on an error.
 
     A new folder appears in one rename; in an existing one each file is replaced in one rename.
     """

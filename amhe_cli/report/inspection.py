@@ -1,4 +1,4 @@
-"""What is in a log, on a terminal and as plain values."""
+"""The content of a log, on a terminal and as plain values."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.logs import Inspection, Survey, TopicSurvey
 from amhe_cli.report import numbers
 
-#: Names in a message that are listed before the rest is counted.
+#: Names in a message that are listed; further ones are counted.
 MAX_ENTRIES = 6
 
-#: A silence this many times a topic's period is worth showing.
+#: A gap of more than this many periods of a topic is shown with its time.
 GAP_PERIODS = 5.0
 
 
@@ -46,14 +46,16 @@ def inspection_record(found: Inspection) -> dict[str, Any]:
 
 
 def losses(found: Inspection) -> list[str]:
-    """What a script should know to be wrong with a log, a line each."""
+    """What is wrong with a log, one line for each problem."""
     path = found.survey.path
-    lost = [f"{path}: {problem}" for problem in found.survey.problems]
-    return lost if found.usable in (None, True) else [*lost, f"{path}: not usable for system {found.system}"]
+    problems = [f"{path}: {problem}" for problem in found.survey.problems]
+    if found.usable is False:
+        problems.append(f"{path}: not usable for system {found.system}")
+    return problems
 
 
 def print_inspection(found: Inspection, console: Console) -> None:
-    """Print the topics, what is wrong, and how the log suits the system."""
+    """Print the topics, what is wrong with them, and whether the system can use the log."""
     survey = found.survey
     messages = sum(topic.count for topic in survey.topics)
     title = Text.assemble(
@@ -61,8 +63,8 @@ def print_inspection(found: Inspection, console: Console) -> None:
     )
     console.print(title, soft_wrap=True)
     if survey.metadata:
-        said = ", ".join(f"{key} = {value}" for key, value in survey.metadata.items())
-        console.print(f"says of itself: {said}", style="dim")
+        texts = ", ".join(f"{key} = {value}" for key, value in survey.metadata.items())
+        console.print(f"metadata: {texts}", style="dim")
     _print_topics(survey, console)
     for line in _remarks(survey):
         console.print(line)
@@ -73,7 +75,7 @@ def print_inspection(found: Inspection, console: Console) -> None:
 
 
 def _print_topics(survey: Survey, console: Console) -> None:
-    """Two lines a topic: the numbers in columns, and what it carries below, so that long names have room."""
+    """Two lines for each topic: numbers in columns, and its content below, where long names have room."""
     rows = [("topic", "messages", "rate", "longest gap")]
     rows += [(t.name, f"{t.count:,}", _rate(t.rate), _gap(t)) for t in survey.topics]
     name, *widths = (max(len(row[i]) for row in rows) for i in range(4))
@@ -81,7 +83,7 @@ def _print_topics(survey: Survey, console: Console) -> None:
         cells = "   ".join(text.rjust(width) for text, width in zip(row[1:], widths, strict=True))
         console.print(f"{row[0]:<{name}}   {cells}", style="dim" if number == 0 else "", soft_wrap=True)
         if topic is not None:
-            console.print(Padding(_carries(topic), (0, 0, 0, 4)))
+            console.print(Padding(_content(topic), (0, 0, 0, 4)))
 
 
 def _rate(rate: float) -> str:
@@ -100,8 +102,8 @@ def _gap(topic: TopicSurvey) -> str:
     return f"{silence} at {topic.gap_at:.2f} s" if long else silence
 
 
-def _carries(topic: TopicSurvey) -> Text:
-    """Type, clock, and what signals can take from it."""
+def _content(topic: TopicSurvey) -> Text:
+    """Type and clock of a topic, and which quantities it contains."""
     kind = topic.type.replace("/msg/", "/")
     if topic.problem:
         return Text.assemble((kind, "dim"), ": ", (topic.problem, "yellow"))
@@ -127,10 +129,10 @@ def _print_suitability(found: Inspection, console: Console) -> None:
     console.print(Text.assemble("for system ", (str(found.system), "bold")))
     for check in found.checks:
         console.print(f"  {check.signal.name}: {check.signal.topic}, {_needs(check.signal)}", soft_wrap=True)
-        answer = Text(f"found, {numbers.percent(check.valid)} of its time without a gap", style="green")
+        answer = Text(f"found, without gaps in {numbers.percent(check.valid)} of the time", style="green")
         console.print(Padding(Text(check.problem, style="yellow") if check.problem else answer, (0, 0, 0, 4)))
     if found.usable:
-        console.print(f"usable: {found.duration:.4g} s in which all signals are there", style="green")
+        console.print(f"usable: {found.duration:.4g} s with all signals", style="green")
     else:
         missing = ", ".join(check.signal.name for check in found.checks if check.problem)
         console.print(

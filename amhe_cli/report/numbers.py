@@ -1,16 +1,16 @@
-"""Numbers as people read them: as many digits as are known, units that fit, no 'nan'."""
+"""Numbers for people: no more digits than are known, units that fit, no 'nan'."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 
-#: What stands where a number is missing.
+#: Text for a missing number.
 MISSING = "–"
 
 
 def rounded(value: float, resolution: float) -> str:
-    """`value` with the digits that a step of `resolution` leaves meaningful (two of the step's own)."""
+    """`value` with as many decimals as show two digits of `resolution`."""
     if not math.isfinite(value):
         return MISSING
     if not (math.isfinite(resolution) and resolution > 0.0):
@@ -48,7 +48,7 @@ def shrinkage(fraction: float) -> str:
 
 
 def unit_of(unit: str) -> str:
-    """The unit to print behind a number: nothing for '-'."""
+    """The unit to print after a number: nothing for '-'."""
     return "" if unit in ("-", "") else unit
 
 

@@ -249,8 +249,7 @@ def test_gaps_are_marked_counted_and_warned_of_once(capsys, tmp_path: Path) -> N
     starts = column("out", "time")[gaps] - 0.5
     assert ((starts > 1.5) & (starts < 2.2)).all()
     np.testing.assert_array_equal(column("out", "load_mass")[gaps], column("out", "load_mass")[gaps[0] - 1])
-    warned = [line for line in capsys.readouterr().err.splitlines() if "windows lack a signal" in line]
-    assert len(warned) == 1
+    assert capsys.readouterr().err.count("a signal or an input is missing") == 1
     assert "a signal or an input is missing" in Path("out/report.html").read_text()
     assert column("out", "load_mass")[-1] == pytest.approx(PENDULUM_TRUTH["load_mass"], rel=0.1)
 
@@ -260,7 +259,7 @@ def test_a_log_of_gaps_alone_is_replayed_to_its_end(capsys, tmp_path: Path) -> N
     assert run(["mhe-replay", str(log), "-q", "-o", "out", "--from", "0.1", "--strict"]) == 3
     assert record("out")["gaps"] == record("out")["windows"] > 2
     assert record("out")["update_ms"] == {"p50": None, "p99": None}
-    assert "no window moved the belief" in capsys.readouterr().err
+    assert "no window was used" in capsys.readouterr().err
 
 
 def test_an_update_that_takes_longer_than_its_period_is_told_with_the_number(capsys) -> None:
@@ -275,7 +274,7 @@ def test_an_update_that_takes_longer_than_its_period_is_told_with_the_number(cap
 def test_a_log_that_says_nothing_is_no_result(capsys) -> None:
     arguments = ["mhe-replay", PENDULUM, "--to", "1", "-q", "-o", "out", "--set", "mhe.excitation=1e9"]
     assert run(arguments) == 0
-    assert "no window moved the belief" in capsys.readouterr().err
+    assert "no window was used" in capsys.readouterr().err
     assert record("out")["still"] == record("out")["windows"]
 
 

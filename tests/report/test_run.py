@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.floor import Floor
-from amhe_cli.report.run import TaskFacts, measure_table, statements, verdict
+from amhe_cli.report.run import TaskFacts, measure_table, run_page, statements, verdict
 
 RECORD: dict[str, Any] = {
     "error": None, "fell": False, "interrupted": False, "success": True, "arrived": True, "on_time": True,
@@ -66,3 +66,32 @@ def test_the_verdict_is_one_of_a_few(changed: dict[str, Any], expected: tuple[st
     assert ("The run took" in stated(**changed)) == bool(
         (RECORD | changed)["success"] and (RECORD | changed)["arrived"]
     )
+
+
+PROVENANCE = {
+    "created": "2030-01-02T03:04:05+00:00", "command": "amhe run --task t4", "seed": 0,
+    "versions": {"amhe": "0.1.0", "mujoco": "4.0.0"}, "inputs": {}, "system_files": {},
+}  # fmt: skip
+
+
+def page(columns: dict[str, np.ndarray]) -> str:
+    common = {"command": "run", "version": "0.1.0", "seconds": 1.0, "warnings": []}
+    about = {"task": "t4", "mode": "true", "target": "sim", "seed": 0, "cost_terms": {"yaw": 1.0}}
+    return run_page(TASK, columns, RECORD | common | about, PROVENANCE)
+
+
+def test_a_run_without_a_cycle_has_a_page_without_figures() -> None:
+    html = page({})
+    assert "<svg" not in html
+    assert "T4: a push" in html
+    assert "distance of the box from its goal" in html
+
+
+def test_the_page_draws_path_motion_belief_cost_and_planning() -> None:
+    names = (
+        "time trunk_x trunk_y box_x box_y box_yaw foot_x foot_y speed command to_goal left plan_ms "
+        "effective_samples belief/box_mass truth/box_mass"
+    )
+    html = page({name: np.linspace(0.1, 1.0, 50) for name in names.split()})
+    assert html.count("<svg") == 5
+    assert "from x = 1.5 m on the floor friction is 0.8" in html

@@ -117,14 +117,14 @@ def windows(system: System, log: Log) -> list[Window]:
         )
     if longest < length:
         logger.warning(
-            "%s: its %.3g s hold no window of %g s: one of %.3g s is used; choose a shorter one "
-            "with --window", log.source, log.duration, setting.window, longest * dt,
+            "%s: its %.3g s hold no window of %g s, so one of %.3g s is used; choose a shorter window",
+            log.source, log.duration, setting.window, longest * dt,
         )  # fmt: skip
         length = longest
     if every > length:
         logger.warning(
-            "an update every %g s from windows of %g s: what lies between them is not looked at; choose a "
-            "longer --window or a shorter --update-period", every * dt, length * dt,
+            "updates every %g s use windows of %g s, so the data between the windows are not used; choose a "
+            "longer window or a shorter update period", every * dt, length * dt,
         )  # fmt: skip
     return [Window(log, stop - length, length) for stop in range(length, log.steps - 1, every)]
 
@@ -165,26 +165,26 @@ def replayed(
 
 
 def caution(done: Replay) -> None:
-    """Warn of what a reader of the estimates must know."""
+    """Log warnings that a reader of the estimates must know."""
     source, count, marks = done.windows[0].log.source, len(done.windows), done.marks
     if marks["gap"]:
         logger.warning(
-            "%s: %d of %d windows lack a signal to start from, or an input: the belief waits there, and "
-            "grows less sure", source, marks["gap"], count,
+            "%s: %d of %d windows were skipped because a signal or an input is missing; the sd of the "
+            "estimate grows there", source, marks["gap"], count,
         )  # fmt: skip
     if marks["diverged"]:
         logger.warning(
-            "%s: in %d of %d windows the rollouts diverged, and taught nothing",
+            "%s: %d of %d windows were skipped because their rollouts diverged",
             source,
             marks["diverged"],
             count,
         )
     if not any(e.updated for e in done.estimates):
-        logger.warning("%s: no window moved the belief: it says what it said at the start", source)
+        logger.warning("%s: no window was used: the estimate is still the initial one", source)
     took = done.update_ms[np.isfinite(done.update_ms)]
     usual, period = float(np.median(took)) if took.size else 0.0, 1e3 * done.system.settings.mhe.update_period
     if usual > period:
         logger.warning(
-            "an update takes %.0f ms, and the update period is %g ms: live, this machine would not keep up; "
-            "choose a longer --update-period or a shorter --window", usual, period,
+            "an update takes %.0f ms, but the update period is %g ms: this machine would not keep up with a "
+            "live robot; choose a longer update period or a shorter window", usual, period,
         )  # fmt: skip

@@ -81,7 +81,7 @@ def _headline(groups: Groups, tables: Sequence[StudyTable]) -> str:
 
 
 def _statements(study: Study, failures: Mapping[str, str], tables: Sequence[StudyTable]) -> list[Statement]:
-    said = [
+    stated = [
         Statement(
             "bad",
             f"{goal['']}: {goal['measure']} is {goal['value [95 % interval]']}"
@@ -91,13 +91,15 @@ def _statements(study: Study, failures: Mapping[str, str], tables: Sequence[Stud
         if goal["reached"] == "NO"
     ]
     if failures:
-        said.append(Statement("bad", f"{len(failures)} cell{'s' * (len(failures) != 1)} have no result."))
+        count = len(failures)
+        text = f"{count} cells have no result." if count > 1 else "1 cell has no result."
+        stated.append(Statement("bad", text))
     if study.setting:
-        said.append(Statement("mixed", f"The operating point is not the default: {words(study.setting)}."))
+        stated.append(Statement("mixed", f"The operating point is not the default: {words(study.setting)}."))
     if study.duration < LONGEST:
         text = f"Runs were stopped after {study.duration:g} s; a task needs up to {LONGEST:g} s."
-        said.append(Statement("mixed", text))
-    return said
+        stated.append(Statement("mixed", text))
+    return stated
 
 
 def _section(table: StudyTable) -> Section:
