@@ -1,4 +1,4 @@
-"""A first system folder from a model and logs, with every guess written down beside what was guessed."""
+"""A first system folder from a model and logs; every guess has a comment."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def init_system(
 
 
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
-    """Topics that can be read in every log, as the first one shows them."""
+    """Topics that can be read in every log, as they are in the first one."""
     surveys = [survey(log, msg_path=msg_path).topics for log in logs]
     surveys = [
         [replace(t, name="table") if t.type == TABLE and len(s) == 1 else t for t in s] for s in surveys
@@ -151,7 +151,7 @@ def _of_another(topic: Topic, joints: Sequence[str]) -> bool:
 
 
 def _needs_fields(model: mujoco.MjModel, topics: Sequence[Topic]) -> str:
-    """What to do where only types that are not built in can hold the joints' positions."""
+    """Advice for logs in which only message types that are not built in can hold the joints' positions."""
     named = ", ".join(f"{topic.name} ({topic.type})" for topic in topics)
     return "\n".join(
         (
@@ -163,7 +163,7 @@ def _needs_fields(model: mujoco.MjModel, topics: Sequence[Topic]) -> str:
 
 
 def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess]) -> list[list[str]]:
-    """A signal to complete for each type that is not built in, where joints are still without a state."""
+    """A signal to complete by hand for each type that is not built in, while joints lack a state."""
     measured = {name for guess in guesses for name in guess.entry.get("joints", ())}
     if measured.issuperset(single_joints(model)):
         return []
@@ -173,7 +173,7 @@ def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence
 def _listen(
     folder: Path, log: Path, guesses: Sequence[Guess], topics: Sequence[Topic], msg_path: Path | None
 ) -> list[str]:
-    """Set each signal's noise to what the log itself shows; a signal that cannot be read keeps the guess."""
+    """Set each signal's noise to an estimate from the log; a signal that cannot be read keeps the guess."""
     rates = {topic.table or topic.name: topic.rate for topic in topics}
     said: list[str] = []
     signals = {signal.name: signal for signal in System.load(folder, warn=False).signals}
@@ -196,10 +196,10 @@ def _listen(
 
 
 def _noise(quantity: str, values: np.ndarray, valid: np.ndarray) -> float:
-    """Noise sd of a series, from its third differences: smooth motion has next to none.
+    """Noise sd of a series, from its third differences, which are nearly zero for smooth motion.
 
     Velocities count three times: most logs filter or differentiate them, and they would outweigh poses.
-    Never below a quarter of the usual noise: no model is that good.
+    The result is at least a quarter of the usual noise: no model is better than that.
     """
     if quantity == "orientation":
         steps = rotations.difference(values[1:], values[:-1])

@@ -46,7 +46,7 @@ def add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, topics: Sequence[Topi
 
 
 def copy_model(spec: mujoco.MjSpec, path: Path, folder: Path, rewrite: bool) -> str:
-    """Copy an MJCF with all that it needs, or write it anew where its files are spread or it is a URDF."""
+    """Copy an MJCF with its files; a URDF, or files spread over folders, are written as a new MJCF."""
     home = path.resolve().parent
     text, assets = portable(spec, path.parent)
     named = (Path(name) for name in mujoco.mju_getXMLDependencies(str(path.resolve())))

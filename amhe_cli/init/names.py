@@ -1,11 +1,11 @@
-"""Whether a name in a log means a name in a model."""
+"""Matching the names in a log to the names in a model."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
 
-#: Words that say what kind of thing a name is, not which one.
+#: Words for a kind of thing, which do not say which one it is.
 KINDS = {
     "joint",
     "jnt",
@@ -33,13 +33,13 @@ def words(name: str) -> list[str]:
 
 
 def core(name: str) -> str:
-    """What is left of a name without namespace and without the words for its kind."""
+    """A name without its namespace and without the words for its kind."""
     own = words(name.rsplit("/", 1)[-1])
     return "_".join(word for word in own if word not in KINDS) or "_".join(own)
 
 
 def is_command(topic: str, kind: str) -> bool:
-    """A topic carries commands, to judge by its name and type."""
+    """Whether a topic carries commands, judged by its name and type."""
     return kind.endswith("JointTrajectory") or bool(COMMANDS & set(words(topic)))
 
 
@@ -50,7 +50,7 @@ def matched(own: Mapping[str, Sequence[str]], logged: Iterable[str]) -> dict[str
     twice, never a choice between two.
 
     Args:
-        own: Model name -> names that it may go by (itself, its joint, ...).
+        own: Model name -> names that the log may use for it (its own, its joint's, ...).
         logged: Names in the log.
     """
     free = list(dict.fromkeys(logged))
@@ -67,7 +67,7 @@ def matched(own: Mapping[str, Sequence[str]], logged: Iterable[str]) -> dict[str
 
 
 def names_the_same(body: str, topic_words: Sequence[str]) -> bool:
-    """All words of a body's name, kinds left out, are in those of a topic or frame."""
+    """Whether all words of a body's name, without those for its kind, are in the name of a topic or frame."""
     own = words(core(body))
     return bool(own) and set(own) <= set(topic_words)
 

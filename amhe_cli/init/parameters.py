@@ -1,4 +1,4 @@
-"""Candidate parameters of a model: what is usually not known of a robot and its surroundings."""
+"""Candidate parameters of a model: what is usually unknown about a robot and its surroundings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from amhe_cli.system.targets import names_of
 
 #: More actuated joints than this share one parameter of each kind.
 _OWN_PARAMETERS = 3
-#: Prior sd (log scale) and range of a number that the model has, and of one that it leaves at zero.
+#: Prior sd (log scale) and range of a number that the model gives, and of one that it leaves at zero.
 _KNOWN, _UNKNOWN = (0.5, 10.0), (1.0, 100.0)
 #: More ends of chains than this are feet, not tools: their masses are known.
 _TOOLS = 2
@@ -23,7 +23,7 @@ _TOOLS = 2
 GAIN_SD = 0.1
 #: Prior sd (log scale) of a servo's gains that nobody has measured: a factor of 4.5 either way at one sd.
 _GUESSED_GAIN = 1.5
-#: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and no model says so.
+#: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and models leave it out.
 _DELAY, _DELAY_SD, _LONGEST_DELAY = 0.01, 0.01, 0.1
 #: Words in the name of a body that is carried, and the share of its link's mass that it must have.
 _CARRIED, _WORTHWHILE = {"payload", "load", "tool"}, 0.05
@@ -39,8 +39,8 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
 
     Args:
         model: The model.
-        signals: What the log has: only joints that it moves and measures get parameters.
-        guessed_gains: The actuators were added by us, so that a servo's gains are unknown.
+        signals: Signals of the log; only joints that it moves and measures get parameters.
+        guessed_gains: Whether `init` added the actuators, so that the servos' gains are unknown.
     """
     moved = [name for guess in signals for name in guess.entry.get("actuators", ())]
     measured = {name for guess in signals for name in guess.entry.get("joints", ())}
@@ -91,9 +91,9 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
 
 
 def _carried(model: mujoco.MjModel, link: int) -> int:
-    """What a link carries: the body welded to it that is called so, else the one at the far end, else itself.
+    """The body that a link carries: one welded to it with such a name, else the farthest, else the link.
 
-    Frames and other parts of next to no mass are left out.
+    Frames and other parts with almost no mass are left out.
     """
     parts = [int(row) for row in np.flatnonzero(model.body_weldid == model.body_weldid[link])]
     floor = _WORTHWHILE * float(model.body_mass[parts].max())
@@ -107,7 +107,7 @@ def _carried(model: mujoco.MjModel, link: int) -> int:
 
 
 def _carries_links(model: mujoco.MjModel, link: int) -> bool:
-    """Another joint hangs on this link."""
+    """Whether another joint is attached to this link."""
     weld = model.body_weldid
     parent_weld = weld[model.body_parentid]
     return bool(np.any((parent_weld == weld[link]) & (weld != weld[link])))
@@ -170,7 +170,7 @@ def _guessed_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[
 
 
 def _delay() -> Iterator[Guess]:
-    """The delay of all commands: left out, its lag is explained by dampings and gains that are wrong."""
+    """The delay of all commands; without it, wrong dampings and gains would explain the lag."""
     entry = {
         "nominal": _DELAY,
         "bounds": [0.0, _LONGEST_DELAY],

@@ -1,4 +1,4 @@
-"""Which topic of a log is which part of a model, to judge by names and types."""
+"""Matching the topics of a log to the parts of a model, by names and types."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from amhe_cli.init.names import is_command, matched, names_the_same, words
 from amhe_cli.system.driven import commanded
 from amhe_cli.system.targets import names_of
 
-#: Noise sd to start from [SI]; the log's own takes its place where it can be estimated.
+#: Default noise sd [SI]; an estimate from the log replaces it where there is one.
 NOISE = {
     "position": 0.002,
     "velocity": 0.05,
@@ -38,8 +38,8 @@ class Topic:
     Args:
         name, type: As the log declares them.
         rate: Messages per second.
-        entries: Joints or child frames that it names; '[n]' for an array of n numbers.
-        quantities: What can be taken from it, keys of QUANTITIES.
+        entries: Names in its messages: joints, child frames; '[n]' for an array of n numbers.
+        quantities: Quantities that it carries, keys of QUANTITIES.
         columns: Of a part of a table: quantity -> its columns, in the order of `entries`.
         table: The table's name.
     """
@@ -60,7 +60,7 @@ class Guess:
     Args:
         name: Its key.
         entry: Its keys and values, noise left out.
-        why: What was guessed, in one sentence.
+        why: The guess in one sentence.
         noise: Quantity -> sd; None: it sets the state and is not compared.
     """
 
@@ -71,7 +71,7 @@ class Guess:
 
 
 def guess_signals(model: mujoco.MjModel, topics: Sequence[Topic]) -> list[Guess]:
-    """Signals that a log has for a model."""
+    """The signals of a log that match parts of a model."""
     guesses = [*_joint_states(model, topics), *_commands(model, topics)]
     guesses += [*_bodies(model, topics), *_imus(model, topics)]
     for index, guess in enumerate(guesses):
@@ -112,7 +112,7 @@ def _torques(guess: Guess, topics: Sequence[Topic]) -> str:
 
 
 def foreign(topics: Sequence[Topic]) -> list[Topic]:
-    """Topics of a robot's own types, which may hold its state: not built in, and of no common package."""
+    """Topics of message types that are neither built in nor of a common package: they may hold the state."""
     own = [topic for topic in topics if not topic.quantities]
     return [topic for topic in own if topic.type.split("/")[0] not in _STATELESS]
 
@@ -199,7 +199,7 @@ def _commands(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]
 
 
 def _bodies(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
-    """Poses of free bodies, of mocap bodies, and of bodies that a topic calls by their name."""
+    """Poses of free bodies, of mocap bodies, and of bodies whose name is in that of a topic."""
     poses = [
         (topic, frame)
         for kind in _POSES
@@ -244,7 +244,7 @@ def _pose_guess(
 
 
 def _imus(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
-    """An IMU whose name is in that of a site, or the only one of both."""
+    """An IMU whose name is in that of a site, or the only IMU if there is only one site."""
     imus = [topic for topic in topics if topic.type.endswith("/Imu")]
     sites = [name for name in names_of(model, "site") if "imu" in words(name)]
     for topic in imus:

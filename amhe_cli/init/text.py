@@ -26,11 +26,11 @@ def system_text(
 
     Args:
         model: Model file, in the same folder.
-        original: What it was made from.
-        logs: Logs that the guesses are from.
+        original: Name of the model file that the user gave.
+        logs: Logs that the guesses come from.
         guesses: Signals.
         parameters: Parameters, and
-        notes: What a user should know of.
+        notes: Sentences for the user.
         skeletons: Signals to complete by hand, as lines; written as comments.
     """
     names = ", ".join(Path(log).name for log in logs)
@@ -40,7 +40,7 @@ def system_text(
         *(f"#   {note}" for note in notes),
         f"model: {_flow(model)}",
         "",
-        "# The unknowns. nominal and prior_sd are what is believed before a log is read; prior_sd is the",
+        "# The unknowns. nominal and prior_sd are the prior, before a log is read; prior_sd is the",
         "# standard deviation of log(value) with scale: log (0.5 is a factor of 1.65), else of the value.",
         "parameters:",
         *(line for guess in parameters for line in _parameter(guess)),

@@ -1,4 +1,4 @@
-"""Which of a message's three stamps to believe, and what to do with those that cannot be true."""
+"""Choosing one of a message's three stamps, and dropping those that cannot be true."""
 
 from __future__ import annotations
 
@@ -42,10 +42,10 @@ class Timeline:
     """The stamps that were chosen for one topic.
 
     Args:
-        clock: Where they come from.
+        clock: Source of the stamps: 'header', 'publish' or 'log'.
         stamps_ns: Strictly increasing stamps [ns] of the samples kept, shape (m,).
         kept: Index of these samples, shape (m,).
-        lag: How much later the recorder's clock is than these stamps, median [s].
+        lag: Median of the recorder's stamp minus these stamps [s].
         notes: What was dropped and why, in words.
     """
 
@@ -117,10 +117,10 @@ def _clean(clock: Clock, stamps: IntArray, samples: SignalSamples) -> Timeline:
 
 
 def header_steps(samples: SignalSamples) -> list[tuple[float, float]]:
-    """When a topic's header clock was set: seconds after its first message, and by how much [s].
+    """Steps of a topic's header clock: seconds after its first message, and size [s].
 
-    A step lasts, and is the header's: a message that was late, a recorder that stalled and a clock that
-    drifts or runs at another rate are none.
+    A step is lasting and in the header stamps only. A late message, a recorder that stalled and a clock that
+    drifts or runs at another rate do not count.
 
     Args:
         samples: The topic's samples, in the order they were logged.
@@ -154,7 +154,7 @@ def _spread(values: FloatArray) -> float:
 
 
 def step_words(steps: Sequence[tuple[float, float]]) -> str:
-    """The steps of one topic's header clock; says of several the largest."""
+    """The steps of one topic's header clock in words; of several, the largest."""
     when, size = max(steps, key=lambda step: abs(step[1]))
     more = f" (the largest of {len(steps)} jumps)" if len(steps) > 1 else ""
     return f"its header clock jumps by {size:+.3f} s, {when:.2f} s after its first message{more}"
@@ -181,7 +181,7 @@ def _wild(stamps: IntArray, reference: IntArray | None) -> BoolArray:
 def increasing(stamps: IntArray) -> BoolArray:
     """The largest set of stamps that is strictly increasing in the order given, as a mask (n,).
 
-    So a single stamp that jumps ahead costs one message, and not all those it overtakes.
+    A single stamp that jumps ahead therefore costs one message, and not all messages after it.
     """
     if np.all(np.diff(stamps) > 0):
         return np.ones(len(stamps), dtype=bool)
@@ -202,7 +202,7 @@ def increasing(stamps: IntArray) -> BoolArray:
 
 
 def offsets(lags: Mapping[str, float]) -> dict[str, float]:
-    """Estimated clock offset of each topic [s]: how much later its stamps are than the median topic's.
+    """Estimated clock offset of each topic [s]: its stamps minus those of the median topic.
 
     A topic whose stamps run ahead reaches the recorder early by its own clock, so its lag is small.
     Transport takes part of the lag, so this cannot tell a slow network from a slow clock.

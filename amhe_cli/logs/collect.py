@@ -1,4 +1,4 @@
-"""Read the topics of some signals once, whatever file they are in."""
+"""Decode the topics of some signals in one pass, from any file format."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def _warn(
 
 
 def _missing(log: Log, signal: Signal) -> str:
-    """Say why there is nothing for `signal`, and what there is instead."""
+    """Why the log has nothing for `signal`, and what it has instead."""
     here = [channel for channel in log.channels if channel.topic == signal.topic]
     types = sorted({channel.type for channel in here})
     if signal.type is not None and types and signal.type not in types:

@@ -1,4 +1,4 @@
-"""Numbers that no robot can have sent, and units that look wrong."""
+"""Values that are physically impossible, and units that look wrong."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ _LARGEST = {"position": 50.0, "angular_velocity": 100.0}
 
 
 def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None]) -> SignalSamples:
-    """Mask what cannot be true with NaN, count it, and normalise quaternions.
+    """Replace impossible values by NaN, count them, and normalise quaternions.
 
-    A pose without a rotation was not measured: a motion capture that loses its markers sends zeros. Its
-    position goes with it, unless no message of the topic has a rotation at all.
+    A pose without a rotation was not measured: motion capture that loses its markers sends zeros. Its
+    position is dropped too, unless no message of the topic has a rotation at all.
     """
     values = {quantity: np.array(block) for quantity, block in samples.values.items()}
     for quantity, block in values.items():

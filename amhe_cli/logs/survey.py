@@ -1,4 +1,4 @@
-"""What is in a log: topics, rates, gaps, clocks, and what cannot be read and why."""
+"""The content of a log: topics, rates, gaps, clocks, and reasons why something cannot be read."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ class TopicSurvey:
         first_ns, last_ns: First and last stamp [ns] on each clock: 'header' (where set), 'publish', 'log'.
         header: Its header stamps: 'none' (the type has no header), 'unset', 'partly set', 'not monotone' or
             'good'.
-        clock: The clock that reading it would use: 'header', 'publish' or 'log'.
-        quantities: What signals can take from it without naming fields; an array that is empty in every
+        clock: The clock that would be used: 'header', 'publish' or 'log'.
+        quantities: Quantities that signals can read without naming fields; an array that is empty in every
             message counts as absent.
         entries: Names in it: joints, child frames; '[n]' for an array of n numbers.
         problem: Why it cannot be read, in words; None if it can.
-        notes: What is odd about its stamps or messages, in words.
+        notes: Anomalies of its stamps or messages, in words.
     """
 
     name: str
@@ -128,7 +128,7 @@ class Inspection:
 
 @dataclass(slots=True)
 class _Scan:
-    """What was seen of one channel."""
+    """Counts and stamps of one channel."""
 
     log_ns: list[IntArray] = field(default_factory=list)
     publish_ns: list[IntArray] = field(default_factory=list)
@@ -176,7 +176,7 @@ def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
 
     Raises:
         ConfigError: If the path does not exist.
-        LogError: If it is no log, or nothing in it can be read.
+        LogError: If it is not a log, or nothing in it can be read.
     """
     with readable(path):
         log = open_log(path)
@@ -215,11 +215,11 @@ def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """What a log says of itself: the MCAP metadata record named 'amhe'; {} where there is none.
+    """The MCAP metadata record named 'amhe' of a log; {} where there is none.
 
     Raises:
         ConfigError: If the path does not exist.
-        LogError: If it is no log.
+        LogError: If it is not a log.
     """
     with readable(path):
         return {key: value for file in open_log(path).files for key, value in file.read_metadata().items()}
@@ -305,7 +305,7 @@ def _entries(layout: Layout) -> list[str]:
 
 
 def _carried(layout: Layout, info: TypeInfo | None) -> list[str]:
-    """Quantities that this layout has numbers of: an effort that is not measured is left empty."""
+    """Quantities with values in this layout; an empty array, such as an unmeasured effort, is absent."""
     if info is None:
         return []
     count = layout.counts.get(info.elements, 0) if info.elements else 1

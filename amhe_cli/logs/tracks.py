@@ -41,7 +41,7 @@ class Track:
     """One signal of a log.
 
     Args:
-        signal: What the system says of it.
+        signal: The signal of the system.
         times: Stamps of the m samples that count.
         samples: Their values.
         twist_in_child: Twists are in the child frame's axes, as in an odometry.
@@ -98,7 +98,7 @@ def _trusted(
 
 @dataclass(frozen=True, slots=True)
 class _Warner:
-    """Says what is odd about one topic."""
+    """Warns of anomalies of one topic."""
 
     path: Path
     topic: str
@@ -119,7 +119,7 @@ def _track(path: Path, signal: Signal, decoder: SignalDecoder, samples: SignalSa
 
 
 def on_one_clock(path: Path, tracks: list[Track], settings: LogSettings) -> list[Track]:
-    """Bring the topics onto one clock: what differs grossly always, what differs slightly if asked."""
+    """Bring the topics onto one clock: large offsets always, small ones if the settings say so."""
     lags = {t.signal.topic: t.times.lag for t in tracks if t.times.clock == "header"}
     shifts = offsets(lags) if settings.align else {}
     middle = float(np.median(list(lags.values()))) if lags else 0.0
@@ -139,7 +139,7 @@ def on_one_clock(path: Path, tracks: list[Track], settings: LogSettings) -> list
 
 
 def _tell_offsets(path: Path, tracks: Sequence[Track], align: bool) -> None:
-    """Say how far the header clocks are apart; warn of what no transport explains, unless it is corrected.
+    """Log the offsets between header clocks; warn of those that transport cannot explain, unless corrected.
 
     An offset that the system states counts as corrected.
     """

@@ -1,4 +1,4 @@
-"""What a log itself calls true of the parameters, as a simulation can; nothing is ever fitted to it."""
+"""True parameters that a log contains, as that of a simulation can; nothing is ever fitted to them."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """ROS 1 bags (format 2.0), read in file order so that unindexed and cut-off ones can be read too.
 
 The format has no checksum of its own: bz2 and lz4 chunks carry one, plain chunks do not. Every message is
-compared with the index that follows its chunk; a flipped bit inside a plain payload cannot be noticed.
+compared with the index that follows its chunk; a flipped bit inside a plain payload cannot be detected.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class _Record(NamedTuple):
 
 
 class _Row(NamedTuple):
-    """A message: its record's place, connection, time and payload."""
+    """A message: position of its record, connection, time and payload."""
 
     offset: int
     connection: int

@@ -35,9 +35,9 @@ class Log:
     """All files of one recording, read one after the other.
 
     Args:
-        path: What the user named.
+        path: The path that the user gave.
         files: Its parts, in order.
-        notes: What is wrong with the folder.
+        notes: Defects of the folder, in words.
         packed: Each message is compressed by itself (rosbag2's compression mode 'message').
     """
 
@@ -79,7 +79,7 @@ def open_log(path: Path) -> Log:
 
     Raises:
         ConfigError: If there is no such path.
-        LogError: If it is no log.
+        LogError: If it is not a log.
     """
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")

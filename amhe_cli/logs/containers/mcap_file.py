@@ -1,9 +1,9 @@
 """MCAP containers, whole or damaged.
 
-Each chunk carries a checksum of its messages, which is always verified; a chunk that fails is left out
-and said so. Only a chunk that the end of the file cuts off is used without: its whole records before the
-cut, as far as they agree with the chunk's header. A file that was written
-without checksums cannot tell a flipped bit in a payload.
+Each chunk carries a checksum of its messages, which is always verified; a chunk that fails is reported
+and left out. Only a chunk that the end of the file cuts off is used without its checksum: its whole records
+before the cut, as far as they agree with the chunk's header. In a file that was written without checksums, a
+flipped bit in a payload cannot be detected.
 """
 
 from __future__ import annotations

@@ -48,13 +48,13 @@ class Contents:
         pieces: In file order.
         metadata: Bodies of the metadata records.
         declarations: (opcode, body) of the schemas and channels that the summary repeats.
-        expected: Messages there should be, where the file says so.
-        whole: The data section was walked to its end.
-        closed: The file ends as a closed file does.
-        summarised: There is an intact summary.
-        intact: No checksum over the whole data section denies it.
+        expected: Number of messages, where the file gives it.
+        whole: Whether the data section was walked to its end.
+        closed: Whether the file ends as a closed file does.
+        summarised: Whether there is an intact summary.
+        intact: False if a checksum over the whole data section is wrong.
         problems: What is damaged, in words.
-        cut: Where the record begins at which the walk ended, if the file ends within it.
+        cut: Start of the record within which the file ends, if it does.
     """
 
     pieces: list[Piece] = field(default_factory=list)
@@ -124,8 +124,8 @@ def unfolded(data: mmap, chunk: Piece) -> bytes:
 def unfolded_start(data: mmap, position: int) -> bytes:
     """Whole records of a chunk before the end of the file cuts it off.
 
-    Its checksum cannot be verified, so it takes a header that agrees with itself, and stamps that agree
-    with it; the first record that does not ends the recovery.
+    Its checksum cannot be verified. Recovery therefore needs a consistent header, and ends at the first
+    record whose stamps contradict it.
 
     Raises:
         ValueError: If there is no such chunk, or it is damaged.
@@ -153,7 +153,7 @@ def unfolded_start(data: mmap, position: int) -> bytes:
 
 
 class _Head(NamedTuple):
-    """What a chunk says of its records: compression, size once unfolded, checksum, begin and end."""
+    """Header of a chunk: compression, uncompressed size, checksum, first and last stamp."""
 
     kind: str
     size: int
@@ -181,7 +181,7 @@ def _head(data: mmap, chunk: Piece) -> _Head:
 
 
 def span_ns(data: mmap, chunk: Piece) -> tuple[int, int] | None:
-    """First and last stamp [ns] that a chunk claims to hold; None where that makes no sense."""
+    """First and last stamp [ns] in a chunk's header; None where they make no sense."""
     if chunk.start + 16 > len(data):
         return None
     first, last = struct.unpack_from("<QQ", data, chunk.start)
@@ -189,12 +189,12 @@ def span_ns(data: mmap, chunk: Piece) -> tuple[int, int] | None:
 
 
 def stream(body: bytes) -> ReadDataStream:
-    """A record's body, as the records of `mcap` want it."""
+    """A record's body as the stream that the records of `mcap` are read from."""
     return ReadDataStream(BytesIO(body))
 
 
 def _summary(data: mmap, found: Contents) -> dict[int, int]:
-    """Note what the summary at the end says; return start and end of each chunk record."""
+    """Store the content of the summary at the end; return start and end of each chunk record."""
     at = len(data) - len(MAGIC) - _FOOTER.size - 9
     if not found.closed or at < len(MAGIC):
         return {}

@@ -46,9 +46,9 @@ class Batch:
     """Messages of one channel, in file order; message i is buffer[starts[i] : starts[i] + lengths[i]].
 
     Args:
-        channel: Where the messages belong.
-        log_ns: When the recorder received them [ns], shape (n,).
-        publish_ns: When they were sent [ns], shape (n,); equals log_ns where the format does not know.
+        channel: Channel of the messages.
+        log_ns: Times at which the recorder received them [ns], shape (n,).
+        publish_ns: Times at which they were sent [ns], shape (n,); log_ns where the format lacks them.
         buffer: Bytes, shape (b,).
         starts, lengths: Position and size of each message in `buffer`, shape (n,).
     """
@@ -64,8 +64,8 @@ class Batch:
 class LogFile(Protocol):
     """One file of a log.
 
-    `channels`, `problems` and `metadata` are complete once `batches` has been read to its end: a file
-    that was never closed says only on the way what it holds.
+    `channels`, `problems` and `metadata` are complete once `batches` has been read to its end: the
+    content of a file that was never closed is known only then.
     """
 
     format: str
@@ -115,7 +115,7 @@ def normal_type(name: str) -> str:
 
 @contextmanager
 def readable(path: Path) -> Iterator[None]:
-    """Turn whatever a broken or hostile file makes the libraries raise into one line that names it."""
+    """Turn any exception that a broken or hostile file causes in a library into one line with its path."""
     try:
         yield
     except AmheError as error:

@@ -1,7 +1,7 @@
 """rosbag2's sqlite3 storage (.db3), whole or damaged.
 
 SQLite keeps no checksums. Its structure is checked, and rows that contradict the index of stamps are left
-out, but a flipped bit inside a message's payload cannot be noticed.
+out, but a flipped bit inside a message's payload cannot be detected.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ def _batch(channel: Channel, rows: list[tuple[int, bytes]]) -> Batch:
 def _completed(path: Path) -> IO[bytes] | None:
     """A copy of a cut-off file at its full length; None if the file is not cut off.
 
-    sqlite would read the missing bytes as zeros, and those pass as measurements. Pages of 0xFF instead are
-    no valid pages, and as payload they are NaN.
+    sqlite would read the missing bytes as zeros, and those pass as measurements. Pages of 0xFF are no valid
+    pages, and as payload they are NaN.
     """
     with path.open("rb") as file:
         head = file.read(100)

@@ -22,15 +22,15 @@ _Bytes = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SignalSamples:
-    """What the messages of a signal say, sorted by the time they were logged.
+    """Values of a signal from its messages, sorted by log time.
 
     Args:
         log_ns, publish_ns: Stamps of recorder and sender [ns], shape (n,).
         header_ns: Stamp in the message itself [ns], shape (n,); 0 where there is none.
         delay_ns: How much later than its stamp a sample acts (trajectory points) [ns], shape (n,).
-        values: quantity -> (n, k), NaN where a message does not say.
+        values: quantity -> (n, k), NaN where a message lacks the value.
         columns: quantity -> names of the k columns.
-        has_header: The message type carries a stamp.
+        has_header: Whether the message type carries a stamp.
     """
 
     log_ns: IntArray
@@ -56,7 +56,7 @@ class SignalSamples:
 
 @dataclass(slots=True)
 class _Columns:
-    """Where one group of messages keeps everything that is wanted of it: leaves, None where absent."""
+    """Places of the wanted numbers in one group of messages: leaves, None where absent."""
 
     stamp: tuple[Leaf, Leaf] | None
     delay: tuple[Leaf, Leaf] | None
@@ -80,7 +80,7 @@ class SignalDecoder:
     """Collects the samples of one signal from the groups of its channel.
 
     Raises:
-        LogError: If the channel's type is another one than the signal's, or cannot give its quantities.
+        LogError: If the channel's type is not the signal's, or lacks its quantities.
     """
 
     def __init__(self, signal: Signal, channel: Channel) -> None:
@@ -117,7 +117,7 @@ class SignalDecoder:
         """Everything collected.
 
         Raises:
-            LogError: If a wanted entry or quantity never came.
+            LogError: If no message has a wanted entry or quantity.
         """
         self._check_complete()
         parts = self._parts
@@ -143,7 +143,7 @@ class SignalDecoder:
         return known
 
     def _quantities(self) -> tuple[str, ...]:
-        """The quantities to decode: those asked for, and those that these are computed from."""
+        """The quantities to decode: the wanted ones, and those that they are computed from."""
         fields = self.info.fields
         wanted: list[str] = []
         for quantity in self._signal.quantities:

@@ -1,6 +1,6 @@
 """Message definitions: from the log, from a folder of .msg files, or the ones that come with rosbags.
 
-Only definitions are parsed. No code is generated from them, so a log cannot make us run anything.
+Only definitions are parsed. No code is generated from them, so a log cannot execute anything.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Types: TypeAlias = Mapping[str, Sequence[tuple[str, Any]]]
 
 
 class Definitions:
-    """What is known about message types, with the log's own word first.
+    """Definitions of message types; those in the log take precedence.
 
     Args:
         msg_path: Folder of .msg files for types that the log does not define.
@@ -92,7 +92,7 @@ def _parse(channel: Channel) -> Types:
 
 
 def _digest(channel: Channel, types: Mapping[str, Any]) -> str:
-    """What the recorder should have written as the definition's hash."""
+    """The hash that the recorder should have written for the definition."""
     store = get_typestore(Stores.EMPTY)
     store.fielddefs.update(types)  # only looked up: registering would generate and run code
     if channel.encoding == "ros1":

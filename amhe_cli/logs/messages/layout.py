@@ -1,8 +1,8 @@
 """Where each field of a message lies in its bytes.
 
-Messages of a topic mostly share one shape: the same names, the same array lengths. So one message is
-walked in Python, field by field; every other one whose length and whose length-giving bytes are the same
-has all its fields at the same places, and whole batches are then read as strided numpy views.
+Messages of a topic mostly share one layout: the same names, the same array lengths. So one message is
+walked in Python, field by field. Every other message with the same length and the same bytes for array
+lengths has all fields at the same places, and whole batches are then read as strided numpy views.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ class Leaf:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
-    """The shape that a group of messages shares.
+    """The layout that a group of messages shares.
 
     Args:
         leaves: Path such as 'pose.position.x' or 'motor[3].q' -> where it lies; arrays of numbers are one.
         counts: Path of an array of structures or strings -> number of its elements.
-        strings: Path -> content, for names and frames only.
+        strings: Path -> content; only names and frames.
         places, expected: Bytes that make a message have this layout, shape (m,).
     """
 

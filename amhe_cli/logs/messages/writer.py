@@ -29,11 +29,11 @@ class LogWriter:
     """A log in the making; use it as a context manager.
 
     The file appears under its name when the block ends, whole and with checksums over every byte. It is
-    also closed and kept when the block ends by an exception: what a failed run logged says why it failed.
+    also closed and kept when the block ends by an exception: the log of a failed run shows why it failed.
 
     Args:
         path: The .mcap file to write; an existing one is replaced at the end.
-        metadata: What the log says of itself (system, seed, truth as JSON); the record named 'amhe'.
+        metadata: The metadata record named 'amhe' (system, seed, truth as JSON).
     """
 
     def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
@@ -61,11 +61,11 @@ class LogWriter:
     # -- any message ----------------------------------------------------------------------------------
 
     def define(self, msgtype: str, definition: str) -> None:
-        """Make a type known that ROS does not have; `definition` is the text of its .msg file."""
+        """Define a message type that ROS does not have; `definition` is the text of its .msg file."""
         self._store.register(get_types_from_msg(definition, msgtype))
 
     def prepare(self, msgtypes: Iterable[str]) -> None:
-        """Do now what the first message of each type would take long for."""
+        """Prepare the serialisers now, so that the first message of each type is not slow."""
         for msgtype in msgtypes:
             self._store.get_msgdef(msgtype)
             self._schema(msgtype)
@@ -80,7 +80,7 @@ class LogWriter:
         Args:
             topic: Name of the topic, for instance '/joint_states'.
             msgtype: Type such as 'sensor_msgs/msg/JointState'; one topic has one type.
-            stamp_ns: When it was measured or sent [ns].
+            stamp_ns: Time at which it was measured or sent [ns].
             message: An instance made by one of the methods here.
         """
         if hasattr(message, "header"):
