@@ -131,14 +131,14 @@ def test_foreign_topics_are_passed_over_and_named_when_asked_for(tmp_path: Path)
     trajectory = read_signals(path, [Signal("j", "/js", ("position",))], DT, SETTINGS)
     assert trajectory.steps == 10
     for topic, text in (
-        ("/json", "encoded as 'json'"),
+        ("/json", "no position|not built in"),
         ("/proto", "encoded as 'protobuf'"),
         ("/none", "no definition"),
     ):
         with pytest.raises(LogError, match=text):
             read_signals(path, [Signal("j", topic, ("position",))], DT, SETTINGS)
     problems = {topic.name: topic.problem for topic in survey(path).topics}
-    assert problems["/js"] is None and "json" in (problems["/json"] or "")
+    assert problems["/js"] is None and "protobuf" in (problems["/proto"] or "")
 
 
 def test_a_ros1_mcap(tmp_path: Path) -> None:

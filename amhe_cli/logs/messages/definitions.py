@@ -55,11 +55,11 @@ class Definitions:
 
     def _lookup(self, channel: Channel) -> Types:
         topic = f"topic {channel.topic!r}"
-        if channel.encoding == TABLE:
+        if channel.encoding in (TABLE, "json"):
             return {}
         if channel.encoding not in ("cdr", "ros1"):
             raise LogError(
-                f"{topic} is encoded as {channel.encoding!r}; only ROS messages (cdr, ros1) are read"
+                f"{topic} is encoded as {channel.encoding!r}; ROS messages (cdr, ros1) and JSON are read"
             )
         try:
             own = _parse(replace(channel, topic=""))

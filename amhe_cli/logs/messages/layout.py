@@ -20,7 +20,7 @@ from amhe_cli.core.arrays import BoolArray, IntArray
 from amhe_cli.logs.messages.definitions import Types
 
 #: Strings whose content matters; of all others only the length is part of a layout.
-_KEPT = {"name", "joint_names", "frame_id", "child_frame_id"}
+KEPT = {"name", "joint_names", "frame_id", "child_frame_id"}
 
 _MOST_FIELDS, _DEEPEST = 1_000_000, 50
 
@@ -193,7 +193,7 @@ class _Walker:
     def _string(self, path: str) -> None:
         length = self._length()
         start = self._skip(1, length)
-        if path.split(".")[-1].split("[")[0] in _KEPT:
+        if path.split(".")[-1].split("[")[0] in KEPT:
             self.fixed |= set(range(start, start + length))
             text = self._data[start : start + length]
             self.strings[path] = (text[:-1] if self._cdr else text).decode("utf-8", "replace")

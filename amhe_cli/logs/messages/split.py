@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from amhe_cli.core.arrays import IntArray
+from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.logs.containers.raw import Batch, Channel
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.json_rows import JsonRows
 from amhe_cli.logs.messages.layout import Layout, MalformedMessageError, table_layout, walk
 
 _Bytes = NDArray[np.uint8]
@@ -35,6 +36,7 @@ class Splitter:
         self._channel = channel
         self._types = definitions.of(channel)
         self._layouts: dict[int, list[Layout]] = {}
+        self._json = JsonRows() if channel.encoding == "json" else None
         if channel.encoding == TABLE:
             layout, size = table_layout(channel.definition)
             self._layouts[size] = [layout]
@@ -43,6 +45,9 @@ class Splitter:
 
     def split(self, batch: Batch) -> Iterator[Group]:
         """Yield groups that together hold every intact message of the batch."""
+        if self._json is not None:
+            yield from self._parsed(self._json, batch)
+            return
         for length in np.unique(batch.lengths).tolist():
             members = np.flatnonzero(batch.lengths == length)
             if length == 0:
@@ -50,6 +55,22 @@ class Splitter:
                 continue
             rows = np.lib.stride_tricks.sliding_window_view(batch.buffer, length)[batch.starts[members]]
             yield from self._same_length(rows, members)
+
+    def _parsed(self, json: JsonRows, batch: Batch) -> Iterator[Group]:
+        """JSON messages, which must be parsed one by one."""
+        found: dict[int, tuple[Layout, list[int], list[FloatArray]]] = {}
+        text = batch.buffer.tobytes()
+        for i, (start, length) in enumerate(zip(batch.starts.tolist(), batch.lengths.tolist(), strict=True)):
+            try:
+                layout, numbers = json.row(text[start : start + length])
+            except MalformedMessageError as error:
+                self._damage(str(error), 1)
+                continue
+            _, members, rows = found.setdefault(id(layout), (layout, [], []))
+            members.append(i)
+            rows.append(numbers)
+        for layout, members, rows in found.values():
+            yield Group(layout, np.stack(rows).view(np.uint8), np.array(members, dtype=np.int64))
 
     def _same_length(self, rows: _Bytes, members: IntArray) -> Iterator[Group]:
         known = self._layouts.setdefault(rows.shape[1], [])

@@ -65,6 +65,8 @@ _JOINT_TRAJECTORY = TypeInfo(
     elements="points",
 )
 
+_MOVED = _plain(position="translation", orientation="rotation")
+
 TYPES: Mapping[str, TypeInfo] = {
     "sensor_msgs/msg/JointState": _JOINT_STATE,
     "trajectory_msgs/msg/JointTrajectory": _JOINT_TRAJECTORY,
@@ -97,6 +99,17 @@ TYPES: Mapping[str, TypeInfo] = {
             "linear_acceleration": "linear_acceleration_covariance[0]",
         },
     ),
+    **{
+        f"{package}{name}": info
+        for package in ("foxglove.", "foxglove_msgs/msg/")
+        for name, info in {
+            "Pose": _plain(position="position", orientation="orientation"),
+            "PoseInFrame": _pose("pose"),
+            "FrameTransform": _MOVED,
+            "FrameTransforms": TypeInfo(_MOVED.fields, _MOVED.columns, elements="transforms"),
+            "JointStates": _JOINT_STATE,
+        }.items()
+    },
     **{
         f"std_msgs/msg/{name}": _NUMBERS
         for width in ("Float32", "Float64", "Int8", "Int16", "Int32", "Int64", "UInt8", "UInt16", "UInt32")
