@@ -1,8 +1,8 @@
-"""Array types, and arrays that nobody can change."""
+"""Array types, arrays that nobody can change, and arrays of other libraries."""
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -10,6 +10,20 @@ from numpy.typing import ArrayLike, NDArray
 FloatArray: TypeAlias = NDArray[np.float64]
 BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.int64]
+#: An array of any library with numpy's functions: numpy's own, or a device's (CuPy, JAX).
+AnyArray: TypeAlias = Any
+
+
+def namespace_of(array: AnyArray) -> Any:
+    """The module whose functions compute with this array, where it lies: numpy, or that of a device."""
+    if isinstance(array, np.ndarray) or not hasattr(array, "__array_namespace__"):
+        return np
+    return array.__array_namespace__()
+
+
+def to_host(array: AnyArray) -> FloatArray:
+    """The same numbers as a numpy array; a numpy array is returned as it is, without a copy."""
+    return array.get() if hasattr(array, "get") else np.asarray(array)  # CuPy refuses the latter
 
 
 def sealed(values: ArrayLike) -> FloatArray:

@@ -1,5 +1,7 @@
 """Unit quaternions, batched over leading axes, in MuJoCo's order w, x, y, z.
 
+Products, logarithms and differences are computed where their arguments lie, also on a device.
+
 Quaternions and their negatives are the same rotation; every function here gives the same answer for
 both, so that a log may flip signs as it likes.
 """
@@ -10,19 +12,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, namespace_of
 
 
 def conjugate(q: FloatArray) -> FloatArray:
     """Inverse of unit quaternions, shape (..., 4)."""
-    return q * np.array([1.0, -1.0, -1.0, -1.0])
+    return q * namespace_of(q).asarray(np.array([1.0, -1.0, -1.0, -1.0]))
 
 
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
     """Hamilton product a b: rotate by b, then by a; shape (..., 4)."""
     aw, ax, ay, az = (a[..., i] for i in range(4))
     bw, bx, by, bz = (b[..., i] for i in range(4))
-    return np.stack(
+    return namespace_of(a).stack(
         (
             aw * bw - ax * bx - ay * by - az * bz,
             aw * bx + ax * bw + ay * bz - az * by,
@@ -49,11 +51,11 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 def log(q: FloatArray) -> FloatArray:
     """Rotation vector [rad], shape (..., 3), of unit quaternions; its norm is at most pi."""
-    w, xyz = q[..., :1], q[..., 1:]
-    xyz = np.where(w < 0.0, -xyz, xyz)
-    sine = np.linalg.norm(xyz, axis=-1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, np.abs(w))
-    return xyz * np.where(sine > 1e-12, angle / np.maximum(sine, 1e-12), 2.0)
+    xp, w, xyz = namespace_of(q), q[..., :1], q[..., 1:]
+    xyz = xp.where(w < 0.0, -xyz, xyz)
+    sine = xp.linalg.norm(xyz, axis=-1, keepdims=True)
+    angle = 2.0 * xp.arctan2(sine, xp.abs(w))
+    return xyz * xp.where(sine > 1e-12, angle / xp.maximum(sine, 1e-12), 2.0)
 
 
 def yaw_of(q: FloatArray) -> FloatArray:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, namespace_of
 
 #: Half-width of a central 90 % interval of a normal distribution, in standard deviations.
 Z90 = 1.6448536269514722
@@ -16,7 +16,8 @@ def pseudo_huber(squared: FloatArray, delta: float) -> FloatArray:
     Twice the usual pseudo-Huber loss, 2 delta^2 (sqrt(1 + s / delta^2) - 1), so that it equals the
     square near zero. `delta` is in standard deviations.
     """
-    return 2.0 * squared / (1.0 + np.sqrt(1.0 + squared / delta**2))  # the same, without cancellation
+    root = namespace_of(squared).sqrt(1.0 + squared / delta**2)
+    return 2.0 * squared / (1.0 + root)  # the same, without cancellation
 
 
 def pseudo_huber_weight(squared: FloatArray, delta: float) -> FloatArray:

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, Self, TypeAlias
+from typing import Literal, Protocol, Self
 
 import mujoco
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from amhe_cli.engine.states import integrated
-
-#: An array of the engine's own: numpy's, or a device's with numpy's functions in `__array_namespace__`.
-EngineArray: TypeAlias = Any
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,12 +131,12 @@ class Predicted:
     """What p candidates predict on c clips.
 
     Args:
-        values: One array for each `Wanted`, shape (p, c, s, k), in the engine's own array namespace.
-            Finite everywhere, also where a rollout diverged.
-        completed: False where a rollout diverged, shape (p, c); numpy.
+        values: One array for each `Wanted`, shape (p, c, s, k), numpy's or on the engine's device (see
+            `core.arrays.namespace_of`). Finite everywhere, also where a rollout diverged.
+        completed: False where a rollout diverged, shape (p, c); a numpy array.
     """
 
-    values: tuple[EngineArray, ...]
+    values: tuple[AnyArray, ...]
     completed: BoolArray
 
 

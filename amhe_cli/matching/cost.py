@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, namespace_of, to_host
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import CostSettings
 from amhe_cli.core.statistics import pseudo_huber, trimmed_mean
@@ -31,18 +31,25 @@ class Residuals:
     """Whitened residuals of p candidates on c clips.
 
     Args:
-        values: Per channel, shape (p, c, samples, k); zero where nothing was measured.
-        completed: False where a rollout diverged, shape (p, c).
+        values: One array for each channel, shape (p, c, samples, k), numpy's or on the engine's device;
+            zero where nothing was measured.
+        completed: False where a rollout diverged, shape (p, c); a numpy array.
     """
 
-    values: tuple[FloatArray, ...]
+    values: tuple[AnyArray, ...]
     completed: BoolArray
 
     @cached_property
-    def flat(self) -> FloatArray:
-        """All channels side by side, shape (p, c, R)."""
+    def stacked(self) -> AnyArray:
+        """All channels side by side, shape (p, c, R), where the values lie."""
         p, c = self.completed.shape
-        return np.concatenate([v.reshape(p, c, -1) for v in self.values], axis=-1)
+        stack = namespace_of(self.values[0]).concatenate
+        return stack([v.reshape(p, c, -1) for v in self.values], axis=-1)
+
+    @property
+    def flat(self) -> FloatArray:
+        """All channels side by side, shape (p, c, R), as a numpy array."""
+        return to_host(self.stacked)
 
 
 class MatchingCost:
@@ -92,12 +99,17 @@ class MatchingCost:
         pairs = zip(self.clips.observed, predicted.values, strict=True)
         return Residuals(tuple(whitened(observed, values) for observed, values in pairs), predicted.completed)
 
+    def losses(self, residuals: Residuals) -> list[FloatArray]:
+        """Robust loss of each channel, summed over its samples, shape (p, c) each; as numpy arrays."""
+        losses = []
+        for values in residuals.values:
+            squared = namespace_of(values).einsum("pcsk,pcsk->pcs", values, values)
+            losses.append(to_host(pseudo_huber(squared, self.settings.huber).sum(axis=-1)))
+        return losses
+
     def clip_costs(self, residuals: Residuals) -> FloatArray:
         """Cost of every candidate on every clip, shape (p, c); inf where the rollout diverged."""
-        total = np.zeros(residuals.completed.shape)
-        for values in residuals.values:
-            squared = np.einsum("pcsk,pcsk->pcs", values, values)
-            total += pseudo_huber(squared, self.settings.huber).sum(axis=-1)
+        total = sum(self.losses(residuals))
         return np.where(residuals.completed, total / self.clips.counts, np.inf)
 
     def costs(self, z: FloatArray, first: FloatArray | None = None) -> FloatArray:
@@ -124,7 +136,8 @@ class MatchingCost:
         count = np.zeros(len(self.clips.windows))
         for observed, values in zip(self.clips.observed, residuals.values, strict=True):
             if measures(observed.channel, quantity):
-                total += observed.noise * np.linalg.norm(values, axis=-1).sum(axis=-1)
+                distance = namespace_of(values).linalg.norm(values, axis=-1)
+                total += observed.noise * to_host(distance.sum(axis=-1))
                 count += observed.mask.sum(axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(residuals.completed, total / count, np.inf)
@@ -137,13 +150,21 @@ def measures(channel: Channel, quantity: str) -> bool:
     return channel.unit == "m" and len(channel.columns) == 3
 
 
-def whitened(observed: Observed, predicted: FloatArray) -> FloatArray:
-    """Residuals of one channel in units of its noise sd, shape (p, c, samples, k); 0 where masked."""
+def whitened(observed: Observed, predicted: AnyArray) -> AnyArray:
+    """Residuals of one channel in units of its noise sd, computed where the prediction lies.
+
+    Args:
+        observed: What the channel measured on c clips.
+        predicted: What p candidates predict, shape (p, c, samples, columns).
+
+    Returns:
+        Shape (p, c, samples, k); 0 where nothing was measured.
+    """
+    xp = namespace_of(predicted)
+    measured, scale = xp.asarray(observed.measured), xp.asarray(observed.mask[..., None] / observed.noise)
     if observed.channel.kind == "rotation":
-        difference = rotations.difference(predicted, np.broadcast_to(observed.measured, predicted.shape))
-    else:
-        difference = predicted - observed.measured
-    return difference * (observed.mask[..., None] / observed.noise)
+        return rotations.difference(predicted, xp.broadcast_to(measured, predicted.shape)) * scale
+    return (predicted - measured) * scale
 
 
 def quadratic_prior(z: FloatArray, mean: FloatArray, precision: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber, pseudo_huber_weight
+from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber_weight
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
@@ -247,9 +247,8 @@ def objective(
         clip_weight: Weight of each clip, shape (c,).
     """
     total = np.einsum("pcx,pcx->pc", first, first)
-    for values, time in zip(residuals.values, times, strict=True):
-        squared = np.einsum("pcsk,pcsk->pcs", values, values)
-        total = total + pseudo_huber(squared, cost.settings.huber).sum(axis=2) / time
+    for loss, time in zip(cost.losses(residuals), times, strict=True):
+        total = total + loss / time
     total = np.where(residuals.completed, total, np.inf)
     return np.where(clip_weight > 0.0, total * np.maximum(clip_weight, 1e-300), 0.0).sum(axis=1)
 

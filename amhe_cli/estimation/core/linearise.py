@@ -5,11 +5,14 @@ clip's first-state error e (in units of its sd) are rolled out, and the residual
 
     r(z + dz, e + de) ~ r + Gz dz + Gx de,        a priori e ~ N(0, I) and z ~ N(0, I),
 
-as ensemble Kalman smoothers do (Evensen, Raanes and Stordal 2019). e is sampled as it is known: from its
-prior first, and from its posterior where a search has one already (posterior linearisation,
-Garcia-Fernandez et al. 2015), since a contact that is missed by a millimetre is on no straight line. Where
-contacts make the model rough, r is the mean over the samples, and it is r itself where it is smooth.
-`information` makes of it what the clips say.
+as ensemble Kalman smoothers do (Evensen, Raanes and Stordal 2019). The samples of e follow what is known of
+it: its prior at first, and its posterior where a search has one already (posterior linearisation,
+Garcia-Fernandez et al. 2015), since a contact that is missed by a millimetre lies on no straight line. Where
+contacts make the model rough, r is the mean over the samples; where it is smooth, r is the residual itself.
+`information` turns the slopes into what the clips tell about z.
+
+The residuals stay where the engine computed them, which may be a device: only sums over the samples are
+copied to the host.
 """
 
 from __future__ import annotations
@@ -18,17 +21,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, namespace_of, to_host
 from amhe_cli.estimation.core.shape import coordinates
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstStates:
-    """What is known of the errors e of the recorded first states, in their sd.
+    """What is known of the errors e of the recorded first states of c clips, in units of their sd.
 
     Args:
-        mean: Shape (c, nx); nx = 0 takes the recorded states as exact.
+        mean: Mean of e, shape (c, nx); nx = 0 takes the recorded states as exact.
         shape: Samples are mean + shape w with w of unit variance, shape (c, nx, nx).
     """
 
@@ -37,7 +40,7 @@ class FirstStates:
 
     @staticmethod
     def recorded(clips: int, nx: int) -> FirstStates:
-        """Nothing but what was recorded, and its noise."""
+        """The prior: the recorded states with the noise of their sensors."""
         return FirstStates(np.zeros((clips, nx)), np.tile(np.eye(nx), (clips, 1, 1)))
 
 
@@ -46,21 +49,23 @@ class Linearisation:
     """Residuals and their slopes at one place, for c clips.
 
     Args:
+        cost: The matching cost on the clips.
         residual: Residuals at (z, first), or their mean over the samples about it, shape (c, R).
         centre: Residuals at (z, first) itself, shape (c, R).
         gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
-        curves: What is not linear in the h pairs of samples, 0 in those that diverged, shape (h, c, R).
-        bend: Its mean square, shape (c, R).
-        first: What was known of the first-state errors, and sampled.
+        curves: Nonlinear (even) response to each of h pairs of samples, 0 for pairs that diverged, shape
+            (h, c, R); numpy's or on the engine's device.
+        bend: Mean square of the nonlinear response, shape (c, R).
+        first: What was known of the first-state errors; the samples followed it.
         completed: Clips that could be linearised, shape (c,).
-        rollouts, diverged: How many were run, and how many of them diverged.
+        rollouts, diverged: Number of rollouts, and how many of them diverged.
     """
 
     cost: MatchingCost
     residual: FloatArray
     centre: FloatArray
     gain: FloatArray
-    curves: FloatArray
+    curves: AnyArray
     bend: FloatArray
     first: FirstStates
     completed: BoolArray
@@ -82,42 +87,39 @@ def linearise(
 
     Args:
         cost: The matching cost on c clips.
-        z: Where, shape (d,).
+        z: The place, shape (d,).
         first: What is known of the first-state errors.
         shape: Samples are z + shape w with w of unit variance, shape (d, d).
-        samples: Candidates wanted; raised to two for each unknown of the regression.
+        samples: Number of candidates; raised to two for each unknown of the regression.
         rng: Draws the directions.
-        averaged: Take the samples' mean for the residual, as a rough model wants, not the centre.
+        averaged: Return the samples' mean as the residual, for a rough model, instead of the centre.
     """
     d, nx = z.size, first.mean.shape[1]
     directions = orthogonal_directions(d + nx, max(d + nx, samples // 2), rng)
-    half = len(directions)
-    signs = np.concatenate((directions, -directions, np.zeros((1, d + nx))))
-    candidates = cost.system.space.clip(z + signs[:, :d] @ shape.T)
-    starts = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
-    residuals = cost.residuals(candidates, starts if nx else None)
-    # a bound may have cut a step short: what was really tried is (plus - minus) / 2
-    steps = coordinates(shape, 0.5 * (candidates[:half] - candidates[half:-1]))
+    half, signs = len(directions), np.concatenate((directions, -directions, np.zeros((1, d + nx))))
+    candidates = cost.system.space.clip(z + signs[:, :d] @ shape.T)  # h pairs, and their centre
+    errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
+    residuals = cost.residuals(candidates, errors if nx else None)
     odd, even, pairs = _parity(residuals, half)
-    gain = _regress(odd, pairs, np.concatenate((steps, directions[:, d:]), axis=1))
-    gain[:, :d] = np.einsum("wd,cwr->cdr", np.linalg.pinv(shape, rcond=1e-9), gain[:, :d])
-    gain[:, d:] = np.linalg.inv(first.shape).transpose(0, 2, 1) @ gain[:, d:]
-    # and a pair is lopsided: what the slope makes of its middle is no bend
-    middle = 0.5 * (candidates[:half] + candidates[half:-1]) - z
-    curves = even - np.einsum("hd,cdr->hcr", middle, gain[:, :d])
-    lift, bend = _bent(curves, pairs)
-    if averaged:
-        bend = bend - lift**2
-    completed = residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half)
+
+    # a bound may have cut a step short: the step that was really taken is half the pair's difference
+    plus, minus = candidates[:half], candidates[half:-1]
+    steps = np.concatenate((coordinates(shape, 0.5 * (plus - minus)), directions[:, d:]), axis=1)
+    gain = _by_coordinates(_regress(odd, pairs, steps), shape, first.shape)
+
+    # then the pair's middle is not z either, and its share of the even response is linear
+    curves = even - _predicted(gain[:, :d], 0.5 * (plus + minus) - z, even)
+    lift, bend = _moments(curves, pairs)
+    centre = to_host(residuals.stacked[-1])
     return Linearisation(
         cost=cost,
-        residual=residuals.flat[-1] + averaged * lift,
-        centre=residuals.flat[-1],
+        residual=centre + averaged * lift,
+        centre=centre,
         gain=gain,
-        curves=curves * pairs.T[:, :, None],
-        bend=bend,
+        curves=curves * namespace_of(curves).asarray(pairs.T[:, :, None]),
+        bend=bend - lift**2 if averaged else bend,
         first=first,
-        completed=completed,
+        completed=residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half),
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),
     )
@@ -135,23 +137,65 @@ def orthogonal_directions(dimension: int, count: int, rng: np.random.Generator) 
     return np.concatenate(blocks)[:count] * np.sqrt(dimension)
 
 
-def _parity(residuals: Residuals, half: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Odd and even response to each pair of samples (half, c, R), and which pairs completed (c, half)."""
-    plus, minus, centre = residuals.flat[:half], residuals.flat[half:-1], residuals.flat[-1]
-    pairs = (residuals.completed[:half] & residuals.completed[half:-1] & residuals.completed[-1]).T
-    return 0.5 * (plus - minus), 0.5 * (plus + minus) - centre, pairs.astype(float)
+def _parity(residuals: Residuals, half: int) -> tuple[AnyArray, AnyArray, FloatArray]:
+    """Odd and even response to each of h pairs of samples, and which pairs completed.
+
+    Args:
+        residuals: Residuals of 2 h + 1 candidates: one side of each pair, the other side, the centre.
+        half: Number of pairs, h.
+
+    Returns:
+        Half the difference within each pair and its mean less the centre, shape (h, c, R) each; 1 for the
+        pairs that completed, else 0, shape (c, h).
+    """
+    done, values = residuals.completed, residuals.stacked
+    plus, minus, centre = values[:half], values[half:-1], values[-1]
+    pairs = (done[:half] & done[half:-1] & done[-1]).T.astype(float)
+    return 0.5 * (plus - minus), 0.5 * (plus + minus) - centre, pairs
 
 
-def _bent(even: FloatArray, pairs: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean and mean square of the even response (half, c, R) over the pairs that completed, (c, R) each."""
-    count = np.maximum(pairs.sum(axis=1), 1.0)[:, None]
-    return np.einsum("ch,hcr->cr", pairs, even) / count, np.einsum("ch,hcr->cr", pairs, even**2) / count
+def _regress(odd: AnyArray, pairs: FloatArray, steps: FloatArray) -> FloatArray:
+    """Least squares of the odd response on the steps: slopes (c, n, R); even orders have cancelled.
 
-
-def _regress(odd: FloatArray, pairs: FloatArray, steps: FloatArray) -> FloatArray:
-    """Least squares of the odd response on the steps: gain (c, n, R); even orders have cancelled."""
+    Args:
+        odd: Odd response to h pairs of samples, shape (h, c, R).
+        pairs: Weight of each pair on each clip, shape (c, h).
+        steps: Steps of the pairs, shape (h, n).
+    """
+    xp = namespace_of(odd)
     normal = np.einsum("ch,hi,hj->cij", pairs, steps, steps)
     size = np.einsum("hi,hi->i", steps, steps)
     normal += np.diag(1e-9 * size + (size <= 0.0))  # an unmoved parameter has slope zero
-    right = np.einsum("chi,hcr->cir", pairs[..., None] * steps, odd, optimize=True)
+    weighted = xp.asarray(pairs[..., None] * steps)
+    right = to_host(xp.einsum("chi,hcr->cir", weighted, odd, optimize=True))
     return np.linalg.solve(normal, right)
+
+
+def _by_coordinates(slopes: FloatArray, shape: FloatArray, first_shape: FloatArray) -> FloatArray:
+    """Slopes by z and e (c, d + nx, R), from slopes by the w of their samples.
+
+    A step is dz = S w, and r moves by Gz S w: the slopes by w are Gz S, those by z are they times S^-1.
+
+    Args:
+        slopes: Slopes by w, shape (c, d + nx, R).
+        shape: S of the samples of z, shape (d, d); directions that are not sampled have slope zero.
+        first_shape: S of the samples of each clip's first-state error, shape (c, nx, nx).
+    """
+    d, gain = len(shape), np.empty_like(slopes)
+    gain[:, :d] = np.einsum("wd,cwr->cdr", np.linalg.pinv(shape, rcond=1e-9), slopes[:, :d])
+    gain[:, d:] = np.linalg.inv(first_shape).transpose(0, 2, 1) @ slopes[:, d:]
+    return gain
+
+
+def _predicted(gain: FloatArray, steps: FloatArray, like: AnyArray) -> AnyArray:
+    """Linear response (h, c, R) of slopes (c, d, R) to steps of z (h, d), where `like` lies."""
+    xp = namespace_of(like)
+    return xp.einsum("hd,cdr->hcr", xp.asarray(steps), xp.asarray(gain))
+
+
+def _moments(curves: AnyArray, pairs: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean and mean square of the even response (h, c, R) over completed pairs (c, h), (c, R) each."""
+    xp, count = namespace_of(curves), np.maximum(pairs.sum(axis=1), 1.0)[:, None]
+    weight = xp.asarray(pairs)
+    first, second = (to_host(xp.einsum("ch,hcr->cr", weight, power)) for power in (curves, curves**2))
+    return first / count, second / count

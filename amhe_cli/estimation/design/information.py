@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, namespace_of
 from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.information import (
@@ -64,7 +64,7 @@ def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
         residual=found.residual / factor,
         centre=found.centre / factor,
         gain=found.gain / factor,
-        curves=found.curves / factor,
+        curves=found.curves / namespace_of(found.curves).asarray(factor),
         bend=found.bend / factor**2,
     )
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, to_host
 from amhe_cli.core.log import Window
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Fit
@@ -30,7 +30,7 @@ def fits(problem: Problem, z: FloatArray, windows: Sequence[Window], held_out: b
     return tuple(
         fit_of(observed, values[:, i], window, i, held_out)
         for i, window in enumerate(chosen)
-        for observed, values in zip(cost.clips.observed, predicted.values, strict=True)
+        for observed, values in zip(cost.clips.observed, map(to_host, predicted.values), strict=True)
         if observed.mask[i].any()
     )
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.arrays import FloatArray, IntArray, to_host
 from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline.fits import SHOWN, fit_of
@@ -104,6 +104,6 @@ def _fits(done: Replay, engine: Engine, i: int) -> Iterator[Fit]:
         f"{end - window.duration:.2f} to {end:.2f} s: misfit {estimate.misfit:.2g}"
         f"{'' if estimate.mark == 'updated' else f', {estimate.mark}'}"
     )
-    for observed, values in zip(cost.clips.observed, predicted.values, strict=True):
+    for observed, values in zip(cost.clips.observed, map(to_host, predicted.values), strict=True):
         if observed.mask[0].any():
             yield replace(fit_of(observed, values[:, 0], window, 0, held_out=False), clip=label)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, to_host
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import log_rank_weights
 from amhe_cli.estimation.core.information import (
@@ -210,7 +210,7 @@ def _nuisances(problem: WindowProblem, slopes: Linearisation) -> FloatArray:
         return first
     inside = np.linalg.inv(problem.shape)
     wider = float(np.trace(inside @ problem.prior.covariance @ inside.T) / d)
-    curves = max(1.0, wider) * np.sqrt(3.0 / len(slopes.curves)) * slopes.curves[:, 0]
+    curves = max(1.0, wider) * np.sqrt(3.0 / len(slopes.curves)) * to_host(slopes.curves[:, 0])
     return np.concatenate((first, curves[None]), axis=1)
 
 
