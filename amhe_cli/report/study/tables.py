@@ -64,7 +64,7 @@ def table_1(groups: Groups) -> StudyTable:
         rows.append((label(name), *(mean_sd(name, group.spread(name)) for group in ours), *told))
         records += [_record(g, name) | _theirs(theirs.get(g.mode)) for g in ours]
     head = ("", *(_mode(group) for group in ours), *(f"paper: {mode}" for mode in paper.MODES.values()))
-    note = "Costs are ours and the paper's own: compare them along a row of either, not across."
+    note = "Our cost J is not the paper's: compare costs among our modes, or among the paper's."
     return StudyTable(
         "table1",
         f"{task.upper()}: mean ± sd over seeds, beside the paper's table I",
