@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Iterator, Mapping
@@ -49,3 +50,8 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def json_text(record: object) -> str:
+    """The content of a JSON file for people and programs: indented, without NaN or infinity."""
+    return json.dumps(record, indent=2, allow_nan=False) + "\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -13,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.core.belief_file import belief_text
-from amhe_cli.core.files import plain
+from amhe_cli.core.files import json_text, plain
 from amhe_cli.estimation.offline.result import HeldOut, Identification, known_together
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import filling
@@ -78,7 +77,7 @@ def write_identification(
     contents = {
         "belief.yaml": belief_text(belief),
         "identified.xml": identified_xml(system, belief.estimate),
-        "result.json": json.dumps(record, indent=2, allow_nan=False) + "\n",
+        "result.json": json_text(record),
         "report.html": identification_page(result, record, provenance),
     }
     with filling(folder) as scratch:

@@ -83,7 +83,7 @@ def _print_topics(survey: Survey, console: Console) -> None:
         cells = "   ".join(text.rjust(width) for text, width in zip(row[1:], widths, strict=True))
         console.print(f"{row[0]:<{name}}   {cells}", style="dim" if number == 0 else "", soft_wrap=True)
         if topic is not None:
-            console.print(Padding(_content(topic), (0, 0, 0, 4)))
+            console.print(Padding(_content(topic), (0, 0, 0, 4), expand=False))
 
 
 def _rate(rate: float) -> str:
@@ -129,8 +129,9 @@ def _print_suitability(found: Inspection, console: Console) -> None:
     console.print(Text.assemble("for system ", (str(found.system), "bold")))
     for check in found.checks:
         console.print(f"  {check.signal.name}: {check.signal.topic}, {_needs(check.signal)}", soft_wrap=True)
-        answer = Text(f"found, without gaps in {numbers.percent(check.valid)} of the time", style="green")
-        console.print(Padding(Text(check.problem, style="yellow") if check.problem else answer, (0, 0, 0, 4)))
+        found_text = f"found, without gaps in {numbers.percent(check.valid)} of the time"
+        answer = Text(check.problem or found_text, style="yellow" if check.problem else "green")
+        console.print(Padding(answer, (0, 0, 0, 4), expand=False))
     if found.usable:
         console.print(f"usable: {found.duration:.4g} s with all signals", style="green")
     else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
@@ -12,6 +11,7 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.text import Text
 
+from amhe_cli.core.files import json_text
 from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
@@ -46,7 +46,7 @@ def write_replay(
     """
     contents = {
         "estimates.csv": estimates_csv(replay),
-        "result.json": json.dumps(record, indent=2, allow_nan=False) + "\n",
+        "result.json": json_text(record),
         "report.html": replay_page(replay, fits, record, provenance),
     }
     metadata = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.files import json_text
 from amhe_cli.core.floor import Floor
 from amhe_cli.report import figures, numbers, run_figures
 from amhe_cli.report.page import Key, Section, Statement, Tone, result_page
@@ -57,8 +57,7 @@ def write_run(
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
     """
-    text = json.dumps(record, indent=2, allow_nan=False) + "\n"
-    (folder / "result.json").write_text(text, encoding="utf-8")
+    (folder / "result.json").write_text(json_text(record), encoding="utf-8")
     page = run_page(task, columns, record, provenance)
     (folder / "report.html").write_text(page, encoding="utf-8")
 

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.floor import outline
 from amhe_cli.report.figures import INK, MUTED, Grid
 from amhe_cli.report.study.drawing import PATH, TRUTH, color_of, legend, line, room
 from amhe_cli.robots.go1.kinematics import HIPS
@@ -84,6 +85,4 @@ def _outline(
 ) -> None:
     """A rectangle where a body stood."""
     x, y, yaw = (trace[f"{what}_{name}"][row] for name in ("x", "y", "yaw"))
-    ahead, left = 0.5 * size[0] * np.array([1, 1, -1, -1, 1]), 0.5 * size[1] * np.array([1, -1, -1, 1, 1])
-    c, s = np.cos(yaw), np.sin(yaw)
-    axes.plot(x + c * ahead - s * left, y + s * ahead + c * left, **style)
+    axes.plot(*outline(np.array([x, y]), yaw, (size[0], size[1])), **style)
