@@ -33,7 +33,6 @@ TO_GO: dict[str, set[str]] = {
     "cli": {"assembly", "replay_assembly"},
     "core": {"robots/go1"},
     "estimation": {"assembly"},
-    "live": {"robots/go1"},
     "report": {"robots/go1"},
     "robots/go1": {"assembly"},
 }

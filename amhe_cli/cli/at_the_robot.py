@@ -56,10 +56,12 @@ def opened(asked: RunOptions, wire: Mapping[str, Any]) -> Run | None:
     Raises:
         ConfigError: Options that do not go together.
     """
+    reached = wire_of(asked.target, wire)
+    if reached is None:
+        return None
     from amhe_cli.robots.go1.link.open import open_go1_run
 
-    reached = wire_of(asked.target, wire)
-    return open_go1_run(asked, reached) if reached else None
+    return open_go1_run(asked, reached)
 
 
 def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
@@ -69,7 +71,6 @@ def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
         ConfigError: Options that do not go together.
     """
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.robots.go1.link.open import WireOptions
 
     given = {name: value for name, value in wire.items() if value}
     if target != "go1":
@@ -77,6 +78,8 @@ def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
             name = next(iter(given)).replace("_", "-")
             raise ConfigError(f"--{name} is of a real robot: give --target go1 too")
         return None
+    from amhe_cli.robots.go1.link.open import WireOptions
+
     given.pop("dry_run", None)
     return WireOptions(**given, keys=_terminal())
 
@@ -101,9 +104,9 @@ def ready(target: Any, session: Session) -> Iterator[None]:
         StoppedError: A trip, or the operator, came before it stood ready.
         LinkError, PoseError: Something is not as it should be.
     """
-    from amhe_cli.robots.go1.link.target import Go1Target
+    from amhe_cli.live.target import SimTarget
 
-    if not isinstance(target, Go1Target):
+    if isinstance(target, SimTarget):
         yield
         return
     with _unseen_keys(), target:
@@ -160,17 +163,17 @@ def _by_signal(target: Any) -> bool:
 
 def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, Any]:
     """What result.json says of the link, which the log's last diagnostics say too; {} for a simulation."""
+    from amhe_cli.live.target import SimTarget
     from amhe_cli.logs.messages.writer import ERROR, OK
-    from amhe_cli.robots.go1.link.target import Go1Target
 
-    if not isinstance(target, Go1Target):
+    if isinstance(target, SimTarget):
         return {}
     report, slow = target.report, target.slow
     packets = ", ".join(f"{name} {value:g}" for name, value in report.intervals.items())
     words = f"sender: {packets}; time {slow:g} times slower than the clock"
     level = ERROR if report.trip else OK
     time = float(history.column("time")[-1]) if history.cycles else 0.0
-    recorder.say(time + 1e-3, level, f"{words}; {report.trip}: {report.reason}" if report.trip else words)
+    recorder.note(time + 1e-3, level, f"{words}; {report.trip}: {report.reason}" if report.trip else words)
     return {
         "link": {
             "trip": report.trip, "reason": report.reason, "slow": slow, "notes": report.notes,

@@ -1,35 +1,20 @@
-"""The live loop: measure, estimate, plan, act; one `Cycle` after the other."""
+"""The live loop: measure, estimate, plan, act; one `Cycle` after the other.
+
+States and truths are of the robot's own type: the loop passes them on and reads only their `time` [s].
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 from amhe_cli.control.controller import Controller, Plan
-from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.online.horizon import Estimate
+from amhe_cli.core.samples import Samples
+from amhe_cli.estimation.online.workers import News
 from amhe_cli.live.target import Target
-from amhe_cli.robots.go1.judge import Judge
-from amhe_cli.robots.go1.state import Measurements, State
-from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class News:
-    """Something that came from the estimator.
-
-    Args:
-        time: When it was known [s].
-        estimate: In force from now on; None: there is only something to tell.
-        text: What went wrong.
-    """
-
-    time: float
-    estimate: Estimate | None
-    text: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,45 +22,86 @@ class Cycle:
     """All that happened in one control period.
 
     Args:
-        measured: By the sensors, up to now.
-        estimate: State by the estimator.
-        played: Joint targets in force while it was planned, shape (12,).
-        plan: Made from it; takes effect one period later.
-        belief: Parameters that it was made with, by name.
-        truth: The true state now; None where nobody knows it.
-        parameters: The true parameters now, likewise.
+        samples: What log and estimator are given of it.
+        estimate: Estimated state.
+        played: Joint targets in force while it was planned [rad], shape (n,).
+        plan: The plan made from that state; it takes effect one period later.
+        belief: Parameters that the plan was made with, by name.
+        truth: The true state now; None where it is unknown.
+        parameters: The true parameters now; None where they are unknown.
         plan_ms: Time that the cycle took to compute [ms].
-        misses: Periods without a new plan, so far.
+        misses: Number of periods without a new plan, so far.
         over: The episode ends with this cycle.
-        news: Of the estimator, since the cycle before.
+        news: Estimates that came in since the cycle before, and troubles of the estimator.
     """
 
-    measured: Measurements
-    estimate: State
+    samples: Samples
+    estimate: Any
     played: FloatArray
     plan: Plan
     belief: dict[str, float]
-    truth: State | None
+    truth: Any
     parameters: dict[str, float] | None
     plan_ms: float
     misses: int
     over: bool
     news: tuple[News, ...] = ()
 
+    @property
+    def time(self) -> float:
+        """Time of the state that was planned from [s]."""
+        return self.estimate.time
+
+
+class Observer(Protocol):
+    """Estimates the robot's state from what was measured."""
+
+    def update(self, time: float, measured: Samples) -> Any:
+        """The state at a time [s], from what was measured since the last call."""
+        ...
+
+
+class CycleSampler(Protocol):
+    """Makes the samples of each cycle that are worth recording."""
+
+    def take(self, measured: Samples, estimate: Any, played: FloatArray, plan: Plan) -> Samples:
+        """The samples of one cycle; call it once for each, in their order.
+
+        Args:
+            measured: What was measured since the cycle before.
+            estimate: State estimated from it.
+            played: Joint targets in force meanwhile [rad], shape (n,).
+            plan: The plan made from that state.
+        """
+        ...
+
 
 class BeliefSource(Protocol):
-    """What the controller plans with."""
+    """The parameters that the controller plans with."""
 
     def at(self, time: float) -> dict[str, float]:
         """Parameters by name, at a time [s]."""
         ...
 
-    def saw(self, cycle: Cycle) -> tuple[News, ...]:
-        """Learn from a cycle; what is new for the next."""
+    def learn(self, cycle: Cycle) -> tuple[News, ...]:
+        """Take in a cycle; what is new for the next."""
         ...
 
     def close(self) -> None:
-        """Let go of what it holds; nothing is asked of it after."""
+        """Let go of what it holds; it is not used any more."""
+        ...
+
+
+class EpisodeJudge(Protocol):
+    """Watches an episode and says when it is over."""
+
+    def watch(self, state: Any) -> bool:
+        """Take in the state of one cycle, the true one where it is known; True: the episode is over."""
+        ...
+
+    @property
+    def verdict(self) -> tuple[int, str]:
+        """How the episode ended: a level of diagnostics, and one line of text."""
         ...
 
 
@@ -84,18 +110,20 @@ class Episode:
     """One run of a task on a target.
 
     Args:
-        target: What is controlled.
-        behaviour: Of the task.
-        controller: That plans.
-        belief: What it believes.
-        judge: That says when it is over.
+        target: Robot or simulation that is controlled.
+        observer: Estimates its state.
+        controller: Plans.
+        belief: Parameters that it plans with.
+        sampler: Makes the samples for log and estimator.
+        judge: Says when it is over.
     """
 
     target: Target
-    behaviour: Behaviour
+    observer: Observer
     controller: Controller
     belief: BeliefSource
-    judge: Judge
+    sampler: CycleSampler
+    judge: EpisodeJudge
 
     def cycles(self) -> Iterator[Cycle]:
         """Run to the end of the episode.
@@ -103,24 +131,23 @@ class Episode:
         Raises:
             SimulationError: The plant diverged.
         """
-        estimator = StateEstimator()
         news: tuple[News, ...] = ()
         while True:
-            measured = self.target.measure()
+            now, measured = self.target.measure()
             begun = time.perf_counter()
-            estimate = estimator.update(measured, self.behaviour.standing(measured.robot_times))
-            played = self.target.in_force(estimate.time)
-            belief = self.belief.at(estimate.time)
+            estimate = self.observer.update(now, measured)
+            played = self.target.in_force(now)
+            belief = self.belief.at(now)
             plan = self.controller.plan(estimate, played, belief)
             self.target.play(plan)  # before anything else takes time
             plan_ms = 1e3 * (time.perf_counter() - begun)
             truth = self.target.truth
             over = self.judge.watch(truth or estimate)
             cycle = Cycle(
-                measured, estimate, played, plan, belief, truth, self.target.parameters,
-                plan_ms, self.target.misses, over, news,
+                self.sampler.take(measured, estimate, played, plan), estimate, played, plan, belief,
+                truth, self.target.parameters, plan_ms, self.target.misses, over, news,
             )  # fmt: skip
-            news = self.belief.saw(cycle)
+            news = self.belief.learn(cycle)
             yield cycle
             if over:
                 return

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from typing import Protocol
 
 from amhe_cli.core.errors import Ending
 from amhe_cli.live.episode import Cycle, Episode
 from amhe_cli.live.recorder import Recorder
-from amhe_cli.logs.messages.writer import ERROR, OK, WARN
-from amhe_cli.robots.go1.history import History
+from amhe_cli.logs.messages.writer import ERROR, WARN
 
 logger = logging.getLogger(__name__)
 
@@ -17,41 +17,50 @@ logger = logging.getLogger(__name__)
 OnCycle = Callable[[Cycle, dict[str, float]], None]
 
 
+class CycleHistory(Protocol):
+    """Numbers of every cycle, for the report."""
+
+    def add(self, cycle: Cycle) -> dict[str, float]:
+        """Take in a cycle, and return its numbers by name."""
+        ...
+
+    @property
+    def troubles(self) -> list[str]:
+        """What went wrong with the online estimator, in words."""
+        ...
+
+
 def drive(
-    episode: Episode, recorder: Recorder, history: History, stopped: Callable[[], bool], on_cycle: OnCycle
+    episode: Episode,
+    recorder: Recorder,
+    history: CycleHistory,
+    stopped: Callable[[], bool],
+    on_cycle: OnCycle,
 ) -> Ending:
-    """Run the episode, record every cycle, and say how it ended; what the estimator failed at is warned of.
+    """Run the episode, record every cycle, warn of the estimator's troubles, and return how it ended.
 
     Args:
-        episode: To run.
+        episode: The episode to run.
         recorder: Open; the caller closes it.
-        history: Of the run.
-        stopped: Asked after each cycle: whether to stop here.
-        on_cycle: Who else wants to see the cycles.
+        history: Takes in every cycle.
+        stopped: Called after each cycle; True: stop here.
+        on_cycle: Called after each cycle.
     """
     time = 0.0
     try:
         for cycle in episode.cycles():
-            time = cycle.estimate.time
+            time = cycle.time
             recorder.write(cycle)
             on_cycle(cycle, history.add(cycle))
             if stopped() and not cycle.over:
-                recorder.say(time, WARN, "interrupted")
+                recorder.note(time, WARN, "interrupted")
                 return Ending(interrupted=True)
     except Exception as error:
-        recorder.say(time, ERROR, str(error))
+        recorder.note(time, ERROR, str(error))
         return Ending(error=error)
     finally:
         episode.belief.close()
-        for trouble in history.told:
+        for trouble in history.troubles:
             logger.warning(trouble)
-    recorder.say(time, *_verdict(episode))
+    recorder.note(time, *episode.judge.verdict)
     return Ending()
-
-
-def _verdict(episode: Episode) -> tuple[int, str]:
-    if episode.judge.fell:
-        return ERROR, "the robot fell"
-    if episode.judge.arrived:
-        return OK, "the box has arrived"
-    return WARN, "the time is up"

@@ -1,37 +1,64 @@
 """A live run as a log: every cycle goes into an MCAP file that `amhe identify` and any viewer opens.
 
 Stamps are the run's own time, from zero: a seed gives the same log every time. Only /amhe/timing and
-/diagnostics tell of the wall clock.
+/diagnostics depend on the wall clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 
+from amhe_cli.core.samples import Samples
+from amhe_cli.core.signals import Signal
 from amhe_cli.estimation.online import messages as estimates
-from amhe_cli.live import messages
+from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.episode import Cycle
-from amhe_cli.live.samples import CycleSamples, Sampler
 from amhe_cli.logs import LogWriter
+from amhe_cli.logs.messages.signal_writer import message_type, write_samples
 from amhe_cli.logs.messages.writer import OK, WARN
-from amhe_cli.robots.go1.kinematics import JOINTS
-from amhe_cli.robots.go1.tasks import Task
 
-#: Topics whose content is not a matter of the seed alone.
+PLAN, TIMING = "amhe_msgs/msg/Plan", "amhe_msgs/msg/Timing"
+#: Topics whose content does not depend on the seed alone.
 WALL_CLOCK = ("/amhe/timing", "/diagnostics")
-#: Of all that is written.
+
+_PLAN = """\
+std_msgs/Header header
+# rollouts of this cycle, and how many of them diverged
+uint32 rollouts
+uint32 diverged
+# 1 where one sample decides, as many as samples where none does
+float64 effective_samples
+# least and mean cost of the last loop
+float64 best_cost
+float64 mean_cost
+# cost of the best rollout by term
+string[] terms
+float64[] term_costs
+# command of the behaviour, channels included
+float64[] command
+"""
+_TIMING = """\
+std_msgs/Header header
+# time that the cycle took to compute
+float64 plan_ms
+# control periods that began without a new plan, so far
+uint32 deadline_misses
+"""
+#: Types of all that is written.
 _TYPES = (
     "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "nav_msgs/msg/Path",
     "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage", "diagnostic_msgs/msg/DiagnosticArray",
-    messages.PLAN, messages.TIMING, estimates.ESTIMATE,
+    PLAN, TIMING, estimates.ESTIMATE,
 )  # fmt: skip
-#: Between two messages of what changes seldom, and of what never does [s].
-_SELDOM, _NEVER = 0.1, 1.0
-_PATH_POINTS = 49
+#: Time between two messages of what changes seldom, and of what never changes [s].
+SELDOM, NEVER = 0.1, 1.0
+
+#: Writes a robot's own messages of a cycle.
+WriteMore = Callable[[LogWriter, Cycle], None]
 
 
 class Recorder:
@@ -39,28 +66,34 @@ class Recorder:
 
     Args:
         path: The .mcap file; whole and readable however the block ends.
-        task: That is done.
+        signals: Signals whose samples are written.
         metadata: What the log says of itself.
         attachments: Texts by file name.
-        period: Of control [s].
+        write_more: Writes what only this robot or task has.
+
+    Raises:
+        ConfigError: A signal is of a message type that cannot be written.
     """
 
     def __init__(
         self,
         path: Path,
-        task: Task,
+        signals: Sequence[Signal],
         metadata: Mapping[str, str],
         attachments: Mapping[str, str],
-        period: float,
+        write_more: WriteMore = lambda log, cycle: None,
     ) -> None:
+        for signal in signals:
+            message_type(signal)
         self._log = LogWriter(path, metadata)
-        self._task, self._attachments = task, dict(attachments)
-        self._sampler = Sampler(period)
-        self._told: dict[str, tuple[float, object]] = {}
+        self._signals, self._attachments, self._write_more = signals, dict(attachments), write_more
+        self._throttle = Throttle()
+        self._misses = 0
 
     def __enter__(self) -> Recorder:
         self._log.__enter__()
-        messages.define(self._log)
+        self._log.define(PLAN, _PLAN)
+        self._log.define(TIMING, _TIMING)
         estimates.define(self._log)
         self._log.prepare(_TYPES)  # a robot that has begun does not wait
         for name, text in self._attachments.items():
@@ -74,87 +107,92 @@ class Recorder:
 
     def write(self, cycle: Cycle) -> None:
         """Append all that a cycle brought."""
-        samples = self._sampler.take(cycle)
-        self._sensors(samples)
-        self._poses(samples)
-        for time, targets in zip(samples.command_times, samples.commands, strict=True):
-            self._log.joint_state("/joint_commands", stamp_ns(float(time)), JOINTS, targets)
-        self._belief(cycle)
+        write_samples(self._log, self._signals, cycle.samples, stamp_ns)
+        self._transforms(cycle.samples)
+        self._beliefs(cycle)
         self._news(cycle)
-        self._intention(cycle)
-        stamp = stamp_ns(cycle.estimate.time)
-        messages.write_plan(self._log, "/amhe/plan", stamp, cycle.plan)
-        messages.write_timing(self._log, "/amhe/timing", stamp, cycle.plan_ms, cycle.misses)
+        self._write_more(self._log, cycle)
+        self._plan(cycle)
 
-    def say(self, time: float, level: int, text: str) -> None:
-        """Put a word about the run itself into the diagnostics, after all that was told of that time."""
+    def note(self, time: float, level: int, text: str) -> None:
+        """Write a line about the run itself into the diagnostics, after all else of that time [s]."""
         self._log.diagnostics(stamp_ns(time + 1e-3), level, text, {})
 
-    # -- what was measured ----------------------------------------------------------------------------
+    def _transforms(self, samples: Samples) -> None:
+        """The newest poses, for viewers: one message a cycle is enough for them."""
+        poses, newest = {}, -np.inf
+        for signal in self._signals:
+            keys = signal.key("position"), signal.key("orientation")
+            if all(key in samples and samples[key][0].size for key in keys):
+                (times, places), (_, turns) = (samples[key] for key in keys)
+                poses[signal.name] = places[-1], turns[-1]
+                newest = max(newest, float(times[-1]))
+        if poses:
+            self._log.transform("/tf", stamp_ns(newest), poses)
 
-    def _sensors(self, samples: CycleSamples) -> None:
-        for i, time in enumerate(samples.sensor_times):
-            stamp = stamp_ns(float(time))
-            self._log.joint_state("/joint_states", stamp, JOINTS, samples.joints[i], samples.joint_rates[i])
-            # no sensor of its own tells the orientation: it is in /odom
-            self._log.imu("/imu", stamp, None, samples.gyro[i], samples.accelerometer[i], frame="trunk")
-
-    def _poses(self, samples: CycleSamples) -> None:
-        last = len(samples.pose_times) - 1
-        for i, time in enumerate(samples.pose_times):
-            stamp = stamp_ns(float(time))
-            for topic, name in (("/odom", "trunk"), ("/box/odom", "box")):
-                body = samples.bodies[name]
-                self._log.odometry(
-                    topic, stamp, body.position[i], body.orientation[i], body.velocity[i], body.rate[i],
-                    child_frame=name,
-                )  # fmt: skip
-            if i == last:  # viewers need no more of them
-                poses = {name: (b.position[i], b.orientation[i]) for name, b in samples.bodies.items()}
-                self._log.transform("/tf", stamp, poses)
-
-    # -- what was believed and wanted -----------------------------------------------------------------
-
-    def _belief(self, cycle: Cycle) -> None:
-        time = cycle.estimate.time
+    def _beliefs(self, cycle: Cycle) -> None:
         for topic, values in (("/amhe/params", cycle.belief), ("/amhe/truth", cycle.parameters)):
-            if values is not None and self._due(topic, time, _SELDOM, values):
-                self._log.joint_state(topic, stamp_ns(time), values, list(values.values()))
+            if values is not None and self._throttle.due(topic, cycle.time, SELDOM, values):
+                self._log.joint_state(topic, stamp_ns(cycle.time), values, list(values.values()))
 
     def _news(self, cycle: Cycle) -> None:
-        """What came from the estimator: estimates at the time from which they were in force."""
-        stamp = stamp_ns(cycle.estimate.time)
+        """Estimates at the time from which they were in force, and troubles of the estimator."""
+        stamp = stamp_ns(cycle.time)
         for news in cycle.news:
-            if news.estimate is not None:
-                estimates.write_estimate(self._log, stamp, news.estimate)
-            if news.text:
+            if isinstance(news, Estimate):
+                estimates.write_estimate(self._log, stamp, news)
+            else:
                 self._log.diagnostics(stamp, WARN, news.text, {}, of="estimator")
 
-    def _intention(self, cycle: Cycle) -> None:
-        time, log, path = cycle.estimate.time, self._log, self._task.path
-        stamp = stamp_ns(time)
-        if self._due("/amhe/path", time, _NEVER):
-            points = path.points(np.linspace(0.0, path.length, _PATH_POINTS if path.curvature else 2))
-            messages.write_path(log, "/amhe/path", stamp, points)
-            turn = path.heading + path.curvature * path.length
-            messages.write_floor_pose(log, "/amhe/goal", stamp, path.goal, turn)
-        reference = cycle.plan.reference
-        if reference is not None and self._due("/amhe/reference", time, _SELDOM):
-            messages.write_floor_pose(log, "/amhe/reference", stamp, reference.origin, reference.heading)
-        if self._due("/diagnostics", time, _NEVER):
-            late = cycle.misses > (self._told.get("misses") or (0.0, 0))[1]  # type: ignore[operator]
-            self._told["misses"] = (time, cycle.misses)
+    def _plan(self, cycle: Cycle) -> None:
+        """How planning went; its time is by the wall clock, unlike all else in a log."""
+        log, stamp, step = self._log, stamp_ns(cycle.time), cycle.plan.step
+        if self._throttle.due("/diagnostics", cycle.time, NEVER):
+            text, level = ("late", WARN) if cycle.misses > self._misses else ("planning in time", OK)
+            self._misses = cycle.misses
             values = {"plan ms": f"{cycle.plan_ms:.1f}", "deadline misses": str(cycle.misses)}
-            text, level = ("late", WARN) if late else ("planning in time", OK)
             log.diagnostics(stamp, level, text, values)
+        if step is not None:  # somebody sampled it
+            command = cycle.plan.command
+            plan = log.message(
+                PLAN,
+                header=log.header(""),
+                rollouts=step.rollouts,
+                diverged=step.diverged,
+                effective_samples=step.effective_samples,
+                best_cost=step.best,
+                mean_cost=step.average,
+                terms=list(step.terms),
+                term_costs=np.array(list(step.terms.values()), dtype=np.float64),
+                command=np.array([] if command is None else command, dtype=np.float64),
+            )
+            log.write("/amhe/plan", PLAN, stamp, plan)
+        timing = log.message(
+            TIMING, header=log.header(""), plan_ms=cycle.plan_ms, deadline_misses=cycle.misses
+        )
+        log.write("/amhe/timing", TIMING, stamp, timing)
 
-    def _due(self, topic: str, time: float, period: float, content: object = None) -> bool:
-        """Whether so much time has gone by since the topic's last message, or its content is another one."""
-        if topic in self._told:
-            last, told = self._told[topic]
-            if time - last < period - 1e-6 and content == told:
+
+class Throttle:
+    """Which topics are due: those that have not been written for some time, or whose content has changed."""
+
+    def __init__(self) -> None:
+        self._written: dict[str, tuple[float, object]] = {}
+
+    def due(self, topic: str, time: float, period: float, content: object = None) -> bool:
+        """Whether to write a topic now; True counts as written.
+
+        Args:
+            topic: Name of the topic.
+            time: Now [s].
+            period: Longest time between two messages [s].
+            content: What would be written; compared with the last content.
+        """
+        if topic in self._written:
+            last, before = self._written[topic]
+            if time - last < period - 1e-6 and content == before:
                 return False
-        self._told[topic] = time, content
+        self._written[topic] = time, content
         return True
 
 

@@ -3,36 +3,35 @@
 from __future__ import annotations
 
 import time
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.robots.go1.plant import Plant
-from amhe_cli.robots.go1.state import Measurements, State, merged
+from amhe_cli.core.samples import Samples, merged
 
 
 class Target(Protocol):
-    """A robot that plays plans and tells what it measures."""
+    """A robot that plays plans and measures."""
 
     @property
     def misses(self) -> int:
-        """Control periods that began without a new plan."""
+        """Number of control periods that began without a new plan."""
         ...
 
     @property
-    def truth(self) -> State | None:
-        """The true state, where it is known; never for the controller."""
+    def truth(self) -> Any:
+        """The true state, of the robot's own type; None where it is unknown. Never for the controller."""
         ...
 
     @property
     def parameters(self) -> dict[str, float] | None:
-        """The true parameters by name, where they are known."""
+        """The true parameters by name; None where they are unknown."""
         ...
 
     def in_force(self, at: float) -> FloatArray:
-        """Joint targets that are played at a time [s], shape (12,)."""
+        """Joint targets that are played at a time [s], shape (n,)."""
         ...
 
     def play(self, plan: Plan) -> None:
@@ -43,8 +42,31 @@ class Target(Protocol):
         """
         ...
 
-    def measure(self) -> Measurements:
-        """Wait for the next period's measurements."""
+    def measure(self) -> tuple[float, Samples]:
+        """Wait for the end of the next period: its time [s], and what was measured since the last call."""
+        ...
+
+
+class Simulation(Protocol):
+    """A simulation that follows joint targets."""
+
+    @property
+    def time(self) -> float:
+        """Simulated time since the start [s]."""
+        ...
+
+    @property
+    def state(self) -> Any:
+        """The true state, of the robot's own type."""
+        ...
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """The true parameters by name."""
+        ...
+
+    def advance(self, targets: FloatArray, duration: float) -> Samples:
+        """Follow joint targets (n,) [rad] for some time [s]; what was measured meanwhile."""
         ...
 
 
@@ -53,19 +75,19 @@ class SimTarget:
 
     Args:
         plant: The simulation.
-        period: Of control [s].
-        stand: Joint targets before the first plan, shape (12,).
-        realtime: Keep pace with the wall clock: who plans too long finds that time has gone on.
+        period: Control period [s].
+        stand: Joint targets before the first plan [rad], shape (n,).
+        realtime: Keep pace with the wall clock: while a plan takes too long, simulated time goes on.
     """
 
-    def __init__(self, plant: Plant, period: float, stand: FloatArray, realtime: bool = False) -> None:
+    def __init__(self, plant: Simulation, period: float, stand: FloatArray, realtime: bool = False) -> None:
         self._plant, self._period, self._realtime = plant, period, realtime
         self._plan = self._next = Plan(0.0, period, np.asarray(stand)[None])
         self._begun: float | None = None
         self.misses = 0
 
     @property
-    def truth(self) -> State:
+    def truth(self) -> Any:
         """See `Target`."""
         return self._plant.state
 
@@ -73,11 +95,6 @@ class SimTarget:
     def parameters(self) -> dict[str, float]:
         """See `Target`."""
         return self._plant.parameters
-
-    @property
-    def qpos(self) -> FloatArray:
-        """All coordinates of the plant, for pictures, shape (nq,)."""
-        return self._plant.qpos
 
     def in_force(self, at: float) -> FloatArray:
         """See `Target`."""
@@ -87,7 +104,7 @@ class SimTarget:
         """See `Target`."""
         self._next = plan
 
-    def measure(self) -> Measurements:
+    def measure(self) -> tuple[float, Samples]:
         """See `Target`.
 
         Raises:
@@ -95,9 +112,9 @@ class SimTarget:
         """
         parts = [self._advance() for _ in range(self._periods_gone())]
         self._plan = self._next
-        return merged(parts)
+        return self._plant.time, merged(parts)
 
-    def _advance(self) -> Measurements:
+    def _advance(self) -> Samples:
         return self._plant.advance(self._plan.at(self._plant.time), self._period)
 
     def _periods_gone(self) -> int:

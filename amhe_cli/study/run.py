@@ -13,6 +13,7 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError, Ending
 from amhe_cli.engine.cpu import hush_mujoco
+from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.record import run_record
 from amhe_cli.robots.go1.run import RunOptions, open_run
@@ -76,7 +77,7 @@ def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
         history.add(cycle)
         costs.append(run.judge.last_cost)
         sds.append(sd)
-        sd = next((news.estimate.sd for news in reversed(cycle.news) if news.estimate), sd)
+        sd = next((one.sd for one in reversed(cycle.news) if isinstance(one, Estimate)), sd)
     outcome = run_record(run.judge.measures(), history, Ending())
     columns = {**history.columns(), "running_cost": np.array(costs)}
     if np.isfinite(sds).any():

@@ -46,7 +46,7 @@ def second() -> list[Cycle]:
 def test_it_ends_in_time_and_has_not_fallen(second: list[Cycle]) -> None:
     assert len(second) == 50
     assert [cycle.over for cycle in second] == [False] * 49 + [True]
-    np.testing.assert_allclose([cycle.measured.time for cycle in second], PERIOD * np.arange(1, 51))
+    np.testing.assert_allclose([cycle.time for cycle in second], PERIOD * np.arange(1, 51))
     truth = second[-1].truth
     assert truth is not None and truth.time == pytest.approx(1.0)
     assert truth.trunk.position[2] > 0.2
@@ -59,7 +59,7 @@ def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(threads: int,
     again = cycles_of(duration=0.3, seed=3, threads=threads)
     np.testing.assert_array_equal(targets(again), targets(second)[:15])
     for a, b in zip(again, second, strict=False):
-        np.testing.assert_array_equal(a.measured.joints, b.measured.joints)
+        np.testing.assert_array_equal(a.samples["joints.position"][1], b.samples["joints.position"][1])
         np.testing.assert_array_equal(a.truth.box.position, b.truth.box.position)
 
 
@@ -69,7 +69,7 @@ def test_another_seed_starts_elsewhere_and_measures_and_samples_otherwise() -> N
         a, b = getattr(first.plant.state, body), getattr(other.plant.state, body)
         assert (a.position[:2] != b.position[:2]).all() and (a.orientation != b.orientation).any()
     a, b = (next(run.episode.cycles()) for run in (first, other))
-    assert (a.measured.joints != b.measured.joints).all()
+    assert (a.samples["joints.position"][1] != b.samples["joints.position"][1]).all()
     assert (a.plan.targets != b.plan.targets).any()
 
 
@@ -90,15 +90,17 @@ def test_starts_differ_by_three_centimetres_and_three_degrees_at_most_and_nearly
 def test_modes_are_paired_by_the_seed() -> None:
     """Another belief: the same start, the same noise; other plans."""
     true, baseline = (cycles_of(seed=5, mode=mode) for mode in ("true", "baseline"))
-    np.testing.assert_array_equal(true[0].measured.joints, baseline[0].measured.joints)
-    np.testing.assert_array_equal(true[0].measured.box_position, baseline[0].measured.box_position)
+    np.testing.assert_array_equal(
+        true[0].samples["joints.position"][1], baseline[0].samples["joints.position"][1]
+    )
+    np.testing.assert_array_equal(true[0].samples["box.position"][1], baseline[0].samples["box.position"][1])
     assert (targets(true) != targets(baseline)).any()
 
 
 def test_plans_take_effect_one_period_after_what_they_were_made_from(second: list[Cycle]) -> None:
     np.testing.assert_array_equal(second[0].played, HOME)
     for before, cycle in pairwise(second):
-        assert cycle.plan.start == pytest.approx(cycle.measured.time + PERIOD)
+        assert cycle.plan.start == pytest.approx(cycle.time + PERIOD)
         np.testing.assert_array_equal(cycle.played, before.plan.targets[0])
 
 

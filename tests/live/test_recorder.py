@@ -1,19 +1,19 @@
 """The log of a run, written and read again."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from amhe_cli.assembly import LogSource, inspections, open_system, trajectories
+from amhe_cli.core.samples import merged
+from amhe_cli.live.commands import Commands
 from amhe_cli.live.recorder import WALL_CLOCK, Recorder
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.kinematics import JOINTS
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import RunOptions, open_run
-from amhe_cli.robots.go1.tasks import TASKS
 
 QUICK = ("control.samples=5", "control.horizon=8")
 
@@ -58,14 +58,14 @@ def test_what_is_read_is_what_was_measured_and_played(log) -> None:
     path, cycles = log
     source = LogSource((path,), {}, None, None, None)
     (read,) = trajectories(open_system(None, source), source)
-    joints = np.concatenate([cycle.measured.joints for cycle in cycles])
-    times = np.concatenate([cycle.measured.robot_times for cycle in cycles])
+    samples = merged([cycle.samples for cycle in cycles])
+    times, joints = samples["joints.position"]
     at = round((0.3 - 1e-9 * read.start_ns) / read.dt)  # the row of 0.3 s
     assert read["joints.position"].columns == JOINTS
     measured = joints[np.argmin(np.abs(times - 0.3))]
     assert read["joints.position"].values[at] == pytest.approx(measured, abs=1e-6)
     cycle = next(c for c in cycles if c.estimate.time == pytest.approx(0.3))
-    assert read["box.position"].values[at] == pytest.approx(cycle.measured.box_position[-1], abs=1e-6)
+    assert read["box.position"].values[at] == pytest.approx(cycle.samples["box.position"][1][-1], abs=1e-6)
     assert read["trunk.linear_velocity"].values[at] == pytest.approx(cycle.estimate.trunk.velocity, abs=1e-6)
     assert read["trunk.angular_velocity"].values[at] == pytest.approx(cycle.estimate.trunk.rate, abs=1e-6)
     assert read["command.position"].values[at] == pytest.approx(cycle.played, abs=1e-6)
@@ -112,21 +112,20 @@ def test_a_seed_gives_the_same_log_whatever_the_threads(log, tmp_path: Path) -> 
     assert first["/joint_states"] != other["/joint_states"]
 
 
-def test_commands_of_missed_periods_are_those_that_were_played(log, tmp_path: Path) -> None:
+def test_commands_of_missed_periods_are_those_that_were_played(log) -> None:
     """Leave out a cycle: its command is taken from the plan that was in force."""
-    cycles = log[1]
-    late = [*cycles[:5], replace(cycles[6], misses=1), *cycles[7:10]]
-    path = tmp_path / "log.mcap"
-    with Recorder(path, TASKS["t1"], {"system": "go1_push"}, {}, 0.02) as recorder:
-        for cycle in late:
-            recorder.write(cycle)
-    stamps = [stamp for stamp, _ in messages(path)["/joint_commands"]]
-    assert np.diff(stamps).tolist() == [20_000_000] * 9
+    cycles, commands = log[1], Commands(0.02)
+    late = [*cycles[:5], *cycles[6:10]]
+    taken = [commands.take(cycle.time, cycle.played, cycle.plan, None) for cycle in late]
+    times, targets = (np.concatenate(arrays) for arrays in zip(*taken, strict=True))
+    assert np.diff(times) == pytest.approx(0.02) and len(times) == 10
+    np.testing.assert_array_equal(targets[5], cycles[3].plan.at(cycles[5].time))
+    np.testing.assert_array_equal(targets[6], cycles[6].played)
 
 
 def test_a_log_that_breaks_off_is_whole(log, tmp_path: Path) -> None:
     path = tmp_path / "log.mcap"
-    with pytest.raises(KeyboardInterrupt), Recorder(path, TASKS["t1"], {}, {}, 0.02) as recorder:
+    with pytest.raises(KeyboardInterrupt), Recorder(path, (), {}, {}) as recorder:
         recorder.write(log[1][0])
         raise KeyboardInterrupt
     assert not survey(path).problems

@@ -1,4 +1,4 @@
-"""What a run's report draws: a few numbers of every cycle."""
+"""The numbers of every cycle that a run's report draws."""
 
 from __future__ import annotations
 
@@ -18,22 +18,21 @@ from amhe_cli.robots.go1.tasks import Task
 
 @dataclass(slots=True, eq=False)
 class History:
-    """Rows of numbers, one for each cycle; by the truth where it is known, else by the estimate.
+    """Rows of numbers, one for each cycle; of the true state where it is known, else of the estimated one.
 
     Args:
-        task: That is done.
-        estimates: That came in, in adaptive runs.
-        troubles: Of the estimator: what was told of it, and when [s].
+        task: The task.
+        estimates: Estimates that came in, in adaptive runs.
     """
 
     task: Task
     estimates: list[Estimate] = field(default_factory=list)
-    troubles: dict[str, list[float]] = field(default_factory=dict)
+    _troubles: dict[str, list[float]] = field(default_factory=dict)
     _rows: list[dict[str, float]] = field(default_factory=list)
     _last: Cycle | None = None
 
     def add(self, cycle: Cycle) -> dict[str, float]:
-        """Take in a cycle; its row."""
+        """Take in a cycle, and return its row."""
         state = cycle.truth or cycle.estimate
         row = _motion(state, self.task) | _planning(cycle)
         row |= {f"belief/{name}": value for name, value in cycle.belief.items()}
@@ -46,10 +45,10 @@ class History:
     def _estimated(self, cycle: Cycle) -> dict[str, float]:
         """Interval and time of the newest estimate; nothing before the first."""
         for news in cycle.news:
-            if news.estimate is not None:
-                self.estimates.append(news.estimate)
-            if news.text:
-                self.troubles.setdefault(news.text, []).append(news.time)
+            if isinstance(news, Estimate):
+                self.estimates.append(news)
+            else:
+                self._troubles.setdefault(news.text, []).append(news.time)
         if not self.estimates:
             return {}
         newest = self.estimates[-1]
@@ -61,39 +60,39 @@ class History:
         }
 
     @property
-    def told(self) -> list[str]:
+    def troubles(self) -> list[str]:
         """Troubles of the estimator, each with its first time and how often: 'at 3.2 s it died; 2 times'."""
         return [
             f"at {times[0]:.1f} s {text}{f'; {len(times)} times' if len(times) > 1 else ''}"
-            for text, times in self.troubles.items()
+            for text, times in self._troubles.items()
         ]
 
     @property
     def cycles(self) -> int:
-        """How many there are."""
+        """Number of cycles."""
         return len(self._rows)
 
     @property
     def belief(self) -> dict[str, float]:
-        """What is believed at the end; {} before the first cycle."""
+        """Believed parameters at the end, by name; {} before the first cycle."""
         return self._named("belief/")
 
     @property
     def truth(self) -> dict[str, float]:
-        """What is true at the end; {} where nobody knows."""
+        """True parameters at the end, by name; {} where they are unknown."""
         return self._named("truth/")
 
     @property
     def misses(self) -> int:
-        """Periods without a new plan."""
+        """Number of periods without a new plan."""
         return self._last.misses if self._last else 0
 
     def column(self, name: str) -> FloatArray:
-        """One number over the cycles, shape (n,)."""
+        """One number of every cycle, shape (n,)."""
         return np.array([row.get(name, np.nan) for row in self._rows])
 
     def columns(self) -> Mapping[str, FloatArray]:
-        """All of them."""
+        """All numbers of every cycle, by name."""
         return {name: self.column(name) for name in (self._rows[-1] if self._rows else ())}
 
     def _named(self, prefix: str) -> dict[str, float]:

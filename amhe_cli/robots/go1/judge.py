@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.control.protocols import Behaviour
+from amhe_cli.logs.messages.writer import ERROR, OK, WARN
 from amhe_cli.robots.go1.state import State, heading_velocity
 from amhe_cli.robots.go1.tasks import LONGEST, TAPER, Task
 
@@ -94,6 +95,13 @@ class Judge:
     def over(self) -> bool:
         """Whether the episode has come to its end, by arrival, a fall, or its limit."""
         return self.fell or self.arrived or self._time >= self._longest - 1e-9
+
+    @property
+    def verdict(self) -> tuple[int, str]:
+        """How the episode ended: a level of diagnostics, and one line of text."""
+        if self.fell:
+            return ERROR, "the robot fell"
+        return (OK, "the box has arrived") if self.arrived else (WARN, "the time is up")
 
     def measures(self) -> Measures:
         """The numbers so far."""

@@ -11,8 +11,9 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import SimulationError
+from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.model import FLOOR_PAIR, Change, home, layout
-from amhe_cli.robots.go1.state import GRAVITY, Measurements, State, state_of
+from amhe_cli.robots.go1.state import GRAVITY, State, state_of
 
 #: What an accelerometer feels at rest [m/s^2].
 _UPHELD = np.array([0.0, 0.0, GRAVITY])
@@ -92,8 +93,8 @@ class Plant:
             "floor_friction": float(self.model.pair(FLOOR_PAIR).friction[0]),
         }
 
-    def advance(self, targets: FloatArray, duration: float) -> Measurements:
-        """Follow joint targets (12,) [rad] for some time [s]; what the sensors said meanwhile.
+    def advance(self, targets: FloatArray, duration: float) -> Samples:
+        """Follow joint targets (12,) [rad] for some time [s]; what the sensors measured meanwhile.
 
         Raises:
             SimulationError: The simulation diverged.
@@ -106,7 +107,7 @@ class Plant:
             robot.append(self._robot_sample(velocity))
             if self._steps % self._pose_every == 0:
                 poses.append(self._pose_sample())
-        return self._measurements(robot, poses)
+        return {**_samples(_NOTHING_OWN, robot), **_samples(_NOTHING_SEEN, poses)}
 
     def _step(self) -> None:
         mujoco.mj_step(self.model, self._data)
@@ -147,10 +148,13 @@ class Plant:
     def _draw(self, sd: float, size: int) -> FloatArray:
         return sd * self._rng.standard_normal(size)
 
-    def _measurements(self, robot: list, poses: list) -> Measurements:
-        own = [np.array(column) for column in zip(*robot, strict=True)] if robot else _NO_ROBOT
-        seen = [np.array(column) for column in zip(*poses, strict=True)] if poses else _NO_POSES
-        return Measurements(self.time, *own, *seen)
+
+def _samples(nothing: Samples, rows: list[tuple[object, ...]]) -> Samples:
+    """Rows of a time and a value for each key, as samples of these keys."""
+    if not rows:
+        return nothing
+    times, *columns = (np.array(column) for column in zip(*rows, strict=True))
+    return {key: (times, values) for key, values in zip(nothing, columns, strict=True)}
 
 
 _FATAL = (
@@ -158,5 +162,17 @@ _FATAL = (
     mujoco.mjtWarning.mjWARN_BADQVEL,
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
-_NO_ROBOT = [np.empty(0), np.empty((0, 12)), np.empty((0, 12)), np.empty((0, 3)), np.empty((0, 3))]
-_NO_POSES = [np.empty(0), np.empty((0, 3)), np.empty((0, 4)), np.empty((0, 3)), np.empty((0, 4))]
+_NO_TIMES = np.empty(0)
+#: No samples of the robot's own sensors, and none of the cameras.
+_NOTHING_OWN: Samples = {
+    "joints.position": (_NO_TIMES, np.empty((0, 12))),
+    "joints.velocity": (_NO_TIMES, np.empty((0, 12))),
+    "imu.angular_velocity": (_NO_TIMES, np.empty((0, 3))),
+    "imu.linear_acceleration": (_NO_TIMES, np.empty((0, 3))),
+}
+_NOTHING_SEEN: Samples = {
+    "trunk.position": (_NO_TIMES, np.empty((0, 3))),
+    "trunk.orientation": (_NO_TIMES, np.empty((0, 4))),
+    "box.position": (_NO_TIMES, np.empty((0, 3))),
+    "box.orientation": (_NO_TIMES, np.empty((0, 4))),
+}

@@ -56,5 +56,5 @@ def _estimator(history: History) -> dict[str, Any] | None:
         "sd": dict(zip(last.belief.names, last.sd, strict=True)),
         "update_ms": quantiles(np.array([e.update_ms for e in found if e.rollouts])),
         "diverged": sum(e.diverged for e in found),
-        "troubles": history.told,
+        "troubles": history.troubles,
     }

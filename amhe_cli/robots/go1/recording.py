@@ -5,12 +5,30 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
+
 from amhe_cli import __version__
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.live.recorder import Recorder
+from amhe_cli.core.rotations import exp
+from amhe_cli.core.signals import Signal
+from amhe_cli.live.episode import Cycle
+from amhe_cli.live.recorder import NEVER, SELDOM, Recorder, Throttle, stamp_ns
+from amhe_cli.logs import LogWriter
 from amhe_cli.robots.go1.run import Run, measured
+from amhe_cli.robots.go1.tasks import Task
 from amhe_cli.robots.go1.video import Film, check_encoder
 from amhe_cli.system.provenance import attachments
+
+#: Recorded beside the system's own signals. It measures no orientation, which is in /odom.
+_IMU = Signal(
+    "imu",
+    "/imu",
+    ("angular_velocity", "linear_acceleration"),
+    type="sensor_msgs/msg/Imu",
+    child_frame="trunk",
+)
+_PATH_POINTS = 49
 
 
 def recorder_of(run: Run, path: Path) -> Recorder:
@@ -28,8 +46,55 @@ def recorder_of(run: Run, path: Path) -> Recorder:
         metadata["overrides"] = json.dumps(measured(run.task))
     if run.first_truth and not run.task.changes:  # what changes has no one true value; /amhe/truth tells it
         metadata["truth"] = json.dumps(run.first_truth)
-    period = run.system.settings.control.period
-    return Recorder(path, run.task, metadata, attachments(run.system), period)
+    signals = (*run.system.signals, _IMU)
+    return Recorder(path, signals, metadata, attachments(run.system), TaskMessages(run.task))
+
+
+class TaskMessages:
+    """Writes path, goal and reference of a task, for viewers.
+
+    Args:
+        task: The task.
+    """
+
+    def __init__(self, task: Task) -> None:
+        self._path, self._throttle = task.path, Throttle()
+
+    def __call__(self, log: LogWriter, cycle: Cycle) -> None:
+        """Write what is due in a cycle."""
+        path, stamp, reference = self._path, stamp_ns(cycle.time), cycle.plan.reference
+        if self._throttle.due("/amhe/path", cycle.time, NEVER):
+            points = path.points(np.linspace(0.0, path.length, _PATH_POINTS if path.curvature else 2))
+            _write_path(log, stamp, points)
+            turn = path.heading + path.curvature * path.length
+            _write_floor_pose(log, "/amhe/goal", stamp, path.goal, turn)
+        if reference is not None and self._throttle.due("/amhe/reference", cycle.time, SELDOM):
+            _write_floor_pose(log, "/amhe/reference", stamp, reference.origin, reference.heading)
+
+
+def _write_floor_pose(log: LogWriter, topic: str, stamp: int, place: FloatArray, heading: float) -> None:
+    """A place on the floor (2,) [m] and a heading [rad]."""
+    log.pose(topic, stamp, (*place, 0.0), exp(np.array([0.0, 0.0, heading])))
+
+
+def _write_path(log: LogWriter, stamp: int, points: FloatArray) -> None:
+    """A nav_msgs/Path over the floor through points (n, 2) [m]."""
+    name = "geometry_msgs/msg/"
+    level = log.message(f"{name}Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+    poses = [
+        log.message(
+            f"{name}PoseStamped",
+            header=log.header("world"),
+            pose=log.message(
+                f"{name}Pose",
+                position=log.message(f"{name}Point", x=float(x), y=float(y), z=0.0),
+                orientation=level,
+            ),
+        )
+        for x, y in points
+    ]
+    message = log.message("nav_msgs/msg/Path", header=log.header("world"), poses=poses)
+    log.write("/amhe/path", "nav_msgs/msg/Path", stamp, message)
 
 
 def film_of(run: Run) -> Film:

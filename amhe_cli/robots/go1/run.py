@@ -20,18 +20,18 @@ from amhe_cli.core.parameters import Belief, belief_of, completed
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
+from amhe_cli.estimation.online.tracker import Tracker
+from amhe_cli.estimation.online.workers import PATIENCE, InProcess, InStep
 from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
-from amhe_cli.live.buffer import Buffer
 from amhe_cli.live.episode import BeliefSource, Episode
-from amhe_cli.live.samples import Sampler
-from amhe_cli.live.target import SimTarget
-from amhe_cli.live.workers import PATIENCE, InProcess, InStep
+from amhe_cli.live.target import SimTarget, Target
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import SYSTEM, Box, home, layout, planner_model, plant_model
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.robot import Go1, joint_sigma
+from amhe_cli.robots.go1.sampling import Sampler
+from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
 from amhe_cli.system import overrides
 from amhe_cli.system.system import System
@@ -99,7 +99,7 @@ class Run:
     task: Task
     system: System
     episode: Episode
-    target: SimTarget | Go1Target
+    target: Target
     plant: Plant | None
     judge: Judge
     first_truth: dict[str, float]
@@ -126,7 +126,9 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     controller = controller_for(task, behaviour, system, options.threads, samples)
     judge = Judge(task, behaviour, settings.period, options.duration)
     belief = belief_source(options, task, system, plant)
-    episode = Episode(target, behaviour, controller, belief, judge)
+    episode = Episode(
+        target, StateEstimator(behaviour.standing), controller, belief, Sampler(settings.period), judge
+    )
     return Run(options, task, system, episode, target, plant, judge, plant.parameters)
 
 
@@ -219,13 +221,12 @@ def belief_source(
     fixed = system.space.named(start.estimate)
     if options.mode != "adaptive":
         return FixedBelief(lambda: fixed)
-    settings, mhe = system.settings, system.settings.mhe
+    mhe = system.settings.mhe
     check_window(mhe, system.model.opt.timestep)
-    buffer = Buffer(system.signals, mhe.window, system.model.opt.timestep, settings.logs.max_gap)
     factory = partial(estimator_of, options, start)
     budget = slow * (mhe.budget or mhe.update_period)
     worker = InProcess(factory, budget, slow * PATIENCE) if options.live else InStep(factory, mhe.latency)
-    return AdaptiveBelief(fixed, buffer, Sampler(settings.control.period), worker, mhe.update_period)
+    return AdaptiveBelief(fixed, Tracker(system, worker))
 
 
 def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:

@@ -1,8 +1,14 @@
-"""The state of robot and box, and what sensors tell of it; plain arrays, the same for every target."""
+"""The state of robot and box; plain arrays, the same for every target.
+
+What a target measures are `Samples` of these keys: of the robot itself `joints.position`, `joints.velocity`,
+`imu.angular_velocity` and `imu.linear_acceleration`, all at the same times; of the cameras `position` and
+`orientation` of `trunk` and `box`, likewise; and `command.position`, the joint targets that the robot
+followed, where it reports them.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,7 +16,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import yaw_of
 from amhe_cli.robots.go1.model import ModelLayout
 
-#: Of the models, and of all that is computed by hand [m/s^2].
+#: Gravity in the models, and in all that is computed by hand [m/s^2].
 GRAVITY = 9.81
 
 
@@ -19,9 +25,9 @@ class Body:
     """Pose and twist of trunk or box; leading axes, where there are any, are those of time.
 
     Args:
-        position: Of its origin in the world [m], shape (..., 3).
+        position: Position of its origin in the world [m], shape (..., 3).
         orientation: Unit quaternion w, x, y, z, shape (..., 4).
-        velocity: Of its origin in the world [m/s], shape (..., 3).
+        velocity: Velocity of its origin in the world [m/s], shape (..., 3).
         rate: Angular velocity in its own frame [rad/s], shape (..., 3).
     """
 
@@ -36,10 +42,10 @@ class State:
     """Robot and box at one instant.
 
     Args:
-        time: [s].
-        trunk, box: Pose and twist.
-        joints: Angles in the order of `legs.JOINTS` [rad], shape (12,).
-        joint_rates: [rad/s], shape (12,).
+        time: Time of the instant [s].
+        trunk, box: Pose and twist of each.
+        joints: Joint angles in the order of `kinematics.JOINTS` [rad], shape (12,).
+        joint_rates: Their rates [rad/s], shape (12,).
     """
 
     time: float
@@ -47,37 +53,6 @@ class State:
     box: Body
     joints: FloatArray
     joint_rates: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Measurements:
-    """What the sensors said since they were last read: m samples of the robot's own, n of the cameras'.
-
-    Args:
-        time: Until when [s].
-        robot_times: Of the robot's own samples [s], shape (m,).
-        joints: [rad], shape (m, 12).
-        joint_rates: [rad/s], shape (m, 12).
-        gyro: Angular velocity of the trunk in its own frame [rad/s], shape (m, 3).
-        accelerometer: Specific force in the trunk's frame [m/s^2], shape (m, 3).
-        pose_times: Of the poses [s], shape (n,).
-        trunk_position, box_position: In the world [m], shape (n, 3).
-        trunk_orientation, box_orientation: Unit quaternions w, x, y, z, shape (n, 4).
-        targets: Joint targets that were followed at `robot_times` [rad], shape (m, 12); None: those planned.
-    """
-
-    time: float
-    robot_times: FloatArray
-    joints: FloatArray
-    joint_rates: FloatArray
-    gyro: FloatArray
-    accelerometer: FloatArray
-    pose_times: FloatArray
-    trunk_position: FloatArray
-    trunk_orientation: FloatArray
-    box_position: FloatArray
-    box_orientation: FloatArray
-    targets: FloatArray | None = None
 
 
 def heading_velocity(body: Body) -> tuple[float, float]:
@@ -112,15 +87,3 @@ def coordinates(at: ModelLayout, state: State) -> tuple[FloatArray, FloatArray]:
 
 def _body(pose: FloatArray, twist: FloatArray) -> Body:
     return Body(np.array(pose[:3]), np.array(pose[3:]), np.array(twist[:3]), np.array(twist[3:]))
-
-
-def merged(parts: list[Measurements]) -> Measurements:
-    """Measurements one after the other as one."""
-    if len(parts) == 1:
-        return parts[0]
-    sampled = {name: [getattr(part, name) for part in parts] for name in _SAMPLED}
-    joined = {name: np.concatenate(each) for name, each in sampled.items() if each[0] is not None}
-    return Measurements(parts[-1].time, **joined)
-
-
-_SAMPLED = tuple(field.name for field in fields(Measurements))[1:]

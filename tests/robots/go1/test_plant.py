@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +11,10 @@ import pytest
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import SimulationError
+from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import Box, Change, home, layout, plant_model
 from amhe_cli.robots.go1.plant import Plant, SensorNoise
-from amhe_cli.robots.go1.state import Measurements
 
 SILENT = SensorNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 #: None like another, so that none can stand in for another.
@@ -47,13 +47,14 @@ def errors() -> dict[str, FloatArray]:
     for _ in range(1000):
         seen, told = noisy.advance(HOME, 0.002), quiet.advance(HOME, 0.002)
         truth = noisy.state
-        note("joint", seen.joints[0] - truth.joints)
-        note("joint_rate", seen.joint_rates[0] - truth.joint_rates)
-        note("gyro", seen.gyro[0] - truth.trunk.rate)
-        note("accelerometer", seen.accelerometer[0] - told.accelerometer[0])
+        note("joint", seen["joints.position"][1][0] - truth.joints)
+        note("joint_rate", seen["joints.velocity"][1][0] - truth.joint_rates)
+        note("gyro", seen["imu.angular_velocity"][1][0] - truth.trunk.rate)
+        force = "imu.linear_acceleration"
+        note("accelerometer", seen[force][1][0] - told[force][1][0])
         for name, body in (("trunk", truth.trunk), ("box", truth.box)):
             for position, orientation in zip(
-                getattr(seen, f"{name}_position"), getattr(seen, f"{name}_orientation"), strict=True
+                seen[f"{name}.position"][1], seen[f"{name}.orientation"][1], strict=True
             ):
                 note(f"{name} position", position - body.position)
                 note(f"{name} orientation", rotations.difference(orientation, body.orientation))
@@ -86,11 +87,11 @@ def test_without_noise_the_sensors_tell_the_truth() -> None:
     still = plant(noise=SILENT)
     measured = still.advance(HOME, 0.1)
     truth = still.state
-    np.testing.assert_array_equal(measured.joints[-1], truth.joints)
-    np.testing.assert_array_equal(measured.joint_rates[-1], truth.joint_rates)
-    np.testing.assert_array_equal(measured.gyro[-1], truth.trunk.rate)
-    np.testing.assert_array_equal(measured.trunk_position[-1], truth.trunk.position)
-    np.testing.assert_allclose(measured.box_orientation[-1], truth.box.orientation)
+    np.testing.assert_array_equal(measured["joints.position"][1][-1], truth.joints)
+    np.testing.assert_array_equal(measured["joints.velocity"][1][-1], truth.joint_rates)
+    np.testing.assert_array_equal(measured["imu.angular_velocity"][1][-1], truth.trunk.rate)
+    np.testing.assert_array_equal(measured["trunk.position"][1][-1], truth.trunk.position)
+    np.testing.assert_allclose(measured["box.orientation"][1][-1], truth.box.orientation)
 
 
 def test_samples_come_at_500_hz_and_poses_at_100_hz() -> None:
@@ -98,19 +99,19 @@ def test_samples_come_at_500_hz_and_poses_at_100_hz() -> None:
     for cycle in range(3):
         measured = running.advance(HOME, 0.02)
         start = 0.02 * cycle
-        np.testing.assert_allclose(measured.robot_times, start + 0.002 * np.arange(1, 11))
-        np.testing.assert_allclose(measured.pose_times, start + np.array([0.01, 0.02]))
-        assert measured.time == running.time == pytest.approx(start + 0.02)
+        np.testing.assert_allclose(measured["joints.position"][0], start + 0.002 * np.arange(1, 11))
+        np.testing.assert_allclose(measured["box.position"][0], start + np.array([0.01, 0.02]))
+        assert running.time == pytest.approx(start + 0.02)
 
 
 def test_slower_cameras_see_less_often_and_a_short_wait_sees_none() -> None:
     slow = plant(noise=replace(DEFAULT, pose_period=0.05))
-    np.testing.assert_allclose(slow.advance(HOME, 0.2).pose_times, [0.05, 0.1, 0.15, 0.2])
+    np.testing.assert_allclose(slow.advance(HOME, 0.2)["box.position"][0], [0.05, 0.1, 0.15, 0.2])
     nothing = slow.advance(HOME, 0.004)
-    assert nothing.trunk_position.shape == nothing.box_position.shape == (0, 3)
-    assert nothing.trunk_orientation.shape == nothing.box_orientation.shape == (0, 4)
-    assert nothing.joints.shape == (2, 12)
-    assert slow.advance(HOME, 0.0).joints.shape == (0, 12)
+    assert nothing["trunk.position"][1].shape == nothing["box.position"][1].shape == (0, 3)
+    assert nothing["trunk.orientation"][1].shape == nothing["box.orientation"][1].shape == (0, 4)
+    assert nothing["joints.position"][1].shape == (2, 12)
+    assert slow.advance(HOME, 0.0)["joints.position"][1].shape == (0, 12)
 
 
 def test_at_rest_the_accelerometer_shows_gravity_upwards_and_the_gyro_nothing() -> None:
@@ -118,9 +119,9 @@ def test_at_rest_the_accelerometer_shows_gravity_upwards_and_the_gyro_nothing() 
     still.advance(HOME, 1.0)
     measured = still.advance(HOME, 0.5)
     up = rotations.rotate(rotations.conjugate(still.state.trunk.orientation), np.array([0.0, 0.0, 9.81]))
-    np.testing.assert_allclose(measured.accelerometer.mean(axis=0), up, atol=0.02)
+    np.testing.assert_allclose(measured["imu.linear_acceleration"][1].mean(axis=0), up, atol=0.02)
     assert up[2] == pytest.approx(9.81, abs=0.01)
-    np.testing.assert_allclose(measured.gyro.mean(axis=0), 0.0, atol=0.005)
+    np.testing.assert_allclose(measured["imu.angular_velocity"][1].mean(axis=0), 0.0, atol=0.005)
 
 
 def test_in_free_fall_the_accelerometer_shows_nothing() -> None:
@@ -130,7 +131,7 @@ def test_in_free_fall_the_accelerometer_shows_nothing() -> None:
     falling = Plant(model, [], np.random.default_rng(0), SILENT, start)
     measured = falling.advance(HOME, 0.1)
     assert falling.state.trunk.velocity[2] == pytest.approx(-0.981, abs=0.02)
-    assert np.linalg.norm(measured.accelerometer.mean(axis=0)) < 0.2
+    assert np.linalg.norm(measured["imu.linear_acceleration"][1].mean(axis=0)) < 0.2
 
 
 def test_a_trunk_that_turns_is_felt_in_its_own_frame() -> None:
@@ -141,15 +142,29 @@ def test_a_trunk_that_turns_is_felt_in_its_own_frame() -> None:
     falling = Plant(model, [], np.random.default_rng(0), SILENT, start)
     falling._data.qvel[at.trunk_v][3:] = [0.7, 0.0, 0.0]
     measured = falling.advance(HOME, 0.004)
-    np.testing.assert_allclose(measured.gyro[0], [0.7, 0.0, 0.0], atol=0.1)
+    np.testing.assert_allclose(measured["imu.angular_velocity"][1][0], [0.7, 0.0, 0.0], atol=0.1)
+
+
+def assert_same(one: Samples, other: Samples) -> None:
+    assert set(one) == set(other)
+    for key in one:
+        for a, b in zip(one[key], other[key], strict=True):
+            np.testing.assert_array_equal(a, b, key)
+
+
+def test_several_short_waits_measure_what_one_long_one_does() -> None:
+    one, parts = plant(), plant()
+    whole = one.advance(HOME, 0.06)
+    assert_same(merged([parts.advance(HOME, 0.02) for _ in range(3)]), whole)
 
 
 def test_the_same_seed_gives_the_same_measurements() -> None:
     first, same, other = (plant(seed=seed).advance(HOME, 0.04) for seed in (1, 1, 2))
-    for field in fields(Measurements):
-        np.testing.assert_array_equal(getattr(first, field.name), getattr(same, field.name), field.name)
-    np.testing.assert_array_equal(first.robot_times, other.robot_times)
-    assert (first.joints != other.joints).all() and (first.box_position != other.box_position).all()
+    assert_same(first, same)
+    np.testing.assert_array_equal(first["joints.position"][0], other["joints.position"][0])
+    assert (first["joints.position"][1] != other["joints.position"][1]).all() and (
+        first["box.position"][1] != other["box.position"][1]
+    ).all()
 
 
 def test_noise_does_not_move_the_plant() -> None:
@@ -209,7 +224,7 @@ def test_a_plant_that_diverges_says_so(cause: str, tmp_path: Path, monkeypatch: 
 def test_states_and_measurements_are_copies() -> None:
     running = plant()
     before, seen = running.state, running.advance(HOME, 0.02)
-    height, joints = before.trunk.position[2], seen.joints.copy()
+    height, joints = before.trunk.position[2], seen["joints.position"][1].copy()
     running.advance(HOME + 0.2, 0.1)
     assert before.trunk.position[2] == height != running.state.trunk.position[2]
-    np.testing.assert_array_equal(seen.joints, joints)
+    np.testing.assert_array_equal(seen["joints.position"][1], joints)

@@ -10,17 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1 import kinematics as legs
 from amhe_cli.robots.go1.behaviours.gait import Gait, contacts, walk
 from amhe_cli.robots.go1.model import Box, plant_model
 from amhe_cli.robots.go1.plant import Plant
-from amhe_cli.robots.go1.state import Body, Measurements, State
+from amhe_cli.robots.go1.state import Body, State
 from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 from amhe_cli.robots.go1.state_estimator.kalman import Track, Turn
 from amhe_cli.robots.go1.state_estimator.sensing import trunk_velocities
 
-CYCLE, IN_THE_AIR = 0.02, np.zeros((10, 4), dtype=bool)
+CYCLE = 0.02
 TRUNK = Body(
     np.array([0.1, -0.2, 0.3]), rotations.exp(np.array([0.1, -0.05, 2.0])),
     np.array([0.2, -0.1, 0.05]), np.array([0.2, -0.3, 0.5]),
@@ -32,12 +33,20 @@ BOX = Body(
 RATES = np.linspace(-0.5, 0.5, 12)
 
 
+def in_the_air(times: FloatArray) -> BoolArray:
+    return np.zeros((times.size, 4), dtype=bool)
+
+
+def on_the_floor(times: FloatArray) -> BoolArray:
+    return ~in_the_air(times)
+
+
 def moved(body: Body, time: float) -> tuple[FloatArray, FloatArray]:
     turned = rotations.multiply(body.orientation, rotations.exp(time * body.rate))
     return body.position + time * body.velocity, turned
 
 
-def cycle(index: int, trunk: Body = TRUNK, box: Body = BOX, seed: int | None = None) -> Measurements:
+def cycle(index: int, trunk: Body = TRUNK, box: Body = BOX, seed: int | None = None) -> Samples:
     """Constant twists and joint rates, seen exactly, or with the sensors' noise."""
     scale, rng = 0.0 if seed is None else 1.0, np.random.default_rng([seed or 0, index])
     start = index * CYCLE
@@ -52,25 +61,45 @@ def cycle(index: int, trunk: Body = TRUNK, box: Body = BOX, seed: int | None = N
         for body in (trunk, box)
     ]
     (trunk_at, trunk_turn), (box_at, box_turn) = (map(np.array, zip(*poses, strict=True)) for poses in seen)
-    return Measurements(
-        start + CYCLE,
-        times,
-        legs.HOME + np.outer(times, RATES) + scale * rng.normal(0.0, 3e-3, (10, 12)),
-        RATES + scale * rng.normal(0.0, 0.05, (10, 12)),
-        trunk.rate + scale * rng.normal(0.0, 0.02, (10, 3)),
-        np.zeros((10, 3)),
-        pose_times, trunk_at, trunk_turn, box_at, box_turn,
-    )  # fmt: skip
+    joints = legs.HOME + np.outer(times, RATES) + scale * rng.normal(0.0, 3e-3, (10, 12))
+    return {
+        "joints.position": (times, joints),
+        "joints.velocity": (times, RATES + scale * rng.normal(0.0, 0.05, (10, 12))),
+        "imu.angular_velocity": (times, trunk.rate + scale * rng.normal(0.0, 0.02, (10, 3))),
+        "trunk.position": (pose_times, trunk_at),
+        "trunk.orientation": (pose_times, trunk_turn),
+        "box.position": (pose_times, box_at),
+        "box.orientation": (pose_times, box_turn),
+    }
 
 
-def without_poses(measured: Measurements) -> Measurements:
-    names = ("pose_times", "trunk_position", "trunk_orientation", "box_position", "box_orientation")
-    return replace(measured, **{name: getattr(measured, name)[:0] for name in names})
+def end(index: int) -> float:
+    return (index + 1) * CYCLE
 
 
-def without_robot(measured: Measurements) -> Measurements:
-    names = ("robot_times", "joints", "joint_rates", "gyro", "accelerometer")
-    return replace(measured, **{name: getattr(measured, name)[:0] for name in names})
+def part(measured: Samples, signals: tuple[str, ...], rows: slice | np.ndarray) -> Samples:
+    """The samples with only these rows of some signals."""
+    return {
+        key: (times[rows], values[rows]) if key.split(".")[0] in signals else (times, values)
+        for key, (times, values) in measured.items()
+    }
+
+
+def with_values(measured: Samples, **values: FloatArray) -> Samples:
+    """The samples with other values; keys are written with __ in place of the point."""
+    changed = {name.replace("__", "."): value for name, value in values.items()}
+    return {key: (times, changed.get(key, old)) for key, (times, old) in measured.items()}
+
+
+CAMERAS, ROBOT = ("trunk", "box"), ("joints", "imu")
+
+
+def without_poses(measured: Samples) -> Samples:
+    return part(measured, CAMERAS, slice(0))
+
+
+def without_robot(measured: Samples) -> Samples:
+    return part(measured, ROBOT, slice(0))
 
 
 def assert_body(body: Body, truth: Body, time: float, tolerance: float) -> None:
@@ -94,9 +123,9 @@ def assert_same(a: State, b: State, tolerance: float) -> None:
 
 
 def test_constant_twists_seen_exactly_are_found() -> None:
-    estimator = StateEstimator()
+    estimator = StateEstimator(in_the_air)
     for index in range(150):
-        state = estimator.update(cycle(index), IN_THE_AIR)
+        state = estimator.update(end(index), cycle(index))
     assert state.time == pytest.approx(3.0)
     assert_body(state.trunk, TRUNK, 3.0, 1e-3)
     assert_body(state.box, BOX, 3.0, 1e-3)
@@ -108,9 +137,9 @@ def test_what_rests_is_at_rest_from_the_first_cycle_on() -> None:
     """Two poses 10 ms apart would say 0.3 m/s: a first window's box slid by itself for 3 cm."""
     still = replace(BOX, velocity=np.zeros(3), rate=np.zeros(3))
     for seed in range(1, 21):
-        estimator = StateEstimator()
+        estimator = StateEstimator(in_the_air)
         for index in range(20):
-            box = estimator.update(cycle(index, box=still, seed=seed), IN_THE_AIR).box
+            box = estimator.update(end(index), cycle(index, box=still, seed=seed)).box
             assert np.abs(box.velocity).max() < 0.06
             assert np.abs(box.rate).max() < 0.2
 
@@ -176,7 +205,7 @@ def test_the_point_of_contact_rests_while_the_foot_rolls() -> None:
         np.testing.assert_allclose((ends[1] - ends[0]) / (2.0 * dt), 0.0, atol=1e-6)
 
 
-def walking(index: int, slip: FloatArray) -> Measurements:
+def walking(index: int, slip: FloatArray) -> Samples:
     """Joints that move the feet so that a level trunk glides ahead; `slip` of each foot ahead, (4,) [m/s]."""
     measured = cycle(index, replace(TRUNK, orientation=np.array([1.0, 0, 0, 0]), rate=np.zeros(3)))
     feet = -TRUNK.velocity + np.outer(slip, [1.0, 0.0, 0.0])
@@ -185,21 +214,22 @@ def walking(index: int, slip: FloatArray) -> Measurements:
         hips, bends = rates.reshape(4, 3)[:, 0], rates.reshape(4, 3)[:, 1:].sum(axis=1)
         calves = np.stack((hips, bends, np.zeros(4)), axis=1)
         rates = legs.joint_rates(legs.HOME, feet - np.cross(calves, [0.0, 0.0, -legs.FOOT_RADIUS]))
-    return replace(measured, joints=np.tile(legs.HOME, (10, 1)), joint_rates=np.tile(rates, (10, 1)))
+    return with_values(
+        measured, joints__position=np.tile(legs.HOME, (10, 1)), joints__velocity=np.tile(rates, (10, 1))
+    )
 
 
 @pytest.mark.parametrize("slipping", [None, 0, 3])
 def test_standing_feet_give_the_velocity_without_poses_and_a_slipping_one_is_left_out(
     slipping: int | None,
 ) -> None:
-    estimator, standing = StateEstimator(), ~IN_THE_AIR
-    slip = np.zeros(4)
+    estimator, slip = StateEstimator(on_the_floor), np.zeros(4)
     for index in range(25):
-        estimator.observe(walking(index, slip), standing)
+        estimator.observe(walking(index, slip))
     if slipping is not None:
         slip[slipping] = 0.3
     for index in range(25, 75):
-        state = estimator.update(without_poses(walking(index, slip)), standing)
+        state = estimator.update(end(index), without_poses(walking(index, slip)))
     np.testing.assert_allclose(state.trunk.velocity, TRUNK.velocity, atol=2e-3)
     np.testing.assert_allclose(state.trunk.position, TRUNK.position + 1.5 * TRUNK.velocity, atol=3e-3)
 
@@ -215,18 +245,18 @@ def test_turning_the_world_turns_the_estimate_and_signs_of_quaternions_do_not_ma
     yaw: float, shift: tuple[float, float, float], flips: list[float], seed: int
 ) -> None:
     turn = rotations.exp(np.array([0.0, 0.0, yaw]))
-    plain, turned = StateEstimator(), StateEstimator()
+    plain, turned = StateEstimator(on_the_floor), StateEstimator(on_the_floor)
     for index in range(10):
         measured = cycle(index, seed=seed)
         signs = np.array(flips[2 * index : 2 * index + 2])[:, None]
-        changed = replace(
+        changed = with_values(
             measured,
-            trunk_position=rotations.rotate(turn, measured.trunk_position) + shift,
-            trunk_orientation=signs * rotations.multiply(turn, measured.trunk_orientation),
-            box_position=rotations.rotate(turn, measured.box_position) + shift,
-            box_orientation=-signs * rotations.multiply(turn, measured.box_orientation),
+            trunk__position=rotations.rotate(turn, measured["trunk.position"][1]) + shift,
+            trunk__orientation=signs * rotations.multiply(turn, measured["trunk.orientation"][1]),
+            box__position=rotations.rotate(turn, measured["box.position"][1]) + shift,
+            box__orientation=-signs * rotations.multiply(turn, measured["box.orientation"][1]),
         )
-        a, b = plain.update(measured, ~IN_THE_AIR), turned.update(changed, ~IN_THE_AIR)
+        a, b = plain.update(end(index), measured), turned.update(end(index), changed)
     bodies = [
         Body(
             rotations.rotate(turn, body.position) + shift,
@@ -240,43 +270,43 @@ def test_turning_the_world_turns_the_estimate_and_signs_of_quaternions_do_not_ma
 
 
 def test_before_the_first_pose_there_is_no_state() -> None:
-    estimator = StateEstimator()
+    estimator = StateEstimator(in_the_air)
     assert not estimator.ready
     with pytest.raises(ValueError, match="measured once"):
-        estimator.update(without_poses(cycle(0)), IN_THE_AIR)
-    estimator.observe(without_robot(cycle(1)), IN_THE_AIR[:0])
+        estimator.update(end(0), without_poses(cycle(0)))
+    estimator.observe(without_robot(cycle(1)))
     assert estimator.ready
     np.testing.assert_allclose(estimator.state(0.04).joints, legs.HOME + 0.04 * RATES, atol=1e-3)
 
 
 def test_through_gaps_the_estimate_goes_on_by_prediction() -> None:
-    estimator = StateEstimator()
+    estimator = StateEstimator(in_the_air)
     for index in range(110):
         measured = cycle(index)
         gap = without_poses(measured) if index >= 100 else measured
-        state = estimator.update(gap, IN_THE_AIR)
+        state = estimator.update(end(index), gap)
     assert_body(state.trunk, TRUNK, 2.2, 2e-3)
     assert_body(state.box, BOX, 2.2, 2e-3)
     for index in range(110, 120):
-        state = estimator.update(without_robot(cycle(index)), IN_THE_AIR[:0])
+        state = estimator.update(end(index), without_robot(cycle(index)))
     assert_body(state.trunk, TRUNK, 2.4, 0.02)
     for index in range(125, 130):
-        state = estimator.update(cycle(index), IN_THE_AIR)
+        state = estimator.update(end(index), cycle(index))
     assert_body(state.box, BOX, 2.6, 2e-3)
     np.testing.assert_allclose(state.joints, legs.HOME + 2.6 * RATES, atol=1e-4)
 
 
 def test_while_the_gyro_is_silent_the_poses_lead() -> None:
     """The trunk turns back unseen; the gyro's offset is not to blame for it."""
-    estimator = StateEstimator()
+    estimator = StateEstimator(in_the_air)
     back = replace(TRUNK, orientation=moved(TRUNK, 2.0)[1], rate=-TRUNK.rate)
     for index in range(50):
-        estimator.observe(cycle(index), IN_THE_AIR)
+        estimator.observe(cycle(index))
     for index in range(50, 100):
-        estimator.observe(without_robot(cycle(index, back)), IN_THE_AIR[:0])
+        estimator.observe(without_robot(cycle(index, back)))
     assert_turn_is(estimator.state(2.0), TRUNK.orientation, 0.03)
     for index in range(100, 150):
-        state = estimator.update(cycle(index, back), IN_THE_AIR)
+        state = estimator.update(end(index), cycle(index, back))
     assert_turn_is(state, moved(back, 3.0)[1], 0.01)
     np.testing.assert_allclose(state.trunk.rate, back.rate, atol=0.02)
 
@@ -289,35 +319,31 @@ def assert_turn_is(state: State, orientation: FloatArray, tolerance: float) -> N
 
 def test_rows_that_are_not_finite_or_lost_change_nothing_else() -> None:
     """Broken rows are as good as missing ones; one body's loss does not blind the other."""
-    broken, missing = StateEstimator(), StateEstimator()
+    broken, missing = StateEstimator(on_the_floor), StateEstimator(on_the_floor)
     keep, first = np.arange(10) != 4, np.array([True, False])
     for index in range(20):
         measured = cycle(index, seed=1)
-        gyro, box = np.array(measured.gyro), np.array(measured.box_position)
-        orientation = np.array(measured.trunk_orientation)
-        gyro[4, 1], box[1, 0], orientation[1] = np.nan, np.inf, 0.0
-        a = broken.update(
-            replace(measured, gyro=gyro, box_position=box, trunk_orientation=orientation), ~IN_THE_AIR
+        gyro, box, orientation = (
+            np.array(measured[key][1])
+            for key in ("imu.angular_velocity", "box.position", "trunk.orientation")
         )
-        names = ("robot_times", "joints", "joint_rates", "gyro", "accelerometer")
-        cut = {name: getattr(measured, name)[keep] for name in names}
-        names = ("pose_times", "trunk_position", "trunk_orientation", "box_position", "box_orientation")
-        cut |= {name: getattr(measured, name)[first] for name in names}
-        b = missing.update(replace(measured, **cut), ~IN_THE_AIR[keep])
+        gyro[4, 1], box[1, 0], orientation[1] = np.nan, np.inf, 0.0
+        spoilt = with_values(
+            measured, imu__angular_velocity=gyro, box__position=box, trunk__orientation=orientation
+        )
+        a = broken.update(end(index), spoilt)
+        b = missing.update(end(index), part(part(measured, ROBOT, keep), CAMERAS, first))
     assert_same(a, b, 1e-12)
 
 
 def test_rows_in_any_order_and_poses_that_come_a_cycle_late() -> None:
-    ordered, shuffled, late = StateEstimator(), StateEstimator(), StateEstimator()
-    names = ("robot_times", "joints", "joint_rates", "gyro", "accelerometer")
-    poses = ("pose_times", "trunk_position", "trunk_orientation", "box_position", "box_orientation")
+    ordered, shuffled, late = (StateEstimator(in_the_air) for _ in range(3))
     before = without_poses(cycle(0))
     for index in range(150):
         measured = cycle(index)
-        a = ordered.update(measured, IN_THE_AIR)
-        turned = {name: getattr(measured, name)[::-1] for name in (*names, *poses)}
-        b = shuffled.update(replace(measured, **turned), IN_THE_AIR)
-        late.observe(replace(measured, **{name: getattr(before, name) for name in poses}), IN_THE_AIR)
+        a = ordered.update(end(index), measured)
+        b = shuffled.update(end(index), part(measured, CAMERAS + ROBOT, slice(None, None, -1)))
+        late.observe({key: before[key] if key.startswith(CAMERAS) else measured[key] for key in measured})
         before = measured
     assert_same(a, b, 1e-12)
     assert_body(late.state(3.0).trunk, TRUNK, 3.0, 1e-3)
@@ -328,12 +354,12 @@ def errors_in_the_plant(feet: bool) -> dict[str, FloatArray]:
     """Root mean square errors while a robot walks and pushes a box, after the first second."""
     gait, box = Gait(), Box()
     plant = Plant(plant_model(box), [], np.random.default_rng(7))
-    estimator, errors = StateEstimator(), []
+    estimator, errors = StateEstimator(lambda times: contacts(gait, times) & feet), []
     while plant.time < 4.0:
         push = np.array([box.mass * 9.81 * box.floor_friction if plant.time > 1.0 else 0.0, 0.0])
         targets = walk(gait, plant.time + 0.01, np.array([0.2, 0.0, 0.0]), push).targets
         measured = plant.advance(targets, CYCLE)
-        found = estimator.update(measured, contacts(gait, measured.robot_times) & feet)
+        found = estimator.update(plant.time, measured)
         if plant.time > 1.0:
             errors.append((found, plant.state))
 

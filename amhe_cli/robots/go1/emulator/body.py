@@ -6,12 +6,12 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.link import wire
 from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.state import RobotState
 from amhe_cli.robots.go1.model import plant_model
 from amhe_cli.robots.go1.motor_plant import MotorPlant
-from amhe_cli.robots.go1.state import Measurements
 from amhe_cli.robots.go1.tasks import Task
 
 STEP = 0.001
@@ -64,7 +64,7 @@ class EmulatedBody:
         """[m]."""
         return float(self._plant.state.trunk.position[2])
 
-    def advance(self, command: MotorCommand) -> tuple[RobotState, Measurements]:
+    def advance(self, command: MotorCommand) -> tuple[RobotState, Samples]:
         """A millisecond under a command: what the robot then says, and what the cameras saw.
 
         Raises:
@@ -74,7 +74,7 @@ class EmulatedBody:
         measured = self._plant.advance(position, STEP)
         torques = self._plant.torques
         self._warm_up(torques)
-        self._discharge(torques, measured.joint_rates[-1])
+        self._discharge(torques, measured["joints.velocity"][1][-1])
         self._change_what_is_due()
         return self._state(measured, torques), measured
 
@@ -110,16 +110,16 @@ class EmulatedBody:
             change.apply(self._plant.model)
             self._pending.remove(change)
 
-    def _state(self, measured: Measurements, torques: FloatArray) -> RobotState:
+    def _state(self, measured: Samples, torques: FloatArray) -> RobotState:
         truth = self._plant.state
         return RobotState(
             tick=round(1e3 * self.time),
             quaternion=rotations.normalised(truth.trunk.orientation),
-            gyro=measured.gyro[-1],
-            accelerometer=measured.accelerometer[-1],
+            gyro=measured["imu.angular_velocity"][1][-1],
+            accelerometer=measured["imu.linear_acceleration"][1][-1],
             modes=self._modes,
-            joints=measured.joints[-1],
-            joint_rates=measured.joint_rates[-1],
+            joints=measured["joints.position"][1][-1],
+            joint_rates=measured["joints.velocity"][1][-1],
             torques=torques,
             temperatures=np.floor(self._temperatures),
             foot_force=_ZERO + _PER_NEWTON * self._plant.foot_forces,

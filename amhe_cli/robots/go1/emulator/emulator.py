@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.rotations import exp, multiply, rotate
+from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.emulator.body import STEP, EmulatedBody
 from amhe_cli.robots.go1.emulator.faults import Faults
 from amhe_cli.robots.go1.emulator.motive import Motive, Seen
@@ -20,7 +21,6 @@ from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.poses import udp
 from amhe_cli.robots.go1.poses.calibration import NO_OFFSET, Offset, rigid_body
 from amhe_cli.robots.go1.poses.source import Pose
-from amhe_cli.robots.go1.state import Measurements
 from amhe_cli.robots.go1.tasks import Task
 
 #: An emulator that is so far behind the clock [s] lets the time go: it then is slower than it says.
@@ -150,7 +150,7 @@ class Emulator:
         if driven < faults.silence:
             self._port.send(faults.told(state, driven), now)
         self._cameras.serve(now)
-        if len(measured.pose_times) and driven < faults.mocap:
+        if len(measured["trunk.position"][0]) and driven < faults.mocap:
             self._cameras.show(_seen(measured, faults, self._offsets), now)
 
 
@@ -203,11 +203,11 @@ def _cameras(options: EmulatorOptions) -> _Cameras:
     return kinds[options.mocap](options) if options.mocap in kinds else _Cameras()
 
 
-def _seen(measured: Measurements, faults: Faults, offsets: tuple[Offset, Offset]) -> list[Pose]:
+def _seen(measured: Samples, faults: Faults, offsets: tuple[Offset, Offset]) -> list[Pose]:
     """Poses of what is named trunk and box, in the cameras' frame."""
     poses = [
-        (measured.trunk_position[-1], measured.trunk_orientation[-1]),
-        (measured.box_position[-1], measured.box_orientation[-1]),
+        (measured[f"{body}.position"][1][-1], measured[f"{body}.orientation"][1][-1])
+        for body in ("trunk", "box")
     ]
     poses = [rigid_body(pose, offset) for pose, offset in zip(poses, offsets, strict=True)]
     if faults.swap:

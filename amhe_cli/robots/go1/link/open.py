@@ -22,7 +22,9 @@ from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.poses import natnet, udp
 from amhe_cli.robots.go1.poses.feed import KINDS, FeedOptions, PoseFeed
 from amhe_cli.robots.go1.run import Run, RunOptions, belief_source, controller_for, task_and_system
+from amhe_cli.robots.go1.sampling import Sampler
 from amhe_cli.robots.go1.settings import Go1Settings
+from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import Task
 
 #: The robot's own address and port, as it leaves the factory.
@@ -78,7 +80,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     judge = Judge(task, behaviour, period, options.duration)
     believed = belief_source(options, task, system, None, wire.slow)
     belief = SharedBelief(believed, partial(_publish, feed))
-    episode = Episode(target, behaviour, controller, belief, judge)
+    episode = Episode(target, StateEstimator(behaviour.standing), controller, belief, Sampler(period), judge)
     return Run(options, task, system, episode, target, None, judge, {})
 
 

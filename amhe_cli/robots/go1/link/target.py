@@ -17,6 +17,7 @@ import numpy as np
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link, SenderReport, StoppedError
@@ -26,13 +27,19 @@ from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
 from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
 from amhe_cli.robots.go1.poses.source import Pose, PoseError
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
-from amhe_cli.robots.go1.state import Measurements, State
+from amhe_cli.robots.go1.state import State
 
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
 _STEP = 0.01
-#: What the robot's own samples hold, and how many numbers each.
-_OF_THE_ROBOT = {"joints": 12, "joint_rates": 12, "gyro": 3, "accelerometer": 3, "targets": 12}
+#: Samples of the robot's own -> their name in what the link delivers, and the number of their columns.
+_OWN = {
+    "joints.position": ("joints", 12),
+    "joints.velocity": ("joint_rates", 12),
+    "imu.angular_velocity": ("gyro", 3),
+    "imu.linear_acceleration": ("accelerometer", 3),
+    "command.position": ("targets", 12),
+}
 #: Who sent one of these knows why the run ends.
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
@@ -173,7 +180,7 @@ class Go1Target:
         """See `Target`."""
         return self._plan.at(at)
 
-    def measure(self) -> Measurements:
+    def measure(self) -> tuple[float, Samples]:
         """See `Target`.
 
         Raises:
@@ -187,7 +194,7 @@ class Go1Target:
             self._sleep_to_the_next_period()
             self._collect()
             self._check_phase()
-        return self._measured()
+        return self._time, self._measured()
 
     def play(self, plan: Plan) -> None:
         """See `Target`."""
@@ -244,26 +251,21 @@ class Go1Target:
         offset = s.trunk_offset if pose.body == s.trunk else s.box_offset
         return offset_pose((pose.position, pose.orientation), offset)
 
-    def _measured(self) -> Measurements:
+    def _measured(self) -> Samples:
+        """All that was collected since the last call, on the run's own clock."""
         robot, poses = self._robot, self._poses
         self._robot, self._poses = [], []
-        columns = {
-            name: np.array([sample[name] for sample in robot]).reshape(len(robot), width)
-            for name, width in _OF_THE_ROBOT.items()
+        own = np.array([sample["time"] for sample in robot]) - self._start
+        seen = np.array([time for time, _, _ in poses]) - self._start
+        samples = {
+            key: (own, np.array([sample[name] for sample in robot]).reshape(len(robot), width))
+            for key, (name, width) in _OWN.items()
         }
-        pairs = {"trunk": [pose[1] for pose in poses], "box": [pose[2] for pose in poses]}
-        seen = {
-            f"{body}_{part}": np.array([pose[column] for pose in pairs[body]]).reshape(len(poses), width)
-            for body in pairs
-            for column, (part, width) in enumerate((("position", 3), ("orientation", 4)))
-        }
-        return Measurements(
-            time=self._time,
-            robot_times=np.array([sample["time"] for sample in robot]) - self._start,
-            **columns,
-            pose_times=np.array([pose[0] for pose in poses]) - self._start,
-            **seen,
-        )
+        for name, pairs in (("trunk", [p[1] for p in poses]), ("box", [p[2] for p in poses])):
+            places, turns = [pose[0] for pose in pairs], [pose[1] for pose in pairs]
+            samples[f"{name}.position"] = seen, np.array(places).reshape(len(poses), 3)
+            samples[f"{name}.orientation"] = seen, np.array(turns).reshape(len(poses), 4)
+        return samples
 
 
 def _never(body: str) -> TimedPose:

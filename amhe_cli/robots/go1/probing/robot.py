@@ -7,13 +7,12 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 
 from amhe_cli.live.recorder import Recorder
-from amhe_cli.live.target import SimTarget
+from amhe_cli.live.target import Target
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.link.open import WireOptions
-from amhe_cli.robots.go1.link.target import Go1Target
 
 #: Holds a target ready for as long as it is entered.
-Attend = Callable[[SimTarget | Go1Target, Recorder, History], AbstractContextManager[None]]
+Attend = Callable[[Target, Recorder, History], AbstractContextManager[None]]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,15 @@ Nothing is assumed of the box: it may lift or tilt. The accelerometer is not use
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.robots.go1.state import Body, Measurements, State
+from amhe_cli.core.samples import Samples
+from amhe_cli.robots.go1.state import Body, State
 from amhe_cli.robots.go1.state_estimator.kalman import Track, Turn
 from amhe_cli.robots.go1.state_estimator.sensing import Feet, Gyro, Pose, SensorSamples, feet, poses
 
@@ -77,11 +79,14 @@ class StateEstimator:
     """Pose and twist of trunk and box, joints and joint rates, once in a control cycle.
 
     Args:
-        noise: Of sensors and motion.
+        standing: Tells which feet should stand at times [s] (m,), shape (m, 4).
+        noise: Noise of sensors and motion.
     """
 
-    def __init__(self, noise: EstimatorNoise = EstimatorNoise()) -> None:
-        self._noise = noise
+    def __init__(
+        self, standing: Callable[[FloatArray], BoolArray], noise: EstimatorNoise = EstimatorNoise()
+    ) -> None:
+        self._standing, self._noise = standing, noise
         self._trunk: _Filters | None = None
         self._box: _Filters | None = None
         self._joints: Track | None = None
@@ -93,28 +98,22 @@ class StateEstimator:
         """Whether trunk, box and joints have each been measured once."""
         return not (self._trunk is None or self._box is None or self._joints is None)
 
-    def update(self, measured: Measurements, standing: BoolArray) -> State:
-        """Take in what the sensors said, and say what robot and box do at `measured.time`.
-
-        Args:
-            measured: Since the last call; samples that are not finite are left out.
-            standing: Feet that should stand at `measured.robot_times`, shape (m, 4).
+    def update(self, time: float, measured: Samples) -> State:
+        """Take in what was measured since the last call, and estimate the state at a time [s].
 
         Raises:
             ValueError: Not `ready`. The measurements are taken in all the same.
         """
-        self.observe(measured, standing)
-        return self.state(measured.time)
+        self.observe(measured)
+        return self.state(time)
 
-    def observe(self, measured: Measurements, standing: BoolArray) -> None:
-        """Take in what the sensors said; arguments as of `update`."""
-        samples = SensorSamples.of(measured, standing, self._spins)
+    def observe(self, measured: Samples) -> None:
+        """Take in what was measured since the last call; samples that are not finite are left out."""
+        samples = SensorSamples.of(measured, self._standing, self._spins)
         self._spins = samples.spins
         self._see_joints(samples)
-        self._see_trunk(
-            poses(measured.pose_times, measured.trunk_position, measured.trunk_orientation), samples
-        )
-        self._see_box(poses(measured.pose_times, measured.box_position, measured.box_orientation))
+        self._see_trunk(poses(measured, "trunk"), samples)
+        self._see_box(poses(measured, "box"))
 
     def state(self, time: float) -> State:
         """Robot and box at a time [s], by all that was observed.

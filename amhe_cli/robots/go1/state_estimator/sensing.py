@@ -1,17 +1,17 @@
-"""What one cycle's samples say: poses seen, whole robot samples, the trunk's velocity by its feet."""
+"""What one cycle's samples contain: poses, whole robot samples, the trunk's velocity by its feet."""
 
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1 import kinematics as legs
-from amhe_cli.robots.go1.state import Measurements
 
 #: Robot samples that make one velocity of the feet: the errors of feet are slow, more samples know no more.
 _BLOCK = 5
@@ -41,8 +41,9 @@ class Feet(NamedTuple):
     stood: BoolArray
 
 
-def poses(times: FloatArray, positions: FloatArray, orientations: FloatArray) -> list[Pose]:
-    """Those that were seen, in the order of time; arguments (n,), (n, 3), (n, 4)."""
+def poses(measured: Samples, body: str) -> list[Pose]:
+    """The poses in which trunk or box was seen, in the order of time."""
+    (times, positions), (_, orientations) = measured[f"{body}.position"], measured[f"{body}.orientation"]
     sizes = np.sqrt(np.square(orientations).sum(axis=1))
     # Some systems send zeros in place of a body that they have lost.
     seen = np.isfinite(times) & np.isfinite(positions).all(axis=1) & np.isfinite(sizes) & (sizes > 0.5)
@@ -67,17 +68,20 @@ class SensorSamples:
     spins: FloatArray
 
     @staticmethod
-    def of(measured: Measurements, standing: BoolArray, before: FloatArray) -> SensorSamples:
+    def of(
+        measured: Samples, standing: Callable[[FloatArray], BoolArray], before: FloatArray
+    ) -> SensorSamples:
         """Samples later than those of `before`, the last `spins`; none with a value that is not finite."""
-        times = measured.robot_times
-        table = np.hstack((times[:, None], measured.joints, measured.joint_rates, measured.gyro))
+        times, joints = measured["joints.position"]
+        rates, gyro = measured["joints.velocity"][1], measured["imu.angular_velocity"][1]
+        table = np.hstack((times[:, None], joints, rates, gyro))
         good = np.isfinite(table).all(axis=1)
         if len(before):
             good &= times > before[-1, 0]
         rows = np.flatnonzero(good)
         rows = rows[np.unique(times[rows], return_index=True)[1]]
         table = table[rows]
-        return SensorSamples(table, standing[rows], np.vstack((before[-2:], table[:, _SPIN])))
+        return SensorSamples(table, standing(times)[rows], np.vstack((before[-2:], table[:, _SPIN])))
 
     def rows(self) -> Iterator[tuple[float, FloatArray, FloatArray, FloatArray]]:
         """Time [s], joints (12,), their rates (12,) and gyro (3,) of one sample after the other."""

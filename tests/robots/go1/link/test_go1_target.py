@@ -11,6 +11,7 @@ import pytest
 
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.rotations import exp
+from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link, StoppedError
@@ -19,7 +20,6 @@ from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
 from amhe_cli.robots.go1.poses.source import PoseError
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
-from amhe_cli.robots.go1.state import Measurements
 from tests.robots.go1.link.puppet import Puppet, damps
 from tests.robots.go1.link.test_link import QUICK
 from tests.robots.go1.poses.streaming import TRUNK, Stage, free_port
@@ -44,7 +44,7 @@ def a_target(puppet: Puppet, settings: Go1Settings = SETTINGS, **stage) -> Itera
             yield target, cameras
 
 
-def exchange(target: Go1Target, plan: Plan) -> Measurements:
+def exchange(target: Go1Target, plan: Plan) -> tuple[float, Samples]:
     target.play(plan)
     return target.measure()
 
@@ -104,21 +104,20 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
         seen = [target.measure()]
         waited = target.misses  # until poses came; a plan was not asked for yet
         for _ in range(30):
-            start = seen[-1].time + PERIOD
+            start = seen[-1][0] + PERIOD
             seen.append(exchange(target, Plan(start, PERIOD, np.tile(HOME + 0.05, (16, 1)))))
-            np.testing.assert_allclose(target.in_force(seen[-1].time), HOME + 0.05)
-    times = np.array([measured.time for measured in seen])
+            np.testing.assert_allclose(target.in_force(seen[-1][0]), HOME + 0.05)
+    times = np.array([time for time, _ in seen])
     np.testing.assert_allclose(times / PERIOD, np.round(times / PERIOD), atol=1e-9)
     assert target.misses - waited == round((times[-1] - times[0]) / PERIOD) - (len(seen) - 1)
-    robot = np.concatenate([measured.robot_times for measured in seen])
+    samples = merged([measured for _, measured in seen])
+    robot, followed = samples["command.position"]
+    np.testing.assert_array_equal(samples["joints.position"][0], robot)
     assert (np.diff(robot) > 0).all()
     assert np.median(np.diff(robot)) == pytest.approx(0.002, abs=2e-4)
-    followed = np.concatenate([measured.targets for measured in seen])
     np.testing.assert_allclose(followed[-1], HOME + 0.05, atol=1e-4)
     assert np.ptp(followed, axis=0).min() > 0.01, "it stood first, and was blended into the plan"
-    poses = np.concatenate([measured.pose_times for measured in seen])
-    places = np.concatenate([measured.trunk_position for measured in seen])
-    boxes = np.concatenate([measured.box_position for measured in seen])
+    (poses, places), (_, boxes) = samples["trunk.position"], samples["box.position"]
     assert 20 < len(poses) == len(boxes)
     np.testing.assert_allclose(places[:, :2], 0.0, atol=1e-6)  # the frame is the trunk's own
     np.testing.assert_allclose(boxes, np.tile(BOX, (len(boxes), 1)), atol=1e-6)
@@ -133,10 +132,10 @@ def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: py
     with a_target(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
         target.check()
         target.begin(lambda text: None)
-        measured = target.measure()
+        time, measured = target.measure()
         monkeypatch.setattr(target._link, "play", lambda plan, pose_time: handed.append(pose_time))
-        target.play(Plan(measured.time + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
-    assert handed[0] - target._start == pytest.approx(measured.pose_times[-1], abs=0.1)
+        target.play(Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
+    assert handed[0] - target._start == pytest.approx(measured["trunk.position"][0][-1], abs=0.1)
 
 
 @pytest.mark.parametrize(("gone", "said"), [("box", "the task wants it"), ("poses", "does not begin")])
@@ -164,7 +163,7 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
     with a_target(puppet) as (target, cameras):
         target.check()
         target.begin(lambda text: None)
-        measured = target.measure()
+        time, _ = target.measure()
         if lost == "poses":
             cameras.silent = True
             said = "no pose of trunk or box"
@@ -173,6 +172,6 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
             said = "remote control"
         with pytest.raises(StoppedError, match=said):
             for _ in range(200):
-                plan = Plan(measured.time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
-                measured = exchange(target, plan)
+                plan = Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
+                time, _ = exchange(target, plan)
         puppet.wait(damps)

@@ -1,4 +1,4 @@
-"""Where the estimator of a live run computes: here, in lock-step; or in a process of its own, at its pace."""
+"""Where the estimator beside a running system computes: in lock-step with it, or in a process of its own."""
 
 from __future__ import annotations
 
@@ -9,31 +9,48 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
-from amhe_cli.live.episode import News
 
-#: Makes the estimator, from a belief or from that of the run's start; picklable, since it may run in another
-#: process.
-Factory = Callable[[Belief | None], MovingHorizon]
+#: Makes the estimator, from a belief to go on from or (None) from that of the run's start; it can be pickled,
+#: since it may run in another process.
+Factory: TypeAlias = Callable[[Belief | None], MovingHorizon]
 #: The estimator gives way to the controller where there are fewer cores than work.
 _NICE = 10
-#: An update that takes longer hangs [s].
+#: An update that takes longer than this hangs [s].
 PATIENCE = 2.0
-#: So many deaths and hangs in a row, and no other estimator is begun.
+#: After so many deaths and hangs in a row no other estimator is started.
 _MOST_FAILURES = 5
 
 
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Something that went wrong with the estimator; the last good belief stays in force.
+
+    Args:
+        time: Time at which it was noticed [s].
+        text: What happened, in words.
+    """
+
+    time: float
+    text: str
+
+
+#: What comes from the estimator.
+News: TypeAlias = Estimate | Trouble
+
+
 class Worker(Protocol):
-    """Runs one update at a time."""
+    """Runs the estimator, one update at a time."""
 
     @property
     def ready(self) -> bool:
-        """Nothing is under way."""
+        """No update is under way."""
         ...
 
     def submit(self, window: Window, at: float) -> None:
@@ -41,7 +58,7 @@ class Worker(Protocol):
         ...
 
     def poll(self, now: float) -> tuple[News, ...]:
-        """What has come about since; never waits."""
+        """What has come from the estimator since the last call, known at a time [s]; never waits."""
         ...
 
     def close(self) -> None:
@@ -50,11 +67,11 @@ class Worker(Protocol):
 
 
 class InStep:
-    """For simulations in lock-step: every run is the same, to the bit.
+    """Updates at once, for simulations in lock-step: every run is the same, to the bit.
 
     Args:
         factory: Makes the estimator.
-        latency: From the end of a window until its belief is in force [s].
+        latency: Time from the end of a window until its estimate is in force [s].
     """
 
     def __init__(self, factory: Factory, latency: float) -> None:
@@ -82,13 +99,13 @@ class InStep:
 
 
 class InProcess:
-    """For runs against the wall clock: the controller never waits for the estimator.
+    """Updates in another process, for systems that run by the wall clock: nobody waits for the estimator.
 
     Args:
         factory: Makes the estimator, in the process.
-        budget: Most time that an update may take [s].
-        patience: An update that takes longer hangs: the process is ended and a new one begun [s].
-        starting: The same for the start of the process, which loads a lot [s].
+        budget: Longest time that an update may take [s].
+        patience: An update that takes longer hangs: its process is ended and another one started [s].
+        starting: As `patience`, for the start of the process, which loads a lot [s].
     """
 
     def __init__(
@@ -106,7 +123,7 @@ class InProcess:
         return self._since is None
 
     def submit(self, window: Window, at: float) -> None:
-        """See `Worker`; nobody is asked any more once it has given up."""
+        """See `Worker`; does nothing once no other estimator is started."""
         if self._given_up:
             return
         self._since, self._limit = time.monotonic(), self._patience
@@ -126,9 +143,9 @@ class InProcess:
                     self._good, self._failures = answer.belief, 0
                 return () if answer is None else (_news(now, answer),)
         except (OSError, EOFError):
-            return self._again(now, f"the estimator died{self._ended()}")
+            return self._restarted(now, f"the estimator died{self._exit_code()}")
         if self._since is not None and time.monotonic() - self._since > self._limit:
-            return self._again(now, f"the estimator hung for {self._limit:g} s")
+            return self._restarted(now, f"the estimator hung for {self._limit:g} s")
         return ()
 
     def close(self) -> None:
@@ -150,20 +167,20 @@ class InProcess:
         self._since: float | None = time.monotonic()
         self._limit = self._starting
 
-    def _ended(self) -> str:
+    def _exit_code(self) -> str:
         self._process.join(0.1)
         code = self._process.exitcode
         return "" if code is None else f" (exit code {code})"
 
-    def _again(self, now: float, what: str) -> tuple[News, ...]:
-        """Begin anew from the belief in force; not for ever, as each start takes the controller's cores."""
+    def _restarted(self, now: float, what: str) -> tuple[Trouble]:
+        """Start again from the belief in force; not for ever, as each start takes the controller's cores."""
         self.close()
         self._failures += 1
         if self._given_up:
             self._since = None
-            return (News(now, None, f"{what}; the last good belief stays, and no other estimator begins"),)
+            return (Trouble(now, f"{what}; the last good belief stays, and no other estimator is started"),)
         self._start()
-        return (News(now, None, f"{what}; the last good belief stays"),)
+        return (Trouble(now, f"{what}; the last good belief stays"),)
 
 
 def _updated(
@@ -177,19 +194,19 @@ def _updated(
 
 
 def _news(now: float, answer: Estimate | str) -> News:
-    return News(now, answer) if isinstance(answer, Estimate) else News(now, None, f"estimator: {answer}")
+    return answer if isinstance(answer, Estimate) else Trouble(now, f"the estimator failed: {answer}")
 
 
 def _send(pipe: Connection, order: tuple[Window, float, float]) -> None:
-    with suppress(OSError):  # it has died: poll will tell
+    with suppress(OSError):  # it has died: poll will see that
         pipe.send(order)
 
 
 def _serve(pipe: Connection, factory: Factory, belief: Belief | None) -> None:
-    """The process: windows in, estimates out, until the pipe ends. None says that it is ready."""
+    """The process: windows in, estimates out, until the pipe ends. None means that it is ready."""
     os.nice(_NICE)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the run, which ends us
-    with suppress(EOFError, OSError):  # nobody wants to know any more
+    with suppress(EOFError, OSError):  # nobody reads any more
         try:
             estimator = factory(belief)
         except Exception as error:

@@ -1,0 +1,68 @@
+"""The ring buffer D of Algorithm 1: the newest samples of a running system, cut into windows."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.log import Log, Series, Window
+from amhe_cli.core.resample import resample
+from amhe_cli.core.samples import Samples
+from amhe_cli.core.signals import Signal
+
+#: Time kept before a window's start [s]: a command lasts until the next, and first states are smoothed.
+_BEFORE = 0.2
+
+
+class Buffer:
+    """The samples of the last moments.
+
+    Args:
+        signals: What is kept; samples of other signals are passed over.
+        window: Length of a window [s].
+        dt: Step of the clock: the time step of the estimator's model [s].
+        bridge: Longest silence that is filled [s].
+    """
+
+    def __init__(self, signals: tuple[Signal, ...], window: float, dt: float, bridge: float) -> None:
+        self._signal_of = {signal.key(q): signal for signal in signals for q in signal.quantities}
+        self._names = {signal.name for signal in signals}
+        self._steps, self._dt, self._bridge = round(window / dt), dt, bridge
+        self._kept: dict[str, deque[tuple[FloatArray, FloatArray]]] = {}
+
+    @property
+    def newest(self) -> float:
+        """Time of the newest sample [s]; minus infinity before the first."""
+        return max((float(parts[-1][0][-1]) for parts in self._kept.values()), default=-np.inf)
+
+    def append(self, samples: Samples) -> None:
+        """Take in the next samples, each quantity in the order of time; what is too old falls out."""
+        for key, (times, values) in samples.items():
+            if key in self._signal_of and times.size:
+                self._kept.setdefault(key, deque()).append((times, values))
+        oldest = self.newest - self._steps * self._dt - _BEFORE
+        for parts in self._kept.values():
+            while len(parts) > 1 and parts[1][0][0] <= oldest:
+                parts.popleft()
+
+    def window(self, end: float) -> Window | None:
+        """The newest window, its last instant at `end` [s]; None while there are not enough samples."""
+        before = round(_BEFORE / self._dt) - 1
+        grid = end + self._dt * np.arange(-self._steps - before, 1, dtype=np.float64)
+        begun = {self._signal_of[key].name for key in self._kept}
+        late = any(parts[0][0][0] > grid[before] + 1e-6 for parts in self._kept.values())
+        if late or begun != self._names:
+            return None
+        series = {key: self._series(key, grid) for key in self._kept}
+        log = Log(self._dt, series, "the running system", round(1e9 * float(grid[0])))
+        return Window(log, before, self._steps)
+
+    def _series(self, key: str, grid: FloatArray) -> Series:
+        times, values = (np.concatenate(arrays) for arrays in zip(*self._kept[key], strict=True))
+        columns = tuple(f"{key}.{i}" for i in range(values.shape[1]))
+        return resample(
+            times, values, columns, grid,
+            bridge=self._bridge, hold=self._signal_of[key].is_input, rotation=key.endswith(".orientation"),
+        )  # fmt: skip

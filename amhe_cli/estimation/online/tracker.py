@@ -1,0 +1,61 @@
+"""Estimates while samples come in: lines 5 to 8 of Algorithm 1, for any source of samples."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amhe_cli.core.samples import Samples
+from amhe_cli.estimation.online.buffer import Buffer
+from amhe_cli.estimation.online.workers import News, Trouble, Worker
+from amhe_cli.system.system import System
+
+
+class Tracker:
+    """Hands the newest window to the estimator whenever an update is due, and collects its estimates.
+
+    An estimator that is late, hangs or has died costs updates and nothing else: its last estimate stays.
+
+    Args:
+        system: The system that is estimated, with window and update period in its settings.
+        worker: Runs the estimator.
+    """
+
+    def __init__(self, system: System, worker: Worker) -> None:
+        settings, dt = system.settings, system.model.opt.timestep
+        self._buffer = Buffer(system.signals, settings.mhe.window, dt, settings.logs.max_gap)
+        self._worker, self._period = worker, settings.mhe.update_period
+        self._due = -np.inf
+        self._late = False
+
+    def feed(self, samples: Samples, now: float | None = None) -> tuple[News, ...]:
+        """Take in the next samples; never waits for the estimator.
+
+        Args:
+            samples: What came since the last call, of the system's signals and perhaps of others.
+            now: Time at which a new window ends [s]; None: that of the newest sample.
+
+        Returns:
+            Estimates that are in force from now on, and troubles of the estimator, since the last call.
+        """
+        self._buffer.append(samples)
+        now = self._buffer.newest if now is None else now
+        news = self._worker.poll(now)
+        return news + self._begin(now) if now >= self._due - 1e-6 else news
+
+    def _begin(self, now: float) -> tuple[Trouble, ...]:
+        """Begin the update that is due; where the one before still runs, report that, once."""
+        if self._late and not self._worker.ready:
+            return ()
+        window = self._buffer.window(now)
+        if window is None:
+            return ()
+        if not self._worker.ready:
+            self._late = True
+            return (Trouble(now, "the estimator is late: the last good belief stays"),)
+        self._worker.submit(window, now)
+        self._due, self._late = now + self._period, False
+        return ()
+
+    def close(self) -> None:
+        """Let go of the estimator."""
+        self._worker.close()

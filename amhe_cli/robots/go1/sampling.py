@@ -1,0 +1,76 @@
+"""The samples of each control cycle that log and estimator get: sensors, poses with twists, commands."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from amhe_cli.control.controller import Plan
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.samples import Samples, Thinner, since
+from amhe_cli.live.commands import Commands
+from amhe_cli.robots.go1.state import Body, State
+
+#: Time between two samples of joints and IMU [s].
+SAMPLE_PERIOD = 0.01
+_OWN = ("joints.position", "joints.velocity", "imu.angular_velocity", "imu.linear_acceleration")
+
+
+class Sampler:
+    """Makes samples of what a cycle measured, estimated and commanded, in the single precision of a Go1.
+
+    The robot's own samples are thinned: 500 Hz of twelve joints are most of a log, and an identification
+    learns little from them. Nothing is older than the first command: then the clock of our reader, which
+    starts at the first sample, meets every command on a step of its own.
+
+    Args:
+        period: Control period [s].
+    """
+
+    def __init__(self, period: float) -> None:
+        self._thinner, self._commands = Thinner(SAMPLE_PERIOD), Commands(period)
+        self._last: State | None = None
+
+    def take(self, measured: Samples, estimate: State, played: FloatArray, plan: Plan) -> Samples:
+        """See `CycleSampler`."""
+        own = self._thinner.thinned({key: measured[key] for key in _OWN})
+        seen = {key: series for key, series in measured.items() if key.startswith(("trunk.", "box."))}
+        begun = -np.inf if self._last else estimate.time - 1e-6
+        samples = {
+            **since(own, begun),
+            **self._with_twists(since(seen, begun), estimate),
+            "command.position": self._commands.take(
+                estimate.time, played, plan, measured.get("command.position")
+            ),
+        }
+        self._last = estimate
+        return {key: (times, _single(values)) for key, (times, values) in samples.items()}
+
+    def _with_twists(self, seen: Samples, now: State) -> Samples:
+        """Measured poses, with twists between those of the last cycle's estimate and this one's."""
+        before = self._last or now
+        samples = dict(seen)
+        for name in ("trunk", "box"):
+            times, _ = seen[f"{name}.position"]
+            share = _share(times, before.time, now.time)[:, None]
+            velocity, rate = _twists(getattr(before, name), getattr(now, name), share)
+            samples[f"{name}.linear_velocity"] = times, velocity
+            samples[f"{name}.angular_velocity"] = times, rate
+        return samples
+
+
+def _share(times: FloatArray, start: float, end: float) -> FloatArray:
+    return np.clip((times - start) / (end - start), 0.0, 1.0) if end > start else np.ones(times.size)
+
+
+def _twists(before: Body, after: Body, share: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Velocities and rates between two states, shape (n, 3) each; `share` has shape (n, 1)."""
+    return (
+        before.velocity + share * (after.velocity - before.velocity),
+        before.rate + share * (after.rate - before.rate),
+    )
+
+
+def _single(values: ArrayLike) -> FloatArray:
+    """In single precision: half of a log's size, and more digits than any sensor has."""
+    return np.asarray(values, dtype=np.float32).astype(np.float64)

@@ -1,0 +1,112 @@
+"""The tracker on the cart: any source's samples, in any portions, give the estimates of a replay."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.log import Window
+from amhe_cli.core.samples import Samples, sampled
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
+from amhe_cli.estimation.online.tracker import Tracker
+from amhe_cli.estimation.online.workers import InStep, News, Trouble
+from amhe_cli.system.system import System
+from tests.estimation.online.conftest import DT, Drive
+
+
+def portions(samples: Samples, period: float, end: float) -> list[tuple[float, Samples]]:
+    """Time, and the samples of the period before it."""
+    found = []
+    for now in np.arange(period, end, period):
+        part = {}
+        for key, (times, values) in samples.items():
+            rows = (times > now - period + 1e-9) & (times <= now + 1e-9)
+            part[key] = times[rows], values[rows]
+        found.append((float(now), part))
+    return found
+
+
+class Slow:
+    """A worker that needs some polls for an update."""
+
+    def __init__(self, polls: int) -> None:
+        self.polls, self.left = polls, 0
+        self.windows: list[tuple[Window, float]] = []
+
+    @property
+    def ready(self) -> bool:
+        return self.left == 0
+
+    def submit(self, window: Window, at: float) -> None:
+        assert self.ready
+        self.left = self.polls
+        self.windows.append((window, at))
+
+    def poll(self, now: float) -> tuple[News, ...]:
+        self.left = max(0, self.left - 1)
+        return ()
+
+    def close(self) -> None:
+        self.left = 0
+
+
+def test_it_finds_the_mass(cart: System, drive: Drive) -> None:
+    engine = open_engine(cart)
+    estimator = MovingHorizon(cart, engine, np.random.default_rng(0))
+    tracker = Tracker(cart, InStep(lambda _: estimator, latency=0.03))
+    found = [
+        (now, one) for now, part in portions(sampled(drive(4.0)), 0.01, 4.0) for one in tracker.feed(part)
+    ]
+    assert all(isinstance(one, Estimate) and now >= one.time + 0.03 - 1e-6 for now, one in found)
+    assert found[-1][1].theta[0] == pytest.approx(2.0, rel=0.05), "from 1.5"
+
+
+@pytest.mark.parametrize("period", [0.01, 0.045])
+def test_windows_hold_what_was_measured_whatever_the_portions(
+    period: float, cart: System, drive: Drive
+) -> None:
+    worker, log = Slow(0), drive(3.0)
+    tracker = Tracker(cart, worker)
+    for _, part in portions(sampled(log), period, 3.0):
+        assert tracker.feed(part) == ()
+    assert len(worker.windows) > 10
+    assert np.diff([at for _, at in worker.windows]).min() > cart.settings.mhe.update_period - 1e-6
+    for window, at in worker.windows:
+        ours = slice(window.start, window.stop + 1)
+        theirs = slice(round(at / DT) - window.length, round(at / DT) + 1)
+        for key, series in log.series.items():
+            mask = series.sampled[theirs]
+            np.testing.assert_array_equal(window.log[key].sampled[ours], mask, key)
+            np.testing.assert_allclose(
+                window.log[key].values[ours][mask], series.values[theirs][mask], atol=1e-12
+            )
+
+
+def test_windows_wait_for_every_signal_and_end_at_the_newest_sample(cart: System, drive: Drive) -> None:
+    worker, samples = Slow(0), sampled(drive(2.0))
+    tracker = Tracker(cart, worker)
+    force = {key: series for key, series in samples.items() if key.startswith("force.")}
+    state = {key: series for key, series in samples.items() if key.startswith("state.")}
+    assert tracker.feed(force) == () and not worker.windows
+    tracker.feed(state | {"stranger.value": (np.array([9.0]), np.zeros((1, 1)))})
+    ((window, at),) = worker.windows
+    assert at == pytest.approx(max(times[-1] for times, _ in samples.values()))
+    assert set(window.log.series) == set(samples), "signals of others are passed over"
+    assert window.length * window.log.dt == pytest.approx(cart.settings.mhe.window)
+
+
+def test_a_late_estimator_is_reported_once_until_it_is_ready_again(cart: System, drive: Drive) -> None:
+    period = cart.settings.mhe.update_period
+    worker = Slow(polls=round(3.5 * period / 0.01))
+    tracker = Tracker(cart, worker)
+    told = [
+        (now, one)
+        for now, part in portions(sampled(drive(3.0)), 0.01, 3.0)
+        for one in tracker.feed(part, now)
+    ]
+    assert all(isinstance(one, Trouble) and "late" in one.text for _, one in told)
+    assert len(told) in (len(worker.windows), len(worker.windows) - 1), "once for each update"
+    assert [now for now, _ in told] == [pytest.approx(one.time) for _, one in told]
+    ends = np.array([at for _, at in worker.windows])
+    assert np.diff(ends).min() > 3.0 * period, "no window waits in a queue: the newest is taken"
