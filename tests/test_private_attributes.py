@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import AmheError
+from amhe_cli.estimation.offline.cma import memory_of, restore
 from amhe_cli.robots.go1.poses.natnet import _listening_to
 from amhe_cli.robots.go1.poses.source import PoseError
 from amhe_cli.system.edits import inputs_of_set_const
@@ -26,11 +27,23 @@ def test_a_mujoco_without_that_list_is_refused_in_one_line(monkeypatch) -> None:
         inputs_of_set_const()
 
 
-def test_the_state_of_cmaes_has_its_names() -> None:
-    optimiser = cmaes.CMA(mean=np.zeros(2), sigma=1.0)
-    names = ("_mean", "_C", "_sigma", "_p_sigma", "_pc", "_g", "_funhist_values")
-    missing = [name for name in names if not hasattr(optimiser, name)]
-    assert missing == [], f"broken by cmaes {version('cmaes')}"
+def test_a_cmaes_optimizer_with_the_memory_of_another_continues_as_that_one() -> None:
+    one, other = (cmaes.CMA(mean=np.ones(3), sigma=0.5, seed=3, population_size=6) for _ in range(2))
+    for _ in range(4):
+        samples = [one.ask() for _ in range(6)]
+        one.tell([(x, float((x - [1.0, 2.0, 3.0]) @ (x - [0.0, 1.0, 9.0]))) for x in samples])
+    try:
+        restore(other, memory_of(one))
+    except AttributeError as error:
+        pytest.fail(f"broken by cmaes {version('cmaes')}: {error}")
+    for optimizer in (one, other):  # as the search does for each generation
+        optimizer.reseed_rng(7)
+    for _ in range(3):
+        samples = [one.ask() for _ in range(6)]
+        same = np.array_equal(samples, [other.ask() for _ in range(6)])
+        assert same, f"broken by cmaes {version('cmaes')}: its state has more than MEMORY"
+        for optimizer in (one, other):
+            optimizer.tell([(x, float(x @ x)) for x in samples])
 
 
 def test_natnet_makes_its_sockets_where_we_replace_them() -> None:

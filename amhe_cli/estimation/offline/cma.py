@@ -1,4 +1,4 @@
-"""SPI's search as the paper has it: CMA-ES (the `cmaes` package) over the matching cost and the prior."""
+"""SPI's search as in the paper: CMA-ES (the `cmaes` package) over the matching cost and the prior."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from amhe_cli.estimation.offline.result import Iteration
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.matching.cost import quadratic_prior
 
-#: What a `cmaes.CMA` remembers between generations besides its constants, and what a checkpoint keeps.
+#: Private attributes that a `cmaes.CMA` changes from generation to generation. The package cannot save them
+#: other than by pickle, which no file is ever loaded from.
 MEMORY = ("_mean", "_C", "_sigma", "_p_sigma", "_pc", "_g", "_funhist_values")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CmaState:
-    """Where a CMA-ES search stands; all that a checkpoint needs.
+    """State of a CMA-ES search between two iterations; a checkpoint holds just this.
 
     Args:
         start: Number of the current start, from 0.
@@ -29,12 +30,12 @@ class CmaState:
         number: Iterations done, of all starts.
         generation: Iterations done of this start.
         memory: MEMORY of the current start's CMA; empty before its first generation.
-        best_value: Cost of z on all clips; inf while there is nothing better than the first start's mean.
-        z: Best of the finished starts and of what was known before them; the mean of the first start while
-            there is none. What is reported if the search is cut short here, shape (d,).
+        best_value: Cost of z on all clips; inf before the first start is finished.
+        z: Best of the finished starts and of the search before them; else the mean of the first start. It is
+            the result if the search is stopped here, shape (d,).
         scale: Channel -> residual sd over declared noise sd.
         record: One entry an iteration.
-        done: Nothing is left to do.
+        done: Whether the search has finished.
     """
 
     start: int
@@ -50,12 +51,18 @@ class CmaState:
 
 
 def start(problem: Problem, starts: int, after: SearchState | None = None) -> CmaState:
-    """Before the first generation; `after` carries a failed linearised search's record over."""
+    """State before the first generation.
+
+    Args:
+        problem: The problem.
+        starts: Number of starts.
+        after: A linearised search that failed: its record is continued, and its estimate is beaten or kept.
+    """
     zero = np.zeros(len(problem.system.space))
     state = CmaState(0, starts, 0, 0, {}, np.inf, zero)
     if after is None:
         return state
-    known = np.stack((after.z, zero))  # a rescue gives back nothing worse than what it was called for
+    known = np.stack((after.z, zero))
     values = _on_clips(problem, known)
     best = int(np.argmin(values))
     return replace(
@@ -78,25 +85,26 @@ def total(problem: Problem, state: CmaState) -> int:
 
 
 def advance(problem: Problem, state: CmaState) -> CmaState:
-    """One generation: draw clips, ask, evaluate all candidates on the same clips, tell."""
+    """One generation: draw clips, sample candidates, and update the optimizer by their costs."""
     rng = problem.rng(1, state.start, state.generation)
     windows = problem.pool.draw(rng, problem.clip_count)
     cost = problem.cost(windows, state.scale)
     optimizer = _restored(problem, state, rng)
     free = np.flatnonzero(problem.active)
-    asked = np.zeros((optimizer.population_size + 1, state.z.size))
-    asked[:-1, free] = [optimizer.ask() for _ in range(optimizer.population_size)]
-    asked[-1, free] = optimizer.mean
-    residuals = cost.residuals(asked)
+    candidates = np.zeros((optimizer.population_size + 1, state.z.size))
+    candidates[:-1, free] = [optimizer.ask() for _ in range(optimizer.population_size)]
+    candidates[-1, free] = optimizer.mean
+    residuals = cost.residuals(candidates)
     worth = problem.coverage(windows) * cost.clips.counts.sum()
     costs = cost.rescaled(residuals, [1.0] * len(cost.clips.observed))
     costs = np.where(residuals.completed.all(axis=1), costs, np.inf)
     prior = problem.system.space.prior_precision
-    values = worth * costs + quadratic_prior(asked, np.zeros_like(state.z), prior)
-    finite = np.where(np.isfinite(values), values, 1e300)  # cmaes sorts, and wants numbers
-    optimizer.tell([(z[free], value) for z, value in zip(asked[:-1], finite[:-1], strict=True)])
-    mean = asked[-1].copy()
+    values = worth * costs + quadratic_prior(candidates, np.zeros_like(state.z), prior)
+    finite = np.where(np.isfinite(values), values, 1e300)  # cmaes sorts numbers
+    optimizer.tell([(z[free], value) for z, value in zip(candidates[:-1], finite[:-1], strict=True)])
+    mean = candidates[-1].copy()
     mean[free] = optimizer.mean
+    memory = memory_of(optimizer)
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     best = int(np.argmin(values))
     squares = mean_squares(cost, residuals.flat[best], np.ones(len(windows), dtype=bool))
@@ -104,7 +112,7 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
         number=state.number + 1,
         method=f"cmaes, start {state.start + 1}",
         cost=float(cost.rescaled(residuals, declared)[best]),
-        sigma=float(optimizer._sigma * np.sqrt(np.diag(optimizer._C)).mean()),
+        sigma=float(memory["_sigma"] * np.sqrt(np.diag(memory["_C"])).mean()),
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),
         theta=tuple(float(t) for t in problem.system.space.theta_of(mean)),
@@ -113,7 +121,7 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
         state,
         number=state.number + 1,
         generation=state.generation + 1,
-        memory={name: np.array(getattr(optimizer, name), dtype=float) for name in MEMORY},
+        memory=memory,
         z=mean if np.isinf(state.best_value) else state.z,
         scale=noise_scale(squares, state.scale),
         record=(*state.record, entry),
@@ -123,7 +131,7 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
 
 
 def _restored(problem: Problem, state: CmaState, rng: np.random.Generator) -> CMA:
-    """The optimizer as the last generation left it, with this generation's own random numbers."""
+    """The optimizer after the last generation, with a generator of this generation's own."""
     free = np.flatnonzero(problem.active)
     lower, upper = problem.system.space.bounds
     mean = np.zeros(free.size)
@@ -136,9 +144,19 @@ def _restored(problem: Problem, state: CmaState, rng: np.random.Generator) -> CM
         seed=int(rng.integers(2**31)),
         population_size=problem.settings.identify.samples,
     )
-    for name, value in state.memory.items():
-        setattr(optimizer, name, value if value.ndim else type(getattr(optimizer, name))(value))
+    restore(optimizer, state.memory)
     return optimizer
+
+
+def memory_of(optimizer: CMA) -> dict[str, FloatArray]:
+    """MEMORY of an optimizer, as arrays."""
+    return {name: np.array(getattr(optimizer, name), dtype=float) for name in MEMORY}
+
+
+def restore(optimizer: CMA, memory: Mapping[str, FloatArray]) -> None:
+    """Set MEMORY of a new optimizer; scalars keep the type that the package gave them."""
+    for name, value in memory.items():
+        setattr(optimizer, name, value if value.ndim else type(getattr(optimizer, name))(value))
 
 
 def _on_clips(problem: Problem, z: FloatArray) -> FloatArray:
@@ -149,7 +167,7 @@ def _on_clips(problem: Problem, z: FloatArray) -> FloatArray:
 
 
 def _finish_start(problem: Problem, state: CmaState, mean: FloatArray) -> CmaState:
-    """Keep the better of this start's mean and what was known before."""
+    """End a start: keep its mean if that is better than the best so far."""
     value = float(_on_clips(problem, mean[None])[0])
     better = value < state.best_value
     return replace(
