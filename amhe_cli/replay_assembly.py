@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,8 +15,9 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.estimation.online.prior import prior_of
-from amhe_cli.estimation.online.replay import ReplayProblem, windows
+from amhe_cli.estimation.online.replay import ReplayProblem, paced, windows
 from amhe_cli.logs import read_truth
+from amhe_cli.system import overrides
 from amhe_cli.system.load import bundled_root
 from amhe_cli.system.system import System
 
@@ -42,6 +44,10 @@ def open_replay(
         EstimationError: It is too short for any window.
     """
     opened = open_system(system, source, assignments, config)
+    chosen = overrides.gathered(config, os.environ, assignments).get("mhe") or {}
+    follows = "window" in chosen and "update_period" not in chosen
+    if follows and opened.folder is not None:
+        opened = paced(opened, System.load(opened.folder, warn=False).settings.mhe)
     known = read_belief(belief, opened) if belief else None
     (log,) = understood(opened, source, system)
     steps = windows(opened, log)
@@ -54,6 +60,7 @@ def open_replay(
         windows=steps,
         truth=_truth(source.paths[0], opened, log, steps),
         begun=np.ceil((source.start or 0.0) / log.dt - 1e-6) * log.dt,  # as the log is read
+        paced=follows,
     )
 
 

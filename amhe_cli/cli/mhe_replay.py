@@ -45,7 +45,8 @@ def mhe_replay(
     """Estimate parameters over the time of LOG, with the newest window at each update.
 
     LOG is an MCAP file, a rosbag2 folder or a ROS 1 bag; none: a bundled one, of a Go1 that pushes a box
-    onto another floor. Writes estimates.mcap, estimates.csv, result.json and report.html.
+    onto another floor. Writes estimates.mcap, estimates.csv, result.json and report.html. With a longer
+    --window, updates are further apart in proportion, unless their period is given, too.
     """
     from amhe_cli.assembly import LogSource
     from amhe_cli.cli.replay_progress import replay_progress
@@ -77,4 +78,9 @@ def mhe_replay(
     if session.json:
         session.print_json(record)
     else:
+        if problem.paced:
+            setting = problem.system.settings.mhe
+            session.console().print(
+                f"windows of {setting.window:g} s, updates every {setting.update_period:g} s"
+            )
         print_replay(record, folder, session.console())

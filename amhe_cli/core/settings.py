@@ -118,7 +118,8 @@ class MheSettings(_Group):
     window: _Positive = 0.5
     """Window H [s]."""
     update_period: _Positive = 0.2
-    """Between two updates, the paper's dt_update [s]."""
+    """Time between two updates [s], the paper's dt_update. In a replay with a longer window than the system's
+    own it is longer in proportion, unless it is set along with the window."""
     samples: Annotated[int, Field(ge=4)] | None = None
     """Rollouts B of one iteration; None: 8 for linearised (which adds one at the mean), 32 for logrank."""
     iterations: Annotated[int, Field(ge=1)] | None = None

@@ -266,7 +266,7 @@ def test_an_update_that_takes_longer_than_its_period_is_told_with_the_number(cap
     arguments = ["mhe-replay", PENDULUM, "--update-period", "0.002", "--to", "0.52", "-q", "-o", "out"]
     assert run([*arguments, "--strict"]) == 3
     took = record("out")["update_ms"]["p50"]
-    warning = f"an update takes {took:.0f} ms, and the update period is 2 ms"
+    warning = f"an update takes {took:.0f} ms, but the update period is 2 ms"
     assert warning in capsys.readouterr().err
     assert any(warning in text for text in record("out")["warnings"])
 
@@ -293,3 +293,17 @@ def test_an_interrupted_replay_keeps_what_there_is(monkeypatch, capsys) -> None:
     assert record("out")["windows"] == len(table("out")) == 3
     assert not survey(Path("out/estimates.mcap")).problems
     assert "interrupted" in capsys.readouterr().out
+
+
+def test_a_longer_window_has_a_longer_update_period_unless_that_is_given(capsys) -> None:
+    def period(*more: str) -> float:
+        assert run(["mhe-replay", PENDULUM, "--to", "1.5", "-q", "-o", "out", "--force", *more]) == 0
+        return record("out")["settings"]["update_period"]
+
+    assert period() == period("--window", "0.4") == 0.2
+    assert period("--window", "1.0") == pytest.approx(0.4)
+    assert period("--set", "mhe.window=0.75") == pytest.approx(0.3)
+    assert period("--window", "1.0", "--update-period", "0.25") == 0.25
+    capsys.readouterr()
+    assert run(["mhe-replay", PENDULUM, "--to", "1.5", "--window", "1.0", "-o", "out", "--force"]) == 0
+    assert "windows of 1 s, updates every 0.4 s" in capsys.readouterr().out

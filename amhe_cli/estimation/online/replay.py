@@ -6,7 +6,7 @@ import logging
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Log, Window
+from amhe_cli.core.settings import MheSettings
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.online.horizon import LEAST, Estimate, MovingHorizon, check_window
 from amhe_cli.estimation.online.prior import Gaussian
@@ -27,14 +28,15 @@ class ReplayProblem:
     """All that a replay starts from.
 
     Args:
-        system: What is estimated.
-        engine: Of rollouts.
-        estimator: Before its first window.
-        start: What it believes there.
-        windows: What it is to see.
-        truth: Parameter -> what the log calls true at each window's end, shape (windows,), NaN where it does
-            not say.
+        system: The system whose parameters are estimated.
+        engine: Rollout engine.
+        estimator: The estimator before its first window.
+        start: Its prior.
+        windows: The window of each update.
+        truth: Parameter -> true value at each window's end according to the log, shape (windows,); NaN where
+            the log has none.
         begun: Time of row 0, from the start of the file [s].
+        paced: Whether the update period follows from the window; see `paced`.
     """
 
     system: System
@@ -44,20 +46,22 @@ class ReplayProblem:
     windows: Sequence[Window]
     truth: Mapping[str, FloatArray]
     begun: float
+    paced: bool = False
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """A log that was replayed.
+    """Result of a replay.
 
     Args:
-        system: What it is about.
-        start: What was believed before.
-        windows: One for each estimate.
-        estimates: At least one; their times count from the log's start.
-        truth: Parameter -> what the log calls true at each estimate, shape (n,), NaN where it does not say.
-        seconds: Time that it took.
-        interrupted: There would have been more windows.
+        system: The system whose parameters were estimated.
+        start: Prior of the first window.
+        windows: The window of each estimate.
+        estimates: One or more; their times count from the log's start.
+        truth: Parameter -> true value at each estimate according to the log, shape (n,); NaN where the log
+            has none.
+        seconds: Duration of the replay [s].
+        interrupted: Whether it was stopped before the last window.
     """
 
     system: System
@@ -70,7 +74,7 @@ class Replay:
 
     @property
     def times(self) -> FloatArray:
-        """Of the estimates, from the log's start [s], shape (n,)."""
+        """Time of each estimate from the log's start [s], shape (n,)."""
         return self.column("time")
 
     @property
@@ -81,7 +85,7 @@ class Replay:
 
     @property
     def start_theta(self) -> FloatArray:
-        """Parameters as they were believed before, shape (d,)."""
+        """Mean of the prior as parameters, shape (d,)."""
         return self.system.space.theta_of(self.start.z)
 
     @property
@@ -91,7 +95,7 @@ class Replay:
 
     @cached_property
     def marks(self) -> Counter[str]:
-        """How many windows had each mark."""
+        """Number of windows with each mark."""
         return Counter(e.mark for e in self.estimates)
 
     def column(self, field: str) -> FloatArray:
@@ -99,11 +103,27 @@ class Replay:
         return np.array([getattr(e, field) for e in self.estimates])
 
 
+def paced(system: System, own: MheSettings) -> System:
+    """The system with an update period that suits a window longer than its own.
+
+    The time of an update is proportional to its window. So the period keeps its share of the window, and an
+    estimator that keeps up with real time keeps up with longer windows, too.
+
+    Args:
+        system: The system, whose window was chosen by the user and whose update period was not.
+        own: Settings of the system before that choice.
+    """
+    mhe = system.settings.mhe
+    period = own.update_period * max(1.0, mhe.window / own.window)
+    changed = mhe.model_copy(update={"update_period": period})
+    return replace(system, settings=system.settings.model_copy(update={"mhe": changed}))
+
+
 def windows(system: System, log: Log) -> list[Window]:
-    """The window before each update, one update period apart; of a shorter log, all of it.
+    """The window before each update, one update period apart; a log shorter than a window is one window.
 
     Raises:
-        ConfigError: The window is shorter than any can be.
+        ConfigError: The window or the update period is too short.
         EstimationError: The log is too short for any window.
     """
     setting, dt = system.settings.mhe, log.dt
@@ -130,7 +150,7 @@ def windows(system: System, log: Log) -> list[Window]:
 
 
 def replay(estimator: MovingHorizon, steps: Sequence[Window], begun: float = 0.0) -> Iterator[Estimate]:
-    """One estimate after the other, at times from `begun` [s] on."""
+    """Estimates after each window; `begun` is the time of row 0 [s]."""
     for window in steps:
         yield estimator.update(window, begun + window.stop * window.log.dt)
 
