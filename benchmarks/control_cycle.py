@@ -80,7 +80,7 @@ def _costs(given: argparse.Namespace) -> Table:
 
 
 def _measured(values: dict[str, int], threads: int) -> list[str]:
-    run = _open([f"control.{name}={value}" for name, value in values.items()], threads)
+    run = _open(values, threads)
     controller = run.episode.controller
     spy = controller._engine = Spy(controller._engine)  # type: ignore[assignment]
     cycles, bare = [], []
@@ -97,15 +97,17 @@ def _measured(values: dict[str, int], threads: int) -> list[str]:
 def _realtime(given: argparse.Namespace) -> Table:
     table = Table("threads", "cycles", "p50 ms", "p99 ms", "misses")
     for threads in given.threads:
-        run = _open([], threads, realtime=True)
+        run = _open({}, threads, realtime=True)
         times = [cycle.plan_ms for cycle in islice(run.episode.cycles(), int(given.seconds / 0.02))]
         p50, p99 = np.quantile(times, [0.5, 0.99])
         table.add_row(str(threads), str(len(times)), f"{p50:.1f}", f"{p99:.1f}", str(run.target.misses))
     return table
 
 
-def _open(assignments: list[str], threads: int, realtime: bool = False) -> Run:
-    return open_run(RunOptions("t1", seed=0, threads=threads, realtime=realtime, assignments=assignments))
+def _open(values: dict[str, int], threads: int, realtime: bool = False) -> Run:
+    return open_run(
+        RunOptions("t1", seed=0, threads=threads, realtime=realtime, settings={"control": values})
+    )
 
 
 if __name__ == "__main__":

@@ -27,11 +27,12 @@ from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import accuracy
-from amhe_cli.estimation.design.information import information_at
-from amhe_cli.estimation.design.probe import ProbeOptions, achieved, clips_of, read
+from amhe_cli.estimation.design.information import clips_of, information_at
+from amhe_cli.estimation.design.probe import ProbeOptions, achieved
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
+from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.probing.motions import STEADY, Motion, named_motion
-from amhe_cli.robots.go1.probing.push import PushProbe
+from amhe_cli.robots.go1.probing.probe import PushProbe
 from amhe_cli.system.system import System
 
 #: Half of the true values of T1's box, with the sd of the system's own prior.
@@ -111,7 +112,10 @@ def told(probe: PushProbe, motion: Motion, mode: str, log: Path, options: ProbeO
 
 def at_the_truth(system: System, log: Path, options: ProbeOptions) -> FloatArray:
     """The posterior covariance from a log at the true parameters, independent of its own estimate."""
-    windows, truth = clips_of(system, read(system, log)), system.space.z_of(np.array(list(TRUTH.values())))
+    windows, truth = (
+        clips_of(system, read_log(log, system)),
+        system.space.z_of(np.array(list(TRUTH.values()))),
+    )
     found = information_at(
         system, windows, open_engine(system, threads=options.threads), truth, options.rng(9)
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,11 +49,12 @@ def calibrate(
     from amhe_cli.report.folder import filling, reserve
     from amhe_cli.robots.go1.link.open import open_calibration
     from amhe_cli.robots.go1.run import RunOptions
+    from amhe_cli.system.overrides import gathered
 
     session.hush_mujoco()
     reached = at_the_robot.wire_of("go1", wire)
     assert reached is not None
-    asked = RunOptions(task, target="go1", assignments=assignments, config=config)
+    asked = RunOptions(task, target="go1", settings=gathered(config, os.environ, assignments))
     calibration = open_calibration(asked, reached)
     folder = reserve(out, "calibrate", force)
     with calibration:

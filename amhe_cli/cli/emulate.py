@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from math import isfinite
 from pathlib import Path
 
@@ -112,9 +113,10 @@ def emulate(
     from amhe_cli.robots.go1.link.child import ROBOT, take_priority
     from amhe_cli.robots.go1.poses import natnet, udp
     from amhe_cli.robots.go1.run import RunOptions, task_and_system
+    from amhe_cli.system.overrides import gathered
 
     session.hush_mujoco()
-    asked = RunOptions(task, target="go1", assignments=assignments, config=config)
+    asked = RunOptions(task, target="go1", settings=gathered(config, os.environ, assignments))
     measured, system = task_and_system(asked)
     s = system.settings.go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)

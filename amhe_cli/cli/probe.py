@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -79,17 +80,18 @@ def probe(
     """
     from amhe_cli.cli.stopping import stopping
     from amhe_cli.core.files import plain
-    from amhe_cli.estimation.design.plan import known_record, plan_record
+    from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.probe import ProbeOptions, achieved
     from amhe_cli.report.folder import filling, reserve
     from amhe_cli.report.probe import print_achieved, print_plan
-    from amhe_cli.robots.go1.probing.open import open_probe, robot_to_probe
-    from amhe_cli.robots.go1.probing.robot import Go1OnLink
+    from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.load import bundled_systems
+    from amhe_cli.system.overrides import gathered
     from amhe_cli.system.provenance import provenance
 
     session.hush_mujoco()
-    asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, assignments, config)
+    settings = gathered(config, os.environ, assignments)
+    asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, settings)
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)

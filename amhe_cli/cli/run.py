@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
@@ -105,13 +106,13 @@ def run(
     from amhe_cli.robots.go1.recording import film_of, recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.robots.go1.tasks import LONGEST
+    from amhe_cli.system.overrides import gathered
     from amhe_cli.system.provenance import run_provenance
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration
-    asked = RunOptions(
-        task, mode, target, belief, seed, threads, longest, realtime, plant, assignments, config
-    )
+    settings = gathered(config, os.environ, assignments)
+    asked = RunOptions(task, mode, target, belief, seed, threads, longest, realtime, plant, settings)
     opened = at_the_robot.opened(asked, wire) or open_run(asked)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
     click.get_current_context().with_resource(closing(opened.episode.belief))

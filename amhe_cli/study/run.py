@@ -20,6 +20,7 @@ from amhe_cli.robots.go1.run import RunOptions, open_run
 from amhe_cli.study.cells import Cell, assignments, cell_of
 from amhe_cli.study.code import code
 from amhe_cli.study.results import blank, thinned
+from amhe_cli.system.overrides import parse_set
 
 
 def run_cell(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -67,7 +68,7 @@ def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
         run = open_run(
             RunOptions(
                 cell.task, cell.mode, belief=belief, seed=cell.seed, duration=cell.duration,
-                assignments=assignments(cell.setting), environment={},
+                settings=parse_set(assignments(cell.setting)),
             )
         )  # fmt: skip
     history, costs, sds = History(run.task), [], []

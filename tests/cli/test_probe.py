@@ -12,10 +12,10 @@ import pytest
 from amhe_cli.cli.main import run
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import Ending
-from amhe_cli.estimation.design.drive import DriveProbe
-from amhe_cli.estimation.design.multisine import Multisine
+from amhe_cli.estimation.design.excitation import Multisine
+from amhe_cli.estimation.design.probe import ActuatorProbe
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.robots.go1.probing.push import PushProbe
+from amhe_cli.robots.go1.probing.probe import PushProbe
 from tests.conftest import MODELS, PENDULUM_TRUTH
 
 #: Little work: the plans need not be good.
@@ -118,12 +118,12 @@ def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
 
 
 def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> None:
-    told = DriveProbe._told
+    told = ActuatorProbe._information
 
-    def only_quick(self: DriveProbe, one: Multisine, draws: FloatArray) -> FloatArray | None:
+    def only_quick(self: ActuatorProbe, one: Multisine, draws: FloatArray) -> FloatArray | None:
         return None if one.name == "slow sine" else told(self, one, draws)
 
-    monkeypatch.setattr(DriveProbe, "_told", only_quick)
+    monkeypatch.setattr(ActuatorProbe, "_information", only_quick)
     assert run([*PENDULUM, "--plan-only", "-o", "plan"]) == 0
     (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("load_mass"))
     assert row.split()[-1] == "–"

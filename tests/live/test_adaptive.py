@@ -23,6 +23,7 @@ from amhe_cli.robots.go1.kinematics import JOINTS
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import RunOptions, estimator_of, open_run
 from amhe_cli.robots.go1.tasks import Believed, find_task
+from amhe_cli.system.overrides import parse_set
 from tests.estimation.online.test_workers import ready, wait
 
 QUICK = ("control.samples=5", "control.horizon=8", "mhe.samples=6")
@@ -30,7 +31,9 @@ QUICK = ("control.samples=5", "control.horizon=8", "mhe.samples=6")
 
 def cycles(tmp_path: Path, seconds: float, threads: int = 1) -> list[Cycle]:
     run = open_run(
-        RunOptions("t1", mode="adaptive", seed=5, duration=seconds, threads=threads, assignments=QUICK)
+        RunOptions(
+            "t1", mode="adaptive", seed=5, duration=seconds, threads=threads, settings=parse_set(QUICK)
+        )
     )
     with recorder_of(run, tmp_path / "log.mcap") as recorder:
         found = []
@@ -118,7 +121,7 @@ def test_targets_that_a_robot_was_sent_are_taken_in_place_of_those_planned() -> 
 
 def test_the_estimator_begins_with_what_the_controller_believes() -> None:
     task = replace(find_task("t1"), baseline=Believed(3.3, 0.44))  # as a probe has its own
-    options = RunOptions("t1", mode="adaptive", duration=0.6, assignments=QUICK)
+    options = RunOptions("t1", mode="adaptive", duration=0.6, settings=parse_set(QUICK))
     run = list(open_run(options, task).episode.cycles())
     assert run[0].belief["box_mass"] == pytest.approx(3.3)
     first = news(run)[0][1]
@@ -130,7 +133,7 @@ def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cy
     source = LogSource((adaptive[0],), {}, None, None, None)
     system = open_system(None, source, QUICK)
     (log,) = trajectories(system, source)
-    options = RunOptions("t1", mode="adaptive", seed=5, assignments=QUICK)
+    options = RunOptions("t1", mode="adaptive", seed=5, settings=parse_set(QUICK))
     window = Window(log, 60, 125)
     start = belief_of(system.name, system.space, np.zeros(3), np.eye(3), {})
     here = estimator_of(options, start).update(window, 1.0)

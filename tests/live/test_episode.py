@@ -194,7 +194,7 @@ def test_the_measures_are_of_the_true_states(task: str) -> None:
 def test_a_box_of_another_size_is_so_for_plant_estimator_and_log() -> None:
     """`boxes.box` is what the user measured: whoever has a model of the box must have that one."""
     edges = (0.4, 0.6, 0.2)
-    run = opened(assignments=[f"boxes.box={list(edges)}"])
+    run = opened(settings={"boxes": {"box": list(edges)}})
     assert run.plant is not None
     for model in (run.plant.model, run.system.model):
         np.testing.assert_allclose(2.0 * model.geom("box").size, edges)
@@ -203,7 +203,7 @@ def test_a_box_of_another_size_is_so_for_plant_estimator_and_log() -> None:
 
 
 def with_box(name: str, edges: Sequence[float]) -> Task:
-    asked = RunOptions(name, assignments=[f"boxes.box={list(edges)}"])
+    asked = RunOptions(name, settings={"boxes": {"box": list(edges)}})
     return task_and_system(asked)[0]
 
 

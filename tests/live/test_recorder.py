@@ -15,7 +15,7 @@ from amhe_cli.robots.go1.kinematics import JOINTS
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import RunOptions, open_run
 
-QUICK = ("control.samples=5", "control.horizon=8")
+QUICK = {"control": {"samples": 5, "horizon": 8}}
 
 
 def messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
@@ -31,7 +31,7 @@ def messages(path: Path) -> dict[str, list[tuple[int, bytes]]]:
 
 def record(path: Path, task: str = "t1", seconds: float = 0.6, threads: int = 1, seed: int = 0) -> list:
     """Run a task for some time; its cycles."""
-    run = open_run(RunOptions(task, seed=seed, duration=seconds, threads=threads, assignments=QUICK))
+    run = open_run(RunOptions(task, seed=seed, duration=seconds, threads=threads, settings=QUICK))
     cycles = []
     with recorder_of(run, path) as recorder:
         for cycle in run.episode.cycles():

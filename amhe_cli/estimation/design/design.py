@@ -1,16 +1,18 @@
-"""Bayesian D-optimal design: which excitation tells most about the parameters.
+"""Bayesian D-optimal design: how well data would determine the parameters, and the plan of a probe.
 
-What an excitation tells depends on the truth, which nobody knows. So the expectation over a few draws of the
-prior is maximised,
+What an excitation tells depends on the true parameters, which nobody knows. So the expectation over a few
+draws of the prior is maximised,
 
     mean over draws of log det(P + M),
 
-P is the prior's precision, M the information of the excitation (Chaloner and Verdinelli 1995).
+where P is the prior's precision and M the information of the excitation (Chaloner and Verdinelli 1995).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -19,10 +21,10 @@ from amhe_cli.core.parameters import ParameterSpace
 
 
 def ensemble(space: ParameterSpace, pairs: int, rng: np.random.Generator) -> FloatArray:
-    """Draws of z that stand for its prior: the mean, and pairs one sd to either side, shape (1 + 2 pairs, d).
+    """Draws of z that stand for its prior, shape (1 + 2 pairs, d): the mean, and pairs one sd to either side.
 
-    With signs for coordinates the draws have the prior's spread, and none is extreme: a box that no robot can
-    push would tell nothing.
+    With random signs as coordinates the draws have the prior's spread, and none is extreme: a box that no
+    robot can push would tell nothing.
     """
     d = len(space)
     signs = rng.choice([-1.0, 1.0], size=(pairs, d))
@@ -31,7 +33,7 @@ def ensemble(space: ParameterSpace, pairs: int, rng: np.random.Generator) -> Flo
 
 
 def criterion(information: FloatArray, prior: FloatArray) -> float:
-    """Mean log det(P + M) over draws; `information` has shape (draws, d, d), `prior` (d, d)."""
+    """Mean log det(P + M) over draws, from information (draws, d, d) and the prior's precision (d, d)."""
     return float(np.linalg.slogdet(prior + information)[1].mean())
 
 
@@ -41,7 +43,7 @@ class Accuracy:
 
     Args:
         space: The parameters.
-        covariance: Of phi, log(theta) where log-scaled, shape (d, d).
+        covariance: Posterior covariance of phi, which is log(theta) where log-scaled, shape (d, d).
     """
 
     space: ParameterSpace
@@ -49,7 +51,7 @@ class Accuracy:
 
     @property
     def sd(self) -> FloatArray:
-        """Posterior sd of phi: a share of the parameter where log-scaled, shape (d,)."""
+        """Posterior sd of phi, shape (d,); a share of the parameter where log-scaled."""
         return np.sqrt(np.diag(self.covariance))
 
     def sd_along(self, powers: FloatArray) -> float:
@@ -58,13 +60,16 @@ class Accuracy:
 
 
 def accuracy(space: ParameterSpace, information: FloatArray) -> Accuracy:
-    """Prior and information of data (draws, d, d) in z together; averaged over the draws."""
+    """Accuracy from the prior and the information of data on z (draws, d, d), averaged over the draws."""
     covariance = np.linalg.inv(space.prior_precision + information).mean(axis=0)
     return Accuracy(space, covariance * np.outer(space.prior_sd, space.prior_sd))
 
 
 def best_product(known: Accuracy) -> FloatArray | None:
-    """Powers (d,) of the product or ratio of two parameters that gains most on both; None where none does."""
+    """Powers (d,) of the product or ratio of two parameters that is known best in comparison with both.
+
+    None where no product or ratio is known better than its better parameter.
+    """
     log = np.flatnonzero(known.space.log)
     ones = np.eye(len(known.space))
     pairs = [ones[i] + sign * ones[j] for i in log for j in log if i < j for sign in (1.0, -1.0)]
@@ -74,3 +79,88 @@ def best_product(known: Accuracy) -> FloatArray | None:
 
     best = min(pairs, key=against_the_better, default=None)
     return best if best is not None and against_the_better(best) < 1.0 else None
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """A stretch of a probe.
+
+    Args:
+        name: Short name of the motion.
+        title: Description of the motion.
+        start: Start of the part [s].
+        seconds: Length of the part [s].
+    """
+
+    name: str
+    title: str
+    start: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ProbePlan:
+    """A probe before it is run.
+
+    Args:
+        parts: The motions, in order.
+        expected: How well the parameters will be known from the probe and the prior.
+        plain: How well they would be known from equally long plain motion; None where that is impossible.
+        plain_title: Description of the plain motion.
+    """
+
+    parts: tuple[Part, ...]
+    expected: Accuracy
+    plain: Accuracy | None
+    plain_title: str
+
+    @property
+    def seconds(self) -> float:
+        """Length of the whole probe [s]."""
+        return self.parts[-1].start + self.parts[-1].seconds
+
+
+def parts_of(motions: Sequence[tuple[str, str, float]]) -> tuple[Part, ...]:
+    """Parts one after the other, from name, title and seconds of each."""
+    starts = np.cumsum([0.0, *(seconds for _, _, seconds in motions)])
+    return tuple(
+        Part(name, title, float(start), seconds)
+        for (name, title, seconds), start in zip(motions, starts, strict=False)
+    )
+
+
+def plan_record(plan: ProbePlan) -> dict[str, Any]:
+    """A plan as plain values: the content of plan.json."""
+    return {
+        "sequence": [asdict(part) for part in plan.parts],
+        "probe_seconds": plan.seconds,
+        "plain_title": plan.plain_title,
+        **known_record({"expected": plan.expected, "plain": plan.plain}),
+    }
+
+
+def known_record(accuracies: Mapping[str, Accuracy | None]) -> dict[str, Any]:
+    """Prior and posterior sd of each parameter, and of the product that the first accuracy knows best.
+
+    The sd of a log-scaled parameter is a share of its value.
+    """
+    known = {key: own for key, own in accuracies.items() if own is not None}
+    first = next(iter(known.values()))
+    rows = [
+        {"name": p.name, "unit": p.unit, "relative": p.log, "prior": p.nominal, "prior_sd": p.prior_sd}
+        | {f"{key}_sd": float(own.sd[i]) for key, own in known.items()}
+        for i, p in enumerate(first.space.parameters)
+    ]
+    powers = best_product(first)
+    return {"parameters": rows, "together": None if powers is None else _product_record(known, powers)}
+
+
+def _product_record(known: Mapping[str, Accuracy], powers: FloatArray) -> dict[str, Any]:
+    space = next(iter(known.values())).space
+    sd = space.prior_sd * powers
+    names = [space.names[i] for i in np.flatnonzero(powers)]
+    sign = "*" if powers.sum() > 0.0 else "/"
+    return {
+        "name": f" {sign} ".join(names),
+        "prior_sd": float(np.sqrt(sd @ space.prior_covariance @ sd)),
+    } | {f"{key}_sd": own.sd_along(powers) for key, own in known.items()}

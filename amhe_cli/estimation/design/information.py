@@ -1,4 +1,4 @@
-"""What stretches of a log tell about the parameters: Fisher information by the matching cost."""
+"""How much a log tells about the parameters: Fisher information by the matching cost."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, namespace_of
-from amhe_cli.core.log import Window
+from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.information import (
     Information,
@@ -18,12 +18,19 @@ from amhe_cli.estimation.core.information import (
 )
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.shape import sampling_width
+from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 
-#: Gauss-Newton steps from the belief to where a log points, first states as recorded, then fitted: at most so
-#: many, until one is this small [sd].
+#: Gauss-Newton steps from the belief to a log's own estimate: at most so many with first states as recorded,
+#: and so many with fitted ones, until a step is this small [sd].
 FAR, NEAR, SETTLED = 5, 3, 1.0
+
+
+def clips_of(system: System, log: Log) -> list[Window]:
+    """Clips of a log side by side, as `amhe identify` cuts them; none where nothing moves."""
+    clips = system.settings.clips
+    return ClipPool(system, [whole(log)], clips).cut(0.5 * sum(clips.length))
 
 
 def information_at(
@@ -35,15 +42,20 @@ def information_at(
     *,
     recorded: bool = False,
 ) -> Information:
-    """Information of each window on z (d,): `matrix` has shape (c, d, d).
+    """Information of each of c windows at z (d,); its `matrix` has shape (c, d, d).
 
-    First states are fitted along, as `amhe identify` does in the end: where they are taken as recorded, what
-    their errors do to a surge counts as noise of the surge. The noise is what the residuals then show, their
-    autocorrelation included; the samples are as wide as the jitter of contacts asks for.
+    Errors of first states are fitted along, as in the last iterations of `amhe identify`: taken as recorded,
+    they would pass for noise of the motion. The noise's scale is that of the residuals, with their
+    autocorrelation; the samples are as wide as the jitter of contacts needs.
 
     Args:
-        recorded: Take first states as recorded all the same where the system's settings do not always fit
-            them: for a robot a fifteenth of the rollouts.
+        system: The system.
+        windows: Windows of logs.
+        engine: Rollouts of the system's model.
+        z: Where the predictions are linearised, shape (d,).
+        rng: Source of the samples.
+        recorded: Take first states as recorded, unless the system's settings always fit them; for a robot
+            this needs a fifteenth of the rollouts.
     """
     setting = system.settings.identify
     cost = MatchingCost(system, windows, engine, system.settings.cost)
@@ -55,7 +67,7 @@ def information_at(
 
 
 def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
-    """A linearisation in units of another noise: its declared sd times a factor for each channel."""
+    """A linearisation in units of another noise: the declared sd times a factor for each channel's key."""
     cost = found.cost
     sizes = [o.mask.shape[1] * o.width for o in cost.clips.observed]
     factor = np.repeat([scale[o.channel.key] for o in cost.clips.observed], sizes)
@@ -72,11 +84,12 @@ def rescaled(found: Linearisation, scale: Mapping[str, float]) -> Linearisation:
 def information_where_it_points(
     system: System, windows: Sequence[Window], engine: Engine, rng: np.random.Generator
 ) -> FloatArray:
-    """Information (d, d) of all windows together, at the estimate that a few steps from the belief reach.
+    """Information (d, d) of all windows together, near the windows' own estimate.
 
-    What a log tells is to be asked where its truth is; a belief may be far from it. The first steps take
-    first states as recorded, which is cheaper; the last ones fit them, or a push without surges, whose mass
-    hardly shows, is led astray by them. It is that of the place from which the last step sets out.
+    Information depends on the parameters, and the belief may be far from the truth. So a few Gauss-Newton
+    steps lead from the belief to an estimate. The first steps take first states as recorded, which is
+    cheaper; the last ones fit them, because errors of first states mislead where the data hardly show a
+    parameter. The information is that at the point before the last step.
     """
     space = system.space
     z = np.zeros(len(space))

@@ -1,4 +1,4 @@
-"""What a system with plain actuators would log: its model driven by given controls, measured with noise."""
+"""Simulated logs: a system's model is driven by given controls, and measured with noise."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.states import home
 from amhe_cli.system.system import Channel, System
 
-#: Between two messages of what is measured, and of what is commanded [s].
+#: Time between two messages of measurements, and between two commands [s].
 MEASURED, COMMANDED = 0.01, 0.02
 
 
@@ -22,9 +22,9 @@ class Playback:
     """Plays controls on a system's model from its home state.
 
     Args:
-        system: Whose signals are logged.
-        engine: Rolls its model, or another plant's, out.
-        dt: Step of that model [s].
+        system: System with the signals to log.
+        engine: Rollouts of its model, or of another plant.
+        dt: Time step of that model [s].
     """
 
     system: System
@@ -36,12 +36,12 @@ class Playback:
         return COMMANDED * np.arange(round(seconds / COMMANDED), dtype=np.float64)
 
     def play(self, theta: FloatArray, controls: FloatArray, rng: np.random.Generator) -> list[Log | None]:
-        """What p plants would log; None for one that diverges or leaves its joints' limits.
+        """Logs of p plants; None for a plant that diverges or leaves its joints' limits.
 
         Args:
-            theta: Their parameters, shape (p, d).
-            controls: Input vectors of each at `times`, shape (p, n, nu).
-            rng: Draws the sensors' noise.
+            theta: Parameters of the plants, shape (p, d).
+            controls: Input vectors of the plants at `times`, shape (p, n, nu).
+            rng: Source of the sensors' noise.
         """
         system, last = self.system, controls.shape[1] - 1
         steps = round((last + 1) * COMMANDED / self.dt)  # of any length: a plant's may not divide the 20 ms
@@ -69,7 +69,7 @@ class Playback:
 
 
 def _measured(channel: Channel, states: FloatArray, rows: IntArray, rng: np.random.Generator) -> Series:
-    """A channel with its declared noise; row k is the state after input k."""
+    """Measurements of a channel, with its declared noise; row k is the state after input k."""
     values, noise = states[:, list(channel.columns)], channel.noise or 0.0
     if channel.kind == "rotation":
         turns = rotations.exp(noise * rng.standard_normal((len(values), 3)))

@@ -1,46 +1,63 @@
-"""What the two kinds of probe have in common: what is asked for, what they do, what a log told."""
+"""A probe: the excitation that tells most about the parameters is found, and recorded as a log.
+
+`Probe` is what every kind of probe can do. `ActuatorProbe` drives a system's own actuators by multisines.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
-from amhe_cli.assembly import LogSource, trajectories
+from amhe_cli import __version__
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief_file import read_belief
-from amhe_cli.core.errors import AmheError, Ending, EstimationError
-from amhe_cli.core.log import Log, Window
+from amhe_cli.core.errors import AmheError, ConfigError, Ending, EstimationError, SimulationError
+from amhe_cli.core.log import Log
+from amhe_cli.core.samples import sampled
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.design.design import Accuracy, accuracy
-from amhe_cli.estimation.design.information import information_where_it_points
-from amhe_cli.estimation.design.plan import ProbePlan
-from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
+from amhe_cli.estimation.design.excitation import Multisine, candidates, driven_controls, slow_sine
+from amhe_cli.estimation.design.information import (
+    clips_of,
+    information_at,
+    information_where_it_points,
+)
+from amhe_cli.estimation.design.playback import Playback
+from amhe_cli.logs import LogWriter, read_log
+from amhe_cli.logs.messages.signal_writer import message_type, write_samples
+from amhe_cli.system.edits import ModelEdits
+from amhe_cli.system.model_file import compiled
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
-#: Told how far a design is.
+#: Length of the shortest probe [s].
+_SHORTEST = 1.0
+
+#: Takes one line about the progress of a design.
 Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class ProbeOptions:
-    """What the user asked `amhe probe` for.
+    """A request for a probe.
 
     Args:
-        system: Name or folder; None: `go1_push`.
-        task: Whose box and floor are probed, where the system has tasks; None: those of t1.
-        seconds: The longest that the probe may take [s].
-        belief: File of a belief to design with, in place of the system's prior.
-        plant: Model that is probed in place of the system's own.
+        system: Name or folder of the system; None: `go1_push`.
+        task: Task with the box and floor to probe, for `go1_push`; None: t1.
+        seconds: Greatest length of the probe [s].
+        belief: File of a belief that replaces the system's prior.
+        plant: Model that is probed in simulation instead of the system's own.
         box: Mass [kg] and friction of the box that is probed in simulation; None: the task's.
-        seed: Of every random draw.
-        threads: Of the rollouts; the outcome does not depend on it.
-        assignments, config: Settings, as everywhere.
+        seed: Seed of all random draws.
+        threads: Threads of the rollouts; the outcome does not depend on them.
+        settings: Settings that replace the system's own, as a nested mapping.
     """
 
     system: str | None = None
@@ -51,8 +68,7 @@ class ProbeOptions:
     box: tuple[float, float] | None = None
     seed: int = 0
     threads: int = 1
-    assignments: tuple[str, ...] = ()
-    config: Path | None = None
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     def rng(self, *place: int) -> np.random.Generator:
         """A generator of its own for each use."""
@@ -64,29 +80,29 @@ class Probe(Protocol):
 
     @property
     def system(self) -> System:
-        """With what is believed as its prior."""
+        """The system, with the belief as its prior."""
         ...
 
     @property
     def task(self) -> str | None:
-        """Whose box is probed, where the system has tasks."""
+        """Name of the task with the box that is probed; None where the system has no tasks."""
         ...
 
     def design(self, say: Say) -> ProbePlan:
         """Find the best excitation.
 
         Raises:
-            ConfigError: There is not time enough for any.
+            ConfigError: The time is too short for any.
         """
         ...
 
     def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
-        """Do it, and write the log."""
+        """Run the plan and write its log."""
         ...
 
 
 def believing(system: System, belief: Path | None) -> System:
-    """A system whose prior is a belief's, where there is one.
+    """A system with a belief file as its prior; the system itself where there is no file.
 
     Raises:
         ConfigError: The belief does not suit.
@@ -94,21 +110,10 @@ def believing(system: System, belief: Path | None) -> System:
     return replace(system, space=system.space.with_prior(read_belief(belief, system))) if belief else system
 
 
-def read(system: System, path: Path) -> Log:
-    """A log that was just written."""
-    return trajectories(system, LogSource((path,), {}, None, None, None))[0]
-
-
-def clips_of(system: System, log: Log) -> list[Window]:
-    """Windows of a log side by side, as `amhe identify` cuts them; none where nothing moves."""
-    clips = system.settings.clips
-    return ClipPool(system, [whole(log)], clips).cut(0.5 * sum(clips.length))
-
-
 def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | None:
-    """How well the parameters are known from a log and the prior; None where it cannot be said."""
+    """How well the parameters are known from a log and the prior; None where that cannot be computed."""
     try:
-        windows = clips_of(system, read(system, path))
+        windows = clips_of(system, read_log(path, system))
         if not windows:
             raise EstimationError("nothing moves in it")
         engine, rng = open_engine(system, threads=options.threads), options.rng(9)
@@ -117,3 +122,110 @@ def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | No
         logger.warning(f"what the log tells cannot be said: {error}")
         return None
     return accuracy(system.space, found[None])
+
+
+class ActuatorProbe:
+    """A probe by the system's own actuators: the best of some random multisines.
+
+    Args:
+        options: The request.
+        folder: Folder of the system.
+
+    Raises:
+        ConfigError: The system has nothing to drive, its log cannot be written, or a belief, plant or setting
+            does not suit.
+    """
+
+    def __init__(self, options: ProbeOptions, folder: Path) -> None:
+        self._options, self.task = options, None
+        own = System.load(folder, options.settings)
+        self.system: System = believing(own, options.belief)
+        self._controls = driven_controls(own)
+        for signal in own.signals:  # refuse what could not be logged before any work is done
+            message_type(signal)
+        self._engine = open_engine(own, threads=options.threads)
+        self._model = Playback(own, self._engine, own.model.opt.timestep)
+        self._plant = self._model if options.plant is None else _other_plant(options, folder, options.plant)
+        self._truth = own.space.named(own.space.nominal)
+
+    def design(self, say: Say) -> ProbePlan:
+        """See `Probe`."""
+        options, space = self._options, self.system.space
+        if options.seconds < _SHORTEST:
+            raise ConfigError(f"--for {options.seconds:g}: too short; a probe takes {_SHORTEST:g} s or more")
+        draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
+        tried = self._multisines
+        found = []
+        for number, one in enumerate(tried):
+            say(f"trying {one.name}, {number + 1} of {len(tried)}")
+            found.append(self._information(one, draws))
+        values = [-np.inf if own is None else criterion(own, space.prior_precision) for own in found]
+        best = int(np.argmax(values))
+        chosen, plain = found[best], found[0]
+        if chosen is None:
+            raise ConfigError(
+                f"{self.system.name}: no excitation that was tried stays within the joints' limits"
+            )
+        return ProbePlan(
+            parts_of([(tried[best].name, "sines within the limits of the controls", options.seconds)]),
+            accuracy(space, chosen),
+            None if plain is None else accuracy(space, plain),
+            tried[0].name,
+        )
+
+    def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
+        """See `Probe`; a simulation without a controller is over before anybody could stop it."""
+        chosen = next(one for one in self._multisines if one.name == plan.parts[0].name)
+        theta = np.array([self._truth[name] for name in self.system.space.names])
+        log = self._played(self._plant, chosen, theta[None], 3)[0]
+        if log is None:
+            return Ending(error=SimulationError("the plant diverged, or left its joints' limits"))
+        about = {"system": self.system.name, "seed": str(self._options.seed), "version": __version__}
+        if self._options.plant is None:
+            about["truth"] = json.dumps(self._truth)
+        played = [s for s in self.system.signals if all(s.key(q) in log.series for q in s.quantities)]
+        with LogWriter(path, about) as file:  # stamps begin after zero, which would be no stamp
+            write_samples(file, played, sampled(log), lambda time: round(1e9 * (time + log.dt)))
+        return Ending()
+
+    @property
+    def _multisines(self) -> list[Multisine]:
+        """All excitations to choose from, the plain one first."""
+        limits = self._controls.rest, self._controls.lower, self._controls.upper
+        count = self.system.settings.probe.candidates
+        return [slow_sine(*limits), *candidates(*limits, count, self._options.rng(1))]
+
+    def _information(self, one: Multisine, draws: FloatArray) -> FloatArray | None:
+        """Information on z for each draw, shape (e, d, d); None where one of them leaves the limits."""
+        system, found = self.system, []
+        logs = self._played(self._model, one, system.space.theta_of(draws), 2)
+        for z, log in zip(draws, logs, strict=True):
+            if log is None:
+                return None
+            matrix, windows = np.zeros((z.size, z.size)), clips_of(system, log)
+            if windows:
+                own = information_at(system, windows, self._engine, z, self._options.rng(4))
+                matrix = own.matrix.sum(axis=0)
+            found.append(matrix)
+        return np.stack(found)
+
+    def _played(self, playback: Playback, one: Multisine, theta: FloatArray, place: int) -> list[Log | None]:
+        """The logs of plants with parameters theta (p, d)."""
+        swing = one.at(playback.times(self._options.seconds))
+        inputs = np.tile(self._controls.home, (len(swing), 1))
+        inputs[:, self._controls.columns] = swing
+        everywhere = np.broadcast_to(inputs, (len(theta), *inputs.shape))
+        return playback.play(theta, everywhere, self._options.rng(place))
+
+
+def _other_plant(options: ProbeOptions, folder: Path, plant: Path) -> Playback:
+    """Another model with the same joints and actuators, with its own parameters."""
+    try:
+        system = System.load(folder, {**options.settings, "model": str(plant.resolve())}, warn=False)
+    except ConfigError as error:
+        first = str(error).splitlines()[0]
+        raise ConfigError(f"--plant {plant}: does not suit the system: {first}") from None
+    model = compiled(system.spec)
+    unedited = replace(system, edits=ModelEdits(model, system.space, ()))
+    engine = open_engine(unedited, threads=options.threads, model=model)
+    return Playback(system, engine, model.opt.timestep)

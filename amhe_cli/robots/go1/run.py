@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +17,7 @@ from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import Belief, belief_of, completed
 from amhe_cli.core.rotations import exp, multiply
+from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
 from amhe_cli.estimation.online.tracker import Tracker
@@ -33,7 +33,6 @@ from amhe_cli.robots.go1.robot import Go1, joint_sigma
 from amhe_cli.robots.go1.sampling import Sampler
 from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
-from amhe_cli.system import overrides
 from amhe_cli.system.system import System
 
 MODES = ("true", "baseline", "stale", "adaptive")
@@ -57,8 +56,7 @@ class RunOptions:
         duration: The longest that it may take [s].
         realtime: Keep pace with the wall clock.
         plant: MJCF of another Go1.
-        assignments, config: Settings, as everywhere.
-        environment: Variables that may hold settings too.
+        settings: Settings that replace the system's own, as a nested mapping.
     """
 
     task: str
@@ -70,9 +68,7 @@ class RunOptions:
     duration: float = LONGEST
     realtime: bool = False
     plant: Path | None = None
-    assignments: Sequence[str] = ()
-    config: Path | None = None
-    environment: Mapping[str, str] = field(default_factory=lambda: dict(os.environ))
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def live(self) -> bool:
@@ -192,8 +188,7 @@ def system_of(options: RunOptions, task: Task) -> System:
     Raises:
         ConfigError: A setting is wrong.
     """
-    settings = overrides.gathered(options.config, options.environment, options.assignments)
-    return System.load(SYSTEM, overrides.merged(measured(task), settings), warn=False)
+    return System.load(SYSTEM, merged(measured(task), options.settings), warn=False)
 
 
 def belief_source(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from amhe_cli.estimation.design.multisine import candidates, slow_sine
+from amhe_cli.estimation.design.excitation import candidates, slow_sine
 
 REST, LOWER, UPPER = np.array([0.0, 1.0]), np.array([-3.0, 0.0]), np.array([3.0, 1.5])
 

@@ -13,8 +13,8 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.core.linearise import FirstStates, linearise
-from amhe_cli.estimation.design.information import information_at, rescaled
-from amhe_cli.estimation.design.probe import clips_of, read
+from amhe_cli.estimation.design.information import clips_of, information_at, rescaled
+from amhe_cli.logs import read_log
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 from tests.conftest import PENDULUM_TRUTH
@@ -27,7 +27,7 @@ def asked(pendulum_log: Path) -> Asked:
     """System, windows, engine and truth of a log whose first states are noisy."""
     system = System.load("pendulum", {"identify": {"first_state": "polish"}})
     truth = system.space.z_of(np.array([PENDULUM_TRUTH[name] for name in system.space.names]))
-    return system, clips_of(system, read(system, pendulum_log)), open_engine(system), truth
+    return system, clips_of(system, read_log(pendulum_log, system)), open_engine(system), truth
 
 
 def test_errors_of_first_states_are_no_noise_of_the_motion(asked: Asked) -> None:

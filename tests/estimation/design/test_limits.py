@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amhe_cli.robots.go1.probing.motions import MOTIONS, Motion
-from amhe_cli.robots.go1.probing.pushing import probe_task
+from amhe_cli.robots.go1.probing.motions import MOTIONS, Motion, probe_task
 from amhe_cli.robots.go1.run import RunOptions, open_run
 from amhe_cli.robots.go1.settings import TripSettings
 from amhe_cli.robots.go1.tasks import Believed, find_task

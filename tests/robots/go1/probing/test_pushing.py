@@ -17,10 +17,10 @@ from amhe_cli.robots.go1.probing.motions import (
     WIDEST_OFFSET,
     Motion,
     Score,
+    ScoreHelm,
     Segment,
     named_motion,
 )
-from amhe_cli.robots.go1.probing.pushing import ScoreHelm
 from amhe_cli.robots.go1.state import Body, State
 
 TRY = Motion("try", "", (Segment(1.0, 0.25), Segment(0.5, -0.1), Segment(2.0, 0.2, 0.1)))

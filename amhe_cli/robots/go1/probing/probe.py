@@ -1,34 +1,62 @@
-"""Probing a box with a walking Go1: motions rehearsed in simulation, the best of them, its run."""
+"""Probing a box with a walking Go1: motions are rehearsed in simulation, and the best of them is run."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, SimulationError
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.design.design import accuracy, criterion, ensemble
-from amhe_cli.estimation.design.information import information_at
-from amhe_cli.estimation.design.plan import ProbePlan, parts_of
-from amhe_cli.estimation.design.probe import ProbeOptions, Say, believing, clips_of, read
+from amhe_cli.estimation.design.design import ProbePlan, accuracy, criterion, ensemble, parts_of
+from amhe_cli.estimation.design.information import clips_of, information_at
+from amhe_cli.estimation.design.probe import ActuatorProbe, Probe, ProbeOptions, Say, believing
 from amhe_cli.live.loop import drive
+from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.history import History
-from amhe_cli.robots.go1.link.open import open_go1_run
-from amhe_cli.robots.go1.probing.motions import APPROACH, MOTIONS, STEADY, Motion, named_motion
-from amhe_cli.robots.go1.probing.pushing import ProbeTask, probe_task
-from amhe_cli.robots.go1.probing.robot import Attend, Go1OnLink
+from amhe_cli.robots.go1.model import SYSTEM
+from amhe_cli.robots.go1.probing.motions import (
+    APPROACH,
+    MOTIONS,
+    STEADY,
+    Motion,
+    ProbeTask,
+    named_motion,
+    probe_task,
+)
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import Run, RunOptions, open_run, system_of
 from amhe_cli.robots.go1.tasks import Believed, find_task
+from amhe_cli.system.load import find_system
 from amhe_cli.system.system import System
 
-#: The least time that is a push, and what is rehearsed of one, after the approach [s].
+if TYPE_CHECKING:
+    from amhe_cli.robots.go1.link.open import WireOptions
+
+#: From a run's target, recorder and history: a context in which the robot stands and is ready to run.
+Attend = Callable[..., AbstractContextManager[None]]
+
+
+@dataclass(frozen=True, slots=True)
+class Go1OnLink:
+    """A real Go1 to probe.
+
+    Args:
+        wire: Addresses of robot and motion capture.
+        attend: Checks the robot and makes it stand up; lets it down at the end, whatever happens.
+    """
+
+    wire: WireOptions
+    attend: Attend
+
+
+#: Shortest push, and longest rehearsal of one, after the approach [s].
 _SHORTEST, _REHEARSED = 1.0, 3.0
 
 
@@ -50,8 +78,7 @@ class PushProbe:
     def __init__(self, options: ProbeOptions, robot: Go1OnLink | None = None) -> None:
         self.task = options.task or "t1"
         self._options, self._task, self._robot = options, find_task(self.task), robot
-        run = RunOptions(self.task, assignments=options.assignments, config=options.config)
-        self._own = system_of(run, self._task)
+        self._own = system_of(RunOptions(self.task, settings=options.settings), self._task)
         self.system: System = believing(self._own, options.belief)
         if robot and options.box:
             raise ConfigError("--box: the box of a real robot is as it is; leave it out")
@@ -71,7 +98,7 @@ class PushProbe:
         found = []
         for number, motion in enumerate(MOTIONS):
             say(f"rehearsing {motion.name}, {number + 1} of {len(MOTIONS)}")
-            found.append(np.stack([self._told(motion, i, z) for i, z in enumerate(draws)]) * room)
+            found.append(np.stack([self._information(motion, i, z) for i, z in enumerate(draws)]) * room)
         if not any(told.any() for told in found):
             raise SimulationError(
                 "no rehearsal told anything: under this belief the robot falls, or the box never moves; "
@@ -121,11 +148,13 @@ class PushProbe:
         Raises:
             ConfigError: What the wire's options or the settings do not allow.
         """
+        from amhe_cli.robots.go1.link.open import open_go1_run
+
         task = self._as_it_is(motion, seconds)
         options = self._run_options(task, self._options.seed, "adaptive")
         return open_go1_run(replace(options, target="go1"), robot.wire, task)
 
-    def _told(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:
+    def _information(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:
         """Information of a second of a motion (d, d), if z (d,) were true and believed; none if it fell."""
         system, options = self.system, self._options
         named = system.space.named(system.space.theta_of(z))
@@ -136,7 +165,7 @@ class PushProbe:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "rehearsal.mcap"
             ending = self._record(run, path)
-            log = read(system, path)
+            log = read_log(path, system)
         windows = [w for w in clips_of(system, log) if w.start * log.dt >= APPROACH.seconds]
         if ending.error is not None or not windows:
             return np.zeros((z.size, z.size))
@@ -160,7 +189,7 @@ class PushProbe:
         return RunOptions(
             self.task, mode, seed=seed, threads=own.threads, duration=task.nominal_time,
             belief=own.belief if real else None, plant=own.plant if real else None,
-            assignments=own.assignments, config=own.config,
+            settings=own.settings,
         )  # fmt: skip
 
     def _open(self, task: ProbeTask, seed: int, mode: str) -> Run:
@@ -183,3 +212,42 @@ class PushProbe:
         if run.judge.fell and ending.error is None:
             return Ending(error=SimulationError("the robot fell; the log up to there is kept"))
         return ending
+
+
+def open_probe(options: ProbeOptions, robot: Go1OnLink | None = None) -> Probe:
+    """A walking robot behind its box, or actuators that are driven as they are.
+
+    Args:
+        options: As given.
+        robot: To probe in place of a simulation.
+
+    Raises:
+        ConfigError: Unknown system or task, nothing to drive, a belief, plant or setting that does not suit.
+    """
+    folder = _driven(options, robot)
+    if folder is None:
+        return PushProbe(options, robot)
+    return ActuatorProbe(options, folder)
+
+
+def _driven(options: ProbeOptions, robot: Go1OnLink | None) -> Path | None:
+    """Folder of the system that is driven as it is, or None: the Go1 walks. Refuses what a system has not."""
+    folder = find_system(options.system or SYSTEM)
+    if folder.resolve() == find_system(SYSTEM).resolve():
+        return None
+    for flag, value in (("--box", options.box), ("--task", options.task)):
+        if value:
+            raise ConfigError(f"{flag}: {options.system} has none; leave it out")
+    if robot:
+        raise ConfigError(f"--target go1 pushes boxes: leave out --system {options.system}")
+    return folder
+
+
+def robot_to_probe(options: ProbeOptions, robot: Go1OnLink) -> Run:
+    """The robot behind the box that it is to probe, for checks; nothing is sent yet.
+
+    Raises:
+        ConfigError: See `open_probe`.
+    """
+    _driven(options, robot)
+    return PushProbe(options, robot).on_robot(STEADY, options.seconds, robot)

@@ -1,0 +1,117 @@
+"""Excitation of plain actuators: the controls that can be driven, and sums of sines within their limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.engine.states import home
+from amhe_cli.system.system import System
+
+#: Lowest and highest frequency [Hz]: slow ones show gravity and friction, fast ones inertia.
+LOWEST, HIGHEST = 0.15, 2.5
+#: Number of sines of one control, and the largest share of its range that they use together.
+SINES, SHARE = 6, 0.9
+#: Time over which the sines fade in from rest [s].
+FADE = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrivenControls:
+    """The controls that a system's signals command.
+
+    Args:
+        columns: Their columns of the engine's input vector, shape (n,).
+        rest: Their values at the home state, shape (n,).
+        lower, upper: Their limits, shape (n,).
+        home: The whole input vector at the home state, shape (nu,).
+    """
+
+    columns: IntArray
+    rest: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    home: FloatArray
+
+
+def driven_controls(system: System) -> DrivenControls:
+    """The controls that a system's signals command.
+
+    Raises:
+        ConfigError: There are none, one has no limits, or one moves a free body.
+    """
+    model = system.model
+    columns = np.array([c for i in system.inputs if i.delayed for c in i.columns], dtype=np.int64)
+    if not columns.size:
+        raise ConfigError(f"{system.name}: no signal commands an actuator, so there is nothing to drive")
+    # controls stand first in the input vector: a column is the address of a control
+    rows = [int(np.flatnonzero(model.actuator_ctrladr == column)[0]) for column in columns]
+    for row in rows:
+        name = model.actuator(row).name
+        if not model.actuator_ctrllimited[row]:
+            raise ConfigError(f"{system.name}: give actuator {name!r} a ctrlrange: a probe stays within it")
+        if _floats(system, row):
+            raise ConfigError(
+                f"{system.name}: actuator {name!r} moves a body that nothing holds: a robot on legs needs a "
+                f"controller, which only go1_push has"
+            )
+    _, rest = home(model, system.keyframe, system.input_spec)
+    limits = model.actuator_ctrlrange[rows]
+    return DrivenControls(columns, rest[columns], limits[:, 0], limits[:, 1], rest)
+
+
+def _floats(system: System, actuator: int) -> bool:
+    """Whether an actuated joint hangs on a free body."""
+    model = system.model
+    body = int(model.jnt_bodyid[model.actuator_trnid[actuator, 0]])
+    first = int(model.body_jntadr[model.body_rootid[body]])
+    return first >= 0 and int(model.jnt_type[first]) == 0  # mjJNT_FREE
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Multisine:
+    """Controls over time: sums of sines.
+
+    Args:
+        name: Short name.
+        rest: Controls before it begins, shape (nu,).
+        hertz: Frequencies [Hz], shape (k,).
+        size: Amplitude of each sine of each control, shape (nu, k).
+        phase: Phase of each sine of each control [rad], shape (nu, k) or (nu, 1).
+    """
+
+    name: str
+    rest: FloatArray
+    hertz: FloatArray
+    size: FloatArray
+    phase: FloatArray
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Controls at times [s] (n,), shape (n, nu)."""
+        angle = 2.0 * np.pi * self.hertz * times[:, None, None] + self.phase
+        swing = (self.size * np.sin(angle)).sum(axis=-1)
+        return self.rest + np.clip(times / FADE, 0.0, 1.0)[:, None] * swing
+
+
+def candidates(
+    rest: FloatArray, lower: FloatArray, upper: FloatArray, count: int, rng: np.random.Generator
+) -> list[Multisine]:
+    """Random multisines about the rest that stay within the limits, all (nu,) in the controls' units."""
+    hertz = np.geomspace(LOWEST, HIGHEST, SINES)
+    room = SHARE * np.minimum(upper - rest, rest - lower)
+    found = []
+    for number in range(count):
+        weight = rng.dirichlet(np.ones(SINES), size=rest.size)  # sums to one: the limits hold at any phase
+        size = room[:, None] * rng.uniform(0.3, 1.0) * weight
+        phase = rng.uniform(0.0, 2.0 * np.pi, size=(rest.size, SINES))
+        found.append(Multisine(f"multisine {number + 1}", rest, hertz, size, phase))
+    return found
+
+
+def slow_sine(rest: FloatArray, lower: FloatArray, upper: FloatArray) -> Multisine:
+    """The plain motion that plans are compared with: all controls up and down together every four seconds."""
+    room = 0.5 * np.minimum(upper - rest, rest - lower)
+    return Multisine("slow sine", rest, np.array([0.25]), room[:, None], np.zeros((rest.size, 1)))
