@@ -122,10 +122,6 @@ def test_modules_stay_short() -> None:
     assert {module: count for module, count in lines.items() if count > 350} == {}
 
 
-#: Names that still mean two things; each is to go.
-AMBIGUOUS = {"Channel", "Group", "Log", "State", "Study", "Task", "Track"}
-
-
 def test_a_class_name_means_one_thing() -> None:
     places: dict[str, list[str]] = {}
     for module in MODULES:
@@ -133,4 +129,4 @@ def test_a_class_name_means_one_thing() -> None:
             if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
                 places.setdefault(node.name, []).append(module)
     places["Path"] = ["pathlib", *places.get("Path", ())]
-    assert {name: found for name, found in places.items() if len(found) > 1 and name not in AMBIGUOUS} == {}
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}

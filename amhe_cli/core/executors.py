@@ -11,7 +11,7 @@ import os
 import signal
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import (
     FIRST_COMPLETED,
     BrokenExecutor,
@@ -145,11 +145,10 @@ def gathered(
         turn = [key for key in left if not deaths[key]] or [next(iter(left))]
         with pool() as executor:
             futures = {executor.submit(function, left[key]): key for key in turn}
-            running: list[K] = []
-            for future in _finished(futures, running, stopped):
+            for future, running in _finished(futures, stopped):
                 key, error = futures[future], _error(future)
                 if isinstance(error, BrokenExecutor):
-                    deaths.update(running or turn)
+                    deaths.update([futures[other] for other in running] or turn)
                     break
                 del left[key]
                 yield key, error or future.result()
@@ -159,15 +158,16 @@ def gathered(
 
 
 def _finished(
-    futures: dict[Future[R], K], running: list[K], stopped: Callable[[], bool]
-) -> Iterator[Future[R]]:
-    """Futures as they end; `running` holds the keys of those that were seen running last."""
-    waiting = set(futures)
+    futures: Iterable[Future[R]], stopped: Callable[[], bool]
+) -> Iterator[tuple[Future[R], list[Future[R]]]]:
+    """Futures as they end, each with those that were running when we looked before."""
+    waiting, running = set(futures), list[Future[R]]()
     while waiting and not stopped():
         done, waiting = wait(waiting, _GLANCE, FIRST_COMPLETED)
-        # what brought a result comes first: an error may end it all
-        yield from sorted(done, key=lambda future: _error(future) is not None)
-        running[:] = [futures[future] for future in waiting if future.running()]
+        # results come first: an error may end it all
+        for future in sorted(done, key=lambda future: _error(future) is not None):
+            yield future, running
+        running = [future for future in waiting if future.running()]
 
 
 def _error(future: Future[R]) -> Exception | None:

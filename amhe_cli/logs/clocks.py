@@ -110,8 +110,9 @@ def _clean(clock: Clock, stamps: IntArray, samples: SignalSamples) -> Timeline:
     if not forward.all():
         repeated = int(np.sum(np.diff(np.sort(acts)) == 0))
         back = int(np.sum(~forward)) - repeated
-        what = [f"{repeated} with a repeated stamp"] * (repeated > 0) + [f"{back} out of order"] * (back > 0)
-        notes.append(f"messages are dropped: {', '.join(what)}")
+        counts = {"with a repeated stamp": repeated, "out of order": back}
+        words = ", ".join(f"{count} {what}" for what, count in counts.items() if count > 0)
+        notes.append(f"messages are dropped: {words}")
         kept, acts = kept[forward], acts[forward]
     return Timeline(clock, acts, kept, lag, tuple(notes))
 

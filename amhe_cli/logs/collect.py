@@ -8,8 +8,8 @@ from difflib import get_close_matches
 
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs.containers.folder import Log
-from amhe_cli.logs.containers.raw import Channel, messages
+from amhe_cli.logs.containers.folder import StoredLog
+from amhe_cli.logs.containers.raw import Connection, messages
 from amhe_cli.logs.messages.decode import SignalDecoder
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.split import Splitter
@@ -17,7 +17,7 @@ from amhe_cli.logs.messages.split import Splitter
 logger = logging.getLogger(__name__)
 
 
-def collect(log: Log, signals: Sequence[Signal], definitions: Definitions) -> dict[str, SignalDecoder]:
+def collect(log: StoredLog, signals: Sequence[Signal], definitions: Definitions) -> dict[str, SignalDecoder]:
     """Decode the signals' topics in one pass; damage is logged as warnings.
 
     Returns:
@@ -26,20 +26,22 @@ def collect(log: Log, signals: Sequence[Signal], definitions: Definitions) -> di
     Raises:
         LogError: If a topic is absent, of another type, or none of its messages can be read.
     """
-    splitters: dict[Channel, Splitter] = {}
+    splitters: dict[Connection, Splitter] = {}
     decoders: dict[str, SignalDecoder] = {}
-    used: dict[str, Channel] = {}
+    used: dict[str, Connection] = {}
     for batch in log.batches({signal.topic for signal in signals}):
-        channel = batch.channel
-        wanting = [s for s in signals if s.topic == channel.topic and s.type in (None, channel.type)]
-        wanting = [s for s in wanting if used.setdefault(s.name, channel).type == channel.type]
+        connection = batch.connection
+        wanting = [s for s in signals if s.topic == connection.topic and s.type in (None, connection.type)]
+        wanting = [s for s in wanting if used.setdefault(s.name, connection).type == connection.type]
         if not wanting:
             continue
-        splitter = splitters.get(channel) or splitters.setdefault(channel, Splitter(channel, definitions))
+        splitter = splitters.get(connection) or splitters.setdefault(
+            connection, Splitter(connection, definitions)
+        )
         groups = sorted(splitter.split(batch), key=lambda group: int(group.members[0]))
         for signal in wanting:
             if signal.name not in decoders:
-                decoders[signal.name] = SignalDecoder(signal, channel)
+                decoders[signal.name] = SignalDecoder(signal, connection)
             decoders[signal.name].feed(batch, groups)
     _warn(log, signals, splitters, decoders)
     for signal in signals:
@@ -49,21 +51,21 @@ def collect(log: Log, signals: Sequence[Signal], definitions: Definitions) -> di
 
 
 def _warn(
-    log: Log,
+    log: StoredLog,
     signals: Sequence[Signal],
-    splitters: dict[Channel, Splitter],
+    splitters: dict[Connection, Splitter],
     decoders: dict[str, SignalDecoder],
 ) -> None:
     for problem in log.problems:
         logger.warning("%s: %s", log.path, problem)
-    for channel, splitter in splitters.items():
+    for connection, splitter in splitters.items():
         if splitter.damaged:
             logger.warning(
                 "%s: topic %r: %s damaged and dropped (%s)",
-                log.path, channel.topic, messages(splitter.damaged), splitter.reason,
+                log.path, connection.topic, messages(splitter.damaged), splitter.reason,
             )  # fmt: skip
     for signal in signals:
-        types = {channel.type for channel in log.channels if channel.topic == signal.topic}
+        types = {connection.type for connection in log.connections if connection.topic == signal.topic}
         decoder = decoders.get(signal.name)
         if len(types) > 1 and decoder is not None:
             logger.warning(
@@ -84,16 +86,16 @@ def _warn(
             )  # fmt: skip
 
 
-def _missing(log: Log, signal: Signal) -> str:
+def _missing(log: StoredLog, signal: Signal) -> str:
     """Why the log has nothing for `signal`, and what it has instead."""
-    here = [channel for channel in log.channels if channel.topic == signal.topic]
-    types = sorted({channel.type for channel in here})
+    here = [connection for connection in log.connections if connection.topic == signal.topic]
+    types = sorted({connection.type for connection in here})
     if signal.type is not None and types and signal.type not in types:
         return f"topic {signal.topic!r} carries {', '.join(types)}, not {signal.type}"
     if here:
         return f"topic {signal.topic!r} has no messages"
-    same = sorted({channel.topic for channel in log.channels if channel.type == signal.type})
-    rest = sorted({channel.topic for channel in log.channels} - set(same))
+    same = sorted({connection.topic for connection in log.connections if connection.type == signal.type})
+    rest = sorted({connection.topic for connection in log.connections} - set(same))
     close = get_close_matches(signal.topic, [*same, *rest], n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
     listed = ", ".join([*(f"{topic} ({signal.type})" for topic in same), *rest]) or "no topic at all"

@@ -24,7 +24,7 @@ from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.physics import twist_looks_global
 from amhe_cli.logs.survey import Inspection, SignalCheck, survey
 from amhe_cli.logs.tables import signals_on_tables
-from amhe_cli.logs.tracks import Track, grid_of, on_one_clock, tracks_of
+from amhe_cli.logs.tracks import SignalTrack, grid_of, on_one_clock, tracks_of
 
 logger = logging.getLogger(__name__)
 
@@ -175,7 +175,7 @@ def read_signals(
         raise ConfigError("reading a log takes at least one signal and a positive time step")
     with readable(path):
         log = open_log(path)
-        signals = signals_on_tables(log.channels, signals)
+        signals = signals_on_tables(log.connections, signals)
         decoders = collect(log, signals, Definitions(msg_path))
         tracks = on_one_clock(path, tracks_of(path, signals, decoders, settings), settings)
         grid, start_ns = grid_of(path, tracks, dt, start, end)
@@ -188,7 +188,7 @@ def read_signals(
 
 
 def _series(
-    path: Path, track: Track, grid: FloatArray, start_ns: int, settings: LogSettings
+    path: Path, track: SignalTrack, grid: FloatArray, start_ns: int, settings: LogSettings
 ) -> dict[str, Series]:
     signal = track.signal
     times = (track.times.stamps_ns - start_ns) / 1e9
@@ -229,7 +229,7 @@ def _tell_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: flo
 
 
 def _values(
-    path: Path, track: Track, quantity: str, times: FloatArray, bridge: float
+    path: Path, track: SignalTrack, quantity: str, times: FloatArray, bridge: float
 ) -> tuple[FloatArray, tuple[str, ...], bool]:
     """Bring one quantity into our convention; differentiate it where the topic lacks it.
 

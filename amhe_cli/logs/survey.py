@@ -12,13 +12,12 @@ from amhe_cli.core.arrays import IntArray
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_words, timeline
 from amhe_cli.logs.containers.folder import open_log
-from amhe_cli.logs.containers.raw import Batch, Channel, messages, readable
+from amhe_cli.logs.containers.raw import Batch, Connection, messages, readable
 from amhe_cli.logs.messages.decode import SignalSamples, nanoseconds, time_leaves
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.layout import Layout
-from amhe_cli.logs.messages.split import Group, Splitter
+from amhe_cli.logs.messages.split import MessageGroup, Splitter
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
-from amhe_cli.logs.tables import table_columns
 
 #: Messages that it takes to judge a topic's clock by.
 _ENOUGH = 10
@@ -128,7 +127,7 @@ class Inspection:
 
 @dataclass(slots=True)
 class _Scan:
-    """Counts and stamps of one channel."""
+    """Counts and stamps of one connection."""
 
     log_ns: list[IntArray] = field(default_factory=list)
     publish_ns: list[IntArray] = field(default_factory=list)
@@ -147,7 +146,7 @@ class _Scan:
         self.publish_ns.append(batch.publish_ns)
         self.header_ns.append(header_ns)
 
-    def _look(self, group: Group, header_ns: IntArray) -> None:
+    def _look(self, group: MessageGroup, header_ns: IntArray) -> None:
         self.entries |= dict.fromkeys(_entries(group.layout))
         self.carried |= dict.fromkeys(_carried(group.layout, self.info))
         for path in ("header.stamp", "stamp", "transforms[0].header.stamp"):
@@ -181,37 +180,31 @@ def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
     with readable(path):
         log = open_log(path)
         definitions = Definitions(msg_path)
-        scans: dict[Channel, _Scan] = {}
+        scans: dict[Connection, _Scan] = {}
         for batch in log.batches(None):
-            channel = batch.channel
-            if channel not in scans:
-                usable = definitions.problem(channel) is None
-                splitter = Splitter(channel, definitions) if usable else None
-                scans[channel] = _Scan(splitter=splitter, info=TYPES.get(channel.type))
-            scans[channel].take(batch)
-        for channel in log.channels:
-            scans.setdefault(channel, _Scan())
-        samples = {channel: scan.samples() for channel, scan in scans.items()}
+            connection = batch.connection
+            if connection not in scans:
+                usable = definitions.problem(connection) is None
+                splitter = Splitter(connection, definitions) if usable else None
+                scans[connection] = _Scan(splitter=splitter, info=TYPES.get(connection.type))
+            scans[connection].take(batch)
+        for connection in log.connections:
+            scans.setdefault(connection, _Scan())
+        samples = {connection: scan.samples() for connection, scan in scans.items()}
         origin, duration = _span(samples)
-        steps = {channel: header_steps(found) for channel, found in samples.items()}
+        steps = {connection: header_steps(found) for connection, found in samples.items()}
         # As in reading: where one topic's header clock steps, only the recorder's is common to all.
         stamp: Stamp = "log" if any(steps.values()) else "auto"
-        lags: dict[str, float] = {}
-        topics = [
-            _topic(
-                channel, scans[channel], samples[channel], definitions, origin, lags, stamp, steps[channel]
-            )
-            for channel in sorted(scans, key=lambda channel: (channel.topic, channel.type))
-        ]
-    return Survey(
-        path,
-        log.format,
-        duration,
-        tuple(topics),
-        tuple(log.problems),
-        log.metadata,
-        tuple(offset_words(lags)),
-    )
+        topics, lags = [], {}
+        for connection in sorted(scans, key=lambda connection: (connection.topic, connection.type)):
+            found = samples[connection]
+            timing = _timing(found, _mixes_frames(connection), stamp, steps[connection], origin)
+            problem = definitions.problem(connection)
+            topics.append(_topic(connection, scans[connection], found, timing, problem))
+            if timing.lag is not None:
+                lags[connection.topic] = timing.lag
+    words = tuple(offset_words(lags))
+    return Survey(path, log.format, duration, tuple(topics), tuple(log.problems), log.metadata, words)
 
 
 def read_metadata(path: Path) -> dict[str, str]:
@@ -225,7 +218,7 @@ def read_metadata(path: Path) -> dict[str, str]:
         return {key: value for file in open_log(path).files for key, value in file.read_metadata().items()}
 
 
-def _span(samples: Mapping[Channel, SignalSamples]) -> tuple[int, float]:
+def _span(samples: Mapping[Connection, SignalSamples]) -> tuple[int, float]:
     """First stamp [ns] and duration [s] by the recorder's clock, wild stamps left out."""
     stamps = [timeline(s, "log").stamps_ns for s in samples.values() if s.log_ns.size]
     if not stamps:
@@ -234,54 +227,84 @@ def _span(samples: Mapping[Channel, SignalSamples]) -> tuple[int, float]:
     return first, (last - first) / 1e9
 
 
-def _topic(
-    channel: Channel,
-    scan: _Scan,
-    samples: SignalSamples,
-    definitions: Definitions,
-    origin: int,
-    lags: dict[str, float],
-    stamp: Stamp,
-    jumps: Sequence[tuple[float, float]],
-) -> TopicSurvey:
-    count = samples.log_ns.size
-    info = TYPES.get(channel.type)
-    # The frames of a TFMessage topic have clocks of their own, which only reading one frame can judge.
-    mixed = bool(info and info.elements and not info.names)
-    rate = gap = gap_at = 0.0
+@dataclass(frozen=True, slots=True)
+class _Timing:
+    """Rate and silences of one topic, and the clock that reading it would use; see `TopicSurvey`.
+
+    Args:
+        lag: Median delay of the recorder behind the topic's header clock [s]; None if that is not known.
+    """
+
     clock: Clock = "log"
-    notes: list[str] = []
-    if scan.splitter and scan.splitter.damaged:
-        notes.append(f"{messages(scan.splitter.damaged)} damaged ({scan.splitter.reason})")
-    if count:
-        times = timeline(samples, "log" if mixed else stamp)
-        clock = "header" if mixed and stamp == "auto" and samples.header_ns.all() else times.clock
-        notes += [f"{step_words(jumps)}: the recorder's stamps are used for all topics"] if jumps else []
-        notes += times.notes
-        if times.clock == "header" and count >= _ENOUGH:
-            lags[channel.topic] = times.lag
-        if times.kept.size > 1:
-            steps = np.diff(times.stamps_ns) / 1e9
-            rate, widest = float(1.0 / np.median(steps)), int(np.argmax(steps))
-            gap, gap_at = float(steps[widest]), (int(samples.log_ns[times.kept[widest]]) - origin) / 1e9
-    stamps = {"header": samples.header_ns, "publish": samples.publish_ns, "log": samples.log_ns}
-    stamps["header"] = stamps["header"][stamps["header"] != 0]
+    header: str = "none"
+    rate: float = 0.0
+    longest_gap: float = 0.0
+    gap_at: float = 0.0
+    lag: float | None = None
+    notes: tuple[str, ...] = ()
+
+
+def _mixes_frames(connection: Connection) -> bool:
+    """Whether a topic's messages are of several frames: only reading one frame can judge its own clock."""
+    info = TYPES.get(connection.type)
+    return bool(info and info.elements and not info.names)
+
+
+def _timing(
+    samples: SignalSamples, mixed: bool, stamp: Stamp, jumps: Sequence[tuple[float, float]], origin: int
+) -> _Timing:
+    """Judge a topic's stamps.
+
+    Args:
+        samples: Stamps of all its messages.
+        mixed: Whether they are of several frames, each with a clock of its own.
+        stamp: The clock that the user or another topic's steps demand.
+        jumps: Steps of the topic's header clock, as of `header_steps`.
+        origin: First stamp of the log [ns].
+    """
+    header = _header(samples)
+    if not samples.log_ns.size:
+        return _Timing(header=header)
+    times = timeline(samples, "log" if mixed else stamp)
+    notes = [f"{step_words(jumps)}: the recorder's stamps are used for all topics"] if jumps else []
+    clock, lag = times.clock, None
+    if mixed and stamp == "auto" and samples.header_ns.all():
+        clock, header = "header", "good"
+    if times.clock == "header" and samples.log_ns.size >= _ENOUGH:
+        lag = times.lag
+    rate = gap = gap_at = 0.0
+    if times.kept.size > 1:
+        periods = np.diff(times.stamps_ns) / 1e9
+        widest = int(np.argmax(periods))
+        rate, gap = float(1.0 / np.median(periods)), float(periods[widest])
+        gap_at = (int(samples.log_ns[times.kept[widest]]) - origin) / 1e9
+    return _Timing(clock, header, rate, gap, gap_at, lag, (*notes, *times.notes))
+
+
+def _topic(
+    connection: Connection, scan: _Scan, samples: SignalSamples, timing: _Timing, problem: str | None
+) -> TopicSurvey:
+    info = TYPES.get(connection.type)
+    damaged = scan.splitter.damaged if scan.splitter else 0
+    damage = (f"{messages(damaged)} damaged ({scan.splitter.reason})",) if scan.splitter and damaged else ()
+    header_ns = samples.header_ns[samples.header_ns != 0]
+    stamps = {"header": header_ns, "publish": samples.publish_ns, "log": samples.log_ns}
     return TopicSurvey(
-        name=channel.topic,
-        type=channel.type,
-        encoding=channel.encoding,
-        count=count,
-        rate=rate,
-        longest_gap=gap,
-        gap_at=gap_at,
+        name=connection.topic,
+        type=connection.type,
+        encoding=connection.encoding,
+        count=samples.log_ns.size,
+        rate=timing.rate,
+        longest_gap=timing.longest_gap,
+        gap_at=timing.gap_at,
         first_ns={clock: int(s[0]) for clock, s in stamps.items() if s.size},
         last_ns={clock: int(s[-1]) for clock, s in stamps.items() if s.size},
-        header="good" if mixed and clock == "header" else _header(samples),
-        clock=clock,
+        header=timing.header,
+        clock=timing.clock,
         quantities=tuple(q for q in info.fields if q in scan.carried or not scan.carried) if info else (),
-        entries=tuple(scan.entries) or table_columns(channel),
-        problem=definitions.problem(channel),
-        notes=tuple(notes),
+        entries=tuple(scan.entries),
+        problem=problem,
+        notes=(*damage, *timing.notes),
     )
 
 

@@ -10,7 +10,7 @@ from fnmatch import translate
 
 from amhe_cli.core.errors import LogError, one_of
 from amhe_cli.core.signals import DERIVED, Signal
-from amhe_cli.logs.containers.raw import Channel
+from amhe_cli.logs.containers.raw import Connection
 from amhe_cli.logs.containers.table_file import ENCODING
 
 #: Names that `amhe convert` gives to the numbers of a quantity that has no entries of its own.
@@ -18,19 +18,19 @@ _PARTS = {"orientation": ("w", "x", "y", "z")}
 _XYZ = ("x", "y", "z")
 
 
-def fields_of(channel: Channel) -> dict[str, int | None]:
+def fields_of(connection: Connection) -> dict[str, int | None]:
     """Column of a table -> how many numbers one cell holds; None for a single one."""
-    return dict(json.loads(channel.definition))
+    return dict(json.loads(connection.definition))
 
 
-def table_columns(channel: Channel) -> tuple[str, ...]:
-    """Columns of a table as people write them, 'q1' or 'positions[6]'; none for other channels."""
-    if channel.encoding != ENCODING:
+def table_columns(connection: Connection) -> tuple[str, ...]:
+    """Columns of a table as people write them, 'q1' or 'positions[6]'; none for other connections."""
+    if connection.encoding != ENCODING:
         return ()
-    return tuple(f"{name}[{count}]" if count else name for name, count in fields_of(channel).items())
+    return tuple(f"{name}[{count}]" if count else name for name, count in fields_of(connection).items())
 
 
-def signals_on_tables(channels: Sequence[Channel], signals: Sequence[Signal]) -> list[Signal]:
+def signals_on_tables(connections: Sequence[Connection], signals: Sequence[Signal]) -> list[Signal]:
     """The signals with the fields and topics that they have in a log of tables; in other logs, unchanged.
 
     A log of one table needs no topic: every signal is read from it.
@@ -38,11 +38,11 @@ def signals_on_tables(channels: Sequence[Channel], signals: Sequence[Signal]) ->
     Raises:
         LogError: A column is absent, or a signal does not say which columns it takes.
     """
-    tables = {channel.topic: channel for channel in channels if channel.encoding == ENCODING}
+    tables = {connection.topic: connection for connection in connections if connection.encoding == ENCODING}
     return [_on_table(tables, signal) for signal in signals] if tables else list(signals)
 
 
-def _on_table(tables: Mapping[str, Channel], signal: Signal) -> Signal:
+def _on_table(tables: Mapping[str, Connection], signal: Signal) -> Signal:
     name = signal.topic.strip("/")
     if name not in tables:
         if len(tables) > 1:

@@ -37,7 +37,7 @@ _LATENCY = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Track:
+class SignalTrack:
     """One signal of a log.
 
     Args:
@@ -57,7 +57,7 @@ class Track:
         """Median period [s]; 0 for a single sample."""
         return float(np.median(np.diff(self.times.stamps_ns))) / 1e9 if self.times.stamps_ns.size > 1 else 0.0
 
-    def moved(self, seconds: float) -> Track:
+    def moved(self, seconds: float) -> SignalTrack:
         """The same, with stamps later by `seconds`."""
         stamps_ns = self.times.stamps_ns + round(seconds * 1e9)
         return replace(self, times=replace(self.times, stamps_ns=stamps_ns))
@@ -65,7 +65,7 @@ class Track:
 
 def tracks_of(
     path: Path, signals: Sequence[Signal], decoders: Mapping[str, SignalDecoder], settings: LogSettings
-) -> list[Track]:
+) -> list[SignalTrack]:
     """Check the signals' samples and choose their stamps."""
     samples = {}
     for signal in signals:
@@ -107,7 +107,9 @@ class _Warner:
         logger.warning("%s: topic %r: %s", self.path, self.topic, text)
 
 
-def _track(path: Path, signal: Signal, decoder: SignalDecoder, samples: SignalSamples, stamp: Stamp) -> Track:
+def _track(
+    path: Path, signal: Signal, decoder: SignalDecoder, samples: SignalSamples, stamp: Stamp
+) -> SignalTrack:
     times = timeline(samples, stamp)
     for note in times.notes:
         _Warner(path, signal.topic)(note)
@@ -115,10 +117,10 @@ def _track(path: Path, signal: Signal, decoder: SignalDecoder, samples: SignalSa
         raise LogError(f"{path}: topic {signal.topic!r}: no message has a usable {times.clock} stamp")
     if not samples.has_header and stamp == "auto":
         logger.info("%s: topic %r: no header, %s stamps are used", path, signal.topic, times.clock)
-    return Track(signal, times, samples.pick(times.kept), decoder.info.twist_in_child)
+    return SignalTrack(signal, times, samples.pick(times.kept), decoder.info.twist_in_child)
 
 
-def on_one_clock(path: Path, tracks: list[Track], settings: LogSettings) -> list[Track]:
+def on_one_clock(path: Path, tracks: list[SignalTrack], settings: LogSettings) -> list[SignalTrack]:
     """Bring the topics onto one clock: large offsets always, small ones if the settings say so."""
     lags = {t.signal.topic: t.times.lag for t in tracks if t.times.clock == "header"}
     shifts = offsets(lags) if settings.align else {}
@@ -138,7 +140,7 @@ def on_one_clock(path: Path, tracks: list[Track], settings: LogSettings) -> list
     return moved
 
 
-def _tell_offsets(path: Path, tracks: Sequence[Track], align: bool) -> None:
+def _tell_offsets(path: Path, tracks: Sequence[SignalTrack], align: bool) -> None:
     """Log the offsets between header clocks; warn of those that transport cannot explain, unless corrected.
 
     An offset that the system states counts as corrected.
@@ -158,7 +160,7 @@ def _tell_offsets(path: Path, tracks: Sequence[Track], align: bool) -> None:
 
 
 def grid_of(
-    path: Path, tracks: Sequence[Track], dt: float, start: float | None, end: float | None
+    path: Path, tracks: Sequence[SignalTrack], dt: float, start: float | None, end: float | None
 ) -> tuple[FloatArray, int]:
     """Instants of the rows [s] from the first one, shape (T,), and the stamp of the first one [ns]."""
     step = dt * 1e9
@@ -181,7 +183,7 @@ def grid_of(
     return np.arange(high - low, dtype=np.float64) * dt, start_ns
 
 
-def _no_overlap(tracks: Sequence[Track]) -> str:
+def _no_overlap(tracks: Sequence[SignalTrack]) -> str:
     origin = min(int(track.times.stamps_ns[0]) for track in tracks)
     spans = ", ".join(
         f"{t.signal.topic} {(t.times.stamps_ns[0] - origin) / 1e9:.3f} to "

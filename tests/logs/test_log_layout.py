@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
 
-from amhe_cli.logs.containers.raw import Channel, batch_of
+from amhe_cli.logs.containers.raw import Connection, batch_of
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.layout import MalformedMessageError, walk
 from amhe_cli.logs.messages.split import Splitter
@@ -67,7 +67,7 @@ def test_every_bundled_type_is_read_as_rosbags_reads_it(encoding: str) -> None:
             write = store.serialize_cdr if encoding == "cdr" else store.serialize_ros1
             read = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
             data = bytes(write(message, name))
-            types = Definitions().of(Channel("/t", name, encoding, "", ""))
+            types = Definitions().of(Connection("/t", name, encoding, "", ""))
             oracle = read(data, name)
             layout = walk(np.frombuffer(data, np.uint8), name, types, encoding)
             for path, leaf in layout.leaves.items():
@@ -86,7 +86,7 @@ def test_big_endian_cdr() -> None:
     message.name, message.position = ["a", "bc"], np.array([1.5, -2.0])
     data = bytes(ROS2.serialize_cdr(message, name, little_endian=False))
     layout = walk(
-        np.frombuffer(data, np.uint8), name, Definitions().of(Channel("/t", name, "cdr", "", "")), "cdr"
+        np.frombuffer(data, np.uint8), name, Definitions().of(Connection("/t", name, "cdr", "", "")), "cdr"
     )
     assert layout.names("name") == ("a", "bc")
     leaf = layout.leaves["position"]
@@ -99,7 +99,7 @@ def test_big_endian_cdr() -> None:
 def test_malformed_messages_are_told_apart(damage: Any) -> None:
     name = "sensor_msgs/msg/Imu"
     data = damage(bytes(ROS2.serialize_cdr(random_message(ROS2, name, np.random.default_rng(0)), name)))
-    types = Definitions().of(Channel("/t", name, "cdr", "", ""))
+    types = Definitions().of(Connection("/t", name, "cdr", "", ""))
     with pytest.raises(MalformedMessageError):
         walk(np.frombuffer(data, np.uint8), name, types, "cdr")
 
@@ -110,9 +110,9 @@ def test_batches_of_mixed_layouts_are_sorted_and_damage_is_counted() -> None:
     payloads = [bytes(ROS2.serialize_cdr(random_message(ROS2, name, rng), name)) for _ in range(200)]
     payloads[50] = payloads[50][:-2]
     payloads[60] = b""
-    channel = Channel("/t", name, "cdr", "", "")
-    splitter = Splitter(channel, Definitions())
-    groups = list(splitter.split(batch_of(channel, range(200), range(200), payloads)))
+    connection = Connection("/t", name, "cdr", "", "")
+    splitter = Splitter(connection, Definitions())
+    groups = list(splitter.split(batch_of(connection, range(200), range(200), payloads)))
     members = np.sort(np.concatenate([group.members for group in groups]))
     assert members.tolist() == [i for i in range(200) if i not in (50, 60)]
     assert splitter.damaged == 2

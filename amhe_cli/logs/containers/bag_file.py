@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from amhe_cli.logs.containers.compression import decompress
-from amhe_cli.logs.containers.raw import Batch, Channel, messages, normal_type, stamps
+from amhe_cli.logs.containers.raw import Batch, Connection, messages, normal_type, stamps
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = 2, 3, 4, 5, 6, 7
@@ -49,10 +49,10 @@ class BagFile:
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
             self._data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        self.channels: list[Channel] = []
+        self.connections: list[Connection] = []
         self.problems: list[str] = []
         self.metadata: dict[str, str] = {}
-        self._by_id: dict[int, Channel] = {}
+        self._by_id: dict[int, Connection] = {}
         self._times: list[int] = []
         self._expected = 0
         self._read = 0
@@ -129,9 +129,8 @@ class BagFile:
             if number in self._by_id:
                 return
             inner = _fields(bytes(data[record.start : record.stop]))
-            channel = Channel(
-                "/" * record.fields[b"topic"].startswith(b"/")
-                + "/".join(part for part in record.fields[b"topic"].decode().split("/") if part),
+            connection = Connection(
+                _normal_topic(record.fields[b"topic"].decode()),
                 normal_type(inner[b"type"].decode()),
                 "ros1",
                 inner[b"message_definition"].decode("utf-8", "replace"),
@@ -141,8 +140,8 @@ class BagFile:
         except (KeyError, ValueError, struct.error):
             self.problems.append("the declaration of a topic is damaged")
             return
-        self._by_id[number] = channel
-        self.channels.append(channel)
+        self._by_id[number] = connection
+        self.connections.append(connection)
 
     def _chunk(self, record: _Record, index: dict[int, dict[int, int]] | None) -> tuple[bytes, list[_Row]]:
         try:
@@ -212,15 +211,15 @@ class BagFile:
         for row in rows:
             by_connection.setdefault(row.connection, []).append(row)
         for number, group in by_connection.items():
-            channel = self._by_id.get(number)
+            connection = self._by_id.get(number)
             times = [row.time_ns for row in group]
             self._times += (times[0], times[-1])
-            if channel is None:
+            if connection is None:
                 self.problems.append(f"{messages(len(group))} of a topic whose declaration is lost")
-            elif topics is None or channel.topic in topics:
+            elif topics is None or connection.topic in topics:
                 starts, lengths = np.array([(row.start, row.length) for row in group]).T
                 buffer = np.frombuffer(data, np.uint8)
-                yield Batch(channel, stamps(times), stamps(times), buffer, starts, lengths)
+                yield Batch(connection, stamps(times), stamps(times), buffer, starts, lengths)
 
 
 def _record(data: bytes | mmap.mmap, position: int, whole: bool = True) -> _Record:
@@ -267,3 +266,9 @@ def _message(record: _Record, start: int, offset: int) -> list[_Row]:
     except (KeyError, struct.error):
         return []
     return [_Row(offset, connection, seconds * _NS + nanoseconds, start, record.stop - start)]
+
+
+def _normal_topic(name: str) -> str:
+    """A topic's name without empty parts: '//tf/' is '/tf'."""
+    parts = [part for part in name.split("/") if part]
+    return ("/" if name.startswith("/") else "") + "/".join(parts)

@@ -14,7 +14,7 @@ import yaml
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.logs.containers import bag_file, mcap_file, sqlite_file
 from amhe_cli.logs.containers.compression import decompress, unfold_file
-from amhe_cli.logs.containers.raw import Batch, Channel, LogFile, batch_of, readable
+from amhe_cli.logs.containers.raw import Batch, Connection, LogFile, batch_of, readable
 from amhe_cli.logs.containers.table_file import open_tables
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -31,7 +31,7 @@ _READERS: tuple[tuple[bytes, Callable[[Path], LogFile]], ...] = (
 
 
 @dataclass(frozen=True)
-class Log:
+class StoredLog:
     """All files of one recording, read one after the other.
 
     Args:
@@ -59,9 +59,9 @@ class Log:
                 yield _unpacked(batch) if self.packed else batch
 
     @property
-    def channels(self) -> list[Channel]:
-        """Every declared channel; complete once `batches` has been read to its end."""
-        return list(dict.fromkeys(channel for file in self.files for channel in file.channels))
+    def connections(self) -> list[Connection]:
+        """Every declared connection; complete once `batches` has been read to its end."""
+        return list(dict.fromkeys(connection for file in self.files for connection in file.connections))
 
     @property
     def problems(self) -> list[str]:
@@ -74,7 +74,7 @@ class Log:
         return {key: value for file in self.files for key, value in file.metadata.items()}
 
 
-def open_log(path: Path) -> Log:
+def open_log(path: Path) -> StoredLog:
     """Open a file, or a rosbag2 folder with all its parts.
 
     Raises:
@@ -84,7 +84,7 @@ def open_log(path: Path) -> Log:
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
     if not path.is_dir():
-        return Log(path, tuple(_open_tables(path)) or (_open_file(path),))
+        return StoredLog(path, tuple(_open_tables(path)) or (_open_file(path),))
     metadata = path / "metadata.yaml"
     if not metadata.exists():
         return _open_bare_folder(path)
@@ -127,18 +127,18 @@ def _open_packed(path: Path) -> LogFile:
         return _open_file(Path(unfolded.name))
 
 
-def _open_bare_folder(path: Path) -> Log:
+def _open_bare_folder(path: Path) -> StoredLog:
     inner = [file for file in path.iterdir() if re.search(r"\.(mcap|db3)(\.zstd)?$", file.name)]
     if not inner:
         if tables := _open_tables(path):
-            return Log(path, tuple(tables))
+            return StoredLog(path, tuple(tables))
         raise LogError(f"{path}: a folder without metadata.yaml, .mcap, .db3 or .csv file is no log")
     inner.sort(key=lambda file: [int(n) for n in re.findall(r"\d+", file.name)])
     note = f"the folder has no metadata.yaml: {', '.join(file.name for file in inner)} taken as its parts"
     return _open_parts(path, inner, [note], packed=False)
 
 
-def _open_folder(path: Path, information: dict[str, Any]) -> Log:
+def _open_folder(path: Path, information: dict[str, Any]) -> StoredLog:
     parts = [path / PurePath(name).name for name in information["relative_file_paths"]]
     present = [part for part in parts if part.exists()]
     if not present:
@@ -148,7 +148,7 @@ def _open_folder(path: Path, information: dict[str, Any]) -> Log:
     return _open_parts(path, present, notes, packed)
 
 
-def _open_parts(path: Path, parts: list[Path], notes: list[str], packed: bool) -> Log:
+def _open_parts(path: Path, parts: list[Path], notes: list[str], packed: bool) -> StoredLog:
     files: list[LogFile] = []
     for part in parts:
         try:
@@ -160,7 +160,7 @@ def _open_parts(path: Path, parts: list[Path], notes: list[str], packed: bool) -
             notes.append(str(error))
     if not files:
         raise LogError(f"{path}: none of its files can be read: {notes[-1]}")
-    return Log(path, tuple(files), tuple(notes), packed)
+    return StoredLog(path, tuple(files), tuple(notes), packed)
 
 
 def _information(metadata: Path) -> dict[str, Any]:
@@ -185,5 +185,5 @@ def _unpacked(batch: Batch) -> Batch:
         for start, end in zip(batch.starts.tolist(), ends.tolist(), strict=True)
     ]
     return replace(
-        batch_of(batch.channel, [], [], payloads), log_ns=batch.log_ns, publish_ns=batch.publish_ns
+        batch_of(batch.connection, [], [], payloads), log_ns=batch.log_ns, publish_ns=batch.publish_ns
     )

@@ -30,7 +30,7 @@ from amhe_cli.logs.containers.mcap_index import (
     unfolded,
     unfolded_start,
 )
-from amhe_cli.logs.containers.raw import Batch, Channel, DefinitionFormat, messages, normal_type
+from amhe_cli.logs.containers.raw import Batch, Connection, DefinitionFormat, messages, normal_type
 
 #: A message record up to its payload.
 _MESSAGE = np.dtype(
@@ -49,11 +49,11 @@ class McapFile:
     def __init__(self, path: Path) -> None:
         with path.open("rb") as file:
             self._data = mmap(file.fileno(), 0, access=ACCESS_READ)
-        self.channels: list[Channel] = []
+        self.connections: list[Connection] = []
         self.problems: list[str] = []
         self.metadata: dict[str, str] = {}
         self._schemas: dict[int, Schema] = {}
-        self._by_id: dict[int, Channel] = {}
+        self._by_id: dict[int, Connection] = {}
         self._broken_chunks = 0
         self._read = 0
         self._latest_ns = 0
@@ -208,7 +208,7 @@ class McapFile:
             return
         schema = self._schemas.get(record.schema_id)
         text = schema.data.decode("utf-8", "replace") if schema else ""
-        channel = Channel(
+        channel = Connection(
             record.topic,
             normal_type(schema.name) if schema else "",
             record.message_encoding,
@@ -216,4 +216,4 @@ class McapFile:
             _FORMATS.get(schema.encoding, "") if schema else "",
         )
         self._by_id[record.id] = channel
-        self.channels.append(channel)
+        self.connections.append(channel)

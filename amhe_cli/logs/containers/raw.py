@@ -1,4 +1,4 @@
-"""What every log format is reduced to: channels, and batches of messages still in their own encoding."""
+"""What every log format is reduced to: connections, and batches of messages still in their own encoding."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ DefinitionFormat = Literal["ros2msg", "ros2idl", "ros1msg", ""]
 
 
 @dataclass(frozen=True, slots=True)
-class Channel:
+class Connection:
     """A topic as one publisher declared it.
 
     Args:
@@ -43,17 +43,17 @@ class Channel:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """Messages of one channel, in file order; message i is buffer[starts[i] : starts[i] + lengths[i]].
+    """Messages of one connection, in file order; message i is buffer[starts[i] : starts[i] + lengths[i]].
 
     Args:
-        channel: Channel of the messages.
+        connection: Connection of the messages.
         log_ns: Times at which the recorder received them [ns], shape (n,).
         publish_ns: Times at which they were sent [ns], shape (n,); log_ns where the format lacks them.
         buffer: Bytes, shape (b,).
         starts, lengths: Position and size of each message in `buffer`, shape (n,).
     """
 
-    channel: Channel
+    connection: Connection
     log_ns: IntArray
     publish_ns: IntArray
     buffer: NDArray[np.uint8]
@@ -64,12 +64,12 @@ class Batch:
 class LogFile(Protocol):
     """One file of a log.
 
-    `channels`, `problems` and `metadata` are complete once `batches` has been read to its end: the
+    `connections`, `problems` and `metadata` are complete once `batches` has been read to its end: the
     content of a file that was never closed is known only then.
     """
 
     format: str
-    channels: list[Channel]
+    connections: list[Connection]
     problems: list[str]
     metadata: dict[str, str]
 
@@ -83,12 +83,12 @@ class LogFile(Protocol):
 
 
 def batch_of(
-    channel: Channel, log_ns: Sequence[int], publish_ns: Sequence[int], payloads: Sequence[bytes]
+    connection: Connection, log_ns: Sequence[int], publish_ns: Sequence[int], payloads: Sequence[bytes]
 ) -> Batch:
     """Make a batch of separate payloads."""
     lengths = np.fromiter(map(len, payloads), np.int64, len(payloads))
     return Batch(
-        channel,
+        connection,
         stamps(log_ns),
         stamps(publish_ns),
         np.frombuffer(b"".join(payloads), np.uint8),

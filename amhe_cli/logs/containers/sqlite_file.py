@@ -17,7 +17,7 @@ from typing import IO
 from urllib.parse import quote
 
 from amhe_cli.logs.containers.compression import LIMIT
-from amhe_cli.logs.containers.raw import Batch, Channel, DefinitionFormat, batch_of, messages, normal_type
+from amhe_cli.logs.containers.raw import Batch, Connection, DefinitionFormat, batch_of, messages, normal_type
 
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl"}
 _BATCH = 4096
@@ -29,7 +29,7 @@ class SqliteFile:
     format = "rosbag2 sqlite3"
 
     def __init__(self, path: Path) -> None:
-        self.channels: list[Channel] = []
+        self.connections: list[Connection] = []
         self.problems: list[str] = []
         self.metadata: dict[str, str] = {}
         self._size = path.stat().st_size
@@ -76,7 +76,7 @@ class SqliteFile:
         """Nothing: the format has no place for it."""
         return {}
 
-    def _topics(self) -> dict[int, Channel]:
+    def _topics(self) -> dict[int, Connection]:
         definitions: dict[str, tuple[str, str, str]] = {}
         try:
             for name, encoding, text, digest in self._database.execute(
@@ -86,16 +86,16 @@ class SqliteFile:
                 definitions[name] = str(encoding), str(text), str(digest or "")
         except sqlite3.OperationalError:
             pass  # recorders before ROS 2 Iron wrote no definitions
-        channels: dict[int, Channel] = {}
+        connections: dict[int, Connection] = {}
         for number, topic, kind, encoding in self._database.execute(
             "SELECT id, name, type, serialization_format FROM topics"
         ):
             language, text, digest = definitions.get(kind, ("", "", ""))
-            channels[number] = Channel(
+            connections[number] = Connection(
                 str(topic), normal_type(str(kind)), str(encoding), text, _FORMATS.get(language, ""), digest
             )
-        self.channels = list(channels.values())
-        return channels
+        self.connections = list(connections.values())
+        return connections
 
     def _rows(self, wanted: Collection[int]) -> sqlite3.Cursor:
         # Along the table, not the index: a damaged index must not reorder or hide messages.
@@ -119,9 +119,9 @@ class SqliteFile:
         return {int(row) for line in report for row in re.findall(r"row (\d+) missing from index", line)}
 
 
-def _batch(channel: Channel, rows: list[tuple[int, bytes]]) -> Batch:
+def _batch(connection: Connection, rows: list[tuple[int, bytes]]) -> Batch:
     times, payloads = zip(*rows, strict=True)
-    return batch_of(channel, times, times, payloads)
+    return batch_of(connection, times, times, payloads)
 
 
 def _completed(path: Path) -> IO[bytes] | None:

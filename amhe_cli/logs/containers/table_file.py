@@ -1,8 +1,8 @@
 """Tables as logs: a table is a topic, its rows are messages, its columns their fields.
 
 A text table (CSV, TSV ...), an .npz or .npy file, and with the extra [tables] parquet, feather and HDF5. The
-rows become messages in the encoding 'table': float64 numbers side by side, as the channel's definition lists
-them. So clocks, signals and inspection treat a table like any other log.
+rows become messages in the encoding 'table': float64 numbers side by side, as the definition lists them. So
+clocks, signals and inspection treat a table like any other log.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.logs.containers import text_table
-from amhe_cli.logs.containers.raw import Batch, Channel
+from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.text_dialect import Column, dialect_of, looks_like_text
 
-#: Type and encoding of a table's channel.
+#: Type and encoding of a table's connection.
 TYPE, ENCODING = "table/msg/Row", "table"
 #: First bytes of the binary tables -> name of the format.
 MAGIC: Mapping[bytes, str] = {
@@ -85,7 +85,7 @@ class TableFile:
             for (name, _), column, number in zip(units, table.columns, numbers, strict=True)
             if number
         ]
-        self.channels = [Channel(table.name, TYPE, ENCODING, json.dumps(fields), "")]
+        self.connections = [Connection(table.name, TYPE, ENCODING, json.dumps(fields), "")]
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """See `LogFile`.
@@ -93,8 +93,8 @@ class TableFile:
         Raises:
             LogError: The table has no column of times.
         """
-        (channel,) = self.channels
-        if topics is not None and channel.topic not in topics:
+        (connection,) = self.connections
+        if topics is not None and connection.topic not in topics:
             return
         place: int | None = None
         factor, untimed = 1.0, 0
@@ -110,7 +110,7 @@ class TableFile:
             size = content.itemsize * content.shape[1]
             starts = size * np.arange(len(content), dtype=np.int64)
             lengths = np.full(len(content), size, dtype=np.int64)
-            yield Batch(channel, stamps, stamps, content.view(np.uint8).ravel(), starts, lengths)
+            yield Batch(connection, stamps, stamps, content.view(np.uint8).ravel(), starts, lengths)
         if untimed:
             rows_are = "1 row without a time is" if untimed == 1 else f"{untimed} rows without a time are"
             self.problems.append(f"{rows_are} dropped")

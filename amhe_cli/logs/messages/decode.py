@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, LogError, one_of
 from amhe_cli.core.signals import DERIVED, Signal
-from amhe_cli.logs.containers.raw import Batch, Channel
+from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.layout import Layout, Leaf
-from amhe_cli.logs.messages.split import Group
+from amhe_cli.logs.messages.split import MessageGroup
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
 
 _Bytes = NDArray[np.uint8]
@@ -77,20 +77,20 @@ class _Parts:
 
 
 class SignalDecoder:
-    """Collects the samples of one signal from the groups of its channel.
+    """Collects the samples of one signal from the groups of its connection.
 
     Raises:
-        LogError: If the channel's type is not the signal's, or lacks its quantities.
+        LogError: If the connection's type is not the signal's, or lacks its quantities.
     """
 
-    def __init__(self, signal: Signal, channel: Channel) -> None:
-        if signal.type is not None and signal.type != channel.type:
-            raise LogError(f"topic {signal.topic!r} carries {channel.type}, not {signal.type}")
+    def __init__(self, signal: Signal, connection: Connection) -> None:
+        if signal.type is not None and signal.type != connection.type:
+            raise LogError(f"topic {signal.topic!r} carries {connection.type}, not {signal.type}")
         self._signal = signal
-        self.type = channel.type
-        self._sparse = channel.encoding == TABLE
-        self._topic = f"topic {signal.topic!r} ({channel.type})"
-        self.info = self._info(channel.type)
+        self.type = connection.type
+        self._sparse = connection.encoding == TABLE
+        self._topic = f"topic {signal.topic!r} ({connection.type})"
+        self.info = self._info(connection.type)
         self._wanted = self._quantities()
         self._names: tuple[str, ...] = signal.names
         self._columns: dict[str, tuple[str, ...]] = {}
@@ -102,7 +102,7 @@ class SignalDecoder:
         self.odd = 0
         self.not_finite: dict[str, int] = dict.fromkeys(self._wanted, 0)
 
-    def feed(self, batch: Batch, groups: Sequence[Group]) -> None:
+    def feed(self, batch: Batch, groups: Sequence[MessageGroup]) -> None:
         """Take the samples of one batch, as the splitter grouped it."""
         for group in groups:
             key = id(group.layout)
@@ -228,7 +228,7 @@ class SignalDecoder:
 
     # -- taking it ------------------------------------------------------------------------------------
 
-    def _take(self, columns: _Columns, group: Group, batch: Batch) -> None:
+    def _take(self, columns: _Columns, group: MessageGroup, batch: Batch) -> None:
         rows, members = group.rows, group.members
         blocks = {quantity: _gather(rows, leaves) for quantity, leaves in columns.values.items()}
         if self._sparse:  # a row of a table need not hold every topic's numbers

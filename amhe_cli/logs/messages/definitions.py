@@ -14,7 +14,7 @@ from typing import Any, TypeAlias
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.logs.containers.raw import Channel, normal_type
+from amhe_cli.logs.containers.raw import Connection, normal_type
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 
 #: Type -> its fields in order: (name, rosbags' description of the field's type).
@@ -33,79 +33,81 @@ class Definitions:
 
     def __init__(self, msg_path: Path | None = None) -> None:
         self._folder = _read_folder(msg_path) if msg_path else {}
-        self._cache: dict[Channel, Types] = {}
+        self._cache: dict[Connection, Types] = {}
 
-    def of(self, channel: Channel) -> Types:
-        """All types that decoding `channel` may need.
+    def of(self, connection: Connection) -> Types:
+        """All types that decoding `connection` may need.
 
         Raises:
-            LogError: If the channel is in a foreign encoding, or its type is not defined anywhere.
+            LogError: If the connection is in a foreign encoding, or its type is not defined anywhere.
         """
-        if channel not in self._cache:
-            self._cache[channel] = self._lookup(channel)
-        return self._cache[channel]
+        if connection not in self._cache:
+            self._cache[connection] = self._lookup(connection)
+        return self._cache[connection]
 
-    def problem(self, channel: Channel) -> str | None:
-        """Why `channel` cannot be decoded, in words; None if it can."""
+    def problem(self, connection: Connection) -> str | None:
+        """Why `connection` cannot be decoded, in words; None if it can."""
         try:
-            self.of(channel)
+            self.of(connection)
         except LogError as error:
             return str(error)
         return None
 
-    def _lookup(self, channel: Channel) -> Types:
-        topic = f"topic {channel.topic!r}"
-        if channel.encoding in (TABLE, "json"):
+    def _lookup(self, connection: Connection) -> Types:
+        topic = f"topic {connection.topic!r}"
+        if connection.encoding in (TABLE, "json"):
             return {}
-        if channel.encoding not in ("cdr", "ros1"):
+        if connection.encoding not in ("cdr", "ros1"):
             raise LogError(
-                f"{topic} is encoded as {channel.encoding!r}; ROS messages (cdr, ros1) and JSON are read"
+                f"{topic} is encoded as {connection.encoding!r}; ROS messages (cdr, ros1) and JSON are read"
             )
         try:
-            own = _parse(replace(channel, topic=""))
+            own = _parse(replace(connection, topic=""))
         except Exception as error:  # rosbags' parser raises many kinds on malformed text
-            if channel.type not in _bundled(channel.encoding) and channel.type not in self._folder:
-                raise LogError(f"{topic}: the definition of {channel.type} in the log is damaged") from error
+            if connection.type not in _bundled(connection.encoding) and connection.type not in self._folder:
+                raise LogError(
+                    f"{topic}: the definition of {connection.type} in the log is damaged"
+                ) from error
             own = {}
-        types = {**_bundled(channel.encoding), **self._folder, **own}
-        if channel.type not in types:
+        types = {**_bundled(connection.encoding), **self._folder, **own}
+        if connection.type not in types:
             raise LogError(
-                f"{topic}: the log has no definition of {channel.type}; "
-                f"give the folder that holds {channel.type.split('/')[-1]}.msg with --msg-path"
+                f"{topic}: the log has no definition of {connection.type}; "
+                f"give the folder that holds {connection.type.split('/')[-1]}.msg with --msg-path"
             )
         return types
 
 
 @lru_cache(maxsize=256)
-def _parse(channel: Channel) -> Types:
+def _parse(connection: Connection) -> Types:
     """The log's own definition; nothing where it has none or a damaged one.
 
     Raises:
         Exception: Of many kinds, if the text does not parse.
     """
-    if not channel.definition.strip():
+    if not connection.definition.strip():
         return {}
-    types = _parsed_text(channel)
-    if channel.digest and _digest(channel, types) != channel.digest:
+    types = _parsed_text(connection)
+    if connection.digest and _digest(connection, types) != connection.digest:
         raise ValueError("its hash is wrong")
     return _fields(types)
 
 
-def _digest(channel: Channel, types: Mapping[str, Any]) -> str:
+def _digest(connection: Connection, types: Mapping[str, Any]) -> str:
     """The hash that the recorder should have written for the definition."""
     store = get_typestore(Stores.EMPTY)
     store.fielddefs.update(types)  # only looked up: registering would generate and run code
-    if channel.encoding == "ros1":
-        return store.generate_msgdef(channel.type)[1] if channel.digest != "*" else "*"
-    return store.hash_rihs01(channel.type)
+    if connection.encoding == "ros1":
+        return store.generate_msgdef(connection.type)[1] if connection.digest != "*" else "*"
+    return store.hash_rihs01(connection.type)
 
 
-def _parsed_text(channel: Channel) -> dict[str, Any]:
-    if channel.definition_format != "ros2idl":
-        return dict(get_types_from_msg(channel.definition, channel.type))
+def _parsed_text(connection: Connection) -> dict[str, Any]:
+    if connection.definition_format != "ros2idl":
+        return dict(get_types_from_msg(connection.definition, connection.type))
     separator = "=" * 80 + "\n"
     types: dict[str, Any] = {}
-    for part in channel.definition.split(separator):
+    for part in connection.definition.split(separator):
         text = part.split("\n", 1)[1] if part.startswith("IDL: ") else part
         if text.strip():
             types |= get_types_from_idl(text)

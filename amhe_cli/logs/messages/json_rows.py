@@ -23,7 +23,7 @@ _DEEPEST, _MOST_NUMBERS = 30, 100_000
 
 
 class JsonRows:
-    """Turns JSON messages of one channel into rows; keeps the layouts that it has seen."""
+    """Turns JSON messages of one connection into rows; keeps the layouts that it has seen."""
 
     def __init__(self) -> None:
         self._layouts: dict[tuple, Layout] = {}

@@ -1,4 +1,4 @@
-"""Sort the messages of a channel by their layout, so that each group can be read at once."""
+"""Sort the messages of a connection by their layout, so that each group can be read at once."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.logs.containers.raw import Batch, Channel
+from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.json_rows import JsonRows
@@ -21,7 +21,7 @@ _CACHED_LAYOUTS = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Group:
+class MessageGroup:
     """Messages of one batch that share a layout: rows (n, length), and which of the batch they are."""
 
     layout: Layout
@@ -30,20 +30,20 @@ class Group:
 
 
 class Splitter:
-    """Sorts the messages of one channel by layout, and counts those that are damaged."""
+    """Sorts the messages of one connection by layout, and counts those that are damaged."""
 
-    def __init__(self, channel: Channel, definitions: Definitions) -> None:
-        self._channel = channel
-        self._types = definitions.of(channel)
+    def __init__(self, connection: Connection, definitions: Definitions) -> None:
+        self._connection = connection
+        self._types = definitions.of(connection)
         self._layouts: dict[int, list[Layout]] = {}
-        self._json = JsonRows() if channel.encoding == "json" else None
-        if channel.encoding == TABLE:
-            layout, size = table_layout(channel.definition)
+        self._json = JsonRows() if connection.encoding == "json" else None
+        if connection.encoding == TABLE:
+            layout, size = table_layout(connection.definition)
             self._layouts[size] = [layout]
         self.damaged = 0
         self.reason = ""
 
-    def split(self, batch: Batch) -> Iterator[Group]:
+    def split(self, batch: Batch) -> Iterator[MessageGroup]:
         """Yield groups that together hold every intact message of the batch."""
         if self._json is not None:
             yield from self._parsed(self._json, batch)
@@ -56,7 +56,7 @@ class Splitter:
             rows = np.lib.stride_tricks.sliding_window_view(batch.buffer, length)[batch.starts[members]]
             yield from self._same_length(rows, members)
 
-    def _parsed(self, json: JsonRows, batch: Batch) -> Iterator[Group]:
+    def _parsed(self, json: JsonRows, batch: Batch) -> Iterator[MessageGroup]:
         """JSON messages, which must be parsed one by one."""
         found: dict[int, tuple[Layout, list[int], list[FloatArray]]] = {}
         text = batch.buffer.tobytes()
@@ -70,17 +70,17 @@ class Splitter:
             members.append(i)
             rows.append(numbers)
         for layout, members, rows in found.values():
-            yield Group(layout, np.stack(rows).view(np.uint8), np.array(members, dtype=np.int64))
+            yield MessageGroup(layout, np.stack(rows).view(np.uint8), np.array(members, dtype=np.int64))
 
-    def _same_length(self, rows: _Bytes, members: IntArray) -> Iterator[Group]:
+    def _same_length(self, rows: _Bytes, members: IntArray) -> Iterator[MessageGroup]:
         known = self._layouts.setdefault(rows.shape[1], [])
         for layout in known:
             hits = layout.matches(rows)
             if hits.all():
-                yield Group(layout, rows, members)
+                yield MessageGroup(layout, rows, members)
                 return
             if hits.any():
-                yield Group(layout, rows[hits], members[hits])
+                yield MessageGroup(layout, rows[hits], members[hits])
                 rows, members = rows[~hits], members[~hits]
         while members.size:
             layout = self._walk(rows[0])
@@ -89,13 +89,13 @@ class Splitter:
                 continue
             known.append(layout)
             hits = layout.matches(rows)
-            yield Group(layout, rows[hits], members[hits])
+            yield MessageGroup(layout, rows[hits], members[hits])
             rows, members = rows[~hits], members[~hits]
         del known[:-_CACHED_LAYOUTS]
 
     def _walk(self, message: _Bytes) -> Layout | None:
         try:
-            return walk(message, self._channel.type, self._types, self._channel.encoding)
+            return walk(message, self._connection.type, self._types, self._connection.encoding)
         except MalformedMessageError as error:
             self._damage(str(error), 1)
             return None
