@@ -1,0 +1,166 @@
+"""The rules by which evidence becomes a verdict, each with evidence made by hand."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.statistics import Z90
+from amhe_cli.estimation.offline.result import ParameterResult
+from amhe_cli.estimation.offline.verdicts import Evidence, combinations, profiles, verdicts
+
+#: Two log-scaled parameters and a linear one; z = 1 is a factor of exp(0.5), or 0.2 m.
+SPACE = ParameterSpace(
+    (
+        Parameter("mass", "kg", 4.0, 0.4, 40.0, log=True, prior_sd=0.5),
+        Parameter("friction", "-", 0.5, 0.05, 5.0, log=True, prior_sd=0.5),
+        Parameter("offset", "m", 0.1, -1.0, 1.0, log=False, prior_sd=0.2),
+    )
+)
+
+
+def evidence(sd: float = 0.05, **changes: Any) -> Evidence:
+    """Evidence for an ordinary estimate: each sd of z is 0.05, and nothing speaks against it."""
+    plain: dict[str, Any] = {
+        "z": np.array([0.4, -0.2, 0.1]),
+        "covariance": sd**2 * np.eye(3),
+        "active": np.ones(3, dtype=bool),
+        "step_ratio": np.ones(3),
+        "bootstrap": np.full(3, 0.04),
+        "disagreements": {},
+        "shifts": {},
+        "profiles": {},
+        "noise_scale": {"box.position": 1.1},
+    }
+    return Evidence(**{**plain, **changes})
+
+
+def mass(found: Evidence) -> ParameterResult:
+    return verdicts(SPACE, found)[0]
+
+
+def test_an_estimate_that_nothing_speaks_against_is_identified() -> None:
+    for result in verdicts(SPACE, evidence()):
+        assert (result.verdict, result.reasons) == ("identified", ())
+
+
+def test_numbers_are_in_the_parameters_own_units() -> None:
+    found = verdicts(SPACE, evidence())
+    heavy, offset = found[0], found[2]
+    assert heavy.estimate == pytest.approx(4.0 * np.exp(0.2))
+    assert heavy.sd == pytest.approx(heavy.estimate * 0.5 * 0.05)
+    assert heavy.upper == pytest.approx(heavy.estimate * np.exp(0.5 * 0.05 * Z90))
+    assert heavy.bootstrap_sd == pytest.approx(heavy.estimate * 0.5 * 0.04)
+    assert heavy.shrinkage == pytest.approx(0.95)
+    assert offset.estimate == pytest.approx(0.1 + 0.1 * 0.2)
+    assert (offset.sd, offset.prior_sd) == pytest.approx((0.2 * 0.05, 0.2))
+    assert offset.lower == pytest.approx(offset.estimate - 0.2 * 0.05 * Z90)
+
+
+@pytest.mark.parametrize(
+    ("sd", "verdict"),
+    [(0.05, "identified"), (0.19, "identified"), (0.21, "weak"), (0.69, "weak"), (0.71, "prior")],
+)
+def test_the_verdict_follows_from_how_much_the_prior_is_narrowed(sd: float, verdict: str) -> None:
+    assert mass(evidence(sd)).verdict == verdict
+
+
+def test_a_weak_one_gives_its_shrinkage_as_the_reason() -> None:
+    assert mass(evidence(0.4)).reasons == ("the logs narrow the prior by 60% only",)
+
+
+def test_what_no_measurement_depends_on_is_the_prior() -> None:
+    result = mass(evidence(active=np.array([False, True, True])))
+    assert result.verdict == "prior"
+    assert "no measurement in these logs depends on it" in result.reasons[0]
+
+
+def test_a_value_far_from_its_prior_that_the_logs_hardly_determine_is_model_sensitive() -> None:
+    near, far = (mass(evidence(0.8, z=np.array([z, 0.0, 0.0]))) for z in (0.9, -1.6))
+    assert near.verdict == "prior" and "hardly narrow it down" in near.reasons[0]
+    assert far.verdict == "model-sensitive" and "1.6 prior sd from its prior" in far.reasons[0]
+
+
+@pytest.mark.parametrize(
+    ("ratio", "verdict"),
+    [(0.71, "identified"), (1.39, "identified"), (0.69, "model-sensitive"), (1.41, "model-sensitive")],
+)
+def test_an_sd_that_depends_on_the_step_is_model_sensitive(ratio: float, verdict: str) -> None:
+    result = mass(evidence(step_ratio=np.array([ratio, 1.0, 1.0])))
+    assert result.verdict == verdict
+    assert any("jagged" in reason for reason in result.reasons) == (verdict == "model-sensitive")
+    assert mass(evidence(step_ratio=np.full(3, np.nan))).verdict == "identified", "it was not computed"
+
+
+def test_residuals_of_many_times_their_noise_make_every_number_model_sensitive() -> None:
+    assert mass(evidence(noise_scale={"box.position": 4.9})).verdict == "identified"
+    for result in verdicts(SPACE, evidence(noise_scale={"box.position": 1.0, "box.orientation": 6.0})):
+        assert result.verdict == "model-sensitive"
+        assert result.reasons == ("the model misses box.orientation by 6 times its noise",)
+
+
+@pytest.mark.parametrize(
+    ("relative", "sd", "verdict", "told"),
+    [
+        (0.30, 0.01, "model-sensitive", True),
+        (0.30, 0.30, "identified", False),  # within chance: 3 sd are 0.9
+        (0.10, 0.01, "identified", True),  # told, and allowed for
+        (0.03, 0.01, "identified", False),  # too small to tell
+    ],
+)
+def test_parts_of_the_data_that_disagree(relative: float, sd: float, verdict: str, told: bool) -> None:
+    difference = np.array([np.log1p(relative) / 0.5, 0.0, 0.0])
+    result = mass(evidence(disagreements={"the two halves": (difference, np.full(3, sd))}))
+    assert result.verdict == verdict
+    reasons = [reason for reason in result.reasons if f"the two halves disagree by +{relative:.0%}" in reason]
+    assert bool(reasons) == told
+    if told and verdict == "identified":
+        assert reasons[0].endswith("which the sd allows for")
+
+
+@pytest.mark.parametrize(
+    ("relative", "verdict"), [(-0.4, "model-sensitive"), (-0.15, "identified"), (-0.02, "identified")]
+)
+def test_details_of_contact_that_would_move_the_estimate(relative: float, verdict: str) -> None:
+    shift = np.array([np.log1p(relative) / 0.5, 0.0, 0.0])
+    result = mass(evidence(0.01, shifts={"softer contacts": shift}))
+    assert result.verdict == verdict
+    told = any("softer contacts would move it by" in reason for reason in result.reasons)
+    assert told == (abs(relative) > 0.05)
+    wide = mass(evidence(0.3, shifts={"softer contacts": shift}))
+    assert wide.verdict == "weak" and len(wide.reasons) == 1, "such a shift is within 3 sd"
+
+
+@pytest.mark.parametrize(
+    ("side", "text"), [(0, "lower bound 0.4: the data want less"), (1, "upper bound 40: the")]
+)
+def test_an_estimate_at_a_bound_says_so(side: int, text: str) -> None:
+    z = np.array([SPACE.bounds[side][0], 0.0, 0.0])
+    assert text in mass(evidence(z=z)).reasons[0]
+
+
+def test_parameters_that_are_known_only_together_name_each_other_and_their_product() -> None:
+    covariance = 0.05**2 * np.array([[1.0, -0.98, 0.0], [-0.98, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    found = verdicts(SPACE, evidence(covariance=covariance))
+    assert found[0].reasons == ("known mostly together with friction (correlation -0.98)",)
+    assert found[1].reasons == ("known mostly together with mass (correlation -0.98)",)
+    assert found[2].reasons == ()
+    sharp, blunt = combinations(SPACE, covariance, np.ones(3, dtype=bool))
+    assert {sharp.text, blunt.text} == {"mass * friction", "mass / friction"}
+    assert sharp.text == "mass * friction"
+    assert sharp.sd == pytest.approx(0.5 * 0.05 * np.sqrt(2.0 * 0.02))
+    assert combinations(SPACE, covariance, np.array([True, False, True])) == ()
+
+
+def test_a_profile_passes_through_the_estimate_within_the_bounds() -> None:
+    z, sd, active = np.array([0.4, -0.2, 4.4]), np.full(3, 0.05), np.array([True, False, True])
+    found = profiles(SPACE, lambda c: ((c - z) ** 2).sum(axis=1), z, sd, active, points=11)
+    assert set(found) == {0, 2}
+    theta, costs = found[0]
+    assert theta[5] == pytest.approx(SPACE.theta_of(z)[0]) and costs[5] == pytest.approx(0.0, abs=1e-12)
+    assert costs[[0, -1]] == pytest.approx(0.09)
+    assert found[2][0].max() <= 1.0, "the upper bound"
+    assert profiles(SPACE, lambda c: c[:, 0], z, sd, active, points=2) == {}
