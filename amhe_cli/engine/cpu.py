@@ -165,12 +165,11 @@ def _make_finite(rollouts: Rollouts) -> None:
             values[failed] = np.nan_to_num(values[failed], posinf=0.0, neginf=0.0)
 
 
-def joined(parts: Sequence[Predicted]) -> Predicted:
-    """The predictions of all candidates, from those of some after others."""
-    return Predicted(
-        tuple(np.concatenate(values) for values in zip(*(part.values for part in parts), strict=True)),
-        np.concatenate([part.completed for part in parts]),
-    )
+def joined(parts: Sequence[Predicted], axis: int = 0) -> Predicted:
+    """One prediction from those of some candidates, or of some clips, after others along an axis."""
+    columns = zip(*(part.values for part in parts), strict=True)
+    completed = np.concatenate([part.completed for part in parts], axis)
+    return Predicted(tuple(np.concatenate(values, axis) for values in columns), completed)
 
 
 def hush_mujoco() -> None:

@@ -8,7 +8,7 @@ late (they describe the state before the step); the engine shifts them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, Protocol, Self
 
 import mujoco
@@ -64,6 +64,16 @@ class Starts:
         """Steps of the longest clip, H."""
         return self.inputs.shape[1] - self.history
 
+    def of(self, clips: IntArray) -> Starts:
+        """The starts of some of the clips."""
+        return replace(
+            self,
+            qpos=self.qpos[clips],
+            qvel=self.qvel[clips],
+            inputs=self.inputs[clips],
+            lengths=self.lengths[clips],
+        )
+
     def states(
         self, model: mujoco.MjModel, count: int, errors: FloatArray | None
     ) -> tuple[FloatArray, FloatArray]:
@@ -117,6 +127,10 @@ class Wanted:
     source: Literal["qpos", "qvel", "sensordata"]
     rows: IntArray
     columns: tuple[int, ...]
+
+    def of(self, clips: IntArray) -> Wanted:
+        """What is wanted of some of the clips."""
+        return replace(self, rows=self.rows[clips])
 
     def pick(self, rollouts: Rollouts, count: int) -> FloatArray:
         """The numbers of p candidates, shape (p, c, s, k), from rollouts in the order (p, c)."""

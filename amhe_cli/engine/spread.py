@@ -1,7 +1,7 @@
 """Rollouts spread over an executor's workers: the same numbers, to the bit, as the engine of one process.
 
-Rollouts do not depend on each other, so they can be computed anywhere. A prediction is cut into whole
-candidates: the clips travel once for each part, and only the wanted numbers come back.
+Rollouts do not depend on each other, so they can be computed anywhere. A prediction is cut by candidates,
+and by clips too where there are few candidates; only the wanted numbers come back.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class SpreadEngine:
         """
         each = [
             (theta[rows], qpos[rows], qvel[rows], inputs[rows], lengths[rows])
-            for rows in _parts(len(theta), 1)
+            for rows in _cut(len(theta), min(_MOST, len(theta) // _LEAST))
         ]
         done = self._gathered(_rollout, each)
         sensors = [part.sensordata for part in done if part.sensordata is not None]
@@ -75,11 +75,22 @@ class SpreadEngine:
         Raises:
             AmheError: The workers are gone.
         """
-        each = [
-            (theta[rows], starts, None if errors is None else errors[rows], wanted)
-            for rows in _parts(len(theta), len(starts.lengths))
-        ]
-        return joined(self._gathered(_predict, each))
+        count, clips = len(theta), len(starts.lengths)
+        most = max(1, min(_MOST, count * clips // _LEAST))
+        by_candidate = _cut(count, most)
+        by_clip = _cut(clips, most // len(by_candidate))
+        done = self._gathered(
+            _predict,
+            [
+                (theta[rows], starts.of(some), errors if errors is None else errors[rows][:, some],
+                 [one.of(some) for one in wanted])
+                for rows in by_candidate
+                for some in by_clip
+            ],
+        )  # fmt: skip
+        width = len(by_clip)
+        whole = joined([joined(done[i : i + width], axis=0) for i in range(0, len(done), width)], axis=-1)
+        return Predicted(tuple(np.moveaxis(v, -1, 0) for v in whole.values), whole.completed.T)
 
     def upon(self, model: mujoco.MjModel) -> SpreadEngine:
         """See `Engine.upon`."""
@@ -96,9 +107,9 @@ class SpreadEngine:
             ) from None
 
 
-def _parts(count: int, rollouts: int) -> list[IntArray]:
-    """Rows of `count` candidates, of so many rollouts each, cut into parts."""
-    return np.array_split(np.arange(count), max(1, min(_MOST, count, count * rollouts // _LEAST)))
+def _cut(count: int, parts: int) -> list[IntArray]:
+    """The numbers below `count`, cut into at most so many parts of equal size."""
+    return np.array_split(np.arange(count), max(1, min(count, parts)))
 
 
 def _rollout(blueprint: bytes, *arguments: Any) -> Rollouts:
@@ -106,7 +117,12 @@ def _rollout(blueprint: bytes, *arguments: Any) -> Rollouts:
 
 
 def _predict(blueprint: bytes, *arguments: Any) -> Predicted:
-    return _engine(blueprint).predict(*arguments)
+    """A prediction with the candidates as the last axis.
+
+    In that order the values lie in memory, and a pickle keeps it: how a sum of them is rounded depends on it.
+    """
+    done = _engine(blueprint).predict(*arguments)
+    return Predicted(tuple(np.moveaxis(v, 0, -1) for v in done.values), done.completed.T)
 
 
 @lru_cache(maxsize=2)

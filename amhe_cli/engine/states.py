@@ -1,4 +1,7 @@
-"""Perturbing states on their manifold: the tangent space of a quaternion has three coordinates, not four."""
+"""States of a model: steps on their manifold, and the home state.
+
+The tangent space of a quaternion has three coordinates, not four.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,15 @@ from amhe_cli.core.arrays import FloatArray
 
 
 def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> FloatArray:
-    """Positions qpos (..., nq) moved by tangent vectors delta (..., nv), as `mj_integratePos` would.
+    """Positions moved by steps in the tangent space, as `mj_integratePos` moves them.
 
-    Rotations of free and ball joints are perturbed in the body's own frame.
+    Args:
+        model: The model.
+        qpos: Positions, shape (..., nq).
+        delta: Steps, shape (..., nv); rotations of free and ball joints are in the body's own frame.
+
+    Returns:
+        Shape (..., nq).
     """
     moved = np.array(np.broadcast_to(qpos, (*delta.shape[:-1], model.nq)))
     for joint in range(model.njnt):

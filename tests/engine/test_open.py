@@ -1,6 +1,7 @@
 """Opening engines, and what the engines of one process and of many do with a call."""
 
-from concurrent.futures import BrokenExecutor, Executor, ThreadPoolExecutor
+from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 
 import numpy as np
 import pytest
@@ -35,16 +36,36 @@ def test_a_call_is_spread_in_parts() -> None:
     assert sum(executor.parts) == 50
 
 
-def test_a_prediction_is_spread_in_whole_candidates() -> None:
-    """Of 3 rollouts each: parts of 8 rollouts or more."""
-    starts, wanted = clips(PENDULUM)
-    theta = some(10)[0]
-    alone = open_engine(PENDULUM).predict(theta, starts, None, wanted)
+@pytest.mark.parametrize(
+    ("candidates", "count", "parts"), [(10, 3, [4, 3, 3]), (2, 24, [1] * 6), (1, 5, [1])]
+)
+def test_a_prediction_is_spread_by_candidates_and_those_of_few_by_clips(
+    candidates: int, count: int, parts: list[int]
+) -> None:
+    starts, wanted = clips(PENDULUM, count)
+    theta = some(candidates)[0]
+    errors = np.random.default_rng(0).normal(size=(candidates, count, starts.first_sd.size))
+    alone = open_engine(PENDULUM).predict(theta, starts, errors, wanted)
     with Counting() as executor:
-        spread = open_engine(PENDULUM, executor=executor).predict(theta, starts, None, wanted)
-    assert executor.parts == [4, 3, 3]
+        spread = open_engine(PENDULUM, executor=executor).predict(theta, starts, errors, wanted)
+    assert executor.parts == parts
+    np.testing.assert_array_equal(spread.completed, alone.completed)
     for one, other in zip(spread.values, alone.values, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_sums_of_what_other_processes_predict_are_the_same_to_the_bit() -> None:
+    """The rounding of a sum depends on the layout of its array in memory, which a pickle does not keep."""
+    starts, wanted = clips(CUBE, 24)
+    theta = CUBE.space.theta_of(np.random.default_rng(0).normal(0.0, 0.3, (40, 4)))
+    alone = open_engine(CUBE)
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+        spread = open_engine(CUBE, executor=executor)
+        for some_theta in (theta, theta[:2]):
+            one, other = (engine.predict(some_theta, starts, None, wanted[:1]) for engine in (alone, spread))
+            assert one.values[0].strides == other.values[0].strides
+            squares = [np.einsum("pcsk,pcsk->pcs", done.values[0], done.values[0]) for done in (one, other)]
+            np.testing.assert_array_equal(*squares)
 
 
 def test_workers_that_are_gone_end_a_search_in_one_line() -> None:

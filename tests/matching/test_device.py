@@ -87,8 +87,8 @@ class DeviceEngine:
 
     rollout, upon = ENGINE.rollout, ENGINE.upon
 
-    def predict(self, *arguments: Any) -> Predicted:
-        done = ENGINE.predict(*arguments)
+    def predict(self, theta: Any, starts: Any, errors: Any, wanted: Any) -> Predicted:
+        done = ENGINE.predict(theta, starts, errors, wanted)
         return Predicted(tuple(map(DeviceArray, done.values)), done.completed)
 
 
@@ -99,7 +99,7 @@ def both() -> list[MatchingCost]:
 
 
 def test_the_device_of_these_tests_refuses_numpy() -> None:
-    there = DeviceArray(np.ones(3))
+    there: Any = DeviceArray(np.ones(3))
     for mixed in (lambda: there + np.ones(3), lambda: np.ones(3) * there, lambda: np.sqrt(there)):
         with pytest.raises(TypeError):
             mixed()
