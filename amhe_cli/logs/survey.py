@@ -18,6 +18,7 @@ from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.layout import Layout
 from amhe_cli.logs.messages.split import MessageGroup, Splitter
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
+from amhe_cli.logs.tables import table_columns
 
 #: Messages that it takes to judge a topic's clock by.
 _ENOUGH = 10
@@ -302,7 +303,7 @@ def _topic(
         header=timing.header,
         clock=timing.clock,
         quantities=tuple(q for q in info.fields if q in scan.carried or not scan.carried) if info else (),
-        entries=tuple(scan.entries),
+        entries=tuple(scan.entries) or table_columns(connection),
         problem=problem,
         notes=(*damage, *timing.notes),
     )
