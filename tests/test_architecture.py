@@ -32,7 +32,6 @@ TO_GO: dict[str, set[str]] = {
     "replay_assembly": {"assembly", "core", "engine", "estimation", "logs", "system"},
     "cli": {"assembly", "replay_assembly"},
     "core": {"robots/go1"},
-    "report": {"robots/go1"},
     "robots/go1": {"assembly"},
 }
 

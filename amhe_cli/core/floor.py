@@ -29,6 +29,11 @@ class Floor:
     marks: tuple[float, ...] = ()
     one_leg: bool = False
 
+    @property
+    def curved(self) -> bool:
+        """Whether the path is more than a straight line from its first to its last point."""
+        return len(self.path) > 2
+
 
 def outline(centre: FloatArray, yaw: float, size: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     """X and y of the closed outline of a rectangle on the floor [m], shape (5,) each.

@@ -15,6 +15,7 @@ from typing import Any
 
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import whole, write_whole
+from amhe_cli.robots.go1.tasks import LONGEST
 from amhe_cli.study.cells import Cell, Setting, setting_of
 from amhe_cli.study.results import Result, read_result
 
@@ -31,7 +32,7 @@ class Study:
         code: Versions and hashes of what decides a result.
         defaults: Every setting's default, by its path.
         setting: The operating point: settings that the user changed for all cells.
-        duration: The longest that one may take [s].
+        duration: Longest time of a run [s].
         commands: Command lines that ran cells here, oldest first.
         made: Time of the first one, UTC.
         machine: Hardware and operating system that commanded it.
@@ -40,10 +41,15 @@ class Study:
     code: Mapping[str, str]
     defaults: Mapping[str, Any]
     setting: Setting = ()
-    duration: float = 40.0
+    duration: float = LONGEST
     commands: tuple[str, ...] = ()
     made: str = ""
     machine: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def cut_short(self) -> bool:
+        """Whether runs were stopped before the tasks' own limit."""
+        return self.duration < LONGEST
 
 
 class Store:

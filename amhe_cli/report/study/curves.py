@@ -11,8 +11,7 @@ from matplotlib.ticker import LogLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.report.figures import MUTED, Grid
-from amhe_cli.report.study.drawing import TRUTH, color_of, legend, line, room
-from amhe_cli.robots.go1.tasks import Task
+from amhe_cli.report.study.drawing import TRUTH, StudyTask, color_of, legend, line, room
 from amhe_cli.study.estimates import change_of
 from amhe_cli.study.results import TRACE_STEP, Result
 from amhe_cli.study.summary import Group, Groups
@@ -30,7 +29,7 @@ _SHOWN: tuple[tuple[str, _Value], ...] = (
 _POINTS = 200
 
 
-def speed_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
+def speed_figure(groups: Groups, tasks: Sequence[StudyTask]) -> Figure:
     """Forward speed of the robot against the command: mean and sd over seeds."""
     grid = Grid(len(tasks), min(3, len(tasks)), height=2.7)
     figure = room(grid)
@@ -48,7 +47,7 @@ def speed_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
     return figure
 
 
-def cost_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
+def cost_figure(groups: Groups, tasks: Sequence[StudyTask]) -> Figure:
     """How the running cost is spread over all states of all seeds."""
     grid = Grid(len(tasks), max(2, min(3, len(tasks))), height=2.7)
     figure = room(grid)
@@ -73,7 +72,7 @@ def cost_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
     return figure
 
 
-def parameter_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
+def parameter_figure(groups: Groups, tasks: Sequence[StudyTask]) -> Figure:
     """What was believed of the box, against what was true; time from the change on."""
     grid = Grid(len(_SHOWN) * len(tasks), len(_SHOWN), height=2.5)
     figure = room(grid)

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from amhe_cli.core.floor import Floor
 from amhe_cli.report.figures import INK, MUTED, Grid, styled, svg
 from amhe_cli.report.page import Section
 
@@ -18,6 +19,25 @@ COLORS = {"true": INK, "baseline": "#d97706", "stale": "#b91c1c", "adaptive": "#
 TRUTH, DEFAULT, PATH = "#15803d", "#15803d", "#94a3b8"
 #: Height of the legend below the panels [inch].
 _STRIP = 0.34
+
+
+class StudyTask(Protocol):
+    """What figures need to know of a task."""
+
+    @property
+    def name(self) -> str:
+        """Name of the task in the study's cells."""
+        ...
+
+    @property
+    def title(self) -> str:
+        """The task in a few words."""
+        ...
+
+    @property
+    def floor(self) -> Floor:
+        """Path and goal of the box."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)

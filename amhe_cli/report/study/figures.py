@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import TypeAlias
 
 from matplotlib.figure import Figure
 
 from amhe_cli.report.study.ablation import ablation_figure
 from amhe_cli.report.study.curves import cost_figure, parameter_figure, speed_figure
-from amhe_cli.report.study.drawing import Drawing
+from amhe_cli.report.study.drawing import Drawing, StudyTask
 from amhe_cli.report.study.paths import one_leg_figure, path_figure
-from amhe_cli.robots.go1.tasks import Task
 from amhe_cli.study.ablations import Ablation
 from amhe_cli.study.summary import Groups
 
+_Draw: TypeAlias = Callable[[Groups, Sequence[StudyTask]], Figure]
 #: Figures of several tasks: name, title, caption, the tasks (none named: all), what draws it.
-_FIGURES: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Groups, Sequence[Task]], Figure]], ...] = (
+_FIGURES: tuple[tuple[str, str, str, tuple[str, ...], _Draw], ...] = (
     (
         "paths", "Paths of the box",
         "Every seed; the cross is the goal. Distances beside the straight paths are stretched.",
@@ -42,7 +43,7 @@ _FIGURES: tuple[tuple[str, str, str, tuple[str, ...], Callable[[Groups, Sequence
 )  # fmt: skip
 
 
-def drawings(groups: Groups, tried: Sequence[Ablation], tasks: Mapping[str, Task]) -> list[Drawing]:
+def drawings(groups: Groups, tried: Sequence[Ablation], tasks: Mapping[str, StudyTask]) -> list[Drawing]:
     """Those that have something to show.
 
     Args:
@@ -57,7 +58,7 @@ def drawings(groups: Groups, tried: Sequence[Ablation], tasks: Mapping[str, Task
             shown = [task for task in shown if set(groups.modes_of([task.name])) - {"true"}]
         if shown:
             made.append(Drawing(name, title, caption, lambda d=draw, s=shown: d(groups, s)))
-    for task in (tasks[name] for name in groups.tasks if name in tasks and tasks[name].one_leg):
+    for task in (tasks[name] for name in groups.tasks if name in tasks and tasks[name].floor.one_leg):
         caption = (
             "From above: trunk and box at the start (dotted) and the end, the goal (dashed), and the way of "
             "the foot that pushes, of seed 0. Thin: the box of the other seeds."

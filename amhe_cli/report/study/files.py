@@ -9,12 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from amhe_cli.core.files import plain
-from amhe_cli.report.study.drawing import drawn
+from amhe_cli.report.study.drawing import StudyTask, drawn
 from amhe_cli.report.study.figures import drawings
 from amhe_cli.report.study.formats import FORMATS, text
 from amhe_cli.report.study.page import study_page
 from amhe_cli.report.study.tables import tables
-from amhe_cli.robots.go1.tasks import LONGEST, Task
 from amhe_cli.study.ablations import ablations
 from amhe_cli.study.goals import goals
 from amhe_cli.study.store import Store, write_file
@@ -38,7 +37,7 @@ class Report:
     text: str
 
 
-def write_study(store: Store, tasks: Mapping[str, Task], modes: Sequence[str]) -> Report:
+def write_study(store: Store, tasks: Mapping[str, StudyTask], modes: Sequence[str]) -> Report:
     """Write summary.json, tables/, figures/ and report.html of all cells of a study.
 
     Args:
@@ -49,7 +48,7 @@ def write_study(store: Store, tasks: Mapping[str, Task], modes: Sequence[str]) -
     results = store.results()
     groups = Groups(results, store.study.setting, tuple(tasks), modes)
     tried = ablations(groups, store.study.defaults)
-    judged = goals(groups) if store.study.duration >= LONGEST else []  # runs that are cut short reach none
+    judged = [] if store.study.cut_short else goals(groups)  # goals are for whole runs
     made = tables(groups, tried, judged)
     told = plain(summary(groups))
     failures = {r.cell.title: r.reason for r in results if r.reason is not None}

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from amhe_cli.report.page import Origin, Page, Section, Statement
 from amhe_cli.report.study.formats import StudyTable
 from amhe_cli.report.tables import NUMBER, Table
-from amhe_cli.robots.go1.tasks import LONGEST
 from amhe_cli.study.cells import words
 from amhe_cli.study.store import Study
 from amhe_cli.study.summary import Groups
@@ -96,8 +95,8 @@ def _statements(study: Study, failures: Mapping[str, str], tables: Sequence[Stud
         stated.append(Statement("bad", text))
     if study.setting:
         stated.append(Statement("mixed", f"The operating point is not the default: {words(study.setting)}."))
-    if study.duration < LONGEST:
-        text = f"Runs were stopped after {study.duration:g} s; a task needs up to {LONGEST:g} s."
+    if study.cut_short:
+        text = f"Runs were stopped after {study.duration:g} s, before the tasks' own limit."
         stated.append(Statement("mixed", text))
     return stated
 

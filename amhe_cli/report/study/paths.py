@@ -12,33 +12,31 @@ from matplotlib.figure import Figure
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.floor import outline
 from amhe_cli.report.figures import INK, MUTED, Grid
-from amhe_cli.report.study.drawing import PATH, TRUTH, color_of, legend, line, room
-from amhe_cli.robots.go1.kinematics import HIPS
-from amhe_cli.robots.go1.tasks import Task
+from amhe_cli.report.study.drawing import PATH, TRUTH, StudyTask, color_of, legend, line, room
 from amhe_cli.study.summary import Group, Groups
 
 #: Straight tasks show at least this much beside their path [m].
 _BESIDE = 0.12
-#: Length and width of the trunk as drawn [m].
-_TRUNK = 2.0 * np.abs(HIPS[0, :2]) + np.array([0.06, 0.06])
+#: Length and width of the trunk as drawn [m]: the distances between the hips, and a margin.
+_TRUNK = np.array([0.436, 0.154])
 
 
-def path_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
+def path_figure(groups: Groups, tasks: Sequence[StudyTask]) -> Figure:
     """Where the box went, seed by seed; straight paths with their sides stretched."""
     grid = Grid(len(tasks), 3, height=3.3)
     figure = room(grid)
     for index, task in enumerate(tasks):
         axes = grid.axes(figure, index)
-        way = task.path.points(np.linspace(0.0, task.path.length, 121))
-        axes.plot(way[:, 0], way[:, 1], "--", color=PATH, linewidth=1.2)
-        axes.plot(*task.path.goal, "x", color=TRUTH, markersize=7, markeredgewidth=1.8)
+        path = task.floor.path
+        axes.plot(path[:, 0], path[:, 1], "--", color=PATH, linewidth=1.2)
+        axes.plot(*path[-1], "x", color=TRUTH, markersize=7, markeredgewidth=1.8)
         for group in groups.of(task.name):
             for result in group.results:
                 trace = result.trace
                 axes.plot(
                     trace["box_x"], trace["box_y"], color=color_of(group.mode), linewidth=0.9, alpha=0.65
                 )
-        if task.path.curvature:
+        if task.floor.curved:
             axes.set_aspect("equal", adjustable="datalim")
         else:
             low, high = axes.get_ylim()
@@ -49,7 +47,7 @@ def path_figure(groups: Groups, tasks: Sequence[Task]) -> Figure:
     return figure
 
 
-def one_leg_figure(groups: Groups, task: Task) -> Figure:
+def one_leg_figure(groups: Groups, task: StudyTask) -> Figure:
     """Robot and box from above at the end, one panel a mode."""
     found = groups.of(task.name)
     grid = Grid(len(found), min(4, max(3, len(found))), height=3.4)
@@ -60,8 +58,8 @@ def one_leg_figure(groups: Groups, task: Task) -> Figure:
         first, size = group.results[0].trace, _box_size(group, task)
         _outline(axes, first, 0, _TRUNK, "trunk", color=MUTED, linewidth=0.9, linestyle=":")
         _outline(axes, first, 0, size, "box", color=MUTED, linewidth=0.9, linestyle=":")
-        goal = {"box_x": task.path.goal[:1], "box_y": task.path.goal[1:], "box_yaw": np.array([task.box.yaw])}
-        _outline(axes, goal, 0, size, "box", color=TRUTH, linewidth=1.6, linestyle="--")
+        goal = outline(task.floor.path[-1], task.floor.goal_yaw, (size[0], size[1]))
+        axes.plot(*goal, color=TRUTH, linewidth=1.6, linestyle="--")
         for number, result in enumerate(group.results):
             faint = {"alpha": 0.9 if number == 0 else 0.35, "linewidth": 1.6 if number == 0 else 0.8}
             _outline(axes, result.trace, -1, size, "box", color=color, **faint)
@@ -75,9 +73,9 @@ def one_leg_figure(groups: Groups, task: Task) -> Figure:
     return figure
 
 
-def _box_size(group: Group, task: Task) -> FloatArray:
-    """Depth and width of the box [m], shape (2,): the task's, or the one that the setting tells."""
-    return np.array(dict(group.setting).get("boxes.box", task.box.size)[:2])
+def _box_size(group: Group, task: StudyTask) -> FloatArray:
+    """Depth and width of the box [m], shape (2,): those of the task, or those of the setting."""
+    return np.array(dict(group.setting).get("boxes.box", task.floor.footprint)[:2])
 
 
 def _outline(
