@@ -48,7 +48,6 @@ def test_noise_of_twice_the_declared_sd_doubles_the_sd() -> None:
 
 def test_with_few_clips_the_declared_noise_counts_for_more_than_their_scatter() -> None:
     few = posterior(np.zeros(2), linear(3, noise=0.0), np.ones(3), np.eye(2))
-    assert few.covariance == pytest.approx(few.hessian @ np.zeros((2, 2)) + few.covariance)
     white = np.linalg.inv(few.hessian)
     assert (few.sd > 0.8 * np.sqrt(np.diag(white))).all(), "no scatter is no proof of no noise"
     many = posterior(np.zeros(2), linear(1000, noise=0.0), np.ones(1000), np.eye(2))

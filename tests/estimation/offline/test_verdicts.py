@@ -130,7 +130,7 @@ def test_details_of_contact_that_would_move_the_estimate(relative: float, verdic
     assert result.verdict == verdict
     told = any("softer contacts would move it by" in reason for reason in result.reasons)
     assert told == (abs(relative) > 0.05)
-    wide = mass(evidence(0.3, shifts={"softer contacts": shift}))
+    wide = mass(evidence(0.5, shifts={"softer contacts": shift}))
     assert wide.verdict == "weak" and len(wide.reasons) == 1, "such a shift is within 3 sd"
 
 
