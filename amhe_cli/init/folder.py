@@ -138,9 +138,9 @@ def _refuse_nothing(
         raise ConfigError(_needs_fields(model, own))
     entries = sorted({entry for topic in topics for entry in topic.entries})
     raise ConfigError(
-        "nothing in the log is a part of this model: the model has the joints "
+        "nothing in the log matches this model: the model has the joints "
         f"{', '.join(single_joints(model)) or '(none)'}; the log names {', '.join(entries) or '(nothing)'}; "
-        "rename the model's joints or bodies as the log does"
+        "rename the model's joints or bodies to the names in the log"
     )
 
 

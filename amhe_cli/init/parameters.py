@@ -65,8 +65,8 @@ def _joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[
             dofs = [int(model.joint(joint).dofadr[0]) for joint in group]
             values = np.array(getattr(model, field)[dofs])
             unknown = not np.all(values > 0.0)
-            # of the right size, no more: damping that stops a motion in a second, friction worth 1 rad/s^2, a
-            # tenth of the inertia in the rotor
+            # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,
+            # a tenth of the inertia in the rotor
             scale = 0.1 if kind == "armature" else 1.0
             nominal = float(scale * np.median(model.dof_M0[dofs]) if unknown else np.median(values))
             targets = [{"joint": joint, "set": kind} for joint in group]
@@ -85,9 +85,11 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
     for body in dict.fromkeys(name for name in bodies if name):
         mass = float(model.body(body).mass[0])
         if mass > 0.0:
-            free = "; motion without a known force cannot tell it" if body in free_bodies(model) else ""
+            free = "; free motion does not depend on it" if body in free_bodies(model) else ""
             entry = _entry(mass, False, [{"body": body, "set": "mass"}], 0.3)
-            yield Guess(f"{body}_mass", entry, f"of body {body}, inertia carried along{free}; from the model")
+            yield Guess(
+                f"{body}_mass", entry, f"of body {body}, its inertia scales with it{free}; from the model"
+            )
 
 
 def _carried(model: mujoco.MjModel, link: int) -> int:
@@ -133,7 +135,7 @@ def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Gues
     if fixed and moving and all(names):
         nominal = float(np.median(model.geom_friction[colliding, 0]))
         targets = [{"body": name, "set": "sliding_friction"} for name in names]
-        why = "of every contact: MuJoCo takes the larger friction of both geoms, so both are set"
+        why = "friction of every contact: MuJoCo takes the larger one of both geoms, so both are set"
         yield Guess("friction", _entry(nominal, False, targets), why)
 
 
@@ -143,8 +145,8 @@ def _gain(actuators: Sequence[str]) -> list[Guess]:
     targets = [{"actuator": name, "set": "gain", "mode": "scale"} for name in actuators]
     entry = _entry(1.0, False, targets, GAIN_SD) | {"unit": "-"}
     why = (
-        "of all actuators: the scale that every mass and torque is measured by, and known only as well as "
-        "its prior; delete it if the gains were measured"
+        "factor on all actuator gains: masses and torques are relative to it, and position control does not "
+        "determine it; delete it if the gains were measured"
     )
     return [Guess("gain_scale", entry, why)]
 
@@ -178,7 +180,7 @@ def _delay() -> Iterator[Guess]:
         "prior_sd": _DELAY_SD,
         "targets": [{"set": "command_delay"}],
     }
-    why = "seconds by which every command acts later; a guess: real servos have 5 to 20 ms"
+    why = "delay of every command [s]; a guess: real servos have 5 to 20 ms"
     yield Guess("command_delay", entry, why)
 
 

@@ -189,7 +189,7 @@ def _commands(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]
             why = f"{topic.name} has as many numbers as there are actuators, taken in the model's order"
         elif topic.type.endswith(("/JointState", "/JointTrajectory")):
             names = matched(left, topic.entries)
-            why = f"{topic.name} is taken for commands because of its name or type; its {quantity} is used"
+            why = f"{topic.name} holds commands, judging by its name or type; its {quantity} is used"
         else:
             continue
         if names:
@@ -233,7 +233,7 @@ def _pose_guess(
     entry = {"topic": topic.name, "type": topic.type, kind: body}
     if frame:
         entry["child_frame"] = frame
-    why = f"{topic.name} is {'named like' if named else 'the only pose, and taken for that of'} body {body}"
+    why = f"{topic.name} is {'named like' if named else 'the only pose, so probably that of'} body {body}"
     if kind == "mocap":
         return Guess(body, entry, why)
     noise: dict[str, float | None] = {key: NOISE[key] for key in ("position", "orientation")}
@@ -256,7 +256,7 @@ def _imus(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
                 k: NOISE[k] for k in ("angular_velocity", "linear_acceleration")
             }
             entry = {"topic": topic.name, "type": topic.type, "site": alike[0]}
-            yield Guess("imu", entry, f"{topic.name} is taken for the IMU at site {alike[0]}", noise)
+            yield Guess("imu", entry, f"{topic.name} is probably the IMU at site {alike[0]}", noise)
 
 
 def _plain_names(names: dict[str, str]) -> Iterable[str]:
