@@ -18,7 +18,7 @@ from amhe_cli.robots.go1.model import Box, plant_model
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.state import Body, State
 from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
-from amhe_cli.robots.go1.state_estimator.kalman import Track, Turn
+from amhe_cli.robots.go1.state_estimator.kalman import Turn, ValueFilter
 from amhe_cli.robots.go1.state_estimator.sensing import trunk_velocities
 
 CYCLE = 0.02
@@ -144,28 +144,28 @@ def test_what_rests_is_at_rest_from_the_first_cycle_on() -> None:
             assert np.abs(box.rate).max() < 0.2
 
 
-def test_a_track_is_the_kalman_filter_of_the_textbook() -> None:
+def test_a_value_filter_is_the_kalman_filter_of_the_textbook() -> None:
     """Against matrices: constant velocity, white acceleration, position and velocity measured."""
-    track = Track(0.0, np.array([1.0]), np.array([-1.0]), 0.5, 2.0, drive=0.7, walk=0.3)
+    filtered = ValueFilter(0.0, np.array([1.0]), np.array([-1.0]), 0.5, 2.0, drive=0.7, walk=0.3)
     x, P = np.array([1.0, -1.0]), np.diag([0.5, 2.0])
     for time, row, z, sd in ((0.1, [1, 0], 1.3, 0.2), (0.15, [0, 1], 0.4, 0.1), (0.4, [1, -0.05], 1.1, 0.3)):
-        dt, H = time - track.time, np.array(row, dtype=float)
+        dt, H = time - filtered.time, np.array(row, dtype=float)
         F = np.array([[1.0, dt], [0.0, 1.0]])
         Q = 0.49 * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]]) + np.diag([0.09 * dt, 0.0])
         x, P = F @ x, F @ P @ F.T + Q
         gain = P @ H / (H @ P @ H + sd**2)
         x, P = x + gain * (z - H @ x), P - np.outer(gain, H @ P)
-        track.advance(time)
+        filtered.advance(time)
         if row[0]:
-            track.see_value(np.array([z]), sd, time + row[1])
+            filtered.see_value(np.array([z]), sd, time + row[1])
         else:
-            track.see_rate(np.array([z]), sd)
-        np.testing.assert_allclose([track.value[0], track.rate[0]], x)
-        np.testing.assert_allclose([track.vv, track.vr, track.rr], [P[0, 0], P[0, 1], P[1, 1]])
+            filtered.see_rate(np.array([z]), sd)
+        np.testing.assert_allclose([filtered.value[0], filtered.rate[0]], x)
+        np.testing.assert_allclose([filtered.vv, filtered.vr, filtered.rr], [P[0, 0], P[0, 1], P[1, 1]])
 
 
 def test_a_turn_agrees_with_the_rotations_of_core() -> None:
-    turn = Turn(TRUNK.orientation, Track(0.0, np.zeros(3), BOX.rate, 1.0, 1.0, 1.0))
+    turn = Turn(TRUNK.orientation, ValueFilter(0.0, np.zeros(3), BOX.rate, 1.0, 1.0, 1.0))
     np.testing.assert_allclose(turn.matrix() @ BOX.velocity, rotations.rotate(turn.orientation, BOX.velocity))
     turn.advance(0.5, TRUNK.rate)
     expected = rotations.multiply(TRUNK.orientation, rotations.exp(0.5 * BOX.rate + TRUNK.rate))

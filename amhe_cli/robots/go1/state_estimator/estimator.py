@@ -19,7 +19,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.state import Body, State
-from amhe_cli.robots.go1.state_estimator.kalman import Track, Turn
+from amhe_cli.robots.go1.state_estimator.kalman import Turn, ValueFilter
 from amhe_cli.robots.go1.state_estimator.sensing import Feet, Gyro, Pose, SensorSamples, feet, poses
 
 #: Poses that come later than this are left out; joints are not extrapolated any further than that [s].
@@ -71,7 +71,7 @@ class EstimatorNoise:
 class _Filters(NamedTuple):
     """Of trunk or box."""
 
-    place: Track
+    place: ValueFilter
     turn: Turn
 
 
@@ -89,8 +89,8 @@ class StateEstimator:
         self._standing, self._noise = standing, noise
         self._trunk: _Filters | None = None
         self._box: _Filters | None = None
-        self._joints: Track | None = None
-        self._gyro: Track | None = None
+        self._joints: ValueFilter | None = None
+        self._gyro: ValueFilter | None = None
         self._spins = np.empty((0, 4))
 
     @property
@@ -133,10 +133,10 @@ class StateEstimator:
         noise = self._noise
         for time, joints, rates, spin in samples.rows():
             if self._joints is None or self._gyro is None:
-                self._joints = Track(
+                self._joints = ValueFilter(
                     time, joints, rates, noise.joint**2, noise.joint_rate**2, noise.joint_drive
                 )
-                self._gyro = Track(
+                self._gyro = ValueFilter(
                     time, spin, np.zeros(3), noise.gyro**2, _FIRST_SPIN_UP**2, noise.trunk_jerk
                 )
                 continue
@@ -188,11 +188,11 @@ class StateEstimator:
     def _started(self, pose: Pose, drive: float, turning: tuple[float, float, float]) -> _Filters:
         """At a pose, at rest; `turning`: first sd of the rate of turning, its drive, and the angle's walk."""
         noise, at_rest, (sd, turn_drive, walk) = self._noise, np.zeros(3), turning
-        place = Track(pose.time, pose.position, at_rest, noise.position**2, _FIRST_SPEED**2, drive)
-        error = Track(pose.time, at_rest, at_rest, noise.orientation**2, sd**2, turn_drive, walk)
+        place = ValueFilter(pose.time, pose.position, at_rest, noise.position**2, _FIRST_SPEED**2, drive)
+        error = ValueFilter(pose.time, at_rest, at_rest, noise.orientation**2, sd**2, turn_drive, walk)
         return _Filters(place, Turn(pose.orientation, error))
 
-    def _see_feet(self, place: Track, block: Feet, to_world: FloatArray) -> None:
+    def _see_feet(self, place: ValueFilter, block: Feet, to_world: FloatArray) -> None:
         """Correct the trunk's velocity by those feet that rest as the prediction says."""
         noise, velocities = self._noise, block.velocities @ to_world.T
         limit = noise.gate**2 * (place.rr + noise.foot**2)

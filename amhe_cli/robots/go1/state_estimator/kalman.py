@@ -19,7 +19,7 @@ from amhe_cli.core.arrays import FloatArray
 
 
 @dataclass(slots=True)
-class Track:
+class ValueFilter:
     """Values and their rates; changes in place.
 
     Args:
@@ -92,7 +92,7 @@ class Turn:
     """
 
     orientation: FloatArray
-    error: Track
+    error: ValueFilter
 
     @property
     def time(self) -> float:

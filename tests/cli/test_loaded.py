@@ -1,0 +1,48 @@
+"""A command loads what it needs: another robot's code, or a link to a robot, is not in the way."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+LOG = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
+SCRIPT = """
+import sys
+from amhe_cli.cli.main import main
+try:
+    main()
+except SystemExit as end:
+    assert end.code == 0, end.code
+print(*(name for name in sys.modules if name.startswith("amhe_cli.")), file=sys.stderr)
+"""
+
+
+def loaded(*arguments: str) -> set[str]:
+    """Modules of the package that a command has loaded by its end."""
+    command = [sys.executable, "-c", SCRIPT, *arguments, "--threads", "1", "--json"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    return set(done.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("mhe-replay", str(LOG), "--to", "1"),
+        ("identify", str(LOG), "--set", "identify.iterations=1", "--set", "identify.bootstrap=5"),
+    ],
+)
+def test_a_pendulum_needs_no_robot_and_no_controller(command: tuple[str, ...], tmp_path: Path) -> None:
+    modules = loaded(*command, "--out", str(tmp_path / "out"))
+    assert "amhe_cli.report.words" in modules or "amhe_cli.report.page" in modules
+    foreign = ("amhe_cli.control", "amhe_cli.live", "amhe_cli.robots")
+    # the settings of every room are one class, for now
+    settings = {"amhe_cli.robots", "amhe_cli.robots.go1", "amhe_cli.robots.go1.settings"}
+    assert {name for name in modules if name.startswith(foreign)} <= settings
+
+
+def test_a_simulated_run_loads_neither_link_nor_poses(tmp_path: Path) -> None:
+    modules = loaded("run", "--task", "t1", "--duration", "0.04", "--out", str(tmp_path / "out"))
+    assert "amhe_cli.robots.go1.plant" in modules
+    wire = tuple(f"amhe_cli.robots.go1.{room}" for room in ("link", "poses", "emulator", "probing"))
+    assert not {name for name in modules if name.startswith(wire)}
