@@ -1,4 +1,4 @@
-"""Rollouts on CPU threads with `mujoco.batch.Batch`: one parameter vector per simulation, one model."""
+"""The engine on CPU threads: `mujoco.batch.Batch` runs all rollouts, each with its own parameters."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, Self
+from typing import Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -195,6 +195,6 @@ class Engine(Protocol):
         """
         ...
 
-    def upon(self, model: mujoco.MjModel) -> Self:
+    def upon(self, model: mujoco.MjModel) -> Engine:
         """The same engine, its threads and workers included, on another model of the same layout."""
         ...

@@ -39,7 +39,13 @@ def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> Fl
 
 
 def home(model: mujoco.MjModel, keyframe: int | None, input_spec: int) -> tuple[FloatArray, FloatArray]:
-    """State and inputs of everything that no signal gives: qpos (nq,) and the input vector (nu,)."""
+    """State and inputs of everything that no signal gives: qpos, shape (nq,), and inputs, shape (nu,).
+
+    Args:
+        model: The model.
+        keyframe: Number of the keyframe that holds them; None: the model's own default.
+        input_spec: mjtState bits of the input vector.
+    """
     data = mujoco.MjData(model)
     if keyframe is not None:
         mujoco.mj_resetDataKeyframe(model, data, keyframe)

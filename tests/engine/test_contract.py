@@ -16,6 +16,7 @@ import pytest
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Starts, Wanted
 from amhe_cli.system.system import System
+from tests.conftest import MODELS
 
 #: How every engine is opened; `spread` gives it two worker processes. A new engine is one more line.
 ENGINES: dict[str, dict[str, Any]] = {
@@ -105,7 +106,7 @@ def test_row_k_is_the_state_after_input_k(opened: Open) -> None:
 
 
 def test_sensors_describe_the_same_instant_as_the_state(opened: Open) -> None:
-    spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))
+    spec = mujoco.MjSpec.from_file(str(MODELS / "pendulum" / "scene.xml"))
     spec.add_sensor(
         name="q", type=mujoco.mjtSensor.mjSENS_JOINTPOS, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname="hinge"
     )
@@ -202,7 +203,7 @@ def test_a_fraction_of_a_step_of_command_delay_is_interpolated(opened: Open, tmp
     (tmp_path / "system.yaml").write_text(DELAYED)
     system, dt = System.load(tmp_path), 0.01
     history, horizon, slope, delays = 6, 20, 0.3, np.array([0.0, 1.0, 1.5, 3.75])
-    ramp = slope * np.arange(-history, horizon)
+    ramp = slope * np.arange(-history, horizon, dtype=np.float64)
     starts = Starts(
         qpos=np.zeros((1, 2)),
         qvel=np.zeros((1, 2)),
