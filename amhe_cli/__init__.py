@@ -1,3 +1,45 @@
-"""amhe: physical parameters with honest uncertainty, from robot logs."""
+"""amhe: physical parameters with honest uncertainty, from robot logs.
+
+`import amhe_cli as amhe` gives the names below (docs/api.md). They are loaded on first use, so that
+the command line starts at once.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from amhe_cli.api.identify import Result, identify
+    from amhe_cli.core.errors import AmheError
+    from amhe_cli.core.log import Log
+    from amhe_cli.core.parameters import Belief
+    from amhe_cli.logs.read import read_log
+    from amhe_cli.system.system import System
 
 __version__ = "0.1.0"
+
+#: Public name -> the module that defines it.
+_HOMES = {
+    "AmheError": "amhe_cli.core.errors",
+    "Belief": "amhe_cli.core.parameters",
+    "Log": "amhe_cli.core.log",
+    "Result": "amhe_cli.api.identify",
+    "System": "amhe_cli.system.system",
+    "identify": "amhe_cli.api.identify",
+    "read_log": "amhe_cli.logs.read",
+}
+
+__all__ = ["AmheError", "Belief", "Log", "Result", "System", "__version__", "identify", "read_log"]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

@@ -20,13 +20,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from amhe_cli.assembly import LogSource
+from amhe_cli.cli.settings import parse_set
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.rollout import Engine, Rollouts
-from amhe_cli.estimation.online.replay import ReplayProblem, replay
-from amhe_cli.replay_assembly import open_replay
+from amhe_cli.estimation.online.replay import ReplayProblem, open_replay, replay
+from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.system.system import System
 
 PROJECT = Path(__file__).resolve().parent.parent
 #: What is compared: name, settings.
@@ -97,8 +98,8 @@ def _log(folder: Path, task: str, seed: int) -> Path:
 
 def _replayed(log: Path, settings: tuple[str, ...]) -> tuple[FloatArray, FloatArray, float, float, float]:
     """Relative errors (n, 3), whether intervals held (n, 3), rollouts, CPU time [ms], that over bare."""
-    source = LogSource((log,), {}, None, None, None)
-    problem = open_replay(source, None, None, 0, 1, settings, None)
+    system = System.load("go1_push", parse_set(settings))
+    problem = open_replay(system, read_log(log, system))
     watch = Stopwatch(problem.engine)
     begun = time.process_time()
     estimates = list(replay(problem.estimator, problem.windows, problem.begun))

@@ -19,7 +19,7 @@ from rich.table import Table
 
 from amhe_cli.core.statistics import Z90
 from amhe_cli.study.estimates import BEGUN, SETTLED, change_of, deviations
-from amhe_cli.study.results import Result
+from amhe_cli.study.results import CellResult
 from amhe_cli.study.store import open_store
 
 STUDY = Path(__file__).resolve().parent.parent / "docs" / "results" / "main"
@@ -48,7 +48,7 @@ def main() -> None:
     Console(width=110).print(table)
 
 
-def _phases(results: list[Result]):
+def _phases(results: list[CellResult]):
     """Task, phase, errors of the logarithms of mass and friction over all seeds, and their sd, (m, 2)."""
     found: dict[tuple[str, str], list[tuple[np.ndarray, np.ndarray]]] = {}
     for result in results:
@@ -59,7 +59,7 @@ def _phases(results: list[Result]):
         yield task, when, np.concatenate([off for off, _ in rows]), np.concatenate([sd for _, sd in rows])
 
 
-def _parts(result: Result):
+def _parts(result: CellResult):
     time, change = result.trace["time"], change_of(result)
     off, sd = deviations(result)
     end = np.inf if change is None else change

@@ -20,7 +20,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from common import RESULTS
 
-from amhe_cli.assembly import LogSource, identify_problem
+from amhe_cli.api.identify import identify
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief_file import belief_text
 from amhe_cli.core.files import plain
@@ -29,7 +29,6 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import accuracy
 from amhe_cli.estimation.design.information import clips_of, information_at
 from amhe_cli.estimation.design.probe import ProbeOptions, achieved
-from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.probing.motions import STEADY, Motion, named_motion
 from amhe_cli.robots.go1.probing.probe import PushProbe
@@ -124,12 +123,11 @@ def at_the_truth(system: System, log: Path, options: ProbeOptions) -> FloatArray
 
 def identified(log: Path, belief: Path, seed: int, threads: int) -> dict[str, object]:
     """Estimate, 90 % interval and covariance of log(parameters)."""
-    problem = identify_problem(LogSource((log,), {}, None, None, None), [], None, [], None, belief)
-    options = IdentifyOptions(seed=seed, threads=threads, prior=problem.prior)
-    result = identify(problem.system, problem.training, None, options)
+    system = System.load("go1_push")
+    result = identify(system, read_log(log, system), prior=belief, seed=seed, threads=threads)
     rows = {
         p.name: {"estimate": p.estimate, "sd": p.sd, "lower": p.lower, "upper": p.upper}
-        for p in result.parameters
+        for p in result.parameters.values()
     }
     return {"parameters": rows, "covariance": result.belief.covariance}
 

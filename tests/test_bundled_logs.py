@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from amhe_cli.assembly import LogSource, open_system, system_of, trajectories
+from amhe_cli.cli.inputs import Inputs
 from amhe_cli.system.load import bundled_root
 
 LOGS = {"pendulum": "pendulum", "t1": "go1_push", "t4": "go1_push"}
@@ -14,9 +14,10 @@ LOGS = {"pendulum": "pendulum", "t1": "go1_push", "t4": "go1_push"}
 def test_a_bundled_log_is_read_by_its_system_without_options(name: str, system: str) -> None:
     path = bundled_root() / "examples" / "logs" / f"{name}.mcap"
     assert path.stat().st_size < 2**20
-    assert system_of([path]) == system
-    source = LogSource((path,), {}, None, None, None)
-    (log,) = trajectories(open_system(None, source), source)
+    inputs = Inputs(None, {}, None, None, None)
+    opened = inputs.open([path])
+    assert opened.name == system
+    (log,) = inputs.read(opened, [path])
     assert log.duration > 5.0
     assert all(series.valid.mean() > 0.99 for series in log.series.values())
     assert ("truth" in log.metadata) == (name != "t4")  # the floor of t4 changes on the way

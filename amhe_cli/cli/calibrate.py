@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -33,10 +31,8 @@ def calibrate(
     task: str,
     seconds: float,
     yes: bool,
-    assignments: tuple[str, ...],
-    config: Path | None,
-    out: Path | None,
-    force: bool,
+    settings: dict[str, Any],
+    out: options.Output,
     **wire: Any,
 ) -> None:
     """Find go1.trunk_offset and go1.box_offset from robot and box that you put where it says.
@@ -46,17 +42,16 @@ def calibrate(
     """
     import json
 
-    from amhe_cli.report.folder import filling, reserve
+    from amhe_cli.report.folder import filling
     from amhe_cli.robots.go1.link.open import open_calibration
     from amhe_cli.robots.go1.run import RunOptions
-    from amhe_cli.system.overrides import gathered
 
     session.hush_mujoco()
     reached = at_the_robot.wire_of("go1", wire)
     assert reached is not None
-    asked = RunOptions(task, target="go1", settings=gathered(config, os.environ, assignments))
+    asked = RunOptions(task, target="go1", settings=settings)
     calibration = open_calibration(asked, reached)
-    folder = reserve(out, "calibrate", force)
+    folder = out.reserve("calibrate")
     with calibration:
         found = calibration.offsets(_asking(session, yes), seconds)
     text = _settings(found)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from math import isfinite
-from pathlib import Path
+from typing import Any
 
 import click
 
@@ -97,8 +96,7 @@ def emulate(
     seed: int,
     trunk_offset: tuple[float, ...] | None,
     box_offset: tuple[float, ...] | None,
-    assignments: tuple[str, ...],
-    config: Path | None,
+    settings: dict[str, Any],
 ) -> None:
     """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
 
@@ -113,10 +111,9 @@ def emulate(
     from amhe_cli.robots.go1.link.child import ROBOT, take_priority
     from amhe_cli.robots.go1.poses import natnet, udp
     from amhe_cli.robots.go1.run import RunOptions, task_and_system
-    from amhe_cli.system.overrides import gathered
 
     session.hush_mujoco()
-    asked = RunOptions(task, target="go1", settings=gathered(config, os.environ, assignments))
+    asked = RunOptions(task, target="go1", settings=settings)
     measured, system = task_and_system(asked)
     s = system.settings.go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -106,10 +105,8 @@ def evaluate(
     cluster: str | None,
     resume: bool,
     report: Path | None,
-    assignments: tuple[str, ...],
-    config: Path | None,
-    out: Path | None,
-    force: bool,
+    settings: dict[str, Any],
+    out: options.Output,
 ) -> None:
     """Run tasks in modes over seeds, and make the paper's tables and figures of what came out.
 
@@ -119,7 +116,6 @@ def evaluate(
     """
     from amhe_cli.cli.stopping import stopping
     from amhe_cli.core.executors import pool_of
-    from amhe_cli.report.folder import reserve
     from amhe_cli.study.conduct import conduct
     from amhe_cli.study.plan import EvalOptions, planned, study_of
     from amhe_cli.study.run import run_cell
@@ -129,18 +125,16 @@ def evaluate(
     if report:
         _tell(session, open_store(report), 0)
         return
-    if resume and out is None:
+    if resume and out.folder is None:
         raise click.UsageError("--resume goes on in a folder: name it with -o OUT")
     from amhe_cli.cli.eval_progress import eval_progress
     from amhe_cli.robots.go1.tasks import LONGEST
-    from amhe_cli.system.overrides import gathered
 
     longest = LONGEST if duration is None else duration
-    settings = gathered(config, os.environ, assignments)
     wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, settings)
     study = study_of(wanted, session.command_line, now(), machine())
     cells = planned(wanted, study)
-    store = start(out or reserve(None, "eval", force), study, resume, force, cells)
+    store = start(out.folder or out.reserve("eval"), study, resume, out.force, cells)
     missing = store.missing(cells)
     if len(missing) < len(cells):
         session.say("", f"{len(cells) - len(missing)} of {len(cells)} cells are done already")

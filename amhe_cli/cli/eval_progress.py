@@ -13,10 +13,10 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from amhe_cli.study.results import Result
+    from amhe_cli.study.results import CellResult
 
 #: Called with each result.
-OnResult: TypeAlias = "Callable[[Result], None]"
+OnResult: TypeAlias = "Callable[[CellResult], None]"
 
 
 @contextmanager
@@ -51,11 +51,11 @@ def _live(console: Console, total: int) -> Iterator[OnResult]:
         TimeElapsedColumn(),
     )
     bars, clock = Progress(*columns, console=console), _Clock(total)
-    done: list[Result] = []
+    done: list[CellResult] = []
     task = bars.add_task("", total=total, left="")
     with Live(Group(bars, _means(done)), console=console, transient=True) as live:
 
-        def show(result: Result) -> None:
+        def show(result: CellResult) -> None:
             done.append(result)
             bars.update(task, completed=len(done), left=clock.left(len(done)))
             live.update(Group(bars, _means(done)))
@@ -66,7 +66,7 @@ def _live(console: Console, total: int) -> Iterator[OnResult]:
 def _lines(session: Session, total: int) -> OnResult:
     done, clock = 0, _Clock(total)
 
-    def show(result: Result) -> None:
+    def show(result: CellResult) -> None:
         nonlocal done
         done += 1
         session.say("", f"{done}/{total}: {result.cell.title}: {_outcome(result)}; {clock.left(done)}")
@@ -90,14 +90,14 @@ class _Clock:
         )
 
 
-def _outcome(result: Result) -> str:
+def _outcome(result: CellResult) -> str:
     if result.reason is not None:
         return f"failed: {result.reason}"
     word = "success" if result.measure("success") else "fell" if result.measure("fell") else "no success"
     return f"{word}, {result.measure('goal_error_m'):.3f} m from the goal, {result.measure('time_s'):.1f} s"
 
 
-def _means(done: list[Result]) -> Table:
+def _means(done: list[CellResult]) -> Table:
     """Running means of what came in this session."""
     import numpy as np
     from rich import box
@@ -106,7 +106,7 @@ def _means(done: list[Result]) -> Table:
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
     for name in ("task", "mode", "n", "success", "e_g m", "RMSE m/s", "t_exec s"):
         table.add_column(name, justify="left" if name in ("task", "mode") else "right")
-    groups: dict[tuple[str, str], list[Result]] = {}
+    groups: dict[tuple[str, str], list[CellResult]] = {}
     for result in done:
         if result.reason is None:
             groups.setdefault((result.cell.task, result.cell.mode), []).append(result)

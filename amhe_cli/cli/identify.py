@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.cli.progress import Shown
+    from amhe_cli.estimation.offline.result import Iteration
 
 
 @click.command(cls=options.Command, short_help="Logs to parameters with honest uncertainty.")
@@ -55,11 +62,7 @@ from amhe_cli.cli.session import Session
 def identify(
     session: Session,
     logs: tuple[Path, ...],
-    system: str | None,
-    topics: dict[str, str],
-    msg_path: Path | None,
-    start: float | None,
-    end: float | None,
+    inputs: Inputs,
     held_out: tuple[Path, ...],
     belief: Path | None,
     method: str,
@@ -69,41 +72,56 @@ def identify(
     threads: int,
     workers: int | None,
     cluster: str | None,
-    assignments: tuple[str, ...],
-    config: Path | None,
-    out: Path | None,
-    force: bool,
+    settings: dict[str, Any],
+    out: options.Output,
 ) -> None:
     """Find the parameters that make the simulation follow LOG...
 
     A LOG is an MCAP file, a rosbag2 folder or a ROS 1 bag. Writes belief.yaml, identified.xml,
     result.json and report.html.
     """
-    from amhe_cli.assembly import LogSource, identify_problem
+    from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress
     from amhe_cli.core.executors import executor_of
-    from amhe_cli.estimation.offline.identification import IdentifyOptions
-    from amhe_cli.estimation.offline.identification import identify as run
-    from amhe_cli.report.folder import reserve
-    from amhe_cli.report.identification import (
-        identification_record,
-        print_identification,
-        write_identification,
-    )
-    from amhe_cli.system.provenance import provenance
+    from amhe_cli.core.parameters import Belief
+    from amhe_cli.logs import read_log
+    from amhe_cli.logs.truth import told_truth
+    from amhe_cli.report.identification import print_identification
 
     session.hush_mujoco()
-    folder = reserve(out, "identify", force)
-    source = LogSource(logs, topics, msg_path, start, end)
-    problem = identify_problem(source, held_out, system, assignments, config, belief)
-    with progress(session) as on_iteration, executor_of(workers, cluster) as executor:
-        search = IdentifyOptions(method, seed, threads, max_time, checkpoint, problem.prior, executor)
-        result = run(problem.system, problem.training, problem.held_out, search, on_iteration)
-    session.interrupted = result.interrupted
-    origin = provenance(session.command_line, seed, result.method, problem.system, logs, held_out)
-    record = session.record(**identification_record(result, problem.truth), seed=seed, out=str(folder))
-    write_identification(folder, problem.system, result, record, origin)
+    folder = out.reserve("identify")
+    _check_apart(logs, held_out)
+    opened = inputs.open(logs, settings)
+    prior = Belief.load(belief, opened) if belief else None
+    training = inputs.read(opened, logs)
+    validation = read_log(held_out, opened, msg_path=inputs.msg_path)
+    with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
+        result = run(
+            opened, training, held_out=validation, prior=prior, method=method, seed=seed, threads=threads,
+            max_time=max_time, checkpoint=checkpoint, executor=executor,
+            progress=lambda iteration, total: show((iteration, total)),
+        )  # fmt: skip
+    session.interrupted = result.found.interrupted
+    record = session.record(**result.record(), out=str(folder))
+    result.write(folder, record, session.command_line, logs, held_out)
     if session.json:
         session.print_json(record)
     else:
-        print_identification(result, folder, session.console(), problem.truth)
+        print_identification(result.found, folder, session.console(), told_truth(training))
+
+
+def _check_apart(logs: Sequence[Path], held_out: Sequence[Path]) -> None:
+    """Refuse a log that is both fitted and held out, before any is read."""
+    from amhe_cli.core.errors import ConfigError
+
+    fitted = {path.resolve() for path in logs}
+    for path in held_out:
+        if path.resolve() in fitted:
+            raise ConfigError(f"{path}: is both fitted and held out; validation needs a log of its own")
+
+
+def _shown(item: tuple[Iteration, int]) -> Shown:
+    """'linearised 3/16: cost 1.04, sigma 0.12'."""
+    iteration, total = item
+    state = f"cost {iteration.cost:.4g}, sigma {iteration.sigma:.2g}"
+    return f"{iteration.method} {iteration.number}/{total}: {state}", iteration.number, total

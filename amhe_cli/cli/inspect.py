@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.logs import Inspection
 
 
 @click.command(cls=options.Command, short_help="What is in a log, and what a system lacks in it.")
@@ -18,24 +23,32 @@ from amhe_cli.cli.session import Session
 def inspect(
     session: Session,
     logs: tuple[Path, ...],
-    system: str | None,
-    topics: dict[str, str],
-    msg_path: Path | None,
-    start: float | None,
-    end: float | None,
+    inputs: Inputs,
 ) -> None:
     """List what is in LOG...: topics, types, rates, gaps, clocks, problems.
 
     With a system, named by --system or by the log itself, also what it needs and what is missing.
     """
-    from amhe_cli.assembly import LogSource, inspections
     from amhe_cli.report.inspection import inspection_record, losses, print_inspection
 
     session.hush_mujoco()
-    found = inspections(LogSource(logs, topics, msg_path, start, end), system)
+    found = [_inspection(path, inputs) for path in logs]
     session.warnings += [text for one in found for text in losses(one)]
     if session.json:
         session.print_json(session.record(logs=[inspection_record(one) for one in found]))
         return
     for one in found:
         print_inspection(one, session.console())
+
+
+def _inspection(path: Path, inputs: Inputs) -> Inspection:
+    """Look through a log, and check it for the system that the user or the log names, if any."""
+    from amhe_cli.core.errors import ConfigError
+    from amhe_cli.logs import inspect_log, read_metadata
+
+    if inputs.system or read_metadata(path).get("system"):
+        system = inputs.open([path])
+        return inspect_log(path, system, start=inputs.start, end=inputs.end, msg_path=inputs.msg_path)
+    if inputs.topics or inputs.start is not None or inputs.end is not None:
+        raise ConfigError("--topic, --from and --to are about a system's signals: name it with --system")
+    return inspect_log(path, msg_path=inputs.msg_path)

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.cli.progress import Shown
+    from amhe_cli.estimation.online.horizon import Estimate
+    from amhe_cli.estimation.online.replay import ReplayProblem
+
+#: Parameters that a line has room for.
+_SHOWN = 4
 
 
 @click.command("mhe-replay", cls=options.Command, short_help="A log to parameters over time, as if live.")
@@ -29,18 +40,12 @@ from amhe_cli.cli.session import Session
 def mhe_replay(
     session: Session,
     log: Path | None,
-    system: str | None,
-    topics: dict[str, str],
-    msg_path: Path | None,
-    start: float | None,
-    end: float | None,
+    inputs: Inputs,
     belief: Path | None,
     seed: int,
     threads: int,
-    assignments: tuple[str, ...],
-    config: Path | None,
-    out: Path | None,
-    force: bool,
+    settings: dict[str, Any],
+    out: options.Output,
 ) -> None:
     """Estimate parameters over the time of LOG, with the newest window at each update.
 
@@ -48,32 +53,40 @@ def mhe_replay(
     onto another floor. Writes estimates.mcap, estimates.csv, result.json and report.html. With a longer
     --window, updates are further apart in proportion, unless their period is given, too.
     """
-    from amhe_cli.assembly import LogSource
-    from amhe_cli.cli.replay_progress import replay_progress
+    from amhe_cli.cli.inputs import bundled_log
+    from amhe_cli.cli.progress import progress
     from amhe_cli.cli.stopping import stopping
+    from amhe_cli.core.parameters import Belief
     from amhe_cli.estimation.online.predictions import predictions, replay_fits
-    from amhe_cli.estimation.online.replay import caution, replayed
-    from amhe_cli.replay_assembly import bundled_log, open_replay
-    from amhe_cli.report.folder import reserve
+    from amhe_cli.estimation.online.replay import caution, open_replay, paced, replayed
     from amhe_cli.report.replay import print_replay, write_replay
     from amhe_cli.report.replay_files import replay_record
     from amhe_cli.system.provenance import estimator_provenance
+    from amhe_cli.system.system import System
 
     session.hush_mujoco()
-    folder = reserve(out, "mhe-replay", force)
+    folder = out.reserve("mhe-replay")
     path = log or bundled_log()
-    source = LogSource((path,), topics, msg_path, start, end)
-    problem = open_replay(source, system, belief, seed, threads, assignments, config)
+    opened = inputs.open([path], settings)
+    chosen = settings.get("mhe") or {}
+    follows = "window" in chosen and "update_period" not in chosen
+    if follows and opened.folder is not None:
+        opened = paced(opened, System.load(opened.folder, warn=False).settings.mhe)
+    known = Belief.load(belief, opened) if belief else None
+    (recorded,) = inputs.read(opened, [path])
+    problem = open_replay(
+        opened, recorded, belief=known, seed=seed, threads=threads, begun=inputs.start or 0.0, paced=follows
+    )
     with stopping(session) as stopped:
-        with replay_progress(session, len(problem.windows)) as show:
+        with progress(session, "mhe-replay", partial(_shown, problem)) as show:
             done = replayed(problem, show, stopped)
         caution(done)
         session.interrupted = done.interrupted
         predicted, fits = predictions(done, problem.engine), replay_fits(done, problem.engine)
         record = session.record(**replay_record(done), seed=seed, out=str(folder))
-        inputs = [path, *([belief] if belief else [])]
+        hashed = [path, *([belief] if belief else [])]
         method = done.system.settings.mhe.method
-        origin = estimator_provenance(session.command_line, seed, method, done.system, inputs)
+        origin = estimator_provenance(session.command_line, seed, method, done.system, hashed)
         write_replay(folder, done, predicted, fits, record, origin)
     if session.json:
         session.print_json(record)
@@ -84,3 +97,15 @@ def mhe_replay(
                 f"windows of {setting.window:g} s, updates every {setting.update_period:g} s"
             )
         print_replay(record, folder, session.console())
+
+
+def _shown(problem: ReplayProblem, estimate: Estimate) -> Shown:
+    """'5.9 s: box_mass 4.15 ± 0.24, floor_friction 0.459 ± 0.021; jump'."""
+    from amhe_cli.report.numbers import with_sd
+
+    rows = list(zip(estimate.belief.names, estimate.theta, estimate.sd, strict=True))
+    texts = [f"{name} {with_sd(float(value), float(sd))}" for name, value, sd in rows[:_SHOWN]]
+    more = ", ..." if len(rows) > _SHOWN else ""
+    ends = [problem.begun + window.stop * window.log.dt for window in problem.windows]
+    state = f"{estimate.time:.1f} s: {', '.join(texts)}{more}; {estimate.mark}"
+    return state, estimate.time - problem.begun, ends[-1] - problem.begun + 1e-9

@@ -13,14 +13,19 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from amhe_cli import __version__
 from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.cli.inputs import Inputs
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -110,6 +115,29 @@ def stacked(*decorators: Callable[[F], F]) -> Callable[[F], F]:
     return decorate
 
 
+def bundled(
+    name: str, make: Callable[..., Any], keys: Sequence[str], *decorators: Callable[[F], F]
+) -> Callable[[F], F]:
+    """Several options as one argument of the command.
+
+    Args:
+        name: Name of the argument.
+        make: Makes it of the options' values, which are given by name when the command begins.
+        keys: Names of the options' values.
+        decorators: The options.
+    """
+
+    def decorate(function: F) -> F:
+        @wraps(function)
+        def command(*args: Any, **values: Any) -> Any:
+            own = {key: values.pop(key) for key in keys}
+            return function(*args, **{name: make(**own)}, **values)
+
+        return stacked(*decorators)(command)  # type: ignore[arg-type]
+
+    return decorate
+
+
 common = stacked(
     _flag("--json", help="Print one JSON object on stdout, the content of result.json."),
     _flag("--strict", help="Exit with code 3 if there was any warning."),
@@ -156,7 +184,17 @@ msg_path = click.option(
     help="Folder of .msg files, for message types that the log does not define itself.",
 )
 
-where = stacked(
+
+def _inputs(**values: Any) -> Inputs:
+    from amhe_cli.cli.inputs import Inputs
+
+    return Inputs(**values)
+
+
+where = bundled(
+    "inputs",
+    _inputs,
+    ("system", "topics", "msg_path", "start", "end"),
     system,
     click.option(
         "--topic",
@@ -173,7 +211,17 @@ where = stacked(
     click.option("--to", "end", type=_SECONDS, metavar="S", help="End S seconds after the log's start."),
 )
 
-tuning = stacked(
+
+def _settings(assignments: Sequence[str], config: Path | None) -> dict[str, Any]:
+    from amhe_cli.cli.settings import gathered
+
+    return gathered(config, os.environ, assignments)
+
+
+tuning = bundled(
+    "settings",
+    _settings,
+    ("assignments", "config"),
     click.option(
         "--set",
         "assignments",
@@ -233,7 +281,30 @@ spread_if_asked = _spread(None, "none: threads of this one")
 
 force = click.option("--force", is_flag=True, help="Write into an existing OUT that is not empty.")
 
-out = stacked(
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """The options -o and --force.
+
+    Args:
+        folder: Folder to write to; None: a fresh one.
+        force: Write into a folder that is not empty.
+    """
+
+    folder: Path | None
+    force: bool
+
+    def reserve(self, command: str) -> Path:
+        """The folder to write to; it is refused before any work is done if it cannot be written."""
+        from amhe_cli.report.folder import reserve
+
+        return reserve(self.folder, command, self.force)
+
+
+out = bundled(
+    "out",
+    lambda out, force: Output(out, force),
+    ("out", "force"),
     click.option(
         "-o",
         "--out",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +11,7 @@ from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
+    from amhe_cli.cli.progress import Shown
     from amhe_cli.estimation.design.design import Accuracy
 
 #: The log that is written.
@@ -67,10 +66,8 @@ def probe(
     plan_only: bool,
     seed: int,
     threads: int,
-    assignments: tuple[str, ...],
-    config: Path | None,
-    out: Path | None,
-    force: bool,
+    settings: dict[str, Any],
+    out: options.Output,
     **wire: Any,
 ) -> None:
     """Find the motion that tells most about the parameters, say how well they will be known, and record it.
@@ -78,19 +75,18 @@ def probe(
     Writes plan.json, probe.mcap and result.json; the log goes into `amhe identify` as it is. On a real robot
     (--target go1: read docs/go1.md first) it is all planned before anything is sent.
     """
+    from amhe_cli.cli.progress import progress
     from amhe_cli.cli.stopping import stopping
     from amhe_cli.core.files import plain
     from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.probe import ProbeOptions, achieved
-    from amhe_cli.report.folder import filling, reserve
+    from amhe_cli.report.folder import filling
     from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.load import bundled_systems
-    from amhe_cli.system.overrides import gathered
     from amhe_cli.system.provenance import provenance
 
     session.hush_mujoco()
-    settings = gathered(config, os.environ, assignments)
     asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, settings)
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
@@ -99,8 +95,8 @@ def probe(
     if robot and wire["dry_run"]:
         return at_the_robot.dry_run(session, robot_to_probe(asked, robot))
     opened = open_probe(asked, robot)
-    folder = reserve(out, "probe", force)
-    say = _progress(session)
+    folder = out.reserve("probe")
+    say = click.get_current_context().with_resource(progress(session, "probe", _shown))
     plan = opened.design(say)
     inputs = [path for path in (belief, plant) if path]
     about = {
@@ -142,8 +138,5 @@ def _write(path: Path, record: object) -> None:
     path.write_text(json.dumps(record, indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
-def _progress(session: Session) -> Callable[[str], None]:
-    """Say how far it is on stderr, now and then."""
-    from amhe_cli.cli.progress import now_and_then
-
-    return (lambda text: None) if session.quiet else now_and_then(session, str)
+def _shown(text: str) -> Shown:
+    return text, 0.0, None

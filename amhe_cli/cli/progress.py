@@ -1,4 +1,4 @@
-"""How far an estimation is, on stderr: a live bar on a terminal, a line now and then elsewhere."""
+"""How far a command is, on stderr: a live bar on a terminal, a line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -12,86 +12,57 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from amhe_cli.estimation.offline.result import Iteration
-
-#: Called after each iteration with its record and the total expected.
-OnIteration: TypeAlias = "Callable[[Iteration, int], None]"
-
 T = TypeVar("T")
+#: What is shown of an item: its state in words, how much is done, and how much there is in all, if known.
+Shown: TypeAlias = tuple[str, float, float | None]
 
 #: Seconds between lines where stderr is no terminal.
 PLAIN_PERIOD = 5.0
 
 
 @contextmanager
-def progress(session: Session) -> Iterator[OnIteration]:
-    """Give a function that shows each iteration as the session wants it shown."""
+def progress(session: Session, title: str, shown: Callable[[T], Shown]) -> Iterator[Callable[[T], None]]:
+    """Give a function that shows each item as the session wants it shown.
+
+    Args:
+        session: The session of the command.
+        title: What stands before the bar.
+        shown: What is shown of an item.
+    """
     console = session.console(stderr=True)
     if session.quiet:
-        yield lambda iteration, total: None
+        yield lambda item: None
     elif console.is_terminal:
-        with _bar(console) as on_iteration:
-            yield on_iteration
+        with _bar(console, title, shown) as show:
+            yield show
     else:
-        yield _lines(session)
+        yield _lines(session, shown)
 
 
 @contextmanager
-def _bar(console: Console) -> Iterator[OnIteration]:
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+def _bar(console: Console, title: str, shown: Callable[[T], Shown]) -> Iterator[Callable[[T], None]]:
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[state]}"),
-        TimeElapsedColumn(),
-    )
+    text = TextColumn("{task.fields[state]}")
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), text, TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bars:
-        task = bars.add_task("starting", total=None, state="")
+        task = bars.add_task(title, total=None, state="")
 
-        def show(iteration: Iteration, total: int) -> None:
-            bars.update(
-                task,
-                description=iteration.method,
-                total=total,
-                completed=iteration.number,
-                state=_state(iteration),
-            )
+        def show(item: T) -> None:
+            state, done, total = shown(item)
+            bars.update(task, total=total, completed=done, state=state)
 
         yield show
 
 
-def _lines(session: Session) -> OnIteration:
-    last = float("-inf")
-
-    def show(iteration: Iteration, total: int) -> None:
-        nonlocal last
-        if time.monotonic() - last < PLAIN_PERIOD and iteration.number < total:
-            return
-        last = time.monotonic()
-        session.say("", f"{iteration.method} {iteration.number}/{total}: {_state(iteration)}")
-
-    return show
-
-
-def _state(iteration: Iteration) -> str:
-    return f"cost {iteration.cost:.4g}, sigma {iteration.sigma:.2g}"
-
-
-def now_and_then(session: Session, state: Callable[[T], str]) -> Callable[[T], None]:
-    """Say how far something is where stderr is no terminal, every PLAIN_PERIOD at most.
-
-    Args:
-        session: Whose stderr it is.
-        state: What is said of the newest item.
-    """
+def _lines(session: Session, shown: Callable[[T], Shown]) -> Callable[[T], None]:
     last = float("-inf")
 
     def show(item: T) -> None:
         nonlocal last
-        if time.monotonic() - last >= PLAIN_PERIOD:
+        state, done, total = shown(item)
+        if time.monotonic() - last >= PLAIN_PERIOD or (total is not None and done >= total > 0):
             last = time.monotonic()
-            session.say("", state(item))
+            session.say("", state)
 
     return show

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import os
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -14,11 +14,14 @@ from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.session import Session
 
+if TYPE_CHECKING:
+    from amhe_cli.cli.progress import Shown
+
 _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
     "t5: with one front leg; hw1, hw2: load and turf, as on hardware."
 )
-#: Those of run_assembly.py, which --help need not load.
+#: Those of robots/go1/run.py, which --help need not load.
 MODES = ("true", "baseline", "stale", "adaptive")
 
 
@@ -83,10 +86,8 @@ def run(
     realtime: bool,
     video: bool,
     plant: Path | None,
-    assignments: tuple[str, ...],
-    config: Path | None,
-    out: Path | None,
-    force: bool,
+    settings: dict[str, Any],
+    out: options.Output,
     **wire: Any,
 ) -> None:
     """Run a task to its end and say how well it went.
@@ -95,10 +96,10 @@ def run(
     diverges, or the task is not done within its own time; a run that --duration cut short is no failure.
     A real robot (--target go1): read docs/go1.md first.
     """
-    from amhe_cli.cli.run_progress import run_progress
+    from amhe_cli.cli.progress import progress
     from amhe_cli.cli.stopping import stopping
     from amhe_cli.live.loop import drive
-    from amhe_cli.report.folder import filling, reserve
+    from amhe_cli.report.folder import filling
     from amhe_cli.report.run import TaskFacts, print_run, verdict, write_run
     from amhe_cli.robots.go1.history import History
     from amhe_cli.robots.go1.judge import CLOSE_ENOUGH, ON_TIME
@@ -106,12 +107,10 @@ def run(
     from amhe_cli.robots.go1.recording import film_of, recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.robots.go1.tasks import LONGEST
-    from amhe_cli.system.overrides import gathered
     from amhe_cli.system.provenance import run_provenance
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration
-    settings = gathered(config, os.environ, assignments)
     asked = RunOptions(task, mode, target, belief, seed, threads, longest, realtime, plant, settings)
     opened = at_the_robot.opened(asked, wire) or open_run(asked)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
@@ -119,12 +118,12 @@ def run(
     if wire["dry_run"]:
         return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None
-    folder = reserve(out, "run", force)
+    folder = out.reserve("run")
     history = History(opened.task)
     with stopping(session) as stopped, filling(folder) as scratch:
         with ExitStack() as stack:
             recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap"))
-            show = stack.enter_context(run_progress(session, f"{task} {mode}"))
+            show = stack.enter_context(progress(session, f"{task} {mode}", _shown()))
             shoot = (
                 stack.enter_context(film.shooting(scratch / "video.mp4", later=realtime)) if film else None
             )
@@ -168,3 +167,19 @@ def run(
     session.failed = tone == "bad"
     if session.failed:
         session.say("error", f"{text}; the log is kept in {folder}")
+
+
+def _shown() -> Callable[[Mapping[str, float]], Shown]:
+    """What is shown of a cycle; the bar is the way that the box has made."""
+    far = 0.0
+
+    def shown(row: Mapping[str, float]) -> Shown:
+        nonlocal far
+        far = max(far, row["to_goal"])
+        state = (
+            f"{row['time']:.1f} s, box {row['to_goal']:.2f} m from the goal, "
+            f"{row['speed']:+.2f} m/s, plan {row['plan_ms']:.0f} ms"
+        )
+        return state, far - row["to_goal"], far
+
+    return shown

@@ -103,6 +103,18 @@ def read_belief(path: Path, system: Described | None = None) -> Belief:
     )
 
 
+def belief_for(system: Described, given: Belief | str | Path) -> Belief:
+    """A belief that a system can start from: one in memory, or that of a file.
+
+    Raises:
+        ConfigError: The belief does not suit the system.
+    """
+    if not isinstance(given, Belief):
+        return read_belief(Path(given), system)
+    given.check(system)
+    return given
+
+
 def _check(file: YamlFile, content: _File, system: Described | None) -> None:
     """Refuse what no belief, or no prior of this system, can be."""
     if system is not None and content.system != system.name:

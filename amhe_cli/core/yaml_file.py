@@ -186,6 +186,16 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def nested(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values by dotted paths such as 'clips.count' as nested mappings."""
+    result: dict[str, Any] = {}
+    for path, value in values.items():
+        for key in reversed(path.split(".")):
+            value = {key: value}
+        result = merged(result, value)
+    return result
+
+
 def at_place(data: Any, place: Sequence[str | int]) -> Any:
     """The value at `place`, None where there is none."""
     for part in place:

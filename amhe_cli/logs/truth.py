@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import LogError
+from amhe_cli.core.log import Log
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.read import read_signals
@@ -42,3 +45,13 @@ def read_truth(path: Path, stamps_ns: IntArray, settings: LogSettings) -> dict[s
         name: np.where(known, series.values[held, column], np.nan)
         for column, name in enumerate(series.columns)
     }
+
+
+def told_truth(logs: Sequence[Log]) -> dict[str, float]:
+    """True parameters in the logs' metadata, as simulations write them; {} if they differ or are none."""
+    texts = {log.metadata.get("truth") for log in logs}
+    try:
+        truth = json.loads(texts.pop() or "{}") if len(texts) == 1 else {}
+        return {str(name): float(value) for name, value in truth.items()}
+    except (ValueError, TypeError, AttributeError):
+        return {}  # somebody else's use of the key

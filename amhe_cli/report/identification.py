@@ -89,9 +89,9 @@ def write_identification(
 
 
 def print_identification(
-    result: Identification, folder: Path, console: Console, truth: Mapping[str, float]
+    result: Identification, folder: Path | None, console: Console, truth: Mapping[str, float]
 ) -> None:
-    """Print the parameters, the validation, and where the files are."""
+    """Print the parameters, the validation, and where the files are if they are written."""
     _print_parameters(result, console)
     console.print()
     for parameter in result.parameters:
@@ -104,7 +104,8 @@ def print_identification(
         console.print(truth_line(result, truth))
     if result.interrupted:
         console.print("interrupted: these are the best values so far", style="yellow")
-    console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+    if folder is not None:
+        console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
 
 
 def _print_parameters(result: Identification, console: Console) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 from amhe_cli.core.errors import AmheError
 from amhe_cli.core.executors import Pool, gathered
 from amhe_cli.study.cells import Cell
-from amhe_cli.study.results import Result, blank, result_of
+from amhe_cli.study.results import CellResult, blank, result_of
 from amhe_cli.study.store import Store
 
 
@@ -18,7 +18,7 @@ def conduct(
     run: Callable[[Mapping[str, Any]], dict[str, Any]],
     pool: Pool,
     stopped: Callable[[], bool],
-    on_result: Callable[[Result], None],
+    on_result: Callable[[CellResult], None],
 ) -> None:
     """Run cells; one that fails is recorded with its reason and does not stop the others.
 

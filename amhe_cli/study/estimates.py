@@ -8,7 +8,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.statistics import Z90
-from amhe_cli.study.results import Result
+from amhe_cli.study.results import CellResult
 from amhe_cli.study.summary import Group
 
 #: What a box that is pushed resists with is the product of these; each is harder to tell.
@@ -62,14 +62,14 @@ def _rms(errors: FloatArray) -> list[float]:
     return np.sqrt((errors**2).mean(axis=0)).tolist()
 
 
-def change_of(result: Result) -> float | None:
+def change_of(result: CellResult) -> float | None:
     """When box or floor changed first [s]; None: nothing did."""
     truth = [values for name, values in result.trace.items() if name.startswith("truth/")]
     rows = [row for values in truth for row in np.flatnonzero(np.diff(values))]
     return float(result.trace["time"][min(rows) + 1]) if rows else None
 
 
-def deviations(result: Result) -> tuple[FloatArray, FloatArray]:
+def deviations(result: CellResult) -> tuple[FloatArray, FloatArray]:
     """Logarithms of believed over true mass and friction, and their sd, over time; shape (n, 2) each."""
     trace = result.trace
     believed, sd, truth = (
@@ -78,7 +78,7 @@ def deviations(result: Result) -> tuple[FloatArray, FloatArray]:
     return np.log(believed / truth), sd / believed
 
 
-def _judged(result: Result) -> tuple[FloatArray, BoolArray, bool] | None:
+def _judged(result: CellResult) -> tuple[FloatArray, BoolArray, bool] | None:
     """Errors of mass, friction and product (m, 3), whether either is held (m, 2), and whether resolved."""
     off, sd = deviations(result)
     change = change_of(result)

@@ -30,7 +30,7 @@ _NAMED_DIGITS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Result:
+class CellResult:
     """One cell and what came of it.
 
     Args:
@@ -95,7 +95,7 @@ def _rounded(values: FloatArray, digits: int) -> Any:
     return rows[0] if len(rows) > 1 and len(set(rows)) == 1 else rows
 
 
-def read_result(path: Path | zipfile.Path) -> Result:
+def read_result(path: Path | zipfile.Path) -> CellResult:
     """The result in a file.
 
     Raises:
@@ -115,7 +115,7 @@ def blank(request: Mapping[str, Any], reason: str | None) -> dict[str, Any]:
     return {"schema_version": 1, **request, "reason": reason, "outcome": {}, "trace": {}, "seconds": 0.0}
 
 
-def result_of(record: Mapping[str, Any]) -> Result:
+def result_of(record: Mapping[str, Any]) -> CellResult:
     """The result that a record tells of; `run.run_cell` makes them."""
     columns = record["trace"]
     rows = len(columns.get("time", ()))
@@ -123,6 +123,6 @@ def result_of(record: Mapping[str, Any]) -> Result:
         name: np.array(values, float) if isinstance(values, list) else np.full(rows, values, dtype=float)
         for name, values in columns.items()
     }
-    return Result(
+    return CellResult(
         cell_of(record["cell"]), record["code"], record["reason"], record["outcome"], trace, record["seconds"]
     )

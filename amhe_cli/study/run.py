@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError, Ending
+from amhe_cli.core.yaml_file import nested
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.record import run_record
 from amhe_cli.robots.go1.run import RunOptions, open_run
-from amhe_cli.study.cells import Cell, assignments, cell_of
+from amhe_cli.study.cells import Cell, cell_of
 from amhe_cli.study.code import code
 from amhe_cli.study.results import blank, thinned
-from amhe_cli.system.overrides import parse_set
 
 
 def run_cell(request: Mapping[str, Any]) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
         run = open_run(
             RunOptions(
                 cell.task, cell.mode, belief=belief, seed=cell.seed, duration=cell.duration,
-                settings=parse_set(assignments(cell.setting)),
+                settings=nested(dict(cell.setting)),
             )
         )  # fmt: skip
     history, costs, sds = History(run.task), [], []

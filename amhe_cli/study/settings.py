@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.core.yaml_file import scalar
+from amhe_cli.core.yaml_file import nested, scalar
 from amhe_cli.robots.go1.model import SYSTEM
-from amhe_cli.study.cells import Setting, assignments, setting_of
-from amhe_cli.system import overrides
+from amhe_cli.study.cells import Setting, setting_of
 from amhe_cli.system.system import System
 
 #: The paper's own symbols for its seven hyper-parameters.
@@ -26,7 +24,7 @@ def setting_from(given: Mapping[str, Any]) -> Setting:
     """The settings that differ from the defaults, with the values that the schema makes of them (16.0 is 16).
 
     Args:
-        given: Nested mapping, as of `overrides.gathered`.
+        given: Nested mapping of settings.
     """
     system = system_with(given)
     changed = {path: value for path, value in _leaves(system) if _defaults().get(path) != value}
@@ -36,7 +34,7 @@ def setting_from(given: Mapping[str, Any]) -> Setting:
 
 def defaults_at(setting: Setting) -> dict[str, Any]:
     """Every setting's default, by its path; where a default depends on others, its value under `setting`."""
-    mhe = system_with(_nested(setting)).settings.mhe
+    mhe = system_with(nested(dict(setting))).settings.mhe
     counts = {"mhe.samples": mhe.sample_count, "mhe.iterations": mhe.iteration_count}
     given = dict(setting)
     return _defaults() | {path: count for path, count in counts.items() if path not in given}
@@ -61,7 +59,7 @@ def ablated(ablations: Sequence[str], base: Setting, defaults: Mapping[str, Any]
         path = _path(key.strip())
         _check_acts(path, base)
         for value in listed:
-            setting = setting_from(overrides.parse_set([*assignments(base), f"{path}={json.dumps(value)}"]))
+            setting = setting_from(nested(dict(base) | {path: value}))
             is_base = path not in dict(base) and dict(setting).get(path) == defaults.get(path)
             yield base if is_base else setting
 
@@ -71,10 +69,6 @@ def system_with(given: Mapping[str, Any]) -> System:
     return System.load(SYSTEM, given, warn=False)
 
 
-def _nested(setting: Setting) -> dict[str, Any]:
-    return overrides.parse_set(assignments(setting))
-
-
 def _check_acts(path: str, base: Setting) -> None:
     """Refuse to ablate a setting that does nothing.
 
@@ -82,7 +76,7 @@ def _check_acts(path: str, base: Setting) -> None:
         ConfigError: The setting belongs to the other estimation method.
     """
     group, _, name = path.partition(".")
-    mhe = system_with(_nested(base)).settings.mhe
+    mhe = system_with(nested(dict(base))).settings.mhe
     if group == "mhe" and mhe.idle([name]):
         other = {"linearised": "logrank", "logrank": "linearised"}[mhe.method]
         raise ConfigError(

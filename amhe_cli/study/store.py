@@ -17,7 +17,7 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import whole, write_whole
 from amhe_cli.robots.go1.tasks import LONGEST
 from amhe_cli.study.cells import Cell, Setting, setting_of
-from amhe_cli.study.results import Result, read_result
+from amhe_cli.study.results import CellResult, read_result
 
 STUDY, CELLS, PACKED = "study.json", "cells", "cells.zip"
 #: Date of all packed files: equal results give equal bytes.
@@ -53,7 +53,7 @@ class Study:
 
 
 class Store:
-    """Result files in a folder; each appears whole or not at all.
+    """CellResult files in a folder; each appears whole or not at all.
 
     Args:
         folder: Of the study.
@@ -75,7 +75,7 @@ class Store:
         """
         write_file(self.path(cell), json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
 
-    def results(self) -> list[Result]:
+    def results(self) -> list[CellResult]:
         """Results so far, sorted by the names of their files.
 
         Raises:
@@ -93,7 +93,7 @@ class Store:
         shutil.rmtree(self.folder / CELLS, ignore_errors=True)
 
     def _files(self) -> list[Path | zipfile.Path]:
-        """Result files, packed or not, sorted by name; a packed one that was run again does not count."""
+        """CellResult files, packed or not, sorted by name; a packed one that was run again does not count."""
         path = self.folder / PACKED
         try:
             packed = zipfile.Path(path).iterdir() if path.is_file() else ()

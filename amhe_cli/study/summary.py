@@ -10,7 +10,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.study.cells import Setting
-from amhe_cli.study.results import Result
+from amhe_cli.study.results import CellResult
 from amhe_cli.study.statistics import Difference, Spread, paired, rate, spread
 
 RATES = ("success", "on_time", "fell")
@@ -32,7 +32,7 @@ class Group:
     task: str
     mode: str
     setting: Setting
-    results: tuple[Result, ...]
+    results: tuple[CellResult, ...]
     failed: int
 
     @property
@@ -61,10 +61,10 @@ class Groups:
     """
 
     def __init__(
-        self, results: Iterable[Result], base: Setting, tasks: Sequence[str], modes: Sequence[str]
+        self, results: Iterable[CellResult], base: Setting, tasks: Sequence[str], modes: Sequence[str]
     ) -> None:
         self.base, self._modes = base, modes
-        found: dict[tuple[str, str, Setting], list[Result]] = {}
+        found: dict[tuple[str, str, Setting], list[CellResult]] = {}
         for result in results:
             cell = result.cell
             found.setdefault((cell.task, cell.mode, cell.setting), []).append(result)
@@ -124,7 +124,7 @@ def _told(spread: Spread) -> dict[str, float]:
     return {name: value for name, value in asdict(spread).items() if name != "n"}
 
 
-def _group(key: tuple[str, str, Setting], results: Sequence[Result]) -> Group:
+def _group(key: tuple[str, str, Setting], results: Sequence[CellResult]) -> Group:
     done = sorted((r for r in results if r.reason is None), key=lambda result: result.cell.seed)
     return Group(*key, tuple(done), len(results) - len(done))
 

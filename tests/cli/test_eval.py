@@ -15,13 +15,13 @@ import pytest
 from amhe_cli.cli.eval_progress import eval_progress
 from amhe_cli.cli.main import run
 from amhe_cli.cli.session import Session
+from amhe_cli.cli.settings import gathered
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.study.cells import Cell, setting_of
 from amhe_cli.study.code import code
 from amhe_cli.study.plan import EvalOptions, planned, study_of
 from amhe_cli.study.run import run_cell
 from amhe_cli.study.store import open_store
-from amhe_cli.system.overrides import gathered
 from tests.clusters import Cluster
 from tests.study.cells_at_play import result
 

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.assembly import LogSource, open_system, trajectories
 from amhe_cli.control.controller import Plan
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import belief_of
@@ -19,21 +18,20 @@ from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.workers import InProcess
 from amhe_cli.live.commands import Commands
 from amhe_cli.live.episode import Cycle
+from amhe_cli.logs import read_log
 from amhe_cli.robots.go1.kinematics import JOINTS
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import RunOptions, estimator_of, open_run
 from amhe_cli.robots.go1.tasks import Believed, find_task
-from amhe_cli.system.overrides import parse_set
+from amhe_cli.system.system import System
 from tests.estimation.online.test_workers import ready, wait
 
-QUICK = ("control.samples=5", "control.horizon=8", "mhe.samples=6")
+QUICK = {"control": {"samples": 5, "horizon": 8}, "mhe": {"samples": 6}}
 
 
 def cycles(tmp_path: Path, seconds: float, threads: int = 1) -> list[Cycle]:
     run = open_run(
-        RunOptions(
-            "t1", mode="adaptive", seed=5, duration=seconds, threads=threads, settings=parse_set(QUICK)
-        )
+        RunOptions("t1", mode="adaptive", seed=5, duration=seconds, threads=threads, settings=QUICK)
     )
     with recorder_of(run, tmp_path / "log.mcap") as recorder:
         found = []
@@ -82,9 +80,8 @@ def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(
 
 def test_the_buffer_holds_what_the_log_holds(adaptive: tuple[Path, list[Cycle]]) -> None:
     path, run = adaptive
-    source = LogSource((path,), {}, None, None, None)
-    system = open_system(None, source, QUICK)
-    (log,) = trajectories(system, source)
+    system = System.load("go1_push", QUICK)
+    log = read_log(path, system)
     assert all(s.names in ((), JOINTS) for s in system.signals), "samples come in this order"
     buffer = Buffer(system.signals, 0.5, log.dt, 0.2)
     windows = []
@@ -121,7 +118,7 @@ def test_targets_that_a_robot_was_sent_are_taken_in_place_of_those_planned() -> 
 
 def test_the_estimator_begins_with_what_the_controller_believes() -> None:
     task = replace(find_task("t1"), baseline=Believed(3.3, 0.44))  # as a probe has its own
-    options = RunOptions("t1", mode="adaptive", duration=0.6, settings=parse_set(QUICK))
+    options = RunOptions("t1", mode="adaptive", duration=0.6, settings=QUICK)
     run = list(open_run(options, task).episode.cycles())
     assert run[0].belief["box_mass"] == pytest.approx(3.3)
     first = news(run)[0][1]
@@ -130,10 +127,9 @@ def test_the_estimator_begins_with_what_the_controller_believes() -> None:
 
 
 def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cycle]]) -> None:
-    source = LogSource((adaptive[0],), {}, None, None, None)
-    system = open_system(None, source, QUICK)
-    (log,) = trajectories(system, source)
-    options = RunOptions("t1", mode="adaptive", seed=5, settings=parse_set(QUICK))
+    system = System.load("go1_push", QUICK)
+    log = read_log(adaptive[0], system)
+    options = RunOptions("t1", mode="adaptive", seed=5, settings=QUICK)
     window = Window(log, 60, 125)
     start = belief_of(system.name, system.space, np.zeros(3), np.eye(3), {})
     here = estimator_of(options, start).update(window, 1.0)

@@ -6,14 +6,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.assembly import LogSource, inspections, open_system, trajectories
 from amhe_cli.core.samples import merged
 from amhe_cli.live.commands import Commands
 from amhe_cli.live.recorder import WALL_CLOCK, Recorder
-from amhe_cli.logs import read_metadata, survey
+from amhe_cli.logs import inspect_log, read_log, read_metadata, survey
 from amhe_cli.robots.go1.kinematics import JOINTS
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.system.system import System
 
 QUICK = {"control": {"samples": 5, "horizon": 8}}
 
@@ -47,7 +47,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list]:
 
 
 def test_identify_finds_every_signal_all_the_time(log) -> None:
-    (found,) = inspections(LogSource((log[0],), {}, None, None, None), None)
+    found = inspect_log(log[0], System.load("go1_push"))
     assert found.system == "go1_push"
     assert found.problem is None
     assert all(check.problem is None for check in found.checks)
@@ -56,8 +56,7 @@ def test_identify_finds_every_signal_all_the_time(log) -> None:
 
 def test_what_is_read_is_what_was_measured_and_played(log) -> None:
     path, cycles = log
-    source = LogSource((path,), {}, None, None, None)
-    (read,) = trajectories(open_system(None, source), source)
+    read = read_log(path, System.load("go1_push"))
     samples = merged([cycle.samples for cycle in cycles])
     times, joints = samples["joints.position"]
     at = round((0.3 - 1e-9 * read.start_ns) / read.dt)  # the row of 0.3 s

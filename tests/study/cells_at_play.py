@@ -9,7 +9,7 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.study.cells import Cell
-from amhe_cli.study.results import Result, blank, result_of
+from amhe_cli.study.results import CellResult, blank, result_of
 
 CODE = {"amhe": "0.0.0", "sources": "0123456789ab", "mujoco": "4.0.0", "numpy": "2.0.0", "model": "ab"}
 
@@ -61,5 +61,5 @@ def record(request: Mapping[str, Any], mode_matters: float = 1.0) -> dict[str, A
     return blank(request, None) | {"outcome": outcome, "trace": trace, "seconds": 1.0}
 
 
-def result(cell: Cell, mode_matters: float = 1.0) -> Result:
+def result(cell: Cell, mode_matters: float = 1.0) -> CellResult:
     return result_of(record({"cell": cell.plain(), "code": CODE}, mode_matters))

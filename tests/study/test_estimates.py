@@ -5,13 +5,13 @@ import pytest
 
 from amhe_cli.study.cells import Cell
 from amhe_cli.study.estimates import estimates
-from amhe_cli.study.results import Result
+from amhe_cli.study.results import CellResult
 from amhe_cli.study.summary import Group
 
 TIME = np.round(0.2 * np.arange(1, 61), 2)
 
 
-def run(seed: int, mass: float, sd: float, changes: bool = True) -> Result:
+def run(seed: int, mass: float, sd: float, changes: bool = True) -> CellResult:
     """Friction is right, and so is the mass up to 6.2 s, where it changes; then `mass` is believed."""
     after = changes * (TIME > 6.1)
     trace = {
@@ -23,10 +23,10 @@ def run(seed: int, mass: float, sd: float, changes: bool = True) -> Result:
         "belief_sd/box_mass": np.where(TIME > 6.1, sd, np.nan),
         "belief_sd/floor_friction": np.full(60, 0.01),
     }
-    return Result(Cell("t3", "adaptive", seed), {}, None, {}, trace, 1.0)
+    return CellResult(Cell("t3", "adaptive", seed), {}, None, {}, trace, 1.0)
 
 
-def of(*results: Result):
+def of(*results: CellResult):
     found = estimates(Group("t3", "adaptive", (), results, 0))
     assert found
     return found
@@ -54,5 +54,5 @@ def test_where_nothing_changes_it_counts_from_the_start() -> None:
 def test_without_an_estimator_there_is_nothing_to_judge() -> None:
     known = run(0, 6.0, 0.1)
     trace = {name: values for name, values in known.trace.items() if "sd" not in name}
-    bare = Result(known.cell, {}, None, {}, trace, 1.0)
+    bare = CellResult(known.cell, {}, None, {}, trace, 1.0)
     assert estimates(Group("t3", "true", (), (bare,), 0)) is None

@@ -16,9 +16,10 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief_file import read_belief
+from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, EstimationError, SimulationError
 from amhe_cli.core.log import Log
+from amhe_cli.core.parameters import Belief
 from amhe_cli.core.samples import sampled
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
@@ -52,7 +53,7 @@ class ProbeOptions:
         system: Name or folder of the system; None: `go1_push`.
         task: Task with the box and floor to probe, for `go1_push`; None: t1.
         seconds: Greatest length of the probe [s].
-        belief: File of a belief that replaces the system's prior.
+        belief: A belief, or its file, that replaces the system's prior.
         plant: Model that is probed in simulation instead of the system's own.
         box: Mass [kg] and friction of the box that is probed in simulation; None: the task's.
         seed: Seed of all random draws.
@@ -63,7 +64,7 @@ class ProbeOptions:
     system: str | None = None
     task: str | None = None
     seconds: float = 10.0
-    belief: Path | None = None
+    belief: Belief | Path | None = None
     plant: Path | None = None
     box: tuple[float, float] | None = None
     seed: int = 0
@@ -101,13 +102,13 @@ class Probe(Protocol):
         ...
 
 
-def believing(system: System, belief: Path | None) -> System:
+def believing(system: System, belief: Belief | Path | None) -> System:
     """A system with a belief file as its prior; the system itself where there is no file.
 
     Raises:
         ConfigError: The belief does not suit.
     """
-    return replace(system, space=system.space.with_prior(read_belief(belief, system))) if belief else system
+    return replace(system, space=system.space.with_prior(belief_for(system, belief))) if belief else system
 
 
 def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | None:

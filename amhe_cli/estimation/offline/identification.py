@@ -42,6 +42,7 @@ class IdentifyOptions:
         checkpoint: File to save the search in after every iteration, and to resume from.
         prior: A belief to start from instead of the system's own prior.
         executor: Whose workers roll out; None: threads of this process. Results do not depend on it.
+        engine: Kind of engine, see `open_engine`.
     """
 
     method: str = "linearised"
@@ -51,6 +52,7 @@ class IdentifyOptions:
     checkpoint: Path | None = None
     prior: Belief | None = None
     executor: Executor | None = None
+    engine: str = "cpu"
 
 
 def identify(
@@ -100,7 +102,7 @@ def _pose(
         fit, held = [whole(log) for log in training], [whole(log) for log in held_out]
     else:
         fit, held = split_held_out(training, clips.held_out)
-    engine = open_engine(system, threads=options.threads, executor=options.executor)
+    engine = open_engine(system, threads=options.threads, executor=options.executor, kind=options.engine)
     problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed)
     if not problem.clips:
         raise EstimationError(_no_clips(problem.pool))

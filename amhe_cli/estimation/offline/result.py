@@ -52,6 +52,11 @@ class ParameterResult:
     bootstrap_sd: float
     profile: tuple[FloatArray, FloatArray] | None = None
 
+    @property
+    def interval(self) -> tuple[float, float]:
+        """90 % interval."""
+        return self.lower, self.upper
+
 
 @dataclass(frozen=True, slots=True)
 class Combination:

@@ -8,16 +8,20 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Log, Window
+from amhe_cli.core.parameters import Belief
 from amhe_cli.core.settings import MheSettings
+from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.online.horizon import LEAST, Estimate, MovingHorizon, check_window
-from amhe_cli.estimation.online.prior import Gaussian
+from amhe_cli.estimation.online.prior import Gaussian, prior_of
+from amhe_cli.logs.truth import read_truth, told_truth
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -117,6 +121,53 @@ def paced(system: System, own: MheSettings) -> System:
     period = own.update_period * max(1.0, mhe.window / own.window)
     changed = mhe.model_copy(update={"update_period": period})
     return replace(system, settings=system.settings.model_copy(update={"mhe": changed}))
+
+
+def open_replay(
+    system: System,
+    log: Log,
+    *,
+    belief: Belief | None = None,
+    seed: int = 0,
+    threads: int = 1,
+    begun: float = 0.0,
+    paced: bool = False,
+) -> ReplayProblem:
+    """A replay of a log that is ready to run.
+
+    Args:
+        system: The system that is estimated.
+        log: The log.
+        belief: Belief to start from; None: the system's prior.
+        seed: Seed of the random numbers.
+        threads: CPU threads; results do not depend on it.
+        begun: Time at which the log was begun to be read, from the start of its file [s].
+        paced: The update period follows from the window, see `paced`.
+
+    Raises:
+        EstimationError: The log is too short for any window.
+    """
+    steps = windows(system, log)
+    engine = open_engine(system, threads=threads)
+    return ReplayProblem(
+        system=system,
+        engine=engine,
+        estimator=MovingHorizon(system, engine, np.random.default_rng(seed), belief),
+        start=prior_of(system.space, belief, system.settings.mhe.start_sd),
+        windows=steps,
+        truth=_truth(system, log, steps),
+        begun=np.ceil(begun / log.dt - 1e-6) * log.dt,  # as the log is read
+        paced=paced,
+    )
+
+
+def _truth(system: System, log: Log, steps: Sequence[Window]) -> dict[str, FloatArray]:
+    """True parameters at the end of each window: over time where the log has them so, else once for all."""
+    ends = np.array([step.stop for step in steps])
+    stamps_ns = log.start_ns + np.round(ends * log.dt * 1e9).astype(np.int64)
+    over_time = read_truth(Path(log.source), stamps_ns, system.settings.logs)
+    once = {name: np.full(ends.size, value) for name, value in told_truth([log]).items()}
+    return {name: values for name, values in (once | over_time).items() if name in system.space.names}
 
 
 def windows(system: System, log: Log) -> list[Window]:

@@ -13,7 +13,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.report.figures import MUTED, Grid
 from amhe_cli.report.study.drawing import TRUTH, StudyTask, color_of, legend, line, room
 from amhe_cli.study.estimates import change_of
-from amhe_cli.study.results import TRACE_STEP, Result
+from amhe_cli.study.results import TRACE_STEP, CellResult
 from amhe_cli.study.summary import Group, Groups
 
 #: A mean over seeds is drawn where at least this share of them is still running.
@@ -105,9 +105,9 @@ def _parameter_panel(axes: Axes, found: Sequence[Group], value: _Value) -> None:
 
 
 def over_time(
-    results: Sequence[Result],
-    values: Callable[[Result], FloatArray],
-    origin: Callable[[Result], float] = lambda result: 0.0,
+    results: Sequence[CellResult],
+    values: Callable[[CellResult], FloatArray],
+    origin: Callable[[CellResult], float] = lambda result: 0.0,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Time [s], mean and sd over seeds (m,), where at least half of them are running.
 
@@ -129,7 +129,7 @@ def over_time(
     return time[kept], np.nanmean(table[:, kept], axis=0), np.nanstd(table[:, kept], axis=0)
 
 
-def since_change(result: Result) -> float:
+def since_change(result: CellResult) -> float:
     """When box or floor changed first [s]; 0 where nothing did."""
     return change_of(result) or 0.0
 

@@ -13,7 +13,7 @@ import numpy as np
 from amhe_cli.control.controller import Controller
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief_file import read_belief
+from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import Belief, belief_of, completed
 from amhe_cli.core.rotations import exp, multiply
@@ -50,7 +50,7 @@ class RunOptions:
         task: Name of the task.
         mode: Whose belief: one of `MODES`.
         target: 'sim' or 'go1'.
-        belief: File of a belief that replaces the mode's fixed one.
+        belief: A belief, or its file, that replaces the mode's fixed one.
         seed: Of start poses, sensor noise and sampling.
         threads: Of the rollouts; the outcome does not depend on it.
         duration: The longest that it may take [s].
@@ -62,7 +62,7 @@ class RunOptions:
     task: str
     mode: str = "true"
     target: str = "sim"
-    belief: Path | None = None
+    belief: Belief | Path | None = None
     seed: int = 0
     threads: int = 1
     duration: float = LONGEST
@@ -242,7 +242,7 @@ def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = Non
 def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:
     """The belief file's, or else the task's fixed one; adaptive runs start from the baseline's."""
     if options.belief is not None:
-        return completed(read_belief(options.belief, system), system.space, system.name)
+        return completed(belief_for(system, options.belief), system.space, system.name)
     if options.mode == "stale" and task.stale is None:
         raise ConfigError(
             f"task {task.name} has no stale belief; give one with --belief, or use --mode baseline"

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from amhe_cli.cli.settings import from_environment, from_file, merged, parse_set
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.overrides import from_environment, from_file, merged, parse_set
 
 
 def test_options_are_nested_and_typed() -> None:

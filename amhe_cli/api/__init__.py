@@ -1,0 +1,1 @@
+"""The calls of a script or a notebook: `identify`, `Estimator`, `probe` and `run`, on objects in memory."""

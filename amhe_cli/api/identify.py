@@ -1,0 +1,248 @@
+"""Offline identification as one call, and its result."""
+
+from __future__ import annotations
+
+import io
+import logging
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from amhe_cli import __version__
+from amhe_cli.core.belief_file import belief_for
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.log import Log
+from amhe_cli.core.parameters import Belief
+from amhe_cli.engine.cpu import hush_mujoco
+from amhe_cli.estimation.offline import identification
+from amhe_cli.estimation.offline.result import Fit, Identification, Iteration, ParameterResult
+from amhe_cli.logs.truth import told_truth
+from amhe_cli.system.provenance import provenance
+from amhe_cli.system.system import System
+
+if TYPE_CHECKING:
+    import mujoco  # noqa: TID251 -- for a type
+
+#: Width of a table in characters.
+_WIDTH = 110
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """What an identification found.
+
+    Args:
+        system: The system that was identified.
+        found: All numbers of the identification.
+        logs, held_out: The logs that were fitted, and those that were only used for validation.
+        seed: Seed of the random numbers.
+        seconds: Time that the identification took [s].
+        warnings: What was warned of on the way.
+    """
+
+    system: System
+    found: Identification
+    logs: tuple[Log, ...]
+    held_out: tuple[Log, ...]
+    seed: int
+    seconds: float
+    warnings: tuple[str, ...]
+
+    @cached_property
+    def parameters(self) -> dict[str, ParameterResult]:
+        """Each parameter by its name: `estimate`, `sd`, `interval`, `verdict`, `reasons` and more."""
+        return {parameter.name: parameter for parameter in self.found.parameters}
+
+    @property
+    def belief(self) -> Belief:
+        """Estimate and covariance; it can be saved, sampled, and given to `identify` as a prior."""
+        return self.found.belief
+
+    @property
+    def fits(self) -> tuple[Fit, ...]:
+        """Measured values against predicted ones, for some clips and each of their channels."""
+        return self.found.fits
+
+    @cached_property
+    def table(self) -> str:
+        """The table of parameters, known combinations and held-out errors, as text."""
+        return self._rendered().export_text(clear=False)
+
+    def model(self) -> mujoco.MjModel:
+        """A MuJoCo model with the identified values; sensors that amhe needed are in it too."""
+        return self.system.edits.apply(self.system.model, self.belief.estimate)
+
+    def record(self) -> dict[str, Any]:
+        """The keys of an identification in result.json."""
+        from amhe_cli.report.identification import identification_record
+
+        return identification_record(self.found, told_truth(self.logs)) | {"seed": self.seed}
+
+    def save(self, folder: str | Path, *, force: bool = False) -> Path:
+        """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html.
+
+        Args:
+            folder: Folder of the files; made if it does not exist.
+            force: Write into a folder that is not empty; other files in it stay.
+
+        Returns:
+            The folder.
+
+        Raises:
+            ConfigError: The folder is not empty and `force` is not given, or it cannot be written.
+        """
+        from amhe_cli.report.folder import reserve
+
+        out = reserve(Path(folder), "identify", force)
+        head = {
+            "schema_version": 1, "command": "identify", "version": __version__,
+            "seconds": round(self.seconds, 3), "warnings": list(self.warnings),
+        }  # fmt: skip
+        self.write(out, head | self.record() | {"out": str(out)}, "amhe.identify", self.logs, self.held_out)
+        return out
+
+    def write(
+        self,
+        folder: Path,
+        record: Mapping[str, Any],
+        command: str,
+        logs: Sequence[Path | Log],
+        held_out: Sequence[Path | Log],
+    ) -> None:
+        """Write the four files with a given content of result.json.
+
+        Args:
+            folder: Folder of the files.
+            record: Content of result.json.
+            command: The command or call that made the result.
+            logs, held_out: What is hashed for the provenance.
+        """
+        from amhe_cli.report.identification import write_identification
+
+        origin = provenance(command, self.seed, self.found.method, self.system, logs, held_out)
+        write_identification(folder, self.system, self.found, record, origin)
+
+    def __str__(self) -> str:
+        return self.table
+
+    def _repr_html_(self) -> str:
+        """The table, for a notebook."""
+        return self._rendered().export_html(inline_styles=True, code_format="<pre>{code}</pre>")
+
+    def _rendered(self) -> Any:
+        from rich.console import Console
+
+        from amhe_cli.report.identification import print_identification
+
+        console = Console(record=True, file=io.StringIO(), width=_WIDTH, highlight=False, force_jupyter=False)
+        print_identification(self.found, None, console, told_truth(self.logs))
+        return console
+
+
+def identify(
+    system: System,
+    logs: Log | Sequence[Log],
+    *,
+    held_out: Log | Sequence[Log] | None = None,
+    prior: Belief | str | Path | None = None,
+    method: str = "linearised",
+    seed: int = 0,
+    threads: int | None = None,
+    engine: str = "cpu",
+    max_time: float | None = None,
+    checkpoint: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[Iteration, int], None] | None = None,
+) -> Result:
+    """Find the parameters under which rollouts of the model match the logs, and how well they are known.
+
+    Args:
+        system: Model, parameters, signals and settings.
+        logs: The logs to fit, read for this system.
+        held_out: Logs that are only used to validate; None: a share of the fitted logs' time is held out.
+        prior: A belief, or the path of a belief.yaml, to start from in place of the system's own prior.
+        method: 'linearised', or 'cmaes'.
+        seed: Seed of the random numbers.
+        threads: CPU threads; None: all cores. Results do not depend on it.
+        engine: What computes the rollouts: 'cpu'.
+        max_time: Stop after this time [s] with the best so far.
+        checkpoint: File in which the search is saved after each iteration; it is resumed if the file exists.
+        executor: Computes the rollouts with its workers in place of threads of this process.
+        progress: Called after each iteration with its record and the expected number of iterations.
+
+    Raises:
+        ConfigError: An argument is wrong.
+        LogError: A log was not read for this system.
+        EstimationError: No clip of the logs can be used.
+    """
+    hush_mujoco()
+    fitted, validation = _logs(system, logs, "logs"), _logs(system, held_out or (), "held_out")
+    if not fitted:
+        raise ConfigError("`logs`: there is none; give a log or several")
+    for log in validation:
+        if any(log is other or _same_file(log, other) for other in fitted):
+            raise ConfigError(f"`held_out`: {log.source} is fitted too; validation needs a log of its own")
+    options = identification.IdentifyOptions(
+        method=method,
+        seed=seed,
+        threads=threads or cores(),
+        max_time=max_time,
+        checkpoint=None if checkpoint is None else Path(checkpoint),
+        prior=None if prior is None else belief_for(system, prior),
+        executor=executor,
+        engine=engine,
+    )
+    begun = time.monotonic()
+    with _warnings() as warnings:
+        found = identification.identify(
+            system, fitted, validation or None, options, progress or (lambda iteration, total: None)
+        )
+    return Result(system, found, fitted, validation, seed, time.monotonic() - begun, tuple(warnings))
+
+
+def cores() -> int:
+    """Number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _logs(system: System, given: Log | Sequence[Log], argument: str) -> tuple[Log, ...]:
+    logs = (given,) if isinstance(given, Log) else tuple(given)
+    for log in logs:
+        if not isinstance(log, Log):
+            raise ConfigError(f"`{argument}`: give logs, made by read_log or Log.from_arrays, not {log!r}")
+        missing = [key for key in system.widths if key not in log.series]
+        if missing or log.dt != system.dt:
+            steps = f"has steps of {log.dt:g} s, the model of {system.dt:g} s"
+            what = f"has no {missing[0]}" if missing else steps
+            raise LogError(f"{log.source}: was not read for the system {system.name!r}: it {what}")
+    return logs
+
+
+def _same_file(one: Log, other: Log) -> bool:
+    path = Path(one.source)
+    return path.exists() and path.resolve() == Path(other.source).resolve()
+
+
+@contextmanager
+def _warnings() -> Iterator[list[str]]:
+    """The library's warnings, each once, while the block runs."""
+    texts: dict[str, None] = {}
+    found: list[str] = []
+
+    class Collector(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            texts[record.getMessage()] = None
+
+    logger, listener = logging.getLogger("amhe_cli"), Collector(logging.WARNING)
+    logger.addHandler(listener)
+    try:
+        yield found
+    finally:
+        logger.removeHandler(listener)
+        found += texts

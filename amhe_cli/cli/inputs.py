@@ -1,0 +1,132 @@
+"""What the commands that read logs share: which system the logs are about, and what is read of them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from amhe_cli.core.log import Log
+    from amhe_cli.system.system import System
+
+#: The system of a log if neither the user nor the log names one.
+DEFAULT_SYSTEM = "go1_push"
+
+
+@dataclass(frozen=True, slots=True)
+class Inputs:
+    """The options --system, --topic, --msg-path, --from and --to.
+
+    Args:
+        system: Name or folder of the system; None: the one that the logs name.
+        topics: Name of a signal -> topic to read it from.
+        msg_path: Folder of .msg files for message types that the logs do not define.
+        start, end: Part of each log, in seconds from its start.
+    """
+
+    system: str | None
+    topics: Mapping[str, str]
+    msg_path: Path | None
+    start: float | None
+    end: float | None
+
+    def open(self, logs: Sequence[Path], settings: Mapping[str, Any] | None = None) -> System:
+        """Load the system that the user named, or else the one that the logs name.
+
+        What the logs state of their system, such as the size of a box, is taken where the system is theirs;
+        the user's settings win.
+
+        Raises:
+            ConfigError: There is no such system, the logs differ in it, or a setting is wrong.
+        """
+        from amhe_cli.core.yaml_file import merged
+        from amhe_cli.system.system import System
+
+        if self.system:
+            system = System.load(self.system, settings)
+        else:
+            own: dict[str, Any] = {}
+            for path in logs:
+                own = merged(own, _own_settings(path))
+            system = System.load(_folder_named_by(logs), merged(own, settings or {}))
+        return system.reading(self.topics)
+
+    def read(self, system: System, logs: Sequence[Path]) -> list[Log]:
+        """Read logs for a system; where that fails, the error also tells what they may be about instead.
+
+        Raises:
+            LogError: A log cannot be read, or lacks what the system needs.
+        """
+        from amhe_cli.core.errors import LogError
+        from amhe_cli.logs import read_log
+
+        try:
+            return read_log(logs, system, start=self.start, end=self.end, msg_path=self.msg_path)
+        except LogError as error:
+            named = set(_systems_of(logs).values())
+            if not self.system and not named:
+                raise LogError(f"{error}. {_unnamed(logs)}") from None
+            if self.system and named - {system.name}:
+                about = f"{', '.join(sorted(named))}, not {system.name}"
+                raise LogError(f"{error}. The log says that it is about {about}") from None
+            raise
+
+
+def bundled_log() -> Path:
+    """The log that is replayed if none is given: a Go1 pushes a box onto another floor."""
+    from amhe_cli.system.load import bundled_root
+
+    return bundled_root() / "examples" / "logs" / "t4.mcap"
+
+
+def _systems_of(logs: Sequence[Path]) -> dict[Path, str]:
+    """The system that each log names, if it names one."""
+    from amhe_cli.logs import read_metadata
+
+    return {path: str(name) for path in logs if (name := read_metadata(path).get("system"))}
+
+
+def _own_settings(path: Path) -> dict[str, Any]:
+    """What a log states of its system."""
+    from amhe_cli.logs import read_metadata
+
+    try:
+        own = json.loads(read_metadata(path).get("overrides") or "{}")
+    except ValueError:
+        return {}  # somebody else's use of the key
+    return own if isinstance(own, dict) else {}
+
+
+def _folder_named_by(logs: Sequence[Path]) -> Path:
+    from amhe_cli.core.errors import ConfigError
+    from amhe_cli.system.load import find_system
+
+    names = sorted(set(_systems_of(logs).values()))
+    if len(names) > 1:
+        listed = ", ".join(names)
+        raise ConfigError(f"the logs are about different systems ({listed}); choose one with --system")
+    name = names[0] if names else DEFAULT_SYSTEM
+    try:
+        return find_system(name)
+    except ConfigError:
+        raise ConfigError(
+            f"{_listed(logs)}: about the system {name!r}, which does not come with amhe: "
+            f"give its folder with --system DIR"
+        ) from None
+
+
+def _unnamed(logs: Sequence[Path]) -> str:
+    from amhe_cli.system.load import bundled_systems
+
+    return (
+        f"{_listed(logs)} does not say which system it is about, and was taken for {DEFAULT_SYSTEM}: "
+        f"name one with --system NAME|DIR (bundled: {', '.join(bundled_systems())}), or describe your own: "
+        f"amhe init MODEL.xml LOG -o my_system/"
+    )
+
+
+def _listed(paths: Sequence[Path]) -> str:
+    return str(paths[0]) if len(paths) == 1 else f"none of the {len(paths)} logs"
