@@ -104,29 +104,18 @@ def information(
         channels: Which channels count, one flag each; None: all.
         straight: Ignore the nonlinear response, as if the samples had been narrow.
     """
-    cost, start, mean = slopes.cost, slopes.residual, slopes.first.mean
+    cost, mean = slopes.cost, slopes.first.mean
     gz, gx = np.split(slopes.gain, [slopes.gain.shape[1] - mean.shape[1]], axis=1)
     counted = _flat_mask(cost, channels or [True] * len(cost.clips.observed)) * slopes.completed[:, None]
-    counted = counted if straight else counted / (1.0 + slopes.bend)
-    fitted, times = start, (1.0,) * len(cost.clips.observed)
-    for _ in range(2):  # the weights need the fitted residuals, which need the weights
-        weight = weights(cost, fitted, times) * counted
-        wx, wz = gx * weight[:, None], gz * weight[:, None]
-        xx = wx @ gx.transpose(0, 2, 1) + np.eye(mean.shape[1])
-        xz = wx @ gz.transpose(0, 2, 1)
-        gradient = np.einsum("cir,cr->ci", wx, start) + mean
-        solved = np.linalg.solve(xx, np.concatenate((gradient[..., None], xz), axis=2))
-        fitted = start - np.einsum("ci,cir->cr", solved[..., 0], gx)
-        times = channel_times(cost, fitted, slopes.completed)
-    return Information(
-        matrix=wz @ gz.transpose(0, 2, 1) - xz.transpose(0, 2, 1) @ solved[..., 1:],
-        score=np.einsum("cir,cr->ci", wz, start) - np.einsum("cij,ci->cj", xz, solved[..., 0]),
-        residual=fitted,
-        slope=gz - solved[..., 1:].transpose(0, 2, 1) @ gx,
-        nuisance=mean - solved[..., 0],
-        nuisance_gain=np.negative(solved[..., 1:]),
-        nuisance_precision=xx,
-    )
+    noise = 1.0 if straight else 1.0 + slopes.bend
+
+    def fitted(residual: FloatArray, times: tuple[float, ...]) -> Information:
+        weight = weights(cost, residual, times) / noise * counted
+        return marginalised(slopes.residual, gz, gx, weight, mean)
+
+    # weights depend on the fitted residuals: a first fit gives them
+    first = fitted(slopes.residual, (1.0,) * len(cost.clips.observed))
+    return fitted(first.residual, channel_times(cost, first.residual, slopes.completed))
 
 
 def gauss_newton_step(
