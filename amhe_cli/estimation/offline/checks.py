@@ -1,6 +1,6 @@
-"""Whether parts of the data, or unmeasured details of the model, want another estimate.
+"""Checks of an estimate: do parts of the data, or other models of contact, lead to another one?
 
-Noise makes parts of a log disagree by chance, a wrong model beyond it; that is how it shows itself.
+Noise makes parts of a log disagree by chance. A wrong model makes them disagree by more.
 """
 
 from __future__ import annotations

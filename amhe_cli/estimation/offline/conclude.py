@@ -35,7 +35,7 @@ def conclude(
         finding: Where the search ended.
         validation: Clips that were not fitted.
         interrupted: The search was cut short by the user.
-        hurried: Leave out what takes long: the comparison of the logs' halves, contact variants, profiles.
+        hurried: Skip the slow checks: the comparison of the logs' halves, contact variants, profiles.
     """
     system = problem.system
     evidence = _evidence(problem, finding, hurried)

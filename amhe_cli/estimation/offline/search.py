@@ -1,4 +1,4 @@
-"""SPI's search as steps from state to state, so that it can be watched, cut short and resumed to the bit."""
+"""SPI's linearised search, as steps from state to state: it can be stopped and resumed to the bit."""
 
 from __future__ import annotations
 
@@ -48,13 +48,13 @@ BLIND_LINE = np.array([1.0, 0.5, 0.2])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SearchState:
-    """Where a linearised search stands; all that a checkpoint needs.
+    """State of a linearised search between two iterations; a checkpoint holds just this.
 
     Args:
         stage: 'explore' re-draws random clips each iteration, 'polish' uses the same ones.
         number: Iterations done.
         z: Estimate, shape (d,).
-        shape: Of the sampling, shape (d, d).
+        shape: Shape of the samples of z, (d, d).
         scale: Channel -> residual sd over declared noise sd.
         record: One entry an iteration.
         settled: The last step was short, and the samples no wider than the posterior.
@@ -74,12 +74,12 @@ class SearchState:
 
     @property
     def done(self) -> bool:
-        """Nothing is left to do."""
+        """Whether the search has finished."""
         return self.stage == "done"
 
 
 def start(problem: Problem) -> SearchState:
-    """The prior mean, and a spread of half the prior."""
+    """State before the first iteration: at the prior's mean, sampling with half its sd."""
     return SearchState("explore", 0, np.zeros(len(problem.system.space)), diagonal(WIDEST, problem.active))
 
 
@@ -89,7 +89,7 @@ def total(problem: Problem, state: SearchState) -> int:
 
 
 def restart(problem: Problem, z: FloatArray) -> SearchState:
-    """Polishing from z (d,), for a problem that is part of a solved one."""
+    """State that polishes from z (d,), for a part of a solved problem."""
     return SearchState("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
 
 
@@ -180,7 +180,7 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
 def _reshaped(
     problem: Problem, state: SearchState, taken: LineStep, straight: Information, windows: Sequence[Window]
 ) -> FloatArray:
-    """Where to sample next: narrower, along the posterior; wider where the step wanted out.
+    """Shape of the next samples: along the posterior, or wider where the step left the sampled region.
 
     The posterior is that of `straight` samples: wide ones bend, and would keep themselves wide.
     """

@@ -1,4 +1,4 @@
-"""What the logs determine and what they do not, in numbers and in words."""
+"""Verdicts: which parameters the logs determine and which they do not, with the reasons in words."""
 
 from __future__ import annotations
 
