@@ -29,9 +29,7 @@ ALLOWED: dict[str, set[str]] = {
     },
 }  # fmt: skip
 #: Imports that the move left behind; each is to go.
-TO_GO: dict[str, set[str]] = {
-    "core": {"robots/go1"},
-}
+TO_GO: dict[str, set[str]] = {}
 
 #: Outside library -> the rooms, or single files, that may import it.
 WALLS = {

@@ -111,11 +111,12 @@ def emulate(
     from amhe_cli.robots.go1.link.child import ROBOT, take_priority
     from amhe_cli.robots.go1.poses import natnet, udp
     from amhe_cli.robots.go1.run import RunOptions, task_and_system
+    from amhe_cli.robots.go1.settings import settings_of
 
     session.hush_mujoco()
     asked = RunOptions(task, target="go1", settings=settings)
     measured, system = task_and_system(asked)
-    s = system.settings.go1
+    s = settings_of(system).go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)
     emulated = EmulatorOptions(
         measured, host, port, mocap, pose_port, parse_faults(fault), slow, seed,  # type: ignore[arg-type]

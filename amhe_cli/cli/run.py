@@ -106,6 +106,7 @@ def run(
     from amhe_cli.robots.go1.record import run_record
     from amhe_cli.robots.go1.recording import film_of, recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
+    from amhe_cli.robots.go1.settings import settings_of
     from amhe_cli.robots.go1.tasks import LONGEST
     from amhe_cli.system.provenance import run_provenance
 
@@ -152,7 +153,7 @@ def run(
                 ON_TIME * opened.task.nominal_time,
                 CLOSE_ENOUGH,
                 {p.name: p.unit for p in opened.system.space.parameters},
-                opened.system.settings.control.period * link.get("link", {}).get("slow", 1.0),
+                settings_of(opened.system).control.period * link.get("link", {}).get("slow", 1.0),
             )
             write_run(scratch, facts, history.columns(), record, origin)
         except Exception as fault:  # a fault of the page must not cost the log

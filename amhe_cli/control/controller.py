@@ -10,9 +10,9 @@ import numpy as np
 
 from amhe_cli.control.mpopi import Mpopi, MpopiStep, Scores
 from amhe_cli.control.protocols import Behaviour, Move, Robot
+from amhe_cli.control.settings import ControlSettings
 from amhe_cli.control.splines import spline_basis
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.settings import ControlSettings
 from amhe_cli.engine.rollout import Engine, Rollouts
 
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from amhe_cli.control.settings import ControlSettings
 from amhe_cli.control.splines import shift_matrix
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.settings import ControlSettings
 from amhe_cli.core.statistics import log_rank_weights
 
 #: A channel stays within this many of its start sigmas, whatever the samples like.

@@ -11,8 +11,6 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 
-from amhe_cli.robots.go1.settings import Go1Settings
-
 
 def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
     if pair[0] > pair[1]:
@@ -20,38 +18,40 @@ def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
     return pair
 
 
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-_Share = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
-_Range = Annotated[tuple[_Positive, _Positive], AfterValidator(_ordered)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
+Range = Annotated[tuple[Positive, Positive], AfterValidator(_ordered)]
 
 
-class _Group(BaseModel):
+class SettingsGroup(BaseModel):
+    """A group of settings; keys that it does not have are refused."""
+
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class LogSettings(_Group):
+class LogSettings(SettingsGroup):
     """How topics become a trajectory."""
 
     stamp: Literal["auto", "header", "publish", "log"] = "auto"
     """Which clock to trust; auto takes header stamps where they are set and monotone, and the recorder's for
     all topics where one header clock steps against it."""
-    max_gap: _Positive = 0.2
+    max_gap: Positive = 0.2
     """Longest silence [s] of a topic that is interpolated; a longer one is a gap, never bridged. A topic
     slower than this is allowed five of its own median periods."""
     align: bool = False
     """Correct the estimated clock offsets between topics; they are reported in any case."""
 
 
-class ClipSettings(_Group):
+class ClipSettings(SettingsGroup):
     """The stretches of log that are rolled out (the paper's clips, section III-B)."""
 
-    length: _Range = (0.3, 2.0)
+    length: Range = (0.3, 2.0)
     """Clip lengths [s], drawn uniformly; capped by the log's own length."""
     count: Annotated[int, Field(ge=1)] = 24
     """Clips in one iteration, re-drawn for the next; fewer where they would cover the logs twice."""
-    held_out: _Share = 0.25
+    held_out: Share = 0.25
     """Share of the logs' time kept for validation when no `--held-out` log is given."""
-    held_out_length: _Positive | None = None
+    held_out_length: Positive | None = None
     """Length [s] of a validation clip; the mean of `length` where not given."""
     held_out_first_only: bool = False
     """Validate only on each held-out log's first clip instead of tiling it."""
@@ -59,19 +59,19 @@ class ClipSettings(_Group):
     """A clip is motionless, and dropped, when its motion stays within this many noise sd."""
 
 
-class CostSettings(_Group):
+class CostSettings(SettingsGroup):
     """The rollout-matching cost."""
 
-    huber: _Positive = 3.0
+    huber: Positive = 3.0
     """Residuals beyond this many sd count linearly, not squared (pseudo-Huber)."""
-    trim: _Share = 0.1
+    trim: Share = 0.1
     """Share of worst clips left out of the mean: chaotic contacts and impacts of unknown cause."""
     smoothing: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.0
     """Start rollouts from positions smoothed over this time [s] before and after, not as recorded: for motion
     without impacts there, or where the mean over many windows counts."""
 
 
-class IdentifySettings(_Group):
+class IdentifySettings(SettingsGroup):
     """SPI: offline identification over all clips."""
 
     samples: Annotated[int, Field(ge=4)] = 16
@@ -107,7 +107,7 @@ _ACTS_WITH: dict[str, str] = {
 }
 
 
-class MheSettings(_Group):
+class MheSettings(SettingsGroup):
     """The sampling MHE of `amhe mhe-replay` and `amhe run --mode adaptive`.
 
     The paper's seven hyper-parameters, and ours. Each default was measured: docs/notes/estimation.md.
@@ -115,9 +115,9 @@ class MheSettings(_Group):
 
     method: Literal["linearised", "logrank"] = "linearised"
     """The update: ours, or the paper's (Algorithm 1, MHE-Estimate)."""
-    window: _Positive = 0.5
+    window: Positive = 0.5
     """Window H [s]."""
-    update_period: _Positive = 0.2
+    update_period: Positive = 0.2
     """Time between two updates [s], the paper's dt_update. In a replay with a longer window than the system's
     own it is longer in proportion, unless it is set along with the window."""
     samples: Annotated[int, Field(ge=4)] | None = None
@@ -135,23 +135,23 @@ class MheSettings(_Group):
     left to `cost.smoothing`, where they are many."""
     elites: Annotated[float, Field(gt=0, le=1)] = 0.3
     """Share of the samples that logrank learns from."""
-    sigma: _Positive = 0.2
+    sigma: Positive = 0.2
     """Start sd of logrank's samples, as a share of the parameter."""
-    sigma_floor: _Positive = 0.02
+    sigma_floor: Positive = 0.02
     """logrank stops once every sd is below this share of its parameter (the paper's sigma_floor)."""
     step: Annotated[float, Field(gt=0, le=1)] = 0.15
     """Least sampling sd of linearised, as a share of the parameter: smaller steps measure the jitter of
     contacts."""
-    start_sd: _Positive = 0.2
+    start_sd: Positive = 0.2
     """Floor under the sd of a belief that is loaded for live use, as a share of each value."""
     excitation: Annotated[float, Field(ge=0)] = 0.1
     """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing, but
     for one that tells of a jump: a light box that turns out to be a heavy one hardly answers to samples."""
-    jump: _Positive = 3.0
+    jump: Positive = 3.0
     """A window that wants the parameters this many sd from the belief tells of a jump."""
     jump_windows: Annotated[int, Field(ge=1)] = 1
     """So many in a row must: single ones may be a contact that was missed."""
-    jump_sd: _Positive = 0.6
+    jump_sd: Positive = 0.6
     """What a jump adds to each sd, in sd of the system's prior, before its window is learnt from."""
     information: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Share of a window's information that linearised counts; less than all where first states are taken as
@@ -159,7 +159,7 @@ class MheSettings(_Group):
     systematic: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
     """A direction in which the model itself is wrong, and by how much (sd, as a share of each parameter; of a
     linear one in prior sd). No window averages it away; it widens what is told, and moves no estimate."""
-    budget: _Positive | None = None
+    budget: Positive | None = None
     """Most time that one live update may take [s]; None: the update period."""
     latency: Annotated[float, Field(ge=0)] = 0.1
     """Simulation in lock-step: time from a window's end until its belief is there, for the next plan [s]."""
@@ -184,42 +184,7 @@ class MheSettings(_Group):
         return [self.prior_weight.get(name, 0.0) for name in names]
 
 
-class ControlSettings(_Group):
-    """MPOPI, the sampling-based MPC of `amhe run`. Each default was measured: docs/notes/control.md."""
-
-    period: _Positive = 0.02
-    """Control period [s]."""
-    substeps: Annotated[int, Field(ge=1)] = 2
-    """Steps of the planner's model in one period."""
-    horizon: Annotated[int, Field(ge=2)] = 16
-    """Steps H that a plan looks ahead."""
-    samples: Annotated[int, Field(ge=5)] = 8
-    """Rollouts N of one control cycle; three of them carry no noise, and from the fourth on every other one
-    leaves the joints alone."""
-    knots: Annotated[int, Field(ge=2)] = 4
-    """Knots K of the cubic spline of joint targets over the horizon."""
-    loops: Annotated[int, Field(ge=1)] = 3
-    """Refinement loops L (the paper's L_MPOPI), one in each cycle from the switch on."""
-    refine: Literal["switch", "always", "never"] = "switch"
-    """When to refine: L loops from each switch of the gait's contacts on (the paper, Algorithm 1), in every
-    cycle, never."""
-    elites: _Share = 0.3
-    """Share of the samples that refine the distribution."""
-    learning_rate: Annotated[float, Field(gt=0, le=1)] = 0.5
-    """How far one loop moves the variance."""
-    sigma_range: _Range = (0.25, 1.5)
-    """Bounds of the refined sigma, as multiples of its start."""
-    temperature: _Positive = 0.1
-    """Of MPPI's weights, in units of (median - least) cost: the same for cheap and dear situations."""
-    sigma_hip: _Positive = 0.006
-    """Noise of the hips' knots [rad]."""
-    sigma_thigh: _Positive = 0.012
-    """Noise of the thighs' knots [rad]."""
-    sigma_calf: _Positive = 0.012
-    """Noise of the calves' knots [rad]."""
-
-
-class ProbeSettings(_Group):
+class ProbeSettings(SettingsGroup):
     """The design of `amhe probe`."""
 
     pairs: Annotated[int, Field(ge=0)] = 1
@@ -228,14 +193,12 @@ class ProbeSettings(_Group):
     """Random multisines to choose from, where actuators are driven as they are."""
 
 
-class Settings(_Group):
-    """All settings."""
+class Settings(SettingsGroup):
+    """All settings of a system; a robot adds groups of its own by a subclass."""
 
     logs: LogSettings = LogSettings()
     clips: ClipSettings = ClipSettings()
     cost: CostSettings = CostSettings()
     identify: IdentifySettings = IdentifySettings()
     mhe: MheSettings = MheSettings()
-    control: ControlSettings = ControlSettings()
     probe: ProbeSettings = ProbeSettings()
-    go1: Go1Settings = Go1Settings()

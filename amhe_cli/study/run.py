@@ -18,6 +18,7 @@ from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.record import run_record
 from amhe_cli.robots.go1.run import RunOptions, open_run
+from amhe_cli.robots.go1.settings import settings_of
 from amhe_cli.study.cells import Cell, cell_of
 from amhe_cli.study.code import code
 from amhe_cli.study.results import blank, thinned
@@ -85,7 +86,7 @@ def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
         columns |= {f"belief_sd/{name}": column for name, column in zip(names, np.array(sds).T, strict=True)}
     if not run.task.one_leg:  # no figure shows the feet of a walking robot
         del columns["foot_x"], columns["foot_y"]
-    return outcome, thinned(columns, run.system.settings.control.period)
+    return outcome, thinned(columns, settings_of(run.system).control.period)
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import Any
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.yaml_file import nested, scalar
 from amhe_cli.robots.go1.model import SYSTEM
+from amhe_cli.robots.go1.settings import PushSettings
 from amhe_cli.study.cells import Setting, setting_of
 from amhe_cli.system.system import System
 
@@ -66,7 +67,7 @@ def ablated(ablations: Sequence[str], base: Setting, defaults: Mapping[str, Any]
 
 def system_with(given: Mapping[str, Any]) -> System:
     """The robot's system with settings from a nested mapping."""
-    return System.load(SYSTEM, given, warn=False)
+    return System.load(SYSTEM, given, schema=PushSettings, warn=False)
 
 
 def _check_acts(path: str, base: Setting) -> None:

@@ -18,7 +18,7 @@ from amhe_cli.system.boxes import resize_boxes
 from amhe_cli.system.cautions import caution
 from amhe_cli.system.channels import draft_wiring
 from amhe_cli.system.model_file import compiled, read_spec, spec_of
-from amhe_cli.system.schema import Description, SystemEntry, keys_at, validated
+from amhe_cli.system.schema import Description, SystemEntry, robot_groups, validated
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import id_of
 from amhe_cli.system.unknowns import generalise, unknowns_of
@@ -62,12 +62,14 @@ def find_system(name_or_dir: str | Path) -> Path:
     raise ConfigError(f"{one_of('system', str(name_or_dir), bundled)} (or any folder with a {FILE_NAME})")
 
 
-def load(name_or_folder: str | Path, settings: Mapping[str, Any] | None, *, warn: bool) -> System:
+def load(
+    name_or_folder: str | Path, settings: Mapping[str, Any] | None, schema: type[Settings], *, warn: bool
+) -> System:
     """See `System.load`."""
     folder, overrides = find_system(name_or_folder), settings or {}
     file = YamlFile(folder / FILE_NAME, _placed(overrides), patient=True)
-    _check_names(file, overrides)
-    entry = validated(file)
+    _check_names(file, overrides, schema)
+    entry = validated(file, schema)
     spec = None if entry is None else _spec(file, folder / entry.model, entry)
     if entry is None or spec is None:
         file.raise_problems()
@@ -227,22 +229,18 @@ def _warn_of_idle(overrides: Mapping[str, Any], mhe: MheSettings) -> None:
 
 
 def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Overrides in the places of `system.yaml` that they replace.
-
-    Raises:
-        ConfigError: There is no such setting.
-    """
+    """Overrides in the places of `system.yaml` that they replace."""
     own = {key: value for key, value in overrides.items() if key in _OWN_KEYS}
     settings = {key: value for key, value in overrides.items() if key not in _OWN_KEYS}
-    known = keys_at(SystemEntry, ("settings",)) or []
-    for key in settings:
-        if key not in known:
-            raise ConfigError(one_of("setting", key, [*known, "parameters", "signals", "keyframe", "boxes"]))
     return merged(own, {"settings": settings}) if settings else own
 
 
-def _check_names(file: YamlFile, overrides: Mapping[str, Any]) -> None:
-    """Refuse overrides of parameters and signals that the file does not have."""
+def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Settings]) -> None:
+    """Refuse overrides of settings that do not exist, and of parameters and signals that the file lacks."""
+    known = list(dict.fromkeys((*schema.model_fields, *robot_groups(file.own))))
+    for key in overrides:
+        if key not in (*_OWN_KEYS, *known):
+            raise ConfigError(one_of("setting", key, [*known, "parameters", "signals", "keyframe", "boxes"]))
     for group in ("parameters", "signals"):
         known, given = file.own.get(group), overrides.get(group)
         if not isinstance(known, Mapping) or not isinstance(given, Mapping):

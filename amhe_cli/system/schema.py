@@ -6,7 +6,7 @@ import types
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
 
 from amhe_cli.core.errors import one_of
 from amhe_cli.core.settings import Settings
@@ -121,7 +121,24 @@ class SystemEntry(_Entry):
     )
     parameters: Annotated[dict[Name, ParameterEntry], Field(min_length=1)]
     signals: Annotated[dict[Name, SignalEntry], Field(min_length=1)]
+    robot: Name | None = None
     settings: Settings = Settings()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _leave_to_robot(cls, data: Any) -> Any:
+        """Settings of the robot are checked where the robot is known: here they are left out."""
+        if not isinstance(data, dict) or not isinstance(data.get("settings"), Mapping):
+            return data
+        others = set(robot_groups(data)) - set(keys_at(cls, ("settings",)) or ())
+        own = {key: value for key, value in data["settings"].items() if key not in others}
+        return data | {"settings": own}
+
+
+def robot_groups(data: Mapping[str, Any]) -> tuple[str, ...]:
+    """Groups of settings that belong to the robot of a system's description; none where it has no robot."""
+    robot = data.get("robot")
+    return ("control", robot) if isinstance(robot, str) else ()
 
 
 class _Remaining(SystemEntry):
@@ -143,7 +160,12 @@ class Description(Protocol):
         """Raise one ConfigError that lists every noted mistake, a line each."""
 
 
-def validated(file: Description) -> SystemEntry | None:
+def with_settings(entry: type[SystemEntry], schema: type[Settings]) -> type[SystemEntry]:
+    """A kind of entry with other settings, such as those of a robot."""
+    return create_model(entry.__name__, __base__=entry, settings=(schema, schema()))
+
+
+def validated(file: Description, schema: type[Settings] = Settings) -> SystemEntry | None:
     """The content of a description; mistakes are noted there, and the entries that have one are left out.
 
     Returns:
@@ -151,7 +173,7 @@ def validated(file: Description) -> SystemEntry | None:
         model; None where too little remains.
     """
     try:
-        return SystemEntry.model_validate(file.data)
+        return with_settings(SystemEntry, schema).model_validate(file.data)
     except ValidationError as error:
         mistakes = error.errors(include_url=False)
     remaining = {k: dict(v) if isinstance(v, Mapping) else v for k, v in file.data.items()}
@@ -160,14 +182,14 @@ def validated(file: Description) -> SystemEntry | None:
         by_place.setdefault(tuple(_real(file.data, mistake["loc"])), []).append(mistake)
     for place, found in by_place.items():
         unknown_key = found[0]["type"] == "extra_forbidden"
-        file.problem(place, _in_words(found, place, file.data), at_key=unknown_key)
+        file.problem(place, _in_words(found, place, file.data, schema), at_key=unknown_key)
         group = remaining.get(str(place[0])) if place else None
         if len(place) > 1 and isinstance(group, dict):
             group.pop(place[1], None)
         elif place:
             remaining.pop(str(place[0]), None)
     try:
-        return _Remaining.model_validate(remaining)
+        return with_settings(_Remaining, schema).model_validate(remaining)
     except ValidationError:
         return None
 
@@ -252,12 +274,12 @@ _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length")
 _SHAPES = ("dict_type", "list_type", "tuple_type", "too_short", "too_long", "missing")
 
 
-def _in_words(mistakes: list[Any], place: Place, data: Any) -> str:
+def _in_words(mistakes: list[Any], place: Place, data: Any, schema: type[Settings]) -> str:
     """What is wrong, and what would be valid; a union of types has one mistake for each member."""
     kind, value = mistakes[0]["type"], at_place(data, place)
     label = _label(place)
     if kind == "extra_forbidden":
-        return one_of("key", str(place[-1]), keys_at(SystemEntry, place[:-1]) or [])
+        return one_of("key", str(place[-1]), keys_at(with_settings(SystemEntry, schema), place[:-1]) or [])
     if kind in _SHAPES and label in _EXAMPLES and value is not None:
         return f"{label} is {value!r}; {_EXAMPLES[label]} would be valid"
     if kind == "missing":

@@ -105,7 +105,12 @@ class System:
 
     @classmethod
     def load(
-        cls, name_or_folder: str | Path, settings: Mapping[str, Any] | None = None, *, warn: bool = True
+        cls,
+        name_or_folder: str | Path,
+        settings: Mapping[str, Any] | None = None,
+        *,
+        schema: type[Settings] = Settings,
+        warn: bool = True,
     ) -> System:
         """Read, check and compile a system folder.
 
@@ -113,6 +118,8 @@ class System:
             name_or_folder: A folder with a `system.yaml`, or the name of a bundled system.
             settings: Nested settings such as `{"clips": {"count": 40}}` in place of the folder's own;
                 `parameters`, `signals`, `keyframe` and `boxes` replace those parts of `system.yaml`.
+            schema: Class of the settings. A robot has its own with more groups; without it, the groups of the
+                system's robot are not checked.
             warn: Log what is allowed but will not do what it seems to.
 
         Raises:
@@ -120,7 +127,7 @@ class System:
         """
         from amhe_cli.system.load import load
 
-        return load(name_or_folder, settings, warn=warn)
+        return load(name_or_folder, settings, schema, warn=warn)
 
     @classmethod
     def from_model(

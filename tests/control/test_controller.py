@@ -11,8 +11,8 @@ import pytest
 
 from amhe_cli.control.controller import Controller, Plan
 from amhe_cli.control.protocols import Behaviour
+from amhe_cli.control.settings import ControlSettings
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
-from amhe_cli.core.settings import ControlSettings
 from amhe_cli.engine.rollout import Rollouts
 
 #: Six rollouts in each cycle, refined or not.

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.settings import ControlSettings
 from amhe_cli.robots.go1.kinematics import LOWER, UPPER
 from amhe_cli.robots.go1.model import ModelLayout
 from amhe_cli.robots.go1.state import Body, State, coordinates, state_of
@@ -56,8 +53,3 @@ class Go1:
             return Body(pose[..., :3], pose[..., 3:], twist[..., :3], twist[..., 3:])
 
         return body(self.at.trunk, self.at.trunk_v), body(self.at.box, self.at.box_v)
-
-
-def joint_sigma(settings: ControlSettings) -> FloatArray:
-    """Start sd of each joint's knots [rad], shape (12,)."""
-    return np.tile([settings.sigma_hip, settings.sigma_thigh, settings.sigma_calf], 4)

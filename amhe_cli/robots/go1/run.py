@@ -29,8 +29,9 @@ from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import SYSTEM, Box, home, layout, planner_model, plant_model
 from amhe_cli.robots.go1.plant import Plant
-from amhe_cli.robots.go1.robot import Go1, joint_sigma
+from amhe_cli.robots.go1.robot import Go1
 from amhe_cli.robots.go1.sampling import Sampler
+from amhe_cli.robots.go1.settings import PushSettings, settings_of
 from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
 from amhe_cli.system.system import System
@@ -112,7 +113,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
         ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
     """
     task, system = task_and_system(options, task)
-    settings = system.settings.control
+    settings = settings_of(system).control
     seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
     start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
     model = plant_model(_moved(task, start), robot=options.plant)
@@ -160,10 +161,10 @@ def controller_for(
     task: Task, behaviour: Behaviour, system: System, threads: int, samples: np.random.Generator
 ) -> Controller:
     """The controller of a task, with the planner's model of its box."""
-    settings = system.settings.control
+    settings = settings_of(system).control
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
     engine = open_engine(system, threads=threads, model=planner, sensors=False)
-    robot = Go1(layout(planner), joint_sigma(settings))
+    robot = Go1(layout(planner), settings.joint_sigma)
     return Controller(behaviour, robot, engine, settings, system.space.names, samples)
 
 
@@ -188,7 +189,7 @@ def system_of(options: RunOptions, task: Task) -> System:
     Raises:
         ConfigError: A setting is wrong.
     """
-    return System.load(SYSTEM, merged(measured(task), options.settings), warn=False)
+    return System.load(SYSTEM, merged(measured(task), options.settings), schema=PushSettings, warn=False)
 
 
 def belief_source(

@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+import numpy as np
+from pydantic import BaseModel, Field
 
-_Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+from amhe_cli.control.settings import ControlSettings
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.settings import Positive, Settings, SettingsGroup
+from amhe_cli.system.system import System
+
 #: Less than 1/16 is nothing to a motor.
 _Damping = Annotated[float, Field(ge=0.0625, le=10)]
 _Speed = Annotated[float, Field(ge=1, le=40)]
@@ -16,11 +21,7 @@ _Share = Annotated[float, Field(gt=0, le=1)]
 _Offset = tuple[float, float, float, float, float, float]
 
 
-class _Group(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class TripSettings(_Group):
+class TripSettings(SettingsGroup):
     """What ends a run; ages are a little below the 50, 100 and 200 ms in which motors must be told.
 
     No bound is so wide that a trip could be switched off by it.
@@ -54,7 +55,7 @@ class TripSettings(_Group):
     """Of the robot's last 200 states that must have come; a second program takes about half of them."""
 
 
-class Go1Settings(_Group):
+class Go1Settings(SettingsGroup):
     """The real robot."""
 
     rate: Annotated[float, Field(ge=100, le=1000)] = 500.0
@@ -69,7 +70,7 @@ class Go1Settings(_Group):
     """Targets are clipped so that position control asks for no more than this share of the torque limit."""
     damping: Annotated[float, Field(ge=0.5, le=10)] = 3.0
     """kd of damped motors [N m s/rad]."""
-    gain_time: _Positive = 2.0
+    gain_time: Positive = 2.0
     """In which gains rise from zero, before standing up [s]."""
     stand_speed: Annotated[float, Field(gt=0, le=3)] = 0.5
     """Fastest joint while standing up [rad/s]."""
@@ -79,7 +80,7 @@ class Go1Settings(_Group):
     """Standing still between a lost plan or pose and sitting down [s]; two feet may be in the air."""
     damp_time: Annotated[float, Field(ge=0.3)] = 1.5
     """Motors are damped at least so long before the sender ends [s]."""
-    connect_time: _Positive = 3.0
+    connect_time: Positive = 3.0
     """Longest wait for the robot, and for motion capture [s]."""
     arm: Literal["operator", "auto"] = "operator"
     """Who lets the run begin; auto is for the emulator, and refused where the robot is not on loopback."""
@@ -98,6 +99,35 @@ class Go1Settings(_Group):
     pose_delay: Annotated[float, Field(ge=0)] = 0.0
     """Age of poses when they arrive, beside what the source itself tells [s]."""
     trips: TripSettings = TripSettings()
+
+
+class Go1ControlSettings(ControlSettings):
+    """MPOPI, with the noise of the Go1's joints."""
+
+    sigma_hip: Positive = 0.006
+    """Noise of the hips' knots [rad]."""
+    sigma_thigh: Positive = 0.012
+    """Noise of the thighs' knots [rad]."""
+    sigma_calf: Positive = 0.012
+    """Noise of the calves' knots [rad]."""
+
+    @property
+    def joint_sigma(self) -> FloatArray:
+        """Start sd of each joint's knots [rad], shape (12,)."""
+        return np.tile([self.sigma_hip, self.sigma_thigh, self.sigma_calf], 4)
+
+
+class PushSettings(Settings):
+    """All settings of `go1_push`: those of every system, and those of the controller and the robot."""
+
+    control: Go1ControlSettings = Go1ControlSettings()
+    go1: Go1Settings = Go1Settings()
+
+
+def settings_of(system: System) -> PushSettings:
+    """The settings of a system that was loaded with `PushSettings`."""
+    assert isinstance(system.settings, PushSettings)
+    return system.settings
 
 
 def deviations(settings: Go1Settings) -> str:

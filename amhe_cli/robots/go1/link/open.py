@@ -23,7 +23,7 @@ from amhe_cli.robots.go1.poses import natnet, udp
 from amhe_cli.robots.go1.poses.feed import KINDS, FeedOptions, PoseFeed
 from amhe_cli.robots.go1.run import Run, RunOptions, belief_source, controller_for, task_and_system
 from amhe_cli.robots.go1.sampling import Sampler
-from amhe_cli.robots.go1.settings import Go1Settings
+from amhe_cli.robots.go1.settings import Go1Settings, settings_of
 from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import Task
 
@@ -67,7 +67,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     """
     _refuse(options)
     task, system = task_and_system(options, task)
-    settings, period = system.settings.go1, system.settings.control.period
+    settings, period = settings_of(system).go1, settings_of(system).control.period
     if settings.arm == "auto" and not _on_loopback(wire.host):
         raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
     clock = _clock(wire)
@@ -91,7 +91,7 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
         ConfigError: A wrong setting or pose source.
     """
     task, system = task_and_system(options)
-    settings, clock = system.settings.go1, _clock(wire)
+    settings, clock = settings_of(system).go1, _clock(wire)
     link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
     return Calibration(link, feed, settings, clock, task.box)
 
