@@ -10,10 +10,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from amhe_cli.api.estimator import Estimator
     from amhe_cli.api.identify import Result, identify
+    from amhe_cli.api.runs import probe, run
     from amhe_cli.core.errors import AmheError
     from amhe_cli.core.log import Log
     from amhe_cli.core.parameters import Belief
+    from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.logs.read import read_log
     from amhe_cli.system.system import System
 
@@ -23,14 +26,31 @@ __version__ = "0.1.0"
 _HOMES = {
     "AmheError": "amhe_cli.core.errors",
     "Belief": "amhe_cli.core.parameters",
+    "Estimate": "amhe_cli.estimation.online.horizon",
+    "Estimator": "amhe_cli.api.estimator",
     "Log": "amhe_cli.core.log",
     "Result": "amhe_cli.api.identify",
     "System": "amhe_cli.system.system",
     "identify": "amhe_cli.api.identify",
+    "probe": "amhe_cli.api.runs",
     "read_log": "amhe_cli.logs.read",
+    "run": "amhe_cli.api.runs",
 }
 
-__all__ = ["AmheError", "Belief", "Log", "Result", "System", "__version__", "identify", "read_log"]
+__all__ = [
+    "AmheError",
+    "Belief",
+    "Estimate",
+    "Estimator",
+    "Log",
+    "Result",
+    "System",
+    "__version__",
+    "identify",
+    "probe",
+    "read_log",
+    "run",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -130,23 +130,22 @@ class ActuatorProbe:
 
     Args:
         options: The request.
-        folder: Folder of the system.
+        own: The system.
 
     Raises:
         ConfigError: The system has nothing to drive, its log cannot be written, or a belief, plant or setting
             does not suit.
     """
 
-    def __init__(self, options: ProbeOptions, folder: Path) -> None:
+    def __init__(self, options: ProbeOptions, own: System) -> None:
         self._options, self.task = options, None
-        own = System.load(folder, options.settings)
         self.system: System = believing(own, options.belief)
         self._controls = driven_controls(own)
         for signal in own.signals:  # refuse what could not be logged before any work is done
             message_type(signal)
         self._engine = open_engine(own, threads=options.threads)
         self._model = Playback(own, self._engine, own.model.opt.timestep)
-        self._plant = self._model if options.plant is None else _other_plant(options, folder, options.plant)
+        self._plant = self._model if options.plant is None else _other_plant(options, own, options.plant)
         self._truth = own.space.named(own.space.nominal)
 
     def design(self, say: Say) -> ProbePlan:
@@ -219,10 +218,11 @@ class ActuatorProbe:
         return playback.play(theta, everywhere, self._options.rng(place))
 
 
-def _other_plant(options: ProbeOptions, folder: Path, plant: Path) -> Playback:
+def _other_plant(options: ProbeOptions, own: System, plant: Path) -> Playback:
     """Another model with the same joints and actuators, with its own parameters."""
+    assert own.folder is not None, "only systems with a folder are probed by another plant"
     try:
-        system = System.load(folder, {**options.settings, "model": str(plant.resolve())}, warn=False)
+        system = System.load(own.folder, {**options.settings, "model": str(plant.resolve())}, warn=False)
     except ConfigError as error:
         first = str(error).splitlines()[0]
         raise ConfigError(f"--plant {plant}: does not suit the system: {first}") from None

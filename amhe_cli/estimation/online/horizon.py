@@ -67,6 +67,11 @@ class Estimate:
     update_ms: float
 
     @property
+    def values(self) -> dict[str, float]:
+        """Estimated parameters by name."""
+        return dict(zip(self.belief.names, map(float, self.theta), strict=True))
+
+    @property
     def updated(self) -> bool:
         """Whether the window changed the estimate."""
         return self.mark in ("updated", "jump")

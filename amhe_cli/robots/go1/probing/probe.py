@@ -227,7 +227,7 @@ def open_probe(options: ProbeOptions, robot: Go1OnLink | None = None) -> Probe:
     folder = _driven(options, robot)
     if folder is None:
         return PushProbe(options, robot)
-    return ActuatorProbe(options, folder)
+    return ActuatorProbe(options, System.load(folder, options.settings))
 
 
 def _driven(options: ProbeOptions, robot: Go1OnLink | None) -> Path | None:

@@ -1,0 +1,125 @@
+"""Probing and closed-loop runs in simulation, as one call each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from amhe_cli.api.identify import cores
+from amhe_cli.core.files import plain
+from amhe_cli.core.parameters import Belief
+from amhe_cli.engine.cpu import hush_mujoco
+from amhe_cli.estimation.design.design import known_record, plan_record
+from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
+from amhe_cli.system.system import System
+
+
+def probe(
+    system: System,
+    *,
+    seconds: float = 10.0,
+    belief: Belief | str | Path | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    log: str | Path | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> dict[str, Any]:
+    """Design the excitation of a system's actuators that reveals most about the parameters, and simulate it.
+
+    Args:
+        system: A system whose actuators are driven as they are.
+        seconds: Length of the excitation [s].
+        belief: What is believed of the parameters; None: the system's prior.
+        seed: Seed of the random numbers.
+        threads: CPU threads; None: all cores. Results do not depend on it.
+        log: File for the log of the simulated probe (.mcap); None: it is not kept.
+        progress: Called with a line of text now and then.
+
+    Returns:
+        The content of plan.json: `sequence`, and `parameters` with the prior sd, the expected sd and the sd
+        that the simulated log achieves.
+
+    Raises:
+        ConfigError: The system has nothing to drive, or an argument is wrong.
+        SimulationError: The simulation diverged.
+    """
+    hush_mujoco()
+    start = Path(belief) if isinstance(belief, str) else belief
+    options = ProbeOptions(seconds=seconds, belief=start, seed=seed, threads=threads or cores())
+    opened = ActuatorProbe(options, system)
+    say = progress or (lambda text: None)
+    plan = opened.design(say)
+    with _file(log) as path:
+        ending = opened.run(plan, path, lambda: False, say)
+        if ending.error:
+            raise ending.error
+        found = achieved(opened.system, path, options)
+    known = {"expected": plan.expected, "plain": plan.plain, "achieved": found}
+    return plain(plan_record(plan) | known_record(known))
+
+
+def run(
+    task: str = "t1",
+    mode: str = "adaptive",
+    *,
+    belief: Belief | str | Path | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    duration: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+    log: str | Path | None = None,
+    progress: Callable[[Mapping[str, float]], None] | None = None,
+) -> dict[str, Any]:
+    """Let a simulated Go1 push a box through a task.
+
+    Args:
+        task: Name of the task: t1 to t5, hw1, hw2.
+        mode: What the controller plans with: 'true', 'baseline', 'stale' or 'adaptive' parameters.
+        belief: A belief in place of the task's own.
+        seed: Seed of start poses, sensor noise and sampling.
+        threads: CPU threads; None: all cores. Results do not depend on it.
+        duration: Longest time of the run [s]; None: the tasks' own limit.
+        settings: Nested settings such as `{"mhe": {"window": 0.5}}`.
+        log: File for the log (.mcap); None: it is not kept.
+        progress: Called after each control cycle with its numbers, among them `time` [s] and `to_goal` [m].
+
+    Returns:
+        The measures of result.json: `success`, `goal_error_m`, `cost`, `time_s` and more.
+
+    Raises:
+        ConfigError: An argument is wrong.
+        SimulationError: The simulation diverged.
+    """
+    from amhe_cli.live.loop import drive
+    from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.record import run_record
+    from amhe_cli.robots.go1.recording import recorder_of
+    from amhe_cli.robots.go1.run import RunOptions, open_run
+    from amhe_cli.robots.go1.tasks import LONGEST
+
+    hush_mujoco()
+    options = RunOptions(
+        task, mode, belief=Path(belief) if isinstance(belief, str) else belief, seed=seed,
+        threads=threads or cores(), duration=duration or LONGEST, settings=settings or {},
+    )  # fmt: skip
+    opened = open_run(options)
+    history, show = History(opened.task), progress or (lambda row: None)
+    with closing(opened.episode.belief), _file(log) as path, recorder_of(opened, path) as recorder:
+        ending = drive(opened.episode, recorder, history, lambda: False, lambda _, row: show(row))
+    if ending.error:
+        raise ending.error
+    record = run_record(opened.judge.measures(), history, ending)
+    return plain({"task": task, "mode": mode, "seed": seed, **record})
+
+
+@contextmanager
+def _file(log: str | Path | None) -> Iterator[Path]:
+    """The file of a log, or a temporary one."""
+    if log is not None:
+        yield Path(log)
+        return
+    with TemporaryDirectory() as folder:
+        yield Path(folder) / "log.mcap"

@@ -1,0 +1,208 @@
+"""The library as a script or a notebook uses it; the docs' examples run as they stand."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.system.load import bundled_root
+
+ROOT = Path(__file__).parents[2]
+#: Few clips and iterations: these tests are about the calls.
+CHEAP = {
+    "clips": {"count": 6, "length": [0.4, 0.8]},
+    "identify": {"iterations": 4, "bootstrap": 20, "profile_points": 3},
+}
+
+
+@pytest.fixture(scope="module")
+def system() -> amhe.System:
+    return amhe.System.load("pendulum", CHEAP)
+
+
+@pytest.fixture(scope="module")
+def log(system: amhe.System) -> amhe.Log:
+    return amhe.read_log(bundled_root() / "examples" / "logs" / "pendulum.mcap", system, end=6.0)
+
+
+@pytest.fixture(scope="module")
+def result(system: amhe.System, log: amhe.Log) -> amhe.Result:
+    return amhe.identify(system, log, threads=1)
+
+
+def python(text: str, folder: Path) -> str:
+    """Run Python code in a fresh process in another folder; what it printed."""
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "OMP_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [sys.executable, "-c", text], cwd=folder, env=environment, capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0, done.stderr[-3000:]
+    return done.stdout
+
+
+def blocks(path: Path) -> str:
+    return "\n".join(re.findall(r"^```python\n(.*?)^```", path.read_text(encoding="utf-8"), re.M | re.S))
+
+
+def test_every_public_name_is_there_and_described() -> None:
+    described = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
+    for name in amhe.__all__:
+        assert getattr(amhe, name) is not None
+        assert name in dir(amhe)
+        assert name.startswith("__") or f"`{name}`" in described, f"{name} is not in docs/api.md"
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        _ = amhe.identfy  # type: ignore[attr-defined]
+
+
+def test_the_package_imports_nothing_heavy(tmp_path: Path) -> None:
+    heavy = ("numpy", "mujoco", "rich", "pydantic")
+    text = f"import sys, amhe_cli; print([m for m in {heavy} if m in sys.modules])"
+    assert python(text, tmp_path).strip() == "[]"
+
+
+def test_the_examples_of_the_docs_run(tmp_path: Path) -> None:
+    printed = python(blocks(ROOT / "docs" / "api.md"), tmp_path)
+    assert "no signal 'joint'" in printed
+    assert {path.name for path in (tmp_path / "result").iterdir()} == {
+        "belief.yaml", "identified.xml", "report.html", "result.json",
+    }  # fmt: skip
+
+
+def test_the_script_in_the_readme_runs(tmp_path: Path) -> None:
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    text = blocks(ROOT / "README.md")
+    assert 5 < len(text.splitlines()) <= 25
+    assert "load_mass" in python(text, tmp_path)
+
+
+def test_the_example_script_runs(tmp_path: Path) -> None:
+    printed = python((ROOT / "examples" / "identify_arrays.py").read_text(encoding="utf-8"), tmp_path)
+    assert re.search(r"damping +0\.0(29|30)\d*", printed), printed
+
+
+def test_the_notebook_runs(tmp_path: Path) -> None:
+    notebook = json.loads((ROOT / "examples" / "notebook.ipynb").read_text(encoding="utf-8"))
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert len(cells) > 5
+    assert not any(cell.get("outputs") for cell in notebook["cells"])
+    text = f"space = {{}}\nfor cell in {cells!r}:\n    exec(cell, space)"
+    assert "damping" in python(text, tmp_path)
+
+
+def test_a_result_has_what_the_command_prints(result: amhe.Result) -> None:
+    mass = result.parameters["load_mass"]
+    assert mass.interval == (mass.lower, mass.upper) and mass.lower < mass.estimate < mass.upper
+    assert str(result) == result.table
+    for name in result.parameters:
+        assert name in result.table
+    assert "held-out: " in result.table and "report:" not in result.table
+    assert "\x1b" not in result.table
+    assert result._repr_html_().startswith("<pre>") and "load_mass" in result._repr_html_()
+    assert result.belief.sample(7).shape == (7, 4)
+
+
+def test_the_model_has_the_identified_values(result: amhe.Result) -> None:
+    model = result.model()
+    assert isinstance(model, mujoco.MjModel)
+    assert model.body("load").mass[0] == pytest.approx(result.parameters["load_mass"].estimate)
+
+
+def test_save_writes_what_the_command_writes(result: amhe.Result, tmp_path: Path) -> None:
+    result.save(tmp_path / "out")
+    record = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
+    assert (record["schema_version"], record["command"], record["seed"]) == (1, "identify", 0)
+    assert [p["name"] for p in record["parameters"]] == list(result.parameters)
+    assert amhe.Belief.load(tmp_path / "out" / "belief.yaml", result.system).names == result.belief.names
+    mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "identified.xml"))
+    with pytest.raises(ConfigError, match="is not empty"):
+        result.save(tmp_path / "out")
+    result.save(tmp_path / "out", force=True)
+
+
+def test_a_system_without_a_folder_is_saved_as_well(tmp_path: Path) -> None:
+    time = np.arange(0.0, 4.0, 0.01)
+    system = amhe.System.from_model(
+        bundled_root() / "models" / "pendulum" / "scene.xml",
+        parameters={"damping": {"nominal": 0.02, "targets": [{"joint": "hinge", "set": "damping"}]}},
+        signals={
+            "joints": {"joints": ["hinge"], "noise": {"position": 0.01}},
+            "command": {"actuators": ["servo"], "quantity": "position"},
+        },
+        settings=CHEAP,
+    )
+    position = 0.5 * np.sin(3.0 * time)
+    arrays = {"joints": {"time": time, "position": position}, "command": {"time": time, "position": position}}
+    found = amhe.identify(system, amhe.Log.from_arrays(arrays, system))
+    found.save(tmp_path / "out")
+    belief = amhe.Belief.load(tmp_path / "out" / "belief.yaml", system)
+    assert list(belief.provenance["logs"]) == ["arrays"]  # type: ignore[call-overload]
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+
+
+def test_an_identification_is_the_commands(result: amhe.Result, system: amhe.System, log: amhe.Log) -> None:
+    assert amhe.identify(system, [log], threads=2).belief.estimate.tolist() == result.belief.estimate.tolist()
+
+
+def test_wrong_arguments_are_named(system: amhe.System, log: amhe.Log) -> None:
+    with pytest.raises(ConfigError, match="`logs`: there is none"):
+        amhe.identify(system, [])
+    with pytest.raises(ConfigError, match="`logs`: give logs, made by read_log"):
+        amhe.identify(system, ["swing.mcap"])  # type: ignore[list-item]
+    with pytest.raises(ConfigError, match="`held_out`: .* is fitted too"):
+        amhe.identify(system, log, held_out=log)
+    with pytest.raises(ConfigError, match="no engine 'gpy'"):
+        amhe.identify(system, log, engine="gpy")
+    with pytest.raises(LogError, match="was not read for the system 'cube_toss': it has no "):
+        amhe.identify(amhe.System.load("cube_toss"), log)
+    with pytest.raises(ConfigError, match="`end`: 1 is not after `start` 2"):
+        amhe.read_log("swing.mcap", system, start=2.0, end=1.0)
+    with pytest.raises(ConfigError, match="`topics`: no signal 'joint'"):
+        amhe.read_log("swing.mcap", system, topics={"joint": "/x"})
+
+
+def test_an_estimator_follows_a_log(system: amhe.System, log: amhe.Log) -> None:
+    estimator = amhe.Estimator(system, seed=1)
+    step, estimates = 25, []
+    for row in range(0, log.steps - step, step):
+        rows = np.arange(row, row + step)
+        samples = {
+            key: (log.dt * rows[series.sampled[rows]], series.values[rows[series.sampled[rows]]])
+            for key, series in log.series.items()
+        }
+        estimates.append(estimator.update(samples))
+    found = [one for one in estimates if one is not None]
+    assert estimates[0] is None and len(found) > 15
+    assert all(b.time > a.time for a, b in pairwise(found))
+    truth = json.loads(log.metadata["truth"])
+    assert found[-1].values["load_mass"] == pytest.approx(truth["load_mass"], rel=0.1)
+    with pytest.raises(
+        LogError, match=r"samples: no series 'joints.positon' \(did you mean 'joints.position'"
+    ):
+        estimator.update({"joints.positon": (9.0, 0.0)})
+    with pytest.raises(LogError, match="values of shape"):
+        estimator.update({"joints.position": ([9.0, 9.1], [0.0, 0.1, 0.2])})
+
+
+def test_a_probe_says_what_it_will_reveal(system: amhe.System, tmp_path: Path) -> None:
+    few = amhe.System.load("pendulum", CHEAP | {"probe": {"candidates": 2, "pairs": 0}})
+    plan = amhe.probe(few, seconds=2.0, log=tmp_path / "probe.mcap")
+    rows = {row["name"]: row for row in plan["parameters"]}
+    assert 0.0 < rows["load_mass"]["expected_sd"] < rows["load_mass"]["prior_sd"]
+    assert amhe.read_log(tmp_path / "probe.mcap", few).duration == pytest.approx(2.0, abs=0.1)
+
+
+def test_a_run_gives_its_measures() -> None:
+    measures = amhe.run("t1", "true", duration=0.2, settings={"control": {"samples": 5, "horizon": 6}})
+    assert (measures["task"], measures["mode"], measures["success"]) == ("t1", "true", False)
+    assert measures["goal_error_m"] > 0.5
