@@ -41,6 +41,8 @@ MODES = ("true", "baseline", "stale", "adaptive")
 _START_PLACE, _START_TURN = 0.03, float(np.deg2rad(3.0))
 #: Variance of z of numbers that a task takes for granted: none, but a covariance must be regular.
 _CERTAIN = 1e-8
+#: Uses of a run's seed; a new one goes to the end, so that the others draw as before.
+_USES = ("start", "sensors", "samples", "estimator")
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +104,11 @@ class Run:
     first_truth: dict[str, float]
 
 
+def generator(seed: int, use: str) -> np.random.Generator:
+    """The random generator for one of the uses of a run's seed: start, sensors, samples or estimator."""
+    return np.random.default_rng(np.random.SeedSequence(seed).spawn(len(_USES))[_USES.index(use)])
+
+
 def open_run(options: RunOptions, task: Task | None = None) -> Run:
     """Set everything up.
 
@@ -114,8 +121,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     """
     task, system = task_and_system(options, task)
     settings = settings_of(system).control
-    seeds = np.random.SeedSequence(options.seed).spawn(4)[:3]  # the fourth is the estimator's
-    start, sensors, samples = (np.random.default_rng(seed) for seed in seeds)
+    start, sensors, samples = (generator(options.seed, use) for use in ("start", "sensors", "samples"))
     model = plant_model(_moved(task, start), robot=options.plant)
     plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
     target = SimTarget(plant, settings.period, HOME, options.realtime)
@@ -236,7 +242,7 @@ def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = Non
     system = system_of(options, find_task(options.task))
     threads = 1 if options.live else options.threads
     engine = open_engine(system, threads=threads)
-    rng = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(4)[3])
+    rng = generator(options.seed, "estimator")
     return MovingHorizon(system, engine, rng, belief or start)
 
 

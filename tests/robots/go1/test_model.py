@@ -102,6 +102,7 @@ def test_home_touches_nothing_but_the_floor(plant: mujoco.MjModel) -> None:
     data.qpos[:] = home(plant)
     mujoco.mj_forward(plant, data)
     floor = plant.geom("floor").id
+    assert data.ncon >= 4, "all feet stand"
     assert all(floor in contact.geom for contact in data.contact)
 
 

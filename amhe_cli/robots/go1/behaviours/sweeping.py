@@ -157,12 +157,12 @@ class Sweeping:
     trunk_height: float = 0.27
     _stance: Plane | None = None
     _planted: FloatArray = field(init=False)
-    _start: float = 0.0
+    _start_y: float = 0.0
     _over: bool = False
-    _kick: float = np.inf
-    _y: float = 0.0
+    _kick_begin: float = np.inf
+    _target_y: float = 0.0
     _lowered: float = 0.0
-    _time: float = 0.0
+    _last_time: float = 0.0
 
     def __post_init__(self) -> None:
         self._planted = neutral_feet(self.gait)
@@ -197,16 +197,17 @@ class Sweeping:
         begun = state.time - self._begin
         if begun < 0.0:
             return self._prepare(self._stance, state, line, face, at)
-        seen, passed = self._see_feet(self._stance, state), state.time - self._time
+        seen, passed = self._see_feet(self._stance, state), state.time - self._last_time
         self._follow(seen, passed)
         foot = np.array([line, seen[self.tripod.index, 1], self.shape.height - self.gait.height])
         trunk = self._stance.pose(state.trunk)
-        speed, push = self._pace(trunk, foot[1], face, begun, at.speed, box_friction(belief))
-        self._time = state.time
-        if self._over and self._start - foot[1] < self.shape.back:
+        self._note_progress(foot[1], begun, at.speed)
+        speed, push = self._pace(trunk, foot[1], face, at.speed, box_friction(belief))
+        self._last_time = state.time
+        if self._over and self._start_y - foot[1] < self.shape.back:
             self._lowered = min(self._lowered + self.shape.set_down * passed, self.shape.height)
         foot[2] -= self._lowered
-        foot[1] = self._y = self._aim(passed, foot[1], speed)
+        foot[1] = self._target_y = self._aim(passed, foot[1], speed)
         lean = self._lean_in_world(self._stance, state.time, foot[1])
         command = np.array([0.0, -speed, 0.0, 0.0, 0.0, -push])
         at = replace(at, speed=max(speed, 0.0))
@@ -226,25 +227,41 @@ class Sweeping:
     def _prepare(self, stance: Plane, state: State, line: float, face: float, at: Reference) -> SweepMove:
         """Shift the trunk, lift the leg, and put the foot beside the box."""
         ready = np.array([line, face + self.shape.clearance, self.shape.height - self.gait.height])
-        self._start, self._y, self._time = ready[1], ready[1], state.time
+        self._start_y, self._target_y, self._last_time = ready[1], ready[1], state.time
         lean = self._lean_in_world(stance, state.time, ready[1])
         return SweepMove(self, ready, None, self._planted, lean, at, np.zeros(6))
 
-    def _pace(
-        self, trunk: FloatArray, y: float, face: float, begun: float, commanded: float, resistance: float
-    ) -> tuple[float, float]:
-        """Speed of the foot to the right [m/s], negative on its way back, and force on the box [N]."""
+    def _note_progress(self, y: float, begun: float, commanded: float) -> None:
+        """Remember when the kick began, and whether the sweep is over.
+
+        Args:
+            y: The free foot's place to the left [m].
+            begun: Time since the sweep began [s].
+            commanded: Speed along the path that the reference asks for [m/s].
+        """
         s = self.shape
-        kicking = y < s.kick_length - s.reach
-        self._kick = min(self._kick, begun) if kicking else self._kick
-        self._over |= y < -s.reach or commanded == 0.0 or begun > min(s.longest, self._kick + s.kick_time)
+        if self._kicks(y):
+            self._kick_begin = min(self._kick_begin, begun)
+        late = begun > min(s.longest, self._kick_begin + s.kick_time)
+        if late or y < -s.reach or commanded == 0.0:
+            self._over = True
+
+    def _kicks(self, y: float) -> bool:
+        """Whether a foot at y [m] is in the last part of its reach, where it kicks."""
+        return y < self.shape.kick_length - self.shape.reach
+
+    def _pace(
+        self, trunk: FloatArray, y: float, face: float, commanded: float, friction: float
+    ) -> tuple[float, float]:
+        """Speed of the foot to the right [m/s], negative on its way back, and its force on the box [N]."""
+        s = self.shape
         if self._over:
-            return -float(np.clip(self._start - y, 0.0, s.return_speed)), 0.0
+            return -float(np.clip(self._start_y - y, 0.0, s.return_speed)), 0.0
         if support_margin(self._planted, self.tripod, trunk) < s.margin:
             return 0.0, 0.0
         if y - face >= s.touching:
             return commanded, 0.0
-        return s.kick if kicking else commanded, resistance
+        return s.kick if self._kicks(y) else commanded, friction
 
     def running_cost(self, state: State) -> dict[str, float]:
         """See `Behaviour`."""
@@ -257,7 +274,7 @@ class Sweeping:
         s = self.shape
         since = times - self.tripod.shift_time - self.tripod.lift_time
         begun = np.clip(since / s.lean_time, 0.0, 1.0)
-        gone = begun * (self._start + s.lean_ahead - y) / max(self._start + s.reach, 0.05)
+        gone = begun * (self._start_y + s.lean_ahead - y) / max(self._start_y + s.reach, 0.05)
         back, rest = np.clip(s.back_first * gone, 0.0, 1.0), np.clip(gone, 0.0, 1.0)
         return np.stack((s.lean[0] * back, s.lean[1] * rest, s.lean[2] * rest), axis=-1)
 
@@ -273,15 +290,15 @@ class Sweeping:
         leans by it, and would unwind with a foot that has slipped.
         """
         leash = self.shape.kick_leash if speed == self.shape.kick or self._over else self.shape.leash
-        wanted = self._y - speed * passed
-        return float(max(wanted, min(y - leash, self._y + self.shape.return_speed * passed)))
+        wanted = self._target_y - speed * passed
+        return float(max(wanted, min(y - leash, self._target_y + self.shape.return_speed * passed)))
 
     def _reference(self, state: State) -> Reference:
         place = self.path.place(state.box.position[:2])
-        started = state.time >= self._begin
+        speed = self.shape.speed * self.path.tapered(place.progress, self.taper)
         return Reference(
             time=state.time,
-            speed=self.shape.speed * self.path.tapered(place.progress, self.taper) * started,
+            speed=speed if state.time >= self._begin else 0.0,
             origin=self.path.nearest(state.box.position[:2], place),
             heading=float(place.heading),
             yaw=0.0,

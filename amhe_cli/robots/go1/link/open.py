@@ -21,7 +21,7 @@ from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.poses import natnet, udp
 from amhe_cli.robots.go1.poses.feed import KINDS, FeedOptions, PoseFeed
-from amhe_cli.robots.go1.run import Run, RunOptions, belief_source, controller_for, task_and_system
+from amhe_cli.robots.go1.run import Run, RunOptions, belief_source, controller_for, generator, task_and_system
 from amhe_cli.robots.go1.sampling import Sampler
 from amhe_cli.robots.go1.settings import Go1Settings, settings_of
 from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
@@ -75,7 +75,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     link = Link(wire.host, wire.port, settings, clock, wire.keys)
     target = Go1Target(link, feed, settings, clock, period, _box_centre(task))
     behaviour = task.behaviour()
-    samples = np.random.default_rng(np.random.SeedSequence(options.seed).spawn(3)[2])
+    samples = generator(options.seed, "samples")
     controller = controller_for(task, behaviour, system, options.threads, samples)
     judge = Judge(task, behaviour, period, options.duration)
     believed = belief_source(options, task, system, None, wire.slow)
