@@ -54,7 +54,7 @@ def _source_of(model: mujoco.MjModel) -> mujoco.MjSpec:
             path = Path(folder) / "model.xml"
             mujoco.mj_saveLastXML(str(path), model)
             spec = mujoco.MjSpec.from_file(str(path))
-            again = spec.compile()
+            again = mujoco.MjModel.from_xml_path(str(path))  # and MuJoCo has its source again
     except (ValueError, mujoco.FatalError):
         again = None
     if again is None or again.names != model.names or not np.allclose(again.qpos0, model.qpos0, atol=1e-4):

@@ -54,6 +54,12 @@ def test_a_model_whose_source_is_gone_is_refused() -> None:
         made(model)
 
 
+def test_a_model_can_be_given_twice() -> None:
+    model = mujoco.MjModel.from_xml_path(str(SCENE))
+    made(model)
+    assert made(model).space.names == tuple(FILE["parameters"])
+
+
 def test_the_spec_that_was_given_stays_as_it_was() -> None:
     spec = mujoco.MjSpec.from_file(str(SCENE))
     before = spec.to_xml()
