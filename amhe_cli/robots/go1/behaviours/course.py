@@ -17,9 +17,9 @@ class Place:
     """Where points are with respect to a path; each shape (...).
 
     Args:
-        progress: Along the path from its start [m]; beyond the ends too.
+        progress: Distance along the path from its start [m]; it goes on beyond both ends.
         left: Distance from the path, positive to the left [m].
-        heading: Of the path there [rad].
+        heading: Heading of the path at that point [rad].
     """
 
     progress: FloatArray
@@ -34,7 +34,7 @@ class Course:
     Args:
         start: First point [m].
         heading: Direction at the start [rad].
-        length: [m].
+        length: Length of the path [m].
         curvature: 1 / radius, positive to the left [1/m]; 0 is a line.
     """
 
@@ -66,7 +66,7 @@ class Course:
         return np.stack((self.start[0] + c * ahead - s * left, self.start[1] + s * ahead + c * left), axis=-1)
 
     def place(self, points: FloatArray) -> Place:
-        """Where points [m] (..., 2) are."""
+        """Progress, distance and heading of points [m] (..., 2) with respect to the path."""
         dx, dy = points[..., 0] - self.start[0], points[..., 1] - self.start[1]
         c, s = np.cos(self.heading), np.sin(self.heading)
         ahead, left = c * dx + s * dy, c * dy - s * dx
@@ -86,7 +86,7 @@ class Plane:
     """Origin and heading of a frame whose z is the world's.
 
     Args:
-        origin: In the world [m], shape (2,).
+        origin: Its origin in the world [m], shape (2,).
         yaw: Heading of its x axis [rad].
     """
 

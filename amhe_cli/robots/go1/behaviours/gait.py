@@ -47,12 +47,12 @@ class Gait:
     """A gait's shape.
 
     Args:
-        period: Of one stride [s].
+        period: Duration of one stride [s].
         duty: Share of the period that a foot stands; 1 is standing still.
         swing: How high a swinging foot is lifted [m].
-        height: Of the trunk over the floor [m].
+        height: Height of the trunk over the floor [m].
         kp: Gain of the servos that follow the targets [N m/rad].
-        damping: Of hip, thigh and calf, servo's and joint's together [N m s/rad].
+        damping: Damping of hip, thigh and calf [N m s/rad]: servo and joint added up.
         offsets: Phase of each foot's touch-down, in periods.
         loading: Share of the period in which a foot takes over, or hands on, its load.
     """
@@ -82,7 +82,7 @@ class LegTargets:
         targets: Joint targets, force lead included [rad], shape (..., 12).
         joints: Joint angles that put the feet where they should be [rad], shape (..., 12).
         feet: Centres of the feet in the trunk's frame [m], shape (..., 4, 3).
-        forces: Of the ground on the feet [N], shape (..., 4, 3).
+        forces: Forces of the ground on the feet [N], shape (..., 4, 3).
         contact: Feet that should stand, shape (..., 4).
     """
 
@@ -130,10 +130,10 @@ def walk(
     """Trot, trot in place, or stand, as the gait says and the twist commands.
 
     Args:
-        gait: The gait.
+        gait: Period, duty, heights and gains of the gait.
         time: Instants [s], shape (...).
         twist: Velocity of the trunk in its own frame: ahead, left [m/s], yaw rate [rad/s], shape (..., 3).
-        push: Force on what is in front, ahead and left in the trunk's frame [N], shape (..., 2).
+        push: Force on what is in front of the robot, ahead and left in the trunk's frame [N], shape (..., 2).
         left: How far left of neutral each foot steps [m], shape (4,) or ().
     """
     phase = phases(gait, time)
@@ -184,7 +184,7 @@ def _velocity_at(places: FloatArray, twist: FloatArray) -> tuple[FloatArray, Flo
 
 
 def _loads(gait: Gait, phase: FloatArray) -> FloatArray:
-    """How much each foot may carry, 0 to 1, shape (..., 4): load is handed over, not dropped."""
+    """Share of its full load that each foot may carry, 0 to 1, shape (..., 4); it changes gradually."""
     if gait.duty >= 1.0:
         return np.ones_like(phase)
     rise, fall = phase / gait.loading, (gait.duty - phase) / gait.loading
@@ -228,9 +228,9 @@ def ground_forces(feet: FloatArray, load: FloatArray, push: FloatArray, height: 
 
     Args:
         feet: Places in the trunk's frame [m], shape (..., 4, 3).
-        load: As in `stance_weights`.
-        push: Force on what is pushed, ahead and left [N], shape (..., 2).
-        height: Of the push over the floor [m], shape (...).
+        load: How much each foot may carry, as in `stance_weights`.
+        push: Force on the object that is pushed, ahead and left [N], shape (..., 2).
+        height: Height of the push over the floor [m], shape (...).
 
     Returns:
         Forces [N], shape (..., 4, 3).

@@ -20,15 +20,15 @@ BUMPER = 0.27
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reference:
-    """What is wanted at present.
+    """What robot and box should do at present.
 
     Args:
-        time: When it was made [s].
-        speed: Of robot and box along their headings [m/s].
+        time: Time at which the reference was made [s].
+        speed: Desired speed of robot and box along their headings [m/s].
         origin: A point on the line that the box is to follow [m], shape (2,).
-        heading: Of that line, and of the box's velocity [rad].
-        yaw: Of the robot [rad].
-        box_yaw: Of the box [rad].
+        heading: Heading of that line, and of the box's desired velocity [rad].
+        yaw: Desired yaw of the robot [rad].
+        box_yaw: Desired yaw of the box [rad].
         turn: How fast the three headings turn [rad/s].
         offset: Where the bumper's middle pushes, left of the box's middle [m].
         pushing: 1 where the box is to move already, 0 while the robot still comes to it.
@@ -134,10 +134,10 @@ def push_terms(
     """Terms of walking behind a box, each shape (..., H).
 
     Args:
-        weights: Of the terms.
+        weights: Weights of the terms.
         trunk, box: Motions, leading axes (..., H).
-        height: Of the trunk that is wanted [m].
-        at: The reference.
+        height: Desired height of the trunk [m].
+        at: What robot and box should do.
         elapsed: Time since it was made [s], shape (H,).
     """
     w = weights
@@ -163,9 +163,9 @@ def along_line(box: Body, at: Reference, turned: FloatArray | float) -> tuple[Fl
     """Speed of the box along the reference's heading [m/s], and its distance left of it [m], each (...).
 
     Args:
-        box: The motion.
-        at: The reference.
-        turned: How far the heading has turned since [rad].
+        box: Motion of the box.
+        at: What robot and box should do.
+        turned: How far the heading has turned since the reference was made [rad].
     """
     c, s = np.cos(at.heading + turned), np.sin(at.heading + turned)
     speed = c * box.velocity[..., 0] + s * box.velocity[..., 1]

@@ -48,7 +48,7 @@ class Pacing:
         """Integrate over one cycle of pushing.
 
         Args:
-            time: The time now [s].
+            time: Present time [s].
             missing: Missing share of the commanded speed.
         """
         passed = 0.0 if self._time is None else min(max(time - self._time, 0.0), _LONGEST)
@@ -92,14 +92,14 @@ class Steering:
 
 @dataclass(frozen=True, slots=True)
 class Retreat:
-    """When the face is lost, and when it is found again.
+    """When the bumper has lost the box's face, and when it has found it again.
 
     Args:
-        lost_left: Bumper's middle this far beside the box's edge [m]: the face is lost.
-        lost_turn: Robot's yaw this far from the box's [rad]: the same.
+        lost_left: The face is lost when the bumper's middle is this far outside the box's edge [m].
+        lost_turn: The face is lost when the robot's yaw differs this much from the box's [rad].
         clear: Distance to which the robot backs off [m].
-        speed: Backwards [m/s].
-        aligned_left, aligned_turn: Close enough to come back [m], [rad].
+        speed: Speed backwards [m/s].
+        aligned_left, aligned_turn: The robot may come back when it is aligned this well [m], [rad].
     """
 
     lost_left: float = 0.02
@@ -114,8 +114,8 @@ class Helm:
     """Turns states into references; remembers whether the robot is backing off, and how slow it is.
 
     Args:
-        path: Of the box.
-        speed: Commanded [m/s].
+        path: Path of the box.
+        speed: Commanded speed [m/s].
         taper: Last distance of the path over which the speed goes to zero [m].
         half_length, half_width: Of the box along and across the push [m].
         steering, retreat: Gains and thresholds.

@@ -31,30 +31,31 @@ class SweepShape:
     """How the leg sweeps, in the frame of the three standing feet: x ahead, y left.
 
     Args:
-        height: Of the foot over the floor [m].
-        clearance: From foot to box when the foot is first put there [m].
-        speed: Of foot and box [m/s].
+        height: Height of the foot over the floor [m].
+        clearance: Distance from foot to box when the foot is first put there [m].
+        speed: Speed of foot and box [m/s].
         reach: The foot goes no further to the side than this [m].
-        lean: Where the trunk is by then, ahead and left of where it lifted the leg [m], and its turn [rad].
-        lean_ahead: The trunk leans as if the foot were so much further [m]: it lags its targets.
-        lean_time: From the sweep's begin, the lean comes in this time [s].
+        lean: Trunk at full reach: ahead and left of where the leg was lifted [m], and its turn [rad].
+        lean_ahead: The trunk leans as if the foot were so much further along [m], as it lags behind its
+            targets.
+        lean_time: Time over which the lean sets in after the sweep has begun [s].
         back_first: How much earlier the trunk goes back than it leans aside: backwards is where the triangle
             is wide.
         lead: The foot's target is where it would be so much later [s]: the servo's damping over its gain.
         yaw_gain: How far beside the box's middle to push, per turn of the box [m/rad], up to `yaw_limit` [m].
         leash: The foot's target is never further from the foot than this [m]: a soft servo pushes with little
             more than the force that the belief, and the plan's channel, ask of it.
-        kick_leash: The same in the kick, and on the way back [m].
+        kick_leash: The same as `leash`, in the kick and on the way back [m].
         kick: Speed over the last `kick_length` [m] of the reach [m/s]: the box slides on by itself.
         margin: Nearer to the edge of the three feet's triangle than this, the trunk first comes back [m].
         kick_time: The kick is given up after this time [s]: a stretched leg that stalls sinks to the floor,
             and the trunk falls after it.
         longest: The sweep is given up after this time [s].
-        return_speed: With which the foot comes back when all is done [m/s].
-        back: So near to where it began it has come back [m], and is set down.
-        set_down: With which speed [m/s].
-        slip_time: Feet that have slipped are taken for where they are in this time [s]: legs that pull them
-            back to where they stood slip on, and the trunk no longer follows its lean.
+        return_speed: Speed with which the foot comes back when all is done [m/s].
+        back: The foot is set down when it is this near to where it began [m].
+        set_down: Speed with which the foot is set down [m/s].
+        slip_time: Time constant with which the places of slipped feet are updated [s]: legs that pull feet
+            back to where they stood make them slip on, and the trunk no longer follows its lean.
         touching: Distance from foot to box below which the box is to move [m].
     """
 
@@ -88,14 +89,14 @@ class SweepMove:
     """Sweeping from one situation; see `Move`. Places are in the frame of the standing feet.
 
     Args:
-        owner: What does not change.
+        owner: The behaviour that made the move, for all that does not change.
         foot: Where the free foot is, or is to be put first [m], shape (3,).
         trunk_now: Where the trunk is: ahead, left [m], turn [rad], shape (3,); None before the sweep, when
             the command does nothing.
         planted: Where the feet stand [m], shape (4, 3).
         lean: Where the trunk should be: place in the world [m] and heading [rad], shape (3,).
-        reference: What is wanted.
-        command: See `CHANNEL_SIGMA`, shape (6,).
+        reference: What robot and box should do.
+        command: A command, in the order of `CHANNEL_SIGMA`, shape (6,).
     """
 
     owner: Sweeping
@@ -138,13 +139,13 @@ class Sweeping:
     foot's last target, and how far the foot has been lowered since it came back.
 
     Args:
-        path: Of the box.
-        half_width: Of the box, from its middle to the face that is pushed [m].
+        path: Path of the box.
+        half_width: Distance from the box's middle to the face that is pushed [m].
         taper: Last distance of the path over which the speed goes to zero [m].
-        gait, tripod: Of the stance.
-        shape: Of the sweep.
-        weights: Of the cost.
-        trunk_height: That is wanted [m].
+        gait, tripod: Shape of the stance, and how a front leg becomes free.
+        shape: How the leg sweeps.
+        weights: Weights of the cost.
+        trunk_height: Desired height of the trunk [m].
     """
 
     path: Course
@@ -215,7 +216,7 @@ class Sweeping:
 
     @property
     def _begin(self) -> float:
-        """Of the sweep [s]."""
+        """Time at which the sweep begins [s]."""
         return self.tripod.shift_time + self.tripod.lift_time
 
     def _contact(self, stance: Plane, box: Body) -> tuple[float, float]:
@@ -311,7 +312,7 @@ class Sweeping:
         return np.array([stance.place(state.trunk.position + foot) for foot in from_trunk])
 
     def _follow(self, seen: FloatArray, passed: float) -> None:
-        """Take the standing feet for where they have slipped to; on the floor they are all the while."""
+        """Update where the standing feet are after they have slipped; they stay on the floor."""
         share = np.full((4, 1), min(1.0, passed / self.shape.slip_time))
         share[self.tripod.index] = 0.0
         self._planted = self._planted + share * (seen - self._planted) * (1.0, 1.0, 0.0)

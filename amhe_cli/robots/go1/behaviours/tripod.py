@@ -59,15 +59,15 @@ def stand_on_three(
     trunk_now: ArrayLike | None = None,
     planted: FloatArray | None = None,
 ) -> LegTargets:
-    """Shift, lift, and from then on the free foot where it is told to be.
+    """Shift the trunk, lift the leg, and from then on put the free foot where `foot` says.
 
     Places are in the frame of the trunk *before* the shift: that frame stays with the three feet. Those of
     the result are in the trunk's frame, as ever.
 
     Args:
         gait: Height and servo gain; the rest is not used.
-        tripod: Which leg, how fast.
-        time: Since the start of the shift [s], shape (...).
+        tripod: Which leg is free, and how fast.
+        time: Time since the start of the shift [s], shape (...).
         foot: Place of the free foot [m], shape (..., 3).
         trunk: Further movement of the trunk: ahead, left [m], turn [rad], shape (..., 3).
         push: Force of the free foot on what it touches, ahead and left [N], shape (..., 2).

@@ -63,13 +63,13 @@ CHANNEL_SIGMA = sealed([0.06, 0.02, 0.15, 10.0])
 
 @dataclass(frozen=True, slots=True)
 class WalkGains:
-    """The bare reference's own feedback; plans differ from it.
+    """Feedback of the bare reference; plans are deviations from it.
 
     Args:
         left: Speed to the left per distance [1/s], up to `left_limit` [m/s].
         yaw: Yaw rate per turn [1/s], up to `yaw_limit` [rad/s].
         full_push: Speed above which the box's friction is pushed against with full force [m/s].
-        start_time: The speed rises to what is commanded in this time [s].
+        start_time: Time in which the speed rises to the commanded one [s].
     """
 
     left: float = 1.0
@@ -85,11 +85,11 @@ class WalkMove:
     """Walking from one situation; see `control.protocols.Move`.
 
     Args:
-        gait: Of the legs.
-        weights: Of the cost.
-        height: Of the trunk that is wanted [m].
-        reference: What is wanted.
-        command: Ahead, left [m/s], yaw rate [rad/s], push [N]; shape (4,).
+        gait: How the legs step.
+        weights: Weights of the cost.
+        height: Desired height of the trunk [m].
+        reference: What robot and box should do.
+        command: A command: ahead, left [m/s], yaw rate [rad/s], push [N]; shape (4,).
         left: How far left of neutral each foot steps [m], shape (4,).
     """
 
@@ -118,13 +118,13 @@ class Walking:
     """The behaviour of all tasks in which the robot walks; see `control.protocols.Behaviour`.
 
     Args:
-        helm: Where to go.
-        gait: Of the legs.
-        weights: Of the cost.
-        gains: Of the bare reference.
-        stepping: Against drifting aside.
-        height: Of the trunk that the cost wants [m]. Not `Gait.height`, which is how far below the trunk the
-            bare reference puts the feet: the trunk walks between the two, at 0.273 m in T1.
+        helm: Decides where to go.
+        gait: How the legs step.
+        weights: Weights of the cost.
+        gains: Gains of the bare reference.
+        stepping: Where feet land when the robot drifts aside.
+        height: Desired height of the trunk in the cost [m]. Not `Gait.height`, which is how far below the
+            trunk the bare reference puts the feet: the trunk walks between the two, at 0.273 m in T1.
     """
 
     helm: Helm

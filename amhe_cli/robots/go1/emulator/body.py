@@ -20,7 +20,7 @@ _IDLE = 0.3
 #: Heating of a motor by its torque [K / (N m)^2 / s] and loss to the air [1/s], of our own making: standing
 #: stays cool, holding the torque limit does not. Air, and where a motor switches itself off [deg C].
 _HEATING, _COOLING, _AIR, _SWITCH_OFF = 0.0015, 0.004, 28.0, 90.0
-#: Foot sensors count so much per newton, from a zero of their own.
+#: Foot sensors give so many counts per newton, and have a zero of their own.
 _PER_NEWTON, _ZERO = 1.2, np.array([12.0, -7.0, 20.0, 3.0])
 #: Charge at the start [%], what 100 % hold [J], what electronics draw [W] and motors in standstill
 #: [W / (N m)^2], of our own making: one that stands empties its battery in an hour or so.
@@ -35,8 +35,8 @@ class EmulatedBody:
     """One emulated robot and its box.
 
     Args:
-        task: Whose box, and whose changes on the way: by place, or by time since the box first moved.
-        rng: For the sensors' noise.
+        task: The task: its box, and what changes on the way (by place, or by time since the box first moved).
+        rng: Random generator of the sensors' noise.
     """
 
     def __init__(self, task: Task, rng: np.random.Generator) -> None:
@@ -51,7 +51,7 @@ class EmulatedBody:
 
     @property
     def time(self) -> float:
-        """Since it was switched on [s]."""
+        """Time since the robot was switched on [s]."""
         return self._plant.time
 
     @property
@@ -61,11 +61,11 @@ class EmulatedBody:
 
     @property
     def trunk_height(self) -> float:
-        """[m]."""
+        """Height of the trunk over the floor [m]."""
         return float(self._plant.state.trunk.position[2])
 
     def advance(self, command: MotorCommand) -> tuple[RobotState, Samples]:
-        """A millisecond under a command: what the robot then says, and what the cameras saw.
+        """Advance by a millisecond under a command; the robot's state, and what the cameras saw.
 
         Raises:
             SimulationError: The simulation diverged.

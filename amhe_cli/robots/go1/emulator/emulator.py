@@ -23,31 +23,31 @@ from amhe_cli.robots.go1.poses.calibration import NO_OFFSET, Offset, rigid_body
 from amhe_cli.robots.go1.poses.source import Pose
 from amhe_cli.robots.go1.tasks import Task
 
-#: An emulator that is so far behind the clock [s] lets the time go: it then is slower than it says.
+#: An emulator this far behind the clock [s] stops catching up, and from then on is slower than it reports.
 _BEHIND = 0.1
 #: What it leaves to others in each millisecond, even when it is late [s of the wall clock]. Linux stops a
 #: process of real-time priority that never sleeps for 50 ms a second: a link takes that for the robot's end.
 _BREATH = 1e-4
 _Y_UP = exp(np.array([-0.5 * np.pi, 0.0, 0.0]))
 
-#: Called with every good command: when it came [s of the emulator's clock], and what it says.
+#: Called with every good command, and when it came [s of the emulator's clock].
 OnCommand = Callable[[float, MotorCommand], None]
 
 
 @dataclass(frozen=True, slots=True)
 class EmulatorOptions:
-    """What is emulated where.
+    """What is emulated, and on which ports.
 
     Args:
-        task: Whose box stands before the robot.
-        host, port: Of the robot; port 0: any that is free.
+        task: The task whose box stands before the robot.
+        host, port: Address of the robot; port 0: any that is free.
         mocap: Protocol of the cameras.
-        mocap_port: natnet: where Motive listens, 0: any; udp: where datagrams are sent to.
+        mocap_port: natnet: port on which Motive listens, 0: any; udp: port to which datagrams are sent.
         faults: What goes wrong.
-        slow: How many times slower than the wall clock.
-        seed: Of the sensors' noise.
+        slow: How many times slower than the wall clock the emulation runs.
+        seed: Seed of the sensors' noise.
         bodies: Names of trunk and box.
-        offsets: Of both in their rigid bodies, as `go1.trunk_offset` and `go1.box_offset`.
+        offsets: Offsets of both in their rigid bodies, as `go1.trunk_offset` and `go1.box_offset`.
     """
 
     task: Task
@@ -63,14 +63,14 @@ class EmulatorOptions:
 
 
 class Emulator:
-    """Serves until told to stop; use it as a context manager.
+    """Robot, box and cameras, served until `stopped`; use it as a context manager.
 
     Args:
-        options: What and where.
-        on_command: Who wants to see the commands.
+        options: What is emulated, and on which ports.
+        on_command: Is called with each command.
 
     Attributes:
-        lag: By how much the emulated time had to fall behind the clock, in all [s].
+        lag: By how much the emulated time has fallen behind the clock, in all [s].
     """
 
     def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:
@@ -93,17 +93,17 @@ class Emulator:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Of the robot."""
+        """Address of the robot."""
         return self._port.address
 
     @property
     def mocap_address(self) -> tuple[str, int] | None:
-        """Of the cameras; None: nobody listens there."""
+        """Address of the cameras; None: nobody listens there."""
         return self._cameras.address
 
     @property
     def body(self) -> EmulatedBody:
-        """What is emulated."""
+        """The emulated robot and its box."""
         return self._body
 
     @property
@@ -112,7 +112,7 @@ class Emulator:
         return self._port.accepted, self._port.rejected
 
     def cause(self, faults: Faults) -> None:
-        """From now on, let other things go wrong."""
+        """Replace the faults from now on."""
         self._faults = faults
         self._port.cause(faults)
 
@@ -155,7 +155,7 @@ class Emulator:
 
 
 class _Cameras:
-    """Shows nobody anything."""
+    """Cameras without a protocol: nobody sees their frames."""
 
     address: tuple[str, int] | None = None
 

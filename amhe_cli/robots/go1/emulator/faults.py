@@ -19,12 +19,12 @@ class Faults:
     Args:
         loss, duplicate: Share of datagrams, either way.
         corrupt: Share of states that come damaged.
-        delay: Of all datagrams, either way.
-        after: When these four begin; by default from the first datagram on.
+        delay: Delay of all datagrams, either way [s].
+        after: Time at which these four begin; by default they act from the first datagram on.
         silence: States stop: the cable is pulled.
         stale: The robot's clock stands still.
         remote: Somebody presses L2 + B.
-        hot, mode, battery, tilt, speed, power, nan: The robot tells of it.
+        hot, mode, battery, tilt, speed, power, nan: The robot reports this fault.
         mocap: Motion capture stops.
         swap: Trunk and box have each other's name; 1: from the start.
         yup: Motion capture has y upward; 1: from the start.
@@ -52,7 +52,7 @@ class Faults:
     high: float = 0.0
 
     def told(self, state: RobotState, driven: float) -> RobotState:
-        """What the robot says, so long after its motors were first driven [s]."""
+        """The state that the robot reports, so long after its motors were first driven [s]."""
         for name, change in _TELLING.items():
             if driven >= getattr(self, name):
                 state = change(state)
@@ -101,7 +101,7 @@ class Dice:
     """Decides by chance what becomes of a datagram.
 
     Args:
-        faults: With what probabilities.
+        faults: Probabilities of loss, duplicates and damage.
         rng: The source of chance.
     """
 

@@ -1,6 +1,6 @@
 """An emulated Motive: the NatNet protocol, unicast, with two rigid bodies.
 
-A client asks from its command socket and is sent frames there; it asks again before ten seconds are over.
+A client sends its request from its command socket and gets frames there; it repeats it within ten seconds.
 Frames come by the clock, never as an answer: a client that answers frames would be answered for ever.
 """
 
@@ -19,7 +19,7 @@ from amhe_cli.robots.go1.emulator.robot_port import bound
 #: Messages of NatNet.
 _CONNECT, _SERVER_INFO, _REQUEST_MODELS, _MODELS, _FRAME, _KEEP_ALIVE = 0, 1, 4, 5, 7, 10
 _FORGOTTEN = 10.0
-#: Of the clock that a frame's exposure and transmission are told in [Hz]: that of Windows.
+#: Frequency of the clock of a frame's exposure and transmission [Hz]: that of Windows.
 _CLOCK_HZ = 10_000_000
 _DATA_PORT = 1511
 _RIGID_BODY = 1
@@ -30,9 +30,9 @@ class Seen:
     """A rigid body in one frame.
 
     Args:
-        position: [m], shape (3,).
+        position: Position of the body's origin [m], shape (3,).
         orientation: Unit quaternion w, x, y, z, shape (4,).
-        valid: It was tracked.
+        valid: Whether it was tracked.
     """
 
     position: FloatArray
@@ -41,13 +41,13 @@ class Seen:
 
 
 class Motive:
-    """The server.
+    """The emulated server.
 
     Args:
-        host, port: To bind: the command port.
-        names: Of the rigid bodies; their ids count from 1.
-        version: Of the protocol: 3.1, or 4.1, which tells sizes.
-        latency: From exposure to transmission [s].
+        host, port: Address to bind: the command port.
+        names: Names of the rigid bodies; their ids count from 1.
+        version: Version of the protocol: 3.1, or 4.1, which gives the sizes of its sections.
+        latency: Time from exposure to transmission [s].
     """
 
     def __init__(
@@ -62,11 +62,11 @@ class Motive:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens."""
+        """The address at which it listens."""
         return self._socket.getsockname()
 
     def serve(self, now: float) -> None:
-        """Answer what clients ask, and send them the frames that are due; `now` [s]."""
+        """Answer the requests of clients, and send them the frames that are due; `now` [s]."""
         self._listen(now)
         while self._waiting and self._waiting[0][0] <= now:
             self._transmit(self._waiting.popleft()[1], now)
@@ -77,7 +77,7 @@ class Motive:
         self._waiting.append((now + self._latency, self._frame(bodies, now)))
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the socket."""
         self._socket.close()
 
     def _listen(self, now: float) -> None:
@@ -94,7 +94,7 @@ class Motive:
                 self._send(answer(), client)
 
     def _transmit(self, frame: bytes, now: float) -> None:
-        """To all who asked of late."""
+        """Send to all clients that have sent a request lately."""
         for client, asked in list(self._clients.items()):
             if now - asked > _FORGOTTEN:
                 del self._clients[client]
@@ -135,7 +135,7 @@ class Motive:
         )
 
     def _section(self, records: Iterable[bytes]) -> bytes:
-        """A count, from 4.1 on a size, and the records."""
+        """A section of a frame: the number of records, from 4.1 on their size, and the records."""
         records = list(records)
         content = b"".join(records)
         return struct.pack("<I", len(records)) + self._size(content) + content

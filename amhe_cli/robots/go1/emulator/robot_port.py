@@ -19,14 +19,14 @@ _HIGH_LEVEL = bytes(1087)
 
 
 class PortError(AmheError):
-    """A port cannot be had."""
+    """A port cannot be opened."""
 
 
 def bound(host: str, port: int) -> socket.socket:
     """A non-blocking UDP socket.
 
     Raises:
-        PortError: Somebody has the port, or there is no such address here.
+        PortError: Another program has the port, or this computer has no such address.
     """
     end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end.setblocking(False)
@@ -39,17 +39,17 @@ def bound(host: str, port: int) -> socket.socket:
 
 
 class RobotPort:
-    """See the module.
+    """The robot's end of the protocol.
 
     Args:
-        host, port: To bind.
+        host, port: Address to bind.
         faults: What goes wrong on the way.
 
     Attributes:
-        command: The newest good one; before the first, one that does nothing in damping mode.
-        accepted, rejected: Datagrams so far.
+        command: The newest good command; before the first, one that does nothing in damping mode.
+        accepted, rejected: Number of datagrams so far.
         undisturbed: Loss, duplicates, damage and delay have not begun.
-        peer: Who sent last; None: nobody yet.
+        peer: The address that sent last; None: nobody yet.
     """
 
     def __init__(self, host: str, port: int, faults: Faults) -> None:
@@ -65,11 +65,11 @@ class RobotPort:
 
     @property
     def address(self) -> tuple[str, int]:
-        """Where it listens."""
+        """The address at which it listens."""
         return self._socket.getsockname()
 
     def cause(self, faults: Faults) -> None:
-        """From now on, let other things go wrong on the way."""
+        """Replace the faults on the way from now on."""
         self._faults, self._dice = faults, Dice(faults, np.random.default_rng(1))
 
     def receive(self, now: float) -> list[MotorCommand]:
@@ -93,7 +93,7 @@ class RobotPort:
         self._deliver(now)
 
     def close(self) -> None:
-        """Give the port back."""
+        """Close the socket."""
         self._socket.close()
 
     def _delay(self, now: float, inward: bool, datagram: bytes) -> None:

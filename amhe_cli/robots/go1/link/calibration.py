@@ -25,21 +25,21 @@ from amhe_cli.robots.go1.settings import Go1Settings
 _TRUNK = np.array([0.6, 0.3, 0.12])
 #: A robot that lies on level ground leans no more than this [rad], and is so high at most [m].
 _LEVEL, _LYING = float(np.deg2rad(5.0)), 0.15
-#: Between two looks [s], and the fewest poses or states that make an average.
+#: Time between two looks [s], and the fewest poses or states that make an average.
 _STEP, _FEWEST = 0.02, 20
 
-#: Asks the operator to do something, and comes back when it is done.
+#: Asks the operator to do something, and returns when it is done.
 Ask = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Offsets:
-    """What was found.
+    """What a calibration has found.
 
     Args:
-        trunk, box: As `go1.trunk_offset` and `go1.box_offset`: place [m], rotation vector [rad].
-        height: Of the trunk's centre over the floor while it lay there [m].
-        tilt: How far it leant [rad].
+        trunk, box: Offsets as in `go1.trunk_offset` and `go1.box_offset`: place [m], rotation vector [rad].
+        height: Height of the trunk's centre over the floor while it lay there [m].
+        tilt: Angle by which the trunk leant [rad].
     """
 
     trunk: Offset
@@ -52,11 +52,11 @@ class Calibration:
     """Use it as a context manager; nothing moves.
 
     Args:
-        link: To the robot, whose joints and IMU tell how it lies.
-        feed: Of poses.
-        settings: Of the robot.
-        clock: Ours.
-        box: As it is to be put down.
+        link: Link to the robot, whose joints and IMU tell how it lies.
+        feed: Source of poses.
+        settings: Settings of the robot.
+        clock: The program's clock.
+        box: Box of the task, and where it is to be put down.
     """
 
     def __init__(self, link: Link, feed: PoseFeed, settings: Go1Settings, clock: Clock, box: Box) -> None:
@@ -74,11 +74,11 @@ class Calibration:
         self._opened.close()
 
     def offsets(self, ask: Ask, seconds: float) -> Offsets:
-        """Guide the operator through it.
+        """Guide the operator through the calibration.
 
         Args:
-            ask: See `Ask`.
-            seconds: That each body is looked at.
+            ask: Is called with each request to the operator.
+            seconds: How long each body is observed [s].
 
         Raises:
             LinkError: The robot does not answer as it should.

@@ -1,7 +1,7 @@
 """A child process of our own, and the pipe to it.
 
-The pipe keeps messages apart (SOCK_SEQPACKET), never blocks, and tells each side at once when the other
-one has died, however it died: by that a sender watches its parent.
+The pipe keeps messages apart (SOCK_SEQPACKET), never blocks, and shows each side at once when the other
+one has died, however it died: in this way a sender watches its parent.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from typing import Any
 
 from amhe_cli.robots.go1.link.wire import LinkError
 
-#: Above all that plans and estimates: an emulated robot, and what talks to a robot.
+#: Real-time priorities, above those of planner and estimator: of an emulated robot, and of a sender.
 ROBOT, SENDER = 20, 50
 _LONGEST = 65536
 
 
 class Pipe:
-    """One end of it.
+    """One end of a pipe between parent and child.
 
     Attributes:
-        open: The other side lives.
+        open: Whether the other side is alive.
     """
 
     def __init__(self, end: socket.socket) -> None:
@@ -49,7 +49,7 @@ class Pipe:
         return True
 
     def received(self) -> Iterator[bytes]:
-        """All messages that have come."""
+        """All messages that have arrived since the last call."""
         while self.open:
             try:
                 message = self._end.recv(_LONGEST)
@@ -74,8 +74,8 @@ class Child:
     """A module run by a Python of its own, in a session of its own: keys of a terminal do not suspend it.
 
     Args:
-        module: Dotted name; its `main` gets a pipe and the settings by `begun`.
-        settings: Plain values.
+        module: Dotted name of the module; its `main` gets a pipe and the settings from `begun`.
+        settings: Settings for the child, as plain values.
         files: Descriptors that the child may use, by the same numbers: from 3 on, 0 to 2 are its own streams.
     """
 
@@ -96,7 +96,7 @@ class Child:
         self.pipe.send(json.dumps(settings).encode())
 
     def end(self, patience: float) -> None:
-        """Hang up, wait so long [s] for the child to end by itself, then kill it."""
+        """Close the pipe, wait so long [s] for the child to end by itself, then kill it."""
         self.pipe.close()
         try:
             self.process.wait(patience)
@@ -106,13 +106,13 @@ class Child:
 
 
 def _environment() -> dict[str, str]:
-    """Ours, and this very package for the child, wherever we stand."""
+    """Environment of this process, with this very package on the path of the child."""
     ours = str(Path(__file__).parents[4])
     return os.environ | {"PYTHONPATH": os.pathsep.join([ours, *filter(None, [os.environ.get("PYTHONPATH")])])}
 
 
 def begun() -> tuple[Pipe, dict[str, Any]]:
-    """The pipe and the settings, in the child."""
+    """The child's pipe and its settings; to be called in the child."""
     end = socket.socket(fileno=int(sys.argv[1]))
     end.settimeout(10.0)
     first = end.recv(_LONGEST)
@@ -122,10 +122,10 @@ def begun() -> tuple[Pipe, dict[str, Any]]:
 
 
 def take_priority(level: int) -> bool:
-    """Let this process go before others; whether it is sure to, or only more likely.
+    """Run this process before others, if the system allows it; whether it surely does.
 
     Args:
-        level: Of real-time processes; the highest goes first.
+        level: Priority among real-time processes; the highest goes first.
     """
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(level))

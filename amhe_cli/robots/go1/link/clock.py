@@ -1,4 +1,4 @@
-"""Time: ours, and that of a machine whose clock we only see in what it sends."""
+"""Time: on our own clock, and on that of a machine whose clock we see only in what it sends."""
 
 from __future__ import annotations
 
@@ -7,34 +7,34 @@ import time
 
 
 class Clock:
-    """Seconds that every process of this computer counts alike.
+    """A clock in seconds that is the same for every process of this computer.
 
     Args:
         slow: How many seconds of the wall clock one of ours takes. An emulated robot may run slowed down;
-            then all that talks to it counts as it does.
+            then every process that talks to it uses the same slower clock.
     """
 
     def __init__(self, slow: float = 1.0) -> None:
         self.slow = slow
 
     def now(self) -> float:
-        """[s]."""
+        """Present time [s]."""
         return time.monotonic() / self.slow
 
     def sleep_until(self, then: float) -> None:
-        """Sleep until a time of ours [s]; not at all if it has passed."""
+        """Sleep until a time on this clock [s]; not at all if it has passed."""
         time.sleep(max(0.0, (then - self.now()) * self.slow))
 
     def from_wall(self, realtime: float) -> float:
-        """Ours, of a time of the computer's calendar clock [s] a moment ago."""
+        """Time on this clock of a recent instant on the computer's calendar clock [s]."""
         return (time.monotonic() - (time.time() - realtime)) / self.slow
 
 
 class ClockMap:
-    """Where another machine's clock stands on ours.
+    """Offset of another machine's clock from ours.
 
     A message cannot arrive before it was sent, and some are hardly delayed: the least difference of arrival
-    and stamp is the offset. It is looked for anew all the time, since clocks drift.
+    and stamp is the offset. It is estimated continually, since clocks drift.
 
     Args:
         window: A delay is forgotten after one or two of these [s].
@@ -46,7 +46,7 @@ class ClockMap:
         self._last = self._least = math.inf
 
     def see(self, stamp: float, arrival: float) -> float:
-        """Take in a message; its time on our clock [s], later than it was sent by the shortest way."""
+        """Take in a message; its stamp on our clock [s], late by the shortest delay of a message so far."""
         if arrival > self._until:
             self._last = self._least if arrival < self._until + self._window else math.inf
             self._least, self._until = math.inf, arrival + self._window

@@ -32,12 +32,12 @@ class MotorCommand:
     The defaults do nothing at all.
 
     Args:
-        mode: `wire.SERVO` or `wire.DAMPED`, of all motors.
-        position: [rad]; `wire.POSITION_OFF`: no position loop.
-        velocity: [rad/s]; `wire.VELOCITY_OFF`: no velocity loop.
-        torque: [N m].
-        kp: [N m/rad].
-        kd: [N m s/rad].
+        mode: Mode of all motors: `wire.SERVO` or `wire.DAMPED`.
+        position: Target angles [rad]; `wire.POSITION_OFF`: no position loop.
+        velocity: Target velocities [rad/s]; `wire.VELOCITY_OFF`: no velocity loop.
+        torque: Torques that are added to those of the loops [N m].
+        kp: Gains of the position loop [N m/rad].
+        kd: Gains of the velocity loop [N m s/rad].
     """
 
     mode: int = wire.SERVO
@@ -65,12 +65,12 @@ def encode(command: MotorCommand, crc: wire.CrcForm = "plain") -> bytes:
 
 @np.errstate(invalid="ignore")  # a signalling NaN is a matter for the trips
 def decode(datagram: bytes) -> MotorCommand:
-    """The command of a packet, with either form of checksum: the robot's side.
+    """The command in a packet, with either form of checksum, as the robot reads it.
 
     The packet has a mode for each motor; that of the first stands for all, as `encode` writes it.
 
     Raises:
-        PacketError: It is none.
+        PacketError: The datagram is not a command.
     """
     motors = wire.opened(datagram, wire.COMMAND, either_form=True)["motors"][:JOINTS]
     return MotorCommand(
@@ -84,7 +84,7 @@ def decode(datagram: bytes) -> MotorCommand:
 
 
 def _targets(command: MotorCommand) -> FloatArray:
-    """Position and velocity, shape (2, 12)."""
+    """Position and velocity that the packet holds, shape (2, 12)."""
     targets = np.array((command.position, command.velocity))
     if not np.abs(targets).max() < _LARGEST_FLOAT:  # not >=: nothing is less than NaN
         raise LinkError("a command's position or velocity is not finite")

@@ -15,20 +15,20 @@ from amhe_cli.robots.go1.link.state import RobotState
 
 #: Turns of the motors' mode whose echoes are timed, and the time given to one [s].
 _TURNS, _PATIENCE = 10, 0.1
-#: Of our time over which the robot's is counted [s], at least and at most: states are held up now and then.
+#: Length of our time over which the robot's is counted [s], from to: states are held up now and then.
 _PACED, _PACED_LONGEST = 0.25, 1.0
 #: How far the pace may be from 1: clocks differ by far less, a forgotten --slow by far more.
 _PACE_ERROR = 0.05
-#: More torque than motors that nobody drives have [N m].
+#: Motors that nobody drives have less torque than this [N m].
 _DRIVEN = 2.0
-#: The share of states that arrive is that of so many; a pause counts as so many missing ones at most.
+#: How many states the arriving share is taken over; a pause counts as so many missing ones at most.
 _SPAN, _PAUSE = 200, 10
 
 
 class Share:
-    """How many of the robot's states reach us: with a second program at the same robot it is about a half.
+    """Share of the robot's states that reach us: with a second program at the same robot it is about a half.
 
-    A pause counts little: that is another fault, and seen as such.
+    A long pause counts little, because it is another fault and is reported as that.
     """
 
     def __init__(self) -> None:
@@ -48,15 +48,15 @@ class Share:
 
 @dataclass(slots=True)
 class Contact:
-    """Counts what comes before anything moves, and times echoes.
+    """Counts what arrives before anything moves, and times echoes.
 
     A state tells each motor's mode. Servo mode without gains and damping mode both leave a motor alone, so
-    that turning from one to the other moves nothing, and its echo tells the time there and back.
+    that switching from one to the other moves nothing, and the echo gives the round-trip time.
 
     Attributes:
-        mode: To be commanded now.
+        mode: Mode to command now.
         driven: Somebody else drives the motors.
-        pace: Seconds of the robot's clock in one of ours, of late; 0: not known yet.
+        pace: Recent seconds of the robot's clock per second of ours; 0: not known yet.
     """
 
     mode: int = wire.DAMPED
@@ -96,7 +96,7 @@ class Contact:
             self._paced = tick, arrival
 
     def see_strange(self, datagram: bytes) -> None:
-        """Take in a datagram that is no state."""
+        """Count a datagram that is not a state."""
         self._strange[len(datagram)] += 1
 
     @property
@@ -106,7 +106,7 @@ class Contact:
 
     @property
     def round_trip(self) -> float:
-        """There and back [s]; 0 before the first echo."""
+        """Time for a command to go there and back [s]; 0 before the first echo."""
         return statistics.median(self._echoes) if self._echoes else 0.0
 
     @property
@@ -116,7 +116,7 @@ class Contact:
 
     @property
     def report(self) -> dict[str, Any]:
-        """As plain values; `share` of the robot's states arrived."""
+        """The findings as plain values; `share` is that of the robot's states that arrived."""
         expected = self._ticks[1] - self._ticks[0] + 1 if self._ticks else 0
         strange = self._strange.most_common(1)
         return {

@@ -23,11 +23,11 @@ from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
 
-#: States that must have come before a robot is there, and the share of them that must reach us: with a second
-#: program at the same robot it is a half.
+#: Number of states after which a robot counts as found, and the share of them that must reach us: with a
+#: second program at the same robot it is a half.
 _ENOUGH, _SHARE = 200, 0.8
 _HIGH_LEVEL = 1087
-#: A process may take so long to start [s], and is asked so often [s].
+#: Longest time for the start of a process, and time between two checks whether it has started [s].
 _START, _STEP = 20.0, 0.005
 
 
@@ -37,7 +37,7 @@ class StoppedError(AmheError):
 
 @dataclass(slots=True)
 class SenderReport:
-    """The newest of the sender: see `sender.Sender._report`."""
+    """The newest report of the sender: see `sender.Sender._report`."""
 
     phase: Phase = Phase.CONNECT
     trip: str = ""
@@ -54,13 +54,13 @@ class Link:
     """A robot at the end of a wire; use it as a context manager: whatever happens, the robot is let down.
 
     Args:
-        host, port: Of the robot.
-        settings: Of it.
-        clock: Ours.
+        host, port: Address of the robot.
+        settings: Settings of the robot.
+        clock: The program's clock.
         keys: Descriptor of a terminal whose keys arm and stop; -1: none.
 
     Attributes:
-        report: Newest of the sender.
+        report: The newest report of the sender.
     """
 
     def __init__(self, host: str, port: int, settings: Go1Settings, clock: Clock, keys: int = -1) -> None:
@@ -101,7 +101,7 @@ class Link:
         """Wait until the robot answers as it should. Nothing moves.
 
         Raises:
-            LinkError: It does not; the text says what was heard instead.
+            LinkError: It does not; the text says what arrived instead.
         """
         self._wait_for_sender()
         end = time.monotonic() + self._settings.connect_time * max(1.0, self._clock.slow)
@@ -120,14 +120,14 @@ class Link:
         self._order(mail.STAND)
 
     def arm(self) -> None:
-        """Let plans be played, as the operator's key does."""
+        """Let plans take effect, as the operator's key does."""
         self._order(mail.ARM)
 
     def reached(self, phase: Phase) -> bool:
-        """Whether a phase has come.
+        """Whether the sender has reached a phase.
 
         Raises:
-            StoppedError: A trip came first.
+            StoppedError: A trip ended the run before.
         """
         if self._poll().phase > phase:
             raise StoppedError(f"stopped: {self.report.reason or 'the run was ended'}")
@@ -137,14 +137,14 @@ class Link:
         """Hand over the newest plan.
 
         Args:
-            plan: On our clock.
-            pose_time: Of the older one of the newest poses of trunk and box [s].
+            plan: Joint targets, with times on our clock.
+            pose_time: Time of the older one of the newest poses of trunk and box [s].
         """
         if self._child:
             self._child.pipe.send(mail.plan_message(plan, pose_time))
 
     def samples(self) -> list[Any]:
-        """States that came since the last call, records of `mail.SAMPLE`."""
+        """States that arrived since the last call, as records of `mail.SAMPLE`."""
         self._poll()
         samples, self._samples = self._samples, []
         return samples
@@ -154,7 +154,7 @@ class Link:
         self._order(mail.STOP)
 
     def finish(self) -> SenderReport:
-        """Let the robot sit down and its motors go; wait for the end of it."""
+        """Let the robot sit down and switch its motors off; wait until this is done."""
         s = self._settings
         self._order(mail.FINISH)
         longest = s.hold_time + s.sit_time + s.damp_time + 2.0
@@ -177,10 +177,10 @@ class Link:
             self._child.pipe.send(order)
 
     def _poll(self, quiet: bool = False) -> SenderReport:
-        """Read what the sender says; where it has died, damp the motors from here.
+        """Read the sender's messages; if it has died, damp the motors from here.
 
         Raises:
-            LinkError: It has died. Not where `quiet`.
+            LinkError: It has died; not raised if `quiet`.
         """
         if self._child is None:
             raise LinkError("the link is not open")

@@ -21,29 +21,29 @@ from amhe_cli.robots.go1.settings import Go1Settings
 
 #: Legs folded under the trunk [rad]: within the limits of commands, unlike those of a robot let down.
 FOLDED = sealed(np.tile([0.0, 1.2, -2.6], 4))
-#: The first plan after arming may take so long [s].
+#: Longest time from arming to the first plan [s].
 _FIRST_PLAN = 2.0
-#: From what is in force, targets are blended into the first plan, and into every other one, for so long [s].
+#: Time over which targets are blended from those in force into the first plan, and into every other one [s].
 _FIRST_BLEND, _BLEND = 0.2, 0.02
-#: A robot that walked puts its feet down in this time before it sits down [s].
+#: A robot that was walking puts its feet down in this time before it sits down [s].
 _LANDING = 0.2
 _AT_REST = sealed(np.zeros(12))
-#: How an end as planned begins where it does not stand: nothing has moved yet; it lies, or is half way up.
+#: How a planned end begins where the robot does not stand: nothing has moved yet; it lies, or is half way up.
 _ENDS = {Phase.CONNECT: Phase.OVER, Phase.HOLD: Phase.DAMP, Phase.STAND: Phase.DAMP}
 
 
 @dataclass(slots=True, eq=False)
 class Inbox:
-    """The newest of all that came in; the sender's loop fills it.
+    """The newest of all that has arrived; the sender's loop fills it.
 
     Args:
-        state: Of the robot; None: none yet.
-        state_time: When it came [s].
+        state: Newest state of the robot; None: none yet.
+        state_time: Time at which it arrived [s].
         bad_packets: Damaged datagrams since the last good one.
-        share: Of the robot's last states that reached us.
-        plan: Newest.
-        plan_time: When it came [s].
-        pose_time: Of the older one of the newest poses of trunk and box [s].
+        share: Share of the robot's last states that reached us.
+        plan: Newest plan.
+        plan_time: Time at which it arrived [s].
+        pose_time: Time of the older one of the newest poses of trunk and box [s].
         stand, arm, finish: The operator, or the program, wants this.
         stop: Why motors are to be damped at once; '' if they are not.
     """
@@ -66,10 +66,10 @@ class Machine:
     """Steps through the phases, one packet at a time.
 
     Args:
-        settings: Of the robot.
+        settings: Settings of the robot.
 
     Attributes:
-        phase: Present one.
+        phase: Present phase.
         trip: Name of the first trip; '' if there was none.
         reason: Why it tripped, in words.
         commanded: The newest joint targets that a robot was sent [rad], shape (12,).
@@ -94,7 +94,7 @@ class Machine:
         """The command of this tick.
 
         Args:
-            now: [s].
+            now: Present time [s].
             inbox: What is known.
         """
         if inbox.state is not None:
@@ -114,7 +114,7 @@ class Machine:
         return MotorCommand()
 
     def unfit(self, now: float, inbox: Inbox) -> str:
-        """Why a robot that is not driven yet would trip as soon as it is; '' if it would not."""
+        """Why a robot that is not driven yet would trip as soon as it is driven; '' if it would not."""
         state = inbox.state
         found = tripped(self._view(now, inbox, state, HOME), self.settings.trips) if state else None
         return found[1] if found else ""
@@ -173,7 +173,7 @@ class Machine:
         )
 
     def _armed(self, remote: Remote) -> bool:
-        """Whether the remote's key has been pressed since the robot stands: not held from before."""
+        """Whether the remote's key was pressed after the robot stood up: not held from before."""
         self._released = self._released or not remote.arms
         return self._released and remote.arms
 
@@ -221,7 +221,7 @@ class Machine:
         return self._from
 
     def _played(self, now: float, plan: Targets) -> FloatArray:
-        """Of a plan; a new one is blended into: plans come late now and then, and then begin with a step."""
+        """Joint targets of a plan, blended into from those before: a late plan begins with a step."""
         targets, before = plan.at(now), self._from if self._sent is None else self._sent
         self._jump = NO_JUMP
         if plan is not self._playing:
@@ -242,7 +242,7 @@ class Machine:
         )
 
     def _count_power(self, state: RobotState) -> None:
-        """Once for each state, as the vendor's own protection does it."""
+        """Count up for a state with too much power, else down, as the vendor's own protection does."""
         if state.tick == self._power_tick:
             return
         self._power_tick = state.tick
@@ -251,5 +251,5 @@ class Machine:
 
 
 def _largest_step(steps: FloatArray) -> FloatArray:
-    """Of each joint, over the rows of (n, 12): shape (12,); not a number where one of them is none."""
+    """Largest step of each joint over the rows of (n, 12), shape (12,); not finite where a step is not."""
     return steps[np.abs(steps).argmax(axis=0), np.arange(steps.shape[1])]

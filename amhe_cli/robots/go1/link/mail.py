@@ -1,4 +1,4 @@
-"""What sender and program tell each other: plans and orders there, samples and reports back."""
+"""Messages between sender and program: plans and orders one way, samples and reports the other."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Phase(IntEnum):
 STAND, ARM, FINISH, STOP = b"S", b"A", b"F", b"X"
 _PLAN, _SAMPLE, _REPORT = b"P", b"s", b"r"
 
-#: One state of the robot, on our clock, the phase it was received in, and the joint targets followed then.
+#: A state of the robot, on our clock, with the phase in which it arrived and the joint targets followed then.
 SAMPLE: Any = np.dtype(
     [
         ("time", "f8"), ("phase", "u1"), ("quaternion", "f8", 4), ("gyro", "f8", 3),
@@ -57,7 +57,7 @@ def plan_message(plan: Targets, pose_time: float) -> bytes:
 
 
 def read_plan(message: bytes) -> tuple[Targets, float] | None:
-    """The inverse; None: it is no plan."""
+    """The inverse of `plan_message`; None: the message is not a plan."""
     if message[:1] != _PLAN:
         return None
     end = 1 + _HEADER.itemsize
@@ -72,7 +72,7 @@ def sample_message(sample: Any) -> bytes:
 
 
 def report_message(report: dict[str, Any]) -> bytes:
-    """What the sender has to say, as plain values."""
+    """A report of the sender, as plain values."""
     return _REPORT + json.dumps(report).encode()
 
 

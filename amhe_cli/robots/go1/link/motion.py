@@ -10,12 +10,12 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.robots.go1.kinematics import LOWER, TORQUE_LIMIT, UPPER
 
-#: Limits of the vendor's library and of the robot's description differ: a command keeps to both.
+#: Limits of the vendor's library and of the robot's description differ: a command stays within both.
 _VENDOR_LOWER = sealed(np.tile([-1.047, -0.663, -2.721], 4))
 _VENDOR_UPPER = sealed(np.tile([1.047, 2.966, -0.837], 4))
 LOWEST = sealed(np.maximum(LOWER, _VENDOR_LOWER))
 HIGHEST = sealed(np.minimum(UPPER, _VENDOR_UPPER))
-#: Packets whose joint targets are remembered: a second of them.
+#: Number of packets whose joint targets are remembered: those of a second.
 _REMEMBERED = 500
 
 
@@ -23,13 +23,13 @@ _REMEMBERED = 500
 class Targets:
     """Joint targets over time.
 
-    Each row is meant for one period. In its middle it is reached; between the middles targets move along
+    Each row is meant for one period and is reached in its middle; between the middles targets move along
     straight lines, so that they are smooth and, on average, no later than rows that were held.
 
     Args:
         start: When the first row takes effect [s].
-        period: [s].
-        rows: [rad], shape (n, 12).
+        period: Period of a row [s].
+        rows: Joint targets [rad], shape (n, 12).
     """
 
     start: float
@@ -49,7 +49,7 @@ class Sent:
     """The last joint targets that were sent.
 
     Args:
-        first: In force before any was sent [rad], shape (12,).
+        first: Joint targets in force before any was sent [rad], shape (12,).
     """
 
     def __init__(self, first: FloatArray) -> None:
@@ -60,34 +60,35 @@ class Sent:
         self._sent.append((time, targets))
 
     def by(self, time: float) -> FloatArray:
-        """The newest targets (12,) that had been sent by a time [s]; times are asked for in order."""
+        """The newest targets (12,) that had been sent by a time [s]; times must not decrease."""
         while len(self._sent) > 1 and self._sent[1][0] <= time:
             self._sent.popleft()
         return self._sent[0][1]
 
 
 def eased(start: FloatArray, end: FloatArray, share: float) -> FloatArray:
-    """From start to end (12,), slowly at both ends; `share` of the time from 0 to 1."""
+    """Move from start to end (12,), slowly at both ends; `share` of the time from 0 to 1."""
     share = min(max(share, 0.0), 1.0)
     return start + share * share * (3.0 - 2.0 * share) * (end - start)
 
 
 def travel_time(start: FloatArray, end: FloatArray, speed: float) -> float:
-    """For `eased` at no more than a speed of any joint [rad/s]: [s]."""
+    """Time that `eased` takes if no joint exceeds a speed [rad/s]: [s]."""
     return 1.5 * float(np.abs(end - start).max()) / speed
 
 
 def allowed(targets: FloatArray, joints: FloatArray, kp: float, share: float) -> FloatArray:
-    """Targets within the joints' limits, that ask for no more torque than a share of what there is.
+    """Targets within the joints' limits that demand no more than a share of the available torque.
 
-    Torque goes first: a joint outside of its limits is led back by no more than that, and its target may
-    then be outside, too. The trip `range` sees to joints that are there when they should not be.
+    The torque limit comes first: a joint outside of its limits is led back by no more than that, and its
+    target may then be outside, too. The trip `range` handles joints that are outside when they should
+    not be.
 
     Args:
-        targets: [rad], shape (12,).
-        joints: Where they are [rad], shape (12,).
+        targets: Joint targets [rad], shape (12,).
+        joints: Present joint angles [rad], shape (12,).
         kp: Gain [N m/rad].
-        share: Of the torque limit.
+        share: Allowed share of the torque limit.
     """
     reach = share * TORQUE_LIMIT / max(kp, 1e-6)
     inside = np.minimum(np.maximum(targets, LOWEST), HIGHEST)

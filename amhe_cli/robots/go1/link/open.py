@@ -39,8 +39,8 @@ class WireOptions:
 
     Args:
         host, port: Of the robot.
-        pose: Kind of motion capture.
-        pose_host, pose_port: See `FeedOptions`; None: that of the kind.
+        pose: Protocol of motion capture.
+        pose_host, pose_port: Address of motion capture, see `FeedOptions`; None: the default of the protocol.
         slow: How many times slower an emulated robot runs.
         keys: Descriptor of a terminal whose keys arm and stop; -1: none.
     """
@@ -58,9 +58,9 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     """Set everything up; nothing is sent yet.
 
     Args:
-        options: As given.
-        wire: To the robot.
-        task: In place of the one that the options name.
+        options: Options of the run.
+        wire: Addresses of robot and motion capture.
+        task: The task, in place of the one that the options name.
 
     Raises:
         ConfigError: What `open_run` refuses, and what only a simulation can do.
@@ -97,7 +97,7 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
 
 
 def _clock(wire: WireOptions) -> Clock:
-    """Ours; that of a robot cannot be slowed down, and all our thresholds would be longer than they say."""
+    """The program's clock. `slow` is refused for a real robot: thresholds would be longer than they say."""
     if wire.slow != 1.0 and not _on_loopback(wire.host):
         raise ConfigError(f"--slow is for the emulator on this computer; {wire.host} is a robot")
     return Clock(wire.slow)

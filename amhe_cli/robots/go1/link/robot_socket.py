@@ -14,21 +14,21 @@ from amhe_cli.robots.go1.link.command import MotorCommand, encode
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
 
-#: Linux stamps datagrams as they arrive, whenever we come to read them; Python has no name for the option.
+#: Linux stamps datagrams as they arrive, whenever the program reads them; Python has no name for the option.
 _SO_TIMESTAMPNS = 35
 _TIMESPEC = struct.Struct("@qq")
 _LARGEST = 2048
 
 
 class RobotSocket:
-    """Talks to one address and hears no other.
+    """A UDP socket for one address only; it ignores all others.
 
     Args:
-        host, port: Of the robot.
-        clock: Ours.
+        host, port: Address of the robot.
+        clock: The program's clock.
 
     Attributes:
-        refused: How often the other computer said that nobody listens there.
+        refused: How often the other computer reported that no program listens there.
 
     Raises:
         LinkError: There is no such host.
@@ -48,7 +48,7 @@ class RobotSocket:
         self.refused = 0
 
     def send(self, packet: bytes) -> bool:
-        """Send; False where the network did not take it."""
+        """Send a packet; False where the network did not take it."""
         try:
             self._socket.send(packet)
         except ConnectionRefusedError:
@@ -59,7 +59,7 @@ class RobotSocket:
         return True
 
     def received(self) -> Iterator[tuple[bytes, float]]:
-        """All datagrams that have come, and when [s]."""
+        """All datagrams that have arrived, each with its time of arrival [s]."""
         while True:
             try:
                 datagram, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
@@ -71,7 +71,7 @@ class RobotSocket:
             yield datagram, self._arrival(extra)
 
     def close(self) -> None:
-        """Let go of the port."""
+        """Close the socket."""
         self._socket.close()
 
     def _arrival(self, extra: list[tuple[int, int, bytes]]) -> float:

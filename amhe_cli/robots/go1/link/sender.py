@@ -33,11 +33,11 @@ from amhe_cli.robots.go1.link.state import RobotState
 from amhe_cli.robots.go1.settings import Go1Settings
 
 _BIN, _BINS = 1e-5, 10_000
-#: Reports go out at every change and so often [s].
+#: Reports are sent at every change, and at least so often [s].
 _REPORT_PERIOD = 0.1
 #: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
 _PASS_ON = 2
-#: Also those that would suspend it, with the motors driven.
+#: Signals that end the run: also those that would suspend the sender while it drives the motors.
 _STOPPING = (
     signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
     signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU,
@@ -49,7 +49,7 @@ _NO_PRIORITY = "the sender has no real-time priority: packets may be late when t
 
 
 class DrivenError(wire.LinkError):
-    """Somebody else drives the robot: it is not ours to let down either."""
+    """Another program drives the robot: then it is not ours to let down either."""
 
 
 class Intervals:
@@ -82,15 +82,15 @@ class Intervals:
 
 
 class Sender:
-    """The loop; see `run`.
+    """The sender's loop; see `run`.
 
     Args:
-        settings: Of the robot.
-        robot: Socket to it.
-        pipe: To the program.
-        clock: Ours.
+        settings: Settings of the robot.
+        robot: Socket to the robot.
+        pipe: Pipe to the program.
+        clock: The program's clock.
         keys: Descriptor of a terminal whose keys are read; -1: none.
-        notes: What the report is to say besides.
+        notes: Further entries of the report.
     """
 
     def __init__(
@@ -115,7 +115,7 @@ class Sender:
         """Send until the last phase is over.
 
         Raises:
-            DrivenError: Another program drives the robot: not one packet more.
+            DrivenError: Another program drives the robot; no packet is sent any more.
         """
         period = 1.0 / self._settings.rate
         due = self._clock.now()
@@ -134,7 +134,7 @@ class Sender:
         self._inbox.stop = self._inbox.stop or reason
 
     def say(self, reason: str) -> None:
-        """A last report."""
+        """Send a last report."""
         self._machine.trip, self._machine.reason = (
             self._machine.trip or "error",
             self._machine.reason or reason,
@@ -229,9 +229,9 @@ class Sender:
 
 
 def next_tick(due: float, now: float, period: float) -> float:
-    """When the next packet is due [s] after one that was due, and was sent now.
+    """Time at which the next packet is due [s], after one that was due at `due` and was sent `now`.
 
-    A late one is not made up for: two at once help nobody.
+    Lost time is not made up for: two packets at once are of no use.
     """
     return max(due + period, now + 0.5 * period)
 

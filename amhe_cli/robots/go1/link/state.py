@@ -1,4 +1,4 @@
-"""What the robot tells of itself, and its packet."""
+"""What the robot reports about itself, and the packet that carries it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.robots.go1.link import wire
 from amhe_cli.robots.go1.link.wire import JOINTS
 
-#: Bits of the keys.
+#: Bits of the remote control's keys.
 _KEYS = (
     "R1",
     "L1",
@@ -34,31 +34,31 @@ _KEYS = (
 
 @dataclass(frozen=True, slots=True)
 class Remote:
-    """Keys that are held down, by name."""
+    """Keys of the remote control that are held down, by name."""
 
     keys: frozenset[str] = frozenset()
 
     @staticmethod
     def of(raw: bytes) -> Remote:
-        """Of the 40 bytes of a state; idle where there is no remote."""
+        """Keys in the 40 bytes of a state; none where there is no remote control."""
         word = int.from_bytes(raw[2:4], "little")
         return Remote(
             frozenset(name for bit, name in enumerate(_KEYS) if word >> bit & 1) if word else frozenset()
         )
 
     def raw(self) -> bytes:
-        """The inverse."""
+        """The inverse of `of`."""
         word = sum(1 << _KEYS.index(name) for name in self.keys)
         return bytes(2) + word.to_bytes(2, "little") + bytes(36)
 
     @property
     def stops(self) -> bool:
-        """L2 + B, or select: motors damped at once."""
+        """Whether L2 + B or select is pressed: motors are damped at once."""
         return {"L2", "B"} <= self.keys or "select" in self.keys
 
     @property
     def arms(self) -> bool:
-        """R2: the run may begin."""
+        """Whether R2 is pressed: the run may begin."""
         return "R2" in self.keys
 
 
@@ -69,18 +69,18 @@ class RobotState:
     Args:
         tick: The robot's own clock [ms].
         quaternion: Trunk by the IMU, w, x, y, z, shape (4,).
-        gyro: In the trunk's frame [rad/s], shape (3,).
-        accelerometer: Specific force, likewise [m/s^2], shape (3,).
-        modes: Of the motors, shape (12,).
-        joints: [rad], shape (12,).
-        joint_rates: [rad/s], shape (12,).
-        torques: Estimated by the motors [N m], shape (12,).
-        temperatures: Of the motors [deg C], shape (12,).
-        foot_force: In the sensors' own unit, shape (4,).
-        charge: Of the battery [%].
+        gyro: Angular velocity in the trunk's frame [rad/s], shape (3,).
+        accelerometer: Specific force in the trunk's frame [m/s^2], shape (3,).
+        modes: Modes of the motors, shape (12,).
+        joints: Joint angles [rad], shape (12,).
+        joint_rates: Joint velocities [rad/s], shape (12,).
+        torques: Torques that the motors estimate [N m], shape (12,).
+        temperatures: Temperatures of the motors [deg C], shape (12,).
+        foot_force: Readings of the foot sensors in their own unit, shape (4,).
+        charge: Charge of the battery [%].
         remote: The remote control's 40 bytes.
-        serial: Two numbers that tell kind and model.
-        version: Of hard- and firmware, two numbers.
+        serial: Two numbers that give kind and model.
+        version: Versions of hardware and firmware, two numbers.
     """
 
     tick: int
@@ -104,7 +104,7 @@ def decode(datagram: bytes) -> RobotState:
     """The state of a packet.
 
     Raises:
-        PacketError: It is none; an encrypted checksum is none either, as with the vendor's own library.
+        PacketError: It is not a state; an encrypted checksum is rejected too, as by the vendor's own library.
     """
     record = wire.opened(datagram, wire.STATE)
     motors = record["motors"][:JOINTS]

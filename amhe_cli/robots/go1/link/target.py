@@ -32,7 +32,7 @@ from amhe_cli.robots.go1.state import State
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
 _STEP = 0.01
-#: Samples of the robot's own -> their name in what the link delivers, and the number of their columns.
+#: Signals of the robot's own sensors -> their name in what the link delivers, and their number of columns.
 _OWN = {
     "joints.position": ("joints", 12),
     "joints.velocity": ("joint_rates", 12),
@@ -40,7 +40,7 @@ _OWN = {
     "imu.linear_acceleration": ("accelerometer", 3),
     "command.position": ("targets", 12),
 }
-#: Who sent one of these knows why the run ends.
+#: Signals of the operating system that end a run; their sender knows why.
 SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
@@ -48,15 +48,15 @@ class Go1Target:
     """See `live.target.Target`; use it as a context manager, then `check`, then `begin`.
 
     Args:
-        link: To the robot.
-        feed: Of poses.
-        settings: Of the robot.
-        clock: Ours.
-        period: Of control [s].
-        box: Where the task has the box's centre at the start [m], shape (3,).
+        link: Link to the robot.
+        feed: Source of poses.
+        settings: Settings of the robot.
+        clock: The program's clock.
+        period: Control period [s].
+        box: Where the task puts the box's centre at the start [m], shape (3,).
 
     Attributes:
-        begun: The robot has been told to stand up.
+        begun: Whether the robot has been commanded to stand up.
     """
 
     truth: State | None = None
@@ -99,13 +99,13 @@ class Go1Target:
 
     @property
     def report(self) -> SenderReport:
-        """Newest of the sender."""
+        """The newest report of the sender."""
         return self._link.report
 
     # -- before the run -------------------------------------------------------------------------------
 
     def check(self) -> dict[str, str]:
-        """Look at everything that must be right; nothing moves. What was found, in words.
+        """Check everything that can be checked before the robot moves; returns the findings in words.
 
         Raises:
             LinkError: The robot does not answer as it should.
@@ -135,11 +135,11 @@ class Go1Target:
         """Let the robot stand up and the operator arm it; then the run's time begins.
 
         Args:
-            say: Tells the operator.
+            say: Called with each message to the operator.
 
         Raises:
-            StoppedError: A trip, or the operator, came first.
-            PoseError: Box or poses are not any more as they were checked.
+            StoppedError: A trip or the operator ended the run before.
+            PoseError: Box or poses have changed since they were checked.
         """
         self.begun = True
         say("the robot stands up")
@@ -185,7 +185,7 @@ class Go1Target:
 
         Raises:
             StoppedError: A trip ended the run.
-            LinkError, PoseError: A process of ours has died.
+            LinkError, PoseError: A process of the link or of the poses has died.
         """
         self._sleep_to_the_next_period()
         self._collect()
@@ -221,7 +221,7 @@ class Go1Target:
     # -- what comes in --------------------------------------------------------------------------------
 
     def _collect(self) -> None:
-        """All that has come and is of the run: not older than its beginning."""
+        """Take in all that has arrived and is not older than the beginning of the run."""
         self._robot += [sample for sample in self._link.samples() if sample["time"] >= self._start]
         for pose in self._feed.poses():
             exposed = replace(pose, time=pose.time - self._settings.pose_delay)
@@ -230,7 +230,7 @@ class Go1Target:
                 self._pair(exposed)
 
     def _pair(self, pose: TimedPose) -> None:
-        """Join trunk and box of one frame; what finds no partner is left out."""
+        """Join the poses of trunk and box in one frame; a pose without a partner is left out."""
         self._unpaired = [other for other in self._unpaired if pose.time - other.time < _TOGETHER]
         for other in self._unpaired:
             if other.body != pose.body and abs(other.time - pose.time) < _TOGETHER:
@@ -243,7 +243,7 @@ class Go1Target:
 
     @property
     def _oldest(self) -> float:
-        """Of the older one of the newest poses of trunk and box [s]."""
+        """Time of the older one of the newest poses of trunk and box [s]."""
         return min(pose.time for pose in self._newest.values())
 
     def _offset(self, pose: TimedPose) -> Pose:

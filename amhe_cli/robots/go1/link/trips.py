@@ -1,6 +1,6 @@
 """What ends a run: each trip is one line of a table, with its threshold in the settings.
 
-A trip gives its reason in words, or None. All look at one `View` of what is known at a tick.
+A trip returns its reason in words, or None. All read one `View` of what is known at a tick.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from amhe_cli.robots.go1.settings import TripSettings
 
 @dataclass(frozen=True, slots=True, eq=False)
 class View:
-    """All that trips look at.
+    """All that trips depend on.
 
     Args:
-        phase: Present one.
-        state: Newest of the robot.
-        state_age: Since it came [s].
-        plan_age: Since the newest plan came [s].
-        pose_age: Of the older one of the newest poses of trunk and box [s].
-        over_power: States one after the other with too much power.
-        bad_packets: Damaged datagrams one after the other.
-        share: Of the robot's last states that reached us.
-        jump: From the targets in force to a plan that is new in this tick, or between two of its rows,
-            whatever is more, shape (12,).
-        targets: To be sent, before they are clipped [rad], shape (12,).
-        order: Why somebody wants it to stop; '' if nobody does.
+        phase: Present phase.
+        state: Newest state of the robot.
+        state_age: Time since it arrived [s].
+        plan_age: Time since the newest plan arrived [s].
+        pose_age: Time since the older one of the newest poses of trunk and box [s].
+        over_power: States with too much power, less those without, as `Machine` counts them.
+        bad_packets: Number of consecutive damaged datagrams.
+        share: Share of the robot's last states that reached us.
+        jump: Step from the targets in force to a plan that is new in this tick, or between two of its rows,
+            the larger one for each joint [rad], shape (12,).
+        targets: Joint targets to send, before they are clipped [rad], shape (12,).
+        order: Why the program or the operator has ordered a stop; '' if none has.
     """
 
     phase: Phase
@@ -55,7 +55,7 @@ Trip = Callable[[View, TripSettings], str | None]
 
 
 def power(state: RobotState) -> float:
-    """Of all motors [W]."""
+    """Power of all motors [W]."""
     return float(np.abs(state.torques * state.joint_rates).sum())
 
 
@@ -136,7 +136,7 @@ def _flat(view: View, limits: TripSettings) -> str | None:
 
 
 def _out_of_range(view: View, limits: TripSettings) -> str | None:
-    # lying with folded calves the joints are beyond the limits of commands: only from standing on
+    # a robot that lies with folded calves is beyond the limits of commands: this counts only once it stands
     if view.phase not in (Phase.READY, Phase.RUN):
         return None
     return "a joint is beyond its limits" if beyond(view.state.joints, limits.position_margin) else None

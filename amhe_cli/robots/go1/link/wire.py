@@ -34,7 +34,7 @@ class PacketError(AmheError):
 
 
 class LinkError(AmheError):
-    """The robot cannot be reached or used, or what was to be sent cannot be said."""
+    """The robot cannot be reached or used, or a command does not fit into a packet."""
 
 
 def _record(*fields: tuple[Any, ...]) -> Any:
@@ -60,12 +60,12 @@ _MOTOR_STATE = _record(
     ("reserve", "u4", 2),
 )  # fmt: skip
 
-#: To the robot, 614 bytes. `battery_off` is 0xA5 to cut the robot's power: nothing here ever sets it.
+#: Packet to the robot, 614 bytes. `battery_off` is 0xA5 to cut the robot's power: nothing here ever sets it.
 COMMAND = _record(
     *_HEADER, ("motors", _MOTOR_COMMAND, SLOTS), ("battery_off", "u1"), ("battery_reserve", "u1", 3),
     ("remote", "u1", 40), ("reserve", "u4"), ("crc", "u4"),
 )  # fmt: skip
-#: From the robot, 807 bytes. Quaternion w, x, y, z; feet FR FL RR RL; cells in 32 mV; tick in ms.
+#: Packet from the robot, 807 bytes. Quaternion w, x, y, z; feet FR FL RR RL; cells in 32 mV; tick in ms.
 STATE = _record(
     *_HEADER,
     ("quaternion", "f4", 4), ("gyro", "f4", 3), ("accelerometer", "f4", 3), ("rpy", "f4", 3),
@@ -99,9 +99,9 @@ def opened(datagram: bytes, layout: Any, either_form: bool = False) -> Any:
     """A datagram as a record of `layout`, read-only.
 
     Args:
-        datagram: As received.
-        layout: `COMMAND` or `STATE`.
-        either_form: An encrypted checksum will do as well.
+        datagram: Bytes as they were received.
+        layout: Expected layout, `COMMAND` or `STATE`.
+        either_form: Whether an encrypted checksum is accepted as well.
 
     Raises:
         PacketError: Length, head, level or checksum is wrong.
@@ -136,6 +136,6 @@ def crc32(words: bytes) -> int:
 
 
 def encrypted(crc: int) -> int:
-    """A plain checksum in the form that some firmware wants: xor, then rotated right by a byte."""
+    """A plain checksum in the form that some firmware expects: xor, then rotated right by a byte."""
     value = crc ^ _ENCRYPTION
     return (value >> 8) | ((value & 0xFF) << 24)
