@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
@@ -48,13 +49,19 @@ def spec_of(model: mujoco.MjModel | mujoco.MjSpec | str | Path) -> mujoco.MjSpec
     return read_spec(Path(model))
 
 
+#: Sources of compiled models that were given before: MuJoCo has lost them as soon as it loads another model.
+_SOURCES: WeakKeyDictionary[mujoco.MjModel, mujoco.MjSpec] = WeakKeyDictionary()
+
+
 def _source_of(model: mujoco.MjModel) -> mujoco.MjSpec:
+    if model in _SOURCES:
+        return _SOURCES[model].copy()
     try:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "model.xml"
             mujoco.mj_saveLastXML(str(path), model)
             spec = mujoco.MjSpec.from_file(str(path))
-            again = mujoco.MjModel.from_xml_path(str(path))  # and MuJoCo has its source again
+            again = spec.compile()
     except (ValueError, mujoco.FatalError):
         again = None
     if again is None or again.names != model.names or not np.allclose(again.qpos0, model.qpos0, atol=1e-4):
@@ -62,7 +69,8 @@ def _source_of(model: mujoco.MjModel) -> mujoco.MjSpec:
             "`model`: MuJoCo no longer has the source of this MjModel; give the MjSpec or the XML file that "
             "it was made from"
         )
-    return spec
+    _SOURCES[model] = spec
+    return spec.copy()
 
 
 def compiled(spec: mujoco.MjSpec, name: str = "the model") -> mujoco.MjModel:

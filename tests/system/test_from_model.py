@@ -57,6 +57,7 @@ def test_a_model_whose_source_is_gone_is_refused() -> None:
 def test_a_model_can_be_given_twice() -> None:
     model = mujoco.MjModel.from_xml_path(str(SCENE))
     made(model)
+    mujoco.MjModel.from_xml_string("<mujoco/>")
     assert made(model).space.names == tuple(FILE["parameters"])
 
 
