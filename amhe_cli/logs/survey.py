@@ -150,7 +150,7 @@ class _Scan:
     def _look(self, group: MessageGroup, header_ns: IntArray) -> None:
         self.entries |= dict.fromkeys(_entries(group.layout))
         self.carried |= dict.fromkeys(_carried(group.layout, self.info))
-        for path in ("header.stamp", "stamp", "transforms[0].header.stamp"):
+        for path in ("header.stamp", "stamp", "transforms[0].header.stamp", "transforms[0].stamp"):
             leaves = time_leaves(group.layout, path)
             if leaves:
                 self.has_header = True

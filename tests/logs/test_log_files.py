@@ -115,7 +115,7 @@ def test_foreign_topics_are_passed_over_and_named_when_asked_for(tmp_path: Path)
         strange = [
             writer.register_channel("/json", "json", schema),
             writer.register_channel(
-                "/proto", "protobuf", writer.register_schema("P", "protobuf", b"\xff\x00")
+                "/flat", "flatbuffer", writer.register_schema("P", "flatbuffer", b"\xff\x00")
             ),
             writer.register_channel("/none", "cdr", 0),
         ]
@@ -132,13 +132,13 @@ def test_foreign_topics_are_passed_over_and_named_when_asked_for(tmp_path: Path)
     assert trajectory.steps == 10
     for topic, text in (
         ("/json", "no position|not built in"),
-        ("/proto", "encoded as 'protobuf'"),
+        ("/flat", "encoded as 'flatbuffer'"),
         ("/none", "no definition"),
     ):
         with pytest.raises(LogError, match=text):
             read_signals(path, [Signal("j", topic, ("position",))], DT, SETTINGS)
     problems = {topic.name: topic.problem for topic in survey(path).topics}
-    assert problems["/js"] is None and "protobuf" in (problems["/proto"] or "")
+    assert problems["/js"] is None and "flatbuffer" in (problems["/flat"] or "")
 
 
 def test_a_ros1_mcap(tmp_path: Path) -> None:

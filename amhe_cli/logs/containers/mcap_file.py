@@ -207,7 +207,8 @@ class McapFile:
         if record.id in self._by_id:
             return
         schema = self._schemas.get(record.schema_id)
-        text = schema.data.decode("utf-8", "replace") if schema else ""
+        binary = schema is not None and schema.encoding == "protobuf"
+        text = schema.data.decode("latin-1" if binary else "utf-8", "replace") if schema else ""
         channel = Connection(
             record.topic,
             normal_type(schema.name) if schema else "",

@@ -27,8 +27,9 @@ class Connection:
     Args:
         topic: Name of the topic.
         type: Message type, always in the form 'pkg/msg/Type'.
-        encoding: 'cdr' (ROS 2), 'ros1', or a foreign one such as 'json' that is not read.
-        definition: Text of the message definition that the log carries; may be empty.
+        encoding: 'cdr' (ROS 2), 'ros1', 'json', 'protobuf', 'table', or one that is not read.
+        definition: Text of the message definition that the log carries; may be empty. A protobuf descriptor
+            set, which is binary, as latin-1.
         definition_format: Language of that text.
         digest: The recorder's own hash of the definition; '' where there is none.
     """

@@ -18,6 +18,8 @@ from amhe_cli.logs.messages.split import MessageGroup
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
 
 _Bytes = NDArray[np.uint8]
+#: Layouts whose recipe is kept: where every message has its own, they must not fill the memory.
+_RECIPES = 1024
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +109,8 @@ class SignalDecoder:
         for group in groups:
             key = id(group.layout)
             if key not in self._recipes:
+                if len(self._recipes) >= _RECIPES:
+                    self._recipes.clear()
                 # Holding the layout keeps its id from being given to another one.
                 self._recipes[key] = (group.layout, self._recipe(group.layout))
             for columns in self._recipes[key][1]:
@@ -276,7 +280,7 @@ def time_leaves(layout: Layout, path: str) -> tuple[Leaf, Leaf] | None:
 
 def nanoseconds(rows: _Bytes, stamp: tuple[Leaf, Leaf]) -> IntArray:
     """A time of every message [ns], shape (n,)."""
-    seconds, nanoseconds = (_read(rows, leaf).astype(np.int64) for leaf in stamp)
+    seconds, nanoseconds = (leaf.read(rows).astype(np.int64) for leaf in stamp)
     return seconds * 10**9 + nanoseconds
 
 
@@ -284,10 +288,5 @@ def _gather(rows: _Bytes, leaves: Sequence[Leaf | None]) -> FloatArray:
     block = np.full((len(rows), len(leaves)), np.nan)
     for i, leaf in enumerate(leaves):
         if leaf is not None:
-            block[:, i] = _read(rows, leaf)
+            block[:, i] = leaf.read(rows)
     return block
-
-
-def _read(rows: _Bytes, leaf: Leaf) -> NDArray:
-    """One number of every message, as a strided view."""
-    return np.ndarray(len(rows), leaf.dtype, rows, leaf.offset, (rows.strides[0],))

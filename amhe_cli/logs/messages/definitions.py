@@ -5,7 +5,7 @@ Only definitions are parsed. No code is generated from them, so a log cannot exe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -16,9 +16,11 @@ from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.logs.containers.raw import Connection, normal_type
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
+from amhe_cli.logs.messages.descriptors import ENCODING as PROTOBUF
+from amhe_cli.logs.messages.descriptors import MalformedMessageError, protobuf_types
 
-#: Type -> its fields in order: (name, rosbags' description of the field's type).
-Types: TypeAlias = Mapping[str, Sequence[tuple[str, Any]]]
+#: Type -> its fields in order: (name, rosbags' description of the field's type); of protobuf: its fields.
+Types: TypeAlias = Mapping[str, Any]
 
 
 class Definitions:
@@ -57,9 +59,12 @@ class Definitions:
         topic = f"topic {connection.topic!r}"
         if connection.encoding in (TABLE, "json"):
             return {}
+        if connection.encoding == PROTOBUF:
+            return _descriptors(connection, topic)
         if connection.encoding not in ("cdr", "ros1"):
             raise LogError(
-                f"{topic} is encoded as {connection.encoding!r}; ROS messages (cdr, ros1) and JSON are read"
+                f"{topic} is encoded as {connection.encoding!r}; "
+                "ROS messages (cdr, ros1), JSON and protobuf are read"
             )
         try:
             own = _parse(replace(connection, topic=""))
@@ -76,6 +81,17 @@ class Definitions:
                 f"give the folder that holds {connection.type.split('/')[-1]}.msg with --msg-path"
             )
         return types
+
+
+def _descriptors(connection: Connection, topic: str) -> Types:
+    """The message types of a protobuf connection, by the descriptor set in the log."""
+    try:
+        types = protobuf_types(connection.definition.encode("latin-1"))
+    except (MalformedMessageError, UnicodeEncodeError) as error:
+        raise LogError(f"{topic}: the descriptor set of {connection.type} is damaged ({error})") from None
+    if connection.type not in types:
+        raise LogError(f"{topic}: the log has no descriptor of {connection.type}, so it cannot be read")
+    return types
 
 
 @lru_cache(maxsize=256)

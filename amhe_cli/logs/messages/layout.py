@@ -18,6 +18,7 @@ from rosbags.interfaces import Nodetype
 
 from amhe_cli.core.arrays import BoolArray, IntArray
 from amhe_cli.logs.messages.definitions import Types
+from amhe_cli.logs.messages.descriptors import MalformedMessageError as MalformedMessageError
 
 #: Strings whose content matters; of all others only the length is part of a layout.
 KEPT = {"name", "joint_names", "frame_id", "child_frame_id"}
@@ -34,10 +35,6 @@ _DTYPES: Mapping[str, str] = {
 }  # fmt: skip
 
 
-class MalformedMessageError(ValueError):
-    """The bytes of a message contradict its definition."""
-
-
 @dataclass(frozen=True, slots=True)
 class Leaf:
     """A number, or an array of numbers, at a fixed place of the message."""
@@ -50,6 +47,10 @@ class Leaf:
         """Element `index` of an array."""
         return Leaf(self.offset + index * self.dtype.itemsize, self.dtype, None)
 
+    def read(self, rows: NDArray[np.uint8]) -> NDArray:
+        """The number of every message (n, length), shape (n,), as a strided view."""
+        return np.ndarray(len(rows), self.dtype, rows, self.offset, (rows.strides[0],))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
@@ -60,6 +61,7 @@ class Layout:
         counts: Path of an array of structures or strings -> number of its elements.
         strings: Path -> content; only names and frames.
         places, expected: Bytes that make a message have this layout, shape (m,).
+        mask: The bits of these bytes that count, shape (m,); None: all.
     """
 
     leaves: Mapping[str, Leaf]
@@ -67,10 +69,12 @@ class Layout:
     strings: Mapping[str, str]
     places: IntArray
     expected: NDArray[np.uint8]
+    mask: NDArray[np.uint8] | None = None
 
     def matches(self, rows: NDArray[np.uint8]) -> BoolArray:
         """Which of the messages (n, length) have this layout, given that the length is the same."""
-        return (rows[:, self.places] == self.expected).all(axis=1)
+        there = rows[:, self.places]
+        return ((there if self.mask is None else there & self.mask) == self.expected).all(axis=1)
 
     def names(self, path: str) -> tuple[str, ...]:
         """Content of an array of strings, for instance 'name' of a JointState."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,24 @@ from numpy.typing import NDArray
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
+from amhe_cli.logs.messages import protobuf
 from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.descriptors import ENCODING as PROTOBUF
 from amhe_cli.logs.messages.json_rows import JsonRows
 from amhe_cli.logs.messages.layout import Layout, MalformedMessageError, table_layout, walk
 
 _Bytes = NDArray[np.uint8]
 #: Layouts remembered for each message length, the latest ones.
 _CACHED_LAYOUTS = 64
+#: Layouts that the messages of one batch and length are matched with; further ones stand for one message.
+_NEW_LAYOUTS = 64
+
+
+def _rows(batch: Batch, members: IntArray, length: int) -> _Bytes:
+    """Messages of one length, shape (n, length)."""
+    if length == 0:  # of protobuf: every number in it is 0
+        return np.empty((members.size, 0), dtype=np.uint8)
+    return np.lib.stride_tricks.sliding_window_view(batch.buffer, length)[batch.starts[members]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,10 +62,10 @@ class Splitter:
             return
         for length in np.unique(batch.lengths).tolist():
             members = np.flatnonzero(batch.lengths == length)
-            if length == 0:
+            if length == 0 and self._connection.encoding != PROTOBUF:
                 self._damage("it is empty", members.size)
                 continue
-            rows = np.lib.stride_tricks.sliding_window_view(batch.buffer, length)[batch.starts[members]]
+            rows = _rows(batch, members, length)
             yield from self._same_length(rows, members)
 
     def _parsed(self, json: JsonRows, batch: Batch) -> Iterator[MessageGroup]:
@@ -82,9 +94,15 @@ class Splitter:
             if hits.any():
                 yield MessageGroup(layout, rows[hits], members[hits])
                 rows, members = rows[~hits], members[~hits]
-        while members.size:
+        for tries in count():
+            if not members.size:
+                break
             layout = self._walk(rows[0])
             if layout is None:
+                rows, members = rows[1:], members[1:]
+                continue
+            if tries >= _NEW_LAYOUTS:
+                yield MessageGroup(layout, rows[:1], members[:1])
                 rows, members = rows[1:], members[1:]
                 continue
             known.append(layout)
@@ -95,6 +113,8 @@ class Splitter:
 
     def _walk(self, message: _Bytes) -> Layout | None:
         try:
+            if self._connection.encoding == PROTOBUF:
+                return protobuf.walk(message, self._connection.type, self._types)
             return walk(message, self._connection.type, self._types, self._connection.encoding)
         except MalformedMessageError as error:
             self._damage(str(error), 1)

@@ -107,7 +107,15 @@ TYPES: Mapping[str, TypeInfo] = {
             "PoseInFrame": _pose("pose"),
             "FrameTransform": _MOVED,
             "FrameTransforms": TypeInfo(_MOVED.fields, _MOVED.columns, elements="transforms"),
+            "JointState": _JOINT_STATE,
             "JointStates": _JOINT_STATE,
+            "Odometry": _plain(
+                position="pose.position",
+                orientation="pose.orientation",
+                linear_velocity="linear_velocity",
+                angular_velocity="angular_velocity",
+                twist_in_child=True,
+            ),
         }.items()
     },
     **{

@@ -1,0 +1,327 @@
+"""Protobuf messages in an MCAP file, held against google.protobuf, by the descriptors in the file alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, timestamp_pb2
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+
+from amhe_cli.core.errors import AmheError, LogError
+from amhe_cli.core.log import Log
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs import read_signals, survey
+from amhe_cli.logs.containers.raw import Connection, batch_of
+from amhe_cli.logs.messages.decode import SignalDecoder
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.split import Splitter
+
+DT = 0.01
+T = DT * np.arange(100)
+START_NS = 1_700_000_000_000_000_000
+Q = np.stack((np.sin(3.0 * T), np.cos(2.0 * T)), axis=1)
+TURN = np.stack((np.cos(0.5 * T), np.sin(0.5 * T)), axis=1)  # half angle about z: w, z
+KIND = descriptor_pb2.FieldDescriptorProto
+
+#: Message -> its fields: name -> type, in order; '*' makes it a list, '?' optional.
+FOXGLOVE = {
+    "Vector3": {"x": "double", "y": "double", "z": "double"},
+    "Quaternion": {"x": "double", "y": "double", "z": "double", "w": "double"},
+    "Pose": {"position": "Vector3", "orientation": "Quaternion"},
+    "PoseInFrame": {"timestamp": "Timestamp", "frame_id": "string", "pose": "Pose"},
+    "FrameTransform": {
+        "timestamp": "Timestamp", "parent_frame_id": "string", "child_frame_id": "string",
+        "translation": "Vector3", "rotation": "Quaternion",
+    },
+    "FrameTransforms": {"transforms": "FrameTransform*"},
+    "JointEntry": {"name": "string", "position": "double?", "velocity": "double?", "effort": "double?"},
+    "JointStates": {"timestamp": "Timestamp", "joints": "JointEntry*"},
+    "JointState": {
+        "timestamp": "Timestamp", "name": "string*", "position": "double*", "velocity": "double*",
+        "effort": "double*",
+    },
+    "Motor": {"q": "float", "ticks": "sint32", "on": "bool"},
+    "Robot": {"timestamp": "int64", "motors": "Motor*", "raw": "int32*", "mode": "uint32", "extra": "Motor"},
+}  # fmt: skip
+
+
+def described(messages: Mapping[str, Mapping[str, str]]) -> descriptor_pb2.FileDescriptorSet:
+    file = descriptor_pb2.FileDescriptorProto(name="t.proto", package="foxglove", syntax="proto3")
+    file.dependency.append("google/protobuf/timestamp.proto")
+    for name, fields in messages.items():
+        message = file.message_type.add(name=name)
+        for number, (field, kind) in enumerate(fields.items(), start=1):
+            plain = kind.rstrip("*?")
+            added = message.field.add(name=field, number=number, label=KIND.LABEL_OPTIONAL)
+            if kind.endswith("*"):
+                added.label = KIND.LABEL_REPEATED
+            if kind.endswith("?"):
+                added.proto3_optional, added.oneof_index = True, len(message.oneof_decl)
+                message.oneof_decl.add(name=f"_{field}")
+            if plain[0].isupper():
+                package = "google.protobuf" if plain == "Timestamp" else "foxglove"
+                added.type, added.type_name = KIND.TYPE_MESSAGE, f".{package}.{plain}"
+            else:
+                added.type = getattr(KIND, f"TYPE_{plain.upper()}")
+    stamp = descriptor_pb2.FileDescriptorProto()
+    timestamp_pb2.DESCRIPTOR.CopyToProto(stamp)
+    return descriptor_pb2.FileDescriptorSet(file=[stamp, file])
+
+
+def classes(descriptors: descriptor_pb2.FileDescriptorSet) -> Callable[[str], Any]:
+    pool = DescriptorPool()
+    for file in descriptors.file:
+        pool.Add(file)
+    return lambda name: GetMessageClass(pool.FindMessageTypeByName(f"foxglove.{name}"))
+
+
+SET = described(FOXGLOVE)
+CLASS = classes(SET)
+
+
+def stamp(i: int) -> dict[str, int]:
+    seconds, nanos = divmod(START_NS + round(1e9 * T[i]), 10**9)
+    return {"seconds": seconds, "nanos": nanos}
+
+
+def turn(i: int) -> dict[str, float]:
+    return {"z": TURN[i, 1], "w": TURN[i, 0]}
+
+
+def write(path: Path, name: str, message: Callable[[int], Any]) -> Path:
+    """A protobuf MCAP whose recorder was 50 ms late: only the messages' own stamps are right."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        about = writer.register_schema(f"foxglove.{name}", "protobuf", SET.SerializeToString())
+        channel = writer.register_channel("/data", "protobuf", about)
+        for i in range(T.size):
+            late = START_NS + round(1e9 * T[i]) + 50_000_000
+            content = message(i)
+            data = content if isinstance(content, bytes) else CLASS(name)(**content).SerializeToString()
+            writer.add_message(channel, late, data, late)
+        writer.finish()
+    return path
+
+
+def read(path: Path, *quantities: str, **more: Any) -> Log:
+    return read_signals(path, [Signal("s", "/data", quantities, **more)], DT, LogSettings())
+
+
+def joint_states(i: int) -> dict[str, Any]:
+    joints = [{"name": "b", "position": Q[i, 1]}, {"name": "a", "position": Q[i, 0]}]
+    return {"timestamp": stamp(i), "joints": joints}
+
+
+JOINTS: Mapping[str, Callable[[int], Any]] = {
+    "JointStates": joint_states,
+    "JointState": lambda i: {"timestamp": stamp(i), "name": ["b", "a"], "position": list(Q[i, ::-1])},
+}
+
+
+@pytest.mark.parametrize("name", sorted(JOINTS))
+def test_joint_states(name: str, tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", name, JOINTS[name])
+    log = read(path, "position", "velocity", names=("a", "b"))
+    assert (log.steps, log.start_ns) == (T.size, START_NS)
+    np.testing.assert_array_equal(log["s.position"].values, Q)
+    (topic,) = survey(path).topics
+    assert (topic.problem, topic.header, topic.entries) == (None, "good", ("b", "a"))
+    assert topic.quantities == ("position",)
+
+
+def moved(i: int, name: str = "box", height: float = 0.0) -> dict[str, Any]:
+    """Height 0, and x = sin(0) at first: numbers that proto3 leaves out."""
+    position = {"x": Q[i, 0], "y": Q[i, 1], "z": height}
+    return {
+        "timestamp": stamp(i), "child_frame_id": name, "translation": position, "rotation": turn(i)
+    }  # fmt: skip
+
+
+POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, str]]] = {
+    "PoseInFrame": (
+        lambda i: {
+            "timestamp": stamp(i), "pose": {"position": moved(i)["translation"], "orientation": turn(i)}
+        },
+        {},
+    ),
+    "FrameTransform": (moved, {}),
+    "FrameTransforms": (
+        lambda i: {"transforms": [moved(i, "other", 9.0), moved(i)]}, {"child_frame": "box"},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(POSES))
+def test_poses(name: str, tmp_path: Path) -> None:
+    message, more = POSES[name]
+    log = read(write(tmp_path / "log.mcap", name, message), "position", "orientation", **more)
+    assert log.start_ns == START_NS
+    np.testing.assert_array_equal(log["s.position"].values, np.column_stack((Q, np.zeros(T.size))))
+    np.testing.assert_allclose(log["s.orientation"].values[:, [0, 3]], TURN, atol=1e-12)
+
+
+def test_any_type_by_its_paths(tmp_path: Path) -> None:
+    def robot(i: int) -> dict[str, Any]:
+        motors = [{"q": Q[i, 0], "ticks": -i, "on": True}, {"q": Q[i, 1], "ticks": i * i}]
+        return {"timestamp": START_NS + round(1e9 * T[i]), "motors": motors, "raw": [i, -i], "mode": i}
+
+    path = write(tmp_path / "log.mcap", "Robot", robot)
+    fields = {
+        "position": ("motors[0].q", "motors[1].q"),
+        "value": ("motors[0].ticks", "motors[1].ticks", "motors[0].on", "raw[1]", "mode"),
+    }
+    log = read(path, "position", "value", fields=fields)
+    assert log.start_ns == START_NS
+    np.testing.assert_array_equal(log["s.position"].values, Q.astype(np.float32))
+    i = np.arange(T.size)
+    np.testing.assert_array_equal(log["s.value"].values, np.stack((-i, i**2, i * 0 + 1, -i, i), axis=1))
+    with pytest.raises(LogError, match=r"no number field 'motors\[2\]\.q'.*motors\[0\]\.q"):
+        read(path, "position", fields={"position": ("motors[2].q",)})
+
+
+NUMBERS = {
+    "double": st.floats(), "float": st.floats(width=32), "bool": st.booleans(),
+    **{kind: st.integers(-(2**31), 2**31 - 1) for kind in ("int32", "sint32", "sfixed32")},
+    **{kind: st.integers(-(2**63), 2**63 - 1) for kind in ("int64", "sint64", "sfixed64")},
+    **{kind: st.integers(0, 2**32 - 1) for kind in ("uint32", "fixed32")},
+    **{kind: st.integers(0, 2**64 - 1) for kind in ("uint64", "fixed64")},
+}  # fmt: skip
+ANY = {
+    "Part": {kind: kind for kind in NUMBERS} | {"note": "string"},
+    "Whole": {
+        **{f"one_{kind}": kind for kind in NUMBERS},
+        **{f"many_{kind}": f"{kind}*" for kind in NUMBERS},
+        "part": "Part", "parts": "Part*", "again": "Whole", "blob": "bytes", "words": "string*",
+    },
+}  # fmt: skip
+ANY_SET = described(ANY)
+WHOLE = classes(ANY_SET)("Whole")
+CONNECTION = Connection("/x", "foxglove.Whole", "protobuf", ANY_SET.SerializeToString().decode("latin-1"), "")
+
+PART = st.fixed_dictionaries({}, optional={**NUMBERS, "note": st.text(max_size=3)})
+_SHALLOW = {
+    **{f"one_{kind}": values for kind, values in NUMBERS.items()},
+    **{f"many_{kind}": st.lists(values, max_size=3) for kind, values in NUMBERS.items()},
+    "part": PART, "parts": st.lists(PART, max_size=3), "blob": st.binary(max_size=9),
+    "words": st.lists(st.text(max_size=3), max_size=2),
+}  # fmt: skip
+MESSAGE = st.fixed_dictionaries(
+    {}, optional={**_SHALLOW, "again": st.fixed_dictionaries({}, optional=_SHALLOW)}
+)
+
+
+def numbers(message: Any, prefix: str = "") -> dict[str, float]:
+    """Path -> number, by google.protobuf; what is in no message is left out."""
+    found: dict[str, float] = {}
+    for field in message.DESCRIPTOR.fields:
+        value, path = getattr(message, field.name), prefix + field.name
+        each = {f"{path}[{i}]": v for i, v in enumerate(value)} if field.is_repeated else {path: value}
+        for name, one in each.items():
+            if field.type == field.TYPE_MESSAGE:
+                if field.is_repeated or message.HasField(field.name):
+                    found |= numbers(one, f"{name}.")
+            elif field.type not in (field.TYPE_STRING, field.TYPE_BYTES):
+                found[name] = float(one)
+    return found
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.lists(MESSAGE, min_size=1, max_size=4))
+def test_every_number_is_that_of_google_protobuf(contents: list[dict[str, Any]]) -> None:
+    messages = [WHOLE(**content) for content in contents]
+    batch = batch_of(CONNECTION, [0] * len(messages), [0] * len(messages),
+                     [message.SerializeToString() for message in messages])  # fmt: skip
+    splitter = Splitter(CONNECTION, Definitions())
+    seen: set[int] = set()
+    for group in splitter.split(batch):
+        leaves = {
+            f"{path}[{i}]" if leaf.count is not None else path: one.read(group.rows)
+            for path, leaf in group.layout.leaves.items()
+            for i, one in enumerate(group.layout.columns(path))
+        }
+        for row, member in enumerate(group.members.tolist()):
+            wanted = numbers(messages[member])
+            seen.add(member)
+            assert {path: float(leaves[path][row]) for path in wanted} == pytest.approx(
+                wanted, rel=0, abs=0, nan_ok=True
+            )
+            rest = [float(leaves[path][row]) for path in leaves if path not in wanted]
+            assert np.isnan(rest).all()  # of messages that are not there
+    assert seen == set(range(len(messages)))
+    assert splitter.damaged == 0
+
+
+def test_a_layout_for_every_message_is_still_read() -> None:
+    """Varints of random widths: thousands of layouts of one length."""
+    rng = np.random.default_rng(1)
+    values = [(1 << rng.integers(0, 31, size=12)).tolist() for _ in range(3000)]
+    data = [WHOLE(many_int32=value, many_uint32=value).SerializeToString() for value in values]
+    stamps = (10**7 * np.arange(len(data)) + 1).tolist()
+    batch = batch_of(CONNECTION, stamps, stamps, data)
+    splitter = Splitter(CONNECTION, Definitions())
+    signal = Signal("s", "/x", ("value",), fields={"value": ("many_int32", "many_uint32")})
+    decoder = SignalDecoder(signal, CONNECTION)
+    decoder.feed(batch, list(splitter.split(batch)))
+    np.testing.assert_array_equal(decoder.samples().values["value"], np.tile(values, 2))
+
+
+def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    bad = {
+        10: b"\x0a", 20: b"\x0a\xff\xff\xff\xff\x0f", 30: b"\xff" * 20, 40: b"\x0b\x0c", 50: b"\x00\x01"
+    }  # fmt: skip
+    path = write(tmp_path / "log.mcap", "JointState", lambda i: bad.get(i) or JOINTS["JointState"](i))
+    log = read(path, "position", names=("a", "b"))
+    assert "5 messages damaged and dropped" in caplog.text
+    np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-3)
+
+
+def test_a_damaged_descriptor_set_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    for content, words in ((b"\xff" * 9, "is damaged"), (b"", "no descriptor of foxglove.JointState")):
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            about = writer.register_schema("foxglove.JointState", "protobuf", content)
+            writer.add_message(writer.register_channel("/data", "protobuf", about), 1, b"\x01", 1)
+            writer.finish()
+        with pytest.raises(LogError, match=words):
+            read(path, "position", names=("a", "b"))
+        assert words in (survey(path).topics[0].problem or "")
+
+
+def test_mutations_never_end_in_a_traceback(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    whole = [CLASS("JointStates")(**joint_states(i)).SerializeToString() for i in range(T.size)]
+    descriptors = SET.SerializeToString()
+    path = tmp_path / "log.mcap"
+    for number in range(60):
+        changed = [bytearray(message) for message in whole]
+        about = bytearray(descriptors)
+        for message in changed if number % 2 else [about]:
+            for spot in rng.integers(len(message), size=2):
+                message[spot] ^= 1 << int(rng.integers(8))
+        with path.open("wb") as file:
+            writer = Writer(file)
+            writer.start()
+            schema = writer.register_schema("foxglove.JointStates", "protobuf", bytes(about))
+            channel = writer.register_channel("/data", "protobuf", schema)
+            for i, message in enumerate(changed):
+                stamped = START_NS + 10_000_000 * i
+                writer.add_message(channel, stamped, bytes(message), stamped)
+            writer.finish()
+        try:
+            survey(path)
+            read(path, "position", names=("a", "b"))
+        except AmheError as error:
+            assert str(path) in str(error)
+            assert "\n" not in str(error)
