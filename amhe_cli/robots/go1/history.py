@@ -22,7 +22,7 @@ class History:
 
     Args:
         task: The task.
-        estimates: Estimates that came in, in adaptive runs.
+        estimates: Estimates of the online estimator, in adaptive runs.
     """
 
     task: Task
@@ -32,7 +32,7 @@ class History:
     _last: Cycle | None = None
 
     def add(self, cycle: Cycle) -> dict[str, float]:
-        """Take in a cycle, and return its row."""
+        """Take in a cycle; returns its row."""
         state = cycle.truth or cycle.estimate
         row = _motion(state, self.task) | _planning(cycle)
         row |= {f"belief/{name}": value for name, value in cycle.belief.items()}
@@ -43,7 +43,7 @@ class History:
         return row
 
     def _estimated(self, cycle: Cycle) -> dict[str, float]:
-        """Interval and time of the newest estimate; nothing before the first."""
+        """Interval and time of the newest estimate; {} before the first."""
         for news in cycle.news:
             if isinstance(news, Estimate):
                 self.estimates.append(news)
@@ -61,7 +61,7 @@ class History:
 
     @property
     def troubles(self) -> list[str]:
-        """Troubles of the estimator, each with its first time and how often: 'at 3.2 s it died; 2 times'."""
+        """Troubles of the estimator, each with its first time and its count: 'at 3.2 s it died; 2 times'."""
         return [
             f"at {times[0]:.1f} s {text}{f'; {len(times)} times' if len(times) > 1 else ''}"
             for text, times in self._troubles.items()

@@ -11,7 +11,7 @@ from amhe_cli.logs.messages.writer import ERROR, OK, WARN
 from amhe_cli.robots.go1.state import State, heading_velocity
 from amhe_cli.robots.go1.tasks import LONGEST, TAPER, Task
 
-#: The box has arrived when it was this near to the goal [m] for so long [s].
+#: The box has arrived when it has been this near to the goal [m] for so long [s].
 NEAR, HOLD = 0.05, 0.5
 #: A final error up to this is a success [m]; on time is within this multiple of the nominal time.
 CLOSE_ENOUGH, ON_TIME = 0.15, 1.25
@@ -29,12 +29,12 @@ class Measures:
         on_time: A success by arrival within 1.25 times the nominal time.
         fell: The robot fell.
         goal_error_m: Final distance of the box's centre from the goal [m].
-        cost: J, the running cost of the true states at 50 Hz, charged to the end of the 40 s; of an episode
-            that was stopped, up to there.
-        time_s: Arrival, else the longest time; of an episode that was stopped, up to there [s].
-        speed_rmse: Of the trunk's forward speed against the command [m/s]; None: never judged.
-        path_rmse_m: Of the box's distance from its path [m].
-        terms: `cost` by its terms, up to the end of the episode.
+        cost: J, the running cost of the true states at 50 Hz up to 40 s, after a fall at its last value; of a
+            stopped episode, up to the stop.
+        time_s: Time of arrival, else the longest time; of a stopped episode, the time of the stop [s].
+        speed_rmse: Rms error of the trunk's forward speed against the command [m/s]; None: never judged.
+        path_rmse_m: Rms distance of the box from its path [m].
+        terms: The terms of `cost`, up to the end of the episode.
     """
 
     success: bool
@@ -52,17 +52,17 @@ class Measures:
 class Judge:
     """Watches an episode, one true state a control period, and says when it is over.
 
-    A state after periods that brought none stands for them, too: a late controller must not look cheap.
+    A state also stands for the periods before it that brought none: a late controller must not look cheap.
 
     Args:
-        task: That is done.
-        behaviour: Whose running cost counts.
-        period: Between two states [s].
-        longest: The episode's limit [s].
+        task: The task that the robot performs.
+        behaviour: The behaviour whose running cost counts.
+        period: Time between two states [s].
+        longest: Longest duration of the episode [s].
 
     Attributes:
         last_cost: Running cost of the newest state.
-        fell, arrived: How it ended, if it did.
+        fell, arrived: How the episode ended, if it has ended.
     """
 
     def __init__(self, task: Task, behaviour: Behaviour, period: float, longest: float = LONGEST) -> None:
@@ -104,7 +104,7 @@ class Judge:
         return (OK, "the box has arrived") if self.arrived else (WARN, "the time is up")
 
     def measures(self) -> Measures:
-        """The numbers so far."""
+        """The measures so far."""
         left = np.array(self._left or [0.0])
         strayed = float(np.abs(left).max()) > self._task.corridor
         success = not self.fell and not strayed and self._goal_error <= CLOSE_ENOUGH

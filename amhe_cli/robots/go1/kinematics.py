@@ -19,18 +19,18 @@ KINDS = ("hip", "thigh", "calf")
 JOINTS = tuple(f"{leg}_{kind}_joint" for leg in LEGS for kind in KINDS)
 SERVOS = tuple(f"{leg}_{kind}" for leg in LEGS for kind in KINDS)
 
-#: +1 left, -1 right.
+#: Sides of the legs: +1 left, -1 right.
 SIDE = sealed([-1.0, 1.0, -1.0, 1.0])
 #: Hip joints in the trunk [m], shape (4, 3).
 HIPS = sealed([[0.1881, -0.04675, 0], [0.1881, 0.04675, 0], [-0.1881, -0.04675, 0], [-0.1881, 0.04675, 0]])
-#: From the hip joint sideways to the leg's plane [m].
+#: Distance from the hip joint sideways to the leg's plane [m].
 HIP_OFFSET = 0.08
 _ASIDE = sealed(HIP_OFFSET * SIDE)
 #: Length of thigh, and of calf [m].
 LINK = 0.213
 FOOT_RADIUS = 0.023
 
-#: One leg at home [rad], and all legs.
+#: Joint angles of one leg at home [rad], and of all legs.
 HOME_LEG = sealed([0.0, 0.9, -1.8])
 HOME = sealed(np.tile(HOME_LEG, 4))
 #: Height of the trunk over the floor with straight-standing legs at home [m].
@@ -83,11 +83,11 @@ def joint_angles(feet: FloatArray) -> FloatArray:
 
 
 def joint_rates(joints: FloatArray, velocity: FloatArray) -> FloatArray:
-    """Joint velocities that move the feet as asked: J^-1 v, solved by hand: several times as fast as LAPACK.
+    """Joint velocities that give the feet these velocities: J^-1 v by hand, several times as fast as LAPACK.
 
     Args:
         joints: Angles [rad], knees bent, shape (..., 12).
-        velocity: Of the feet in the trunk's frame [m/s], shape (..., 4, 3).
+        velocity: Velocities of the feet in the trunk's frame [m/s], shape (..., 4, 3).
 
     Returns:
         Rates [rad/s], shape (..., 12).
@@ -107,7 +107,7 @@ def holding_torques(joints: FloatArray, ground_forces: FloatArray) -> FloatArray
 
     Args:
         joints: Angles [rad], shape (..., 12).
-        ground_forces: On each foot, in the trunk's frame [N], shape (..., 4, 3).
+        ground_forces: Forces of the ground on the feet, in the trunk's frame [N], shape (..., 4, 3).
 
     Returns:
         Torques [N m], shape (..., 12).
@@ -136,7 +136,7 @@ class _Posture:
     calf_down: FloatArray
 
     def in_plane(self, vectors: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Components of vectors (..., 4, 3) ahead, across the leg's plane, and along it upwards."""
+        """Components of vectors (..., 4, 3) ahead, across the leg's plane, and upwards in it."""
         x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
         return x, self.c * y + self.s * z, self.c * z - self.s * y
 

@@ -38,10 +38,10 @@ class Box:
 
     Args:
         size: Edge lengths [m] along its x, y, z.
-        mass: [kg], spread evenly.
-        floor_friction: Against the floor.
-        position: Start of its centre [m]; it stands on the floor where not said otherwise.
-        yaw: Start [rad].
+        mass: Mass [kg], spread evenly.
+        floor_friction: Friction coefficient against the floor.
+        position: Initial position of its centre [m]; by default it stands on the floor.
+        yaw: Initial yaw [rad].
     """
 
     size: tuple[float, float, float] = (0.3, 0.5, 0.3)
@@ -57,7 +57,7 @@ class Servo:
 
     Args:
         kp: Gain [N m/rad].
-        kd: Damping [N m s/rad], beside that of the joints themselves.
+        kd: Damping [N m s/rad], in addition to that of the joints themselves.
     """
 
     kp: float = 60.0
@@ -66,12 +66,12 @@ class Servo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelLayout:
-    """Where robot and box are in a model's state; joints in our order, whatever the robot file's.
+    """Addresses of robot and box in a model's state; joints in our order, whatever the robot file's.
 
     Args:
-        trunk: Slice of qpos, 7 numbers; the same of qvel, 6 numbers, in `trunk_v`.
-        box: As `trunk`.
-        joints: Rows of qpos, shape (12,); of qvel in `joints_v`; of ctrl in `servos`.
+        trunk: Slice of qpos, 7 numbers; the slice of qvel, 6 numbers, is `trunk_v`.
+        box: The same two slices of the box, `box` and `box_v`.
+        joints: Indices into qpos, shape (12,); those into qvel are `joints_v`, those into ctrl `servos`.
     """
 
     trunk: slice
@@ -123,11 +123,11 @@ def plant_model(
     """The plant: all collision shapes of the robot against floor, box and each other.
 
     Args:
-        box: The box, with its true numbers.
+        box: The box, with its true parameters.
         servo: Position control; torque limits are the Go1's.
         robot: MJCF of any Go1, in place of ours. Its own actuators, sensors, floor and lights are left out;
             its joints' damping, softness on the floor and self-collisions are kept.
-        timestep: [s].
+        timestep: Time step [s].
 
     Raises:
         ConfigError: The file holds no Go1.
@@ -186,7 +186,7 @@ def _add_robot(spec: mujoco.MjSpec, robot: RobotFile, self_collisions: bool) -> 
 
 
 def _take_options(spec: mujoco.MjSpec, ours: mujoco.MjSpec) -> None:
-    """Ours hold anyhow; of those that differ MuJoCo would warn."""
+    """Take over our solver options, which apply in any case; MuJoCo would warn of those that differ."""
     for name in (name for name in dir(ours.option) if not name.startswith("_")):
         setattr(spec.option, name, getattr(ours.option, name))
     for name in ("memory", "nconmax", "njmax", "nstack"):
@@ -194,7 +194,7 @@ def _take_options(spec: mujoco.MjSpec, ours: mujoco.MjSpec) -> None:
 
 
 def _rename_body(spec: mujoco.MjSpec, old: str, new: str) -> None:
-    """MuJoCo refers to bodies by name: contacts left out of the old one are left out of the new one."""
+    """Rename a body; MuJoCo refers to bodies by name, so excluded contacts are renamed with it."""
     for exclude in spec.excludes:
         for field in ("bodyname1", "bodyname2"):
             if getattr(exclude, field) == old:
@@ -202,7 +202,7 @@ def _rename_body(spec: mujoco.MjSpec, old: str, new: str) -> None:
 
 
 def _robot_geoms(spec: mujoco.MjSpec) -> list[mujoco.MjsGeom]:
-    """Geoms of the robot that may touch anything: in `world.xml` none may."""
+    """Geoms of the robot that may touch anything; those of `world.xml` touch by explicit pairs only."""
     return [geom for geom in spec.geoms if geom.contype or geom.conaffinity]
 
 
@@ -275,13 +275,13 @@ def set_box_mass(model: mujoco.MjModel, mass: float) -> None:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One change of the plant, once.
+    """A change of the plant that happens once.
 
     Args:
-        mass: New mass of the box [kg]; None: as it is.
-        floor_friction: New friction of box against floor; None: as it is.
-        at_time: When [s]; None: whenever the place says.
-        beyond_x: As soon as the box's centre passes this x [m]; None: whenever the time says.
+        mass: New mass of the box [kg]; None: unchanged.
+        floor_friction: New friction of box against floor; None: unchanged.
+        at_time: Time of the change [s]; None: only the place counts.
+        beyond_x: The change happens when the box's centre passes this x [m]; None: only the time counts.
     """
 
     mass: float | None = None
@@ -290,7 +290,7 @@ class Change:
     beyond_x: float | None = None
 
     def due(self, time: float, box_x: float) -> bool:
-        """Whether the change has come, at this time [s] and place of the box [m]."""
+        """Whether the change is due, at this time [s] and place of the box [m]."""
         late = self.at_time is not None and time >= self.at_time
         far = self.beyond_x is not None and box_x >= self.beyond_x
         return late or far

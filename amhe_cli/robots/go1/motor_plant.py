@@ -13,22 +13,22 @@ from amhe_cli.robots.go1.plant import Plant, SensorNoise
 
 #: Height of the trunk from which a robot with folded legs is put down [m].
 _DROP = 0.07
-#: Damping of motors while it sinks [N m s/rad], and how long that takes [s].
+#: Damping of the motors while the robot sinks down [N m s/rad], and how long that takes [s].
 _LIMP, _SETTLING = 0.3, 1.0
-#: As a robot lies: knees apart, the belly on the floor [rad].
+#: Joint angles of a lying robot: knees apart, the belly on the floor [rad].
 _FOLDED = np.array([-0.34, 1.19, -2.81, 0.34, 1.19, -2.81] * 2)
 
 
 class MotorPlant(Plant):
-    """As `Plant`, at the pace of its own time step, with motors in place of servos.
+    """Like `Plant`, but with motors in place of servos, advanced by single time steps.
 
-    The joints' own damping is taken away: in the models it stands in for that of the motors, which here is
-    commanded.
+    The joints' own damping is removed: in the models it represents that of the motors, which is commanded
+    here.
 
     Args:
-        model: Of `plant_model`; changed.
-        rng: For the sensors' noise.
-        noise: Of the sensors.
+        model: A model made by `plant_model`; it is changed.
+        rng: Random generator of the sensors' noise.
+        noise: Noise of the sensors.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class MotorPlant(Plant):
 
     @property
     def torques(self) -> FloatArray:
-        """Of the motors [N m], shape (12,)."""
+        """Torques of the motors [N m], shape (12,)."""
         return np.array(self._data.actuator_force[self._at.servos])
 
     @property

@@ -15,22 +15,22 @@ from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.model import FLOOR_PAIR, Change, home, layout
 from amhe_cli.robots.go1.state import GRAVITY, State, state_of
 
-#: What an accelerometer feels at rest [m/s^2].
+#: Specific force that an accelerometer measures at rest [m/s^2].
 _UPHELD = np.array([0.0, 0.0, GRAVITY])
 
 
 @dataclass(frozen=True, slots=True)
 class SensorNoise:
-    """White noise of the sensors (sd), and how often motion capture sees.
+    """White noise of the sensors (sd), and the period of motion capture.
 
     Args:
-        position: Of poses [m].
-        orientation: Of poses, about each axis [rad].
-        joint: Of joint angles [rad].
-        joint_rate: [rad/s].
-        gyro: [rad/s].
-        accelerometer: [m/s^2].
-        pose_period: Between two poses [s].
+        position: Noise of measured positions [m].
+        orientation: Noise of measured orientations, about each axis [rad].
+        joint: Noise of joint angles [rad].
+        joint_rate: Noise of joint velocities [rad/s].
+        gyro: Noise of the gyro [rad/s].
+        accelerometer: Noise of the accelerometer [m/s^2].
+        pose_period: Time between two poses [s].
     """
 
     position: float = 0.002
@@ -46,11 +46,11 @@ class Plant:
     """A running simulation that the controller sees through its sensors only.
 
     Args:
-        model: Of `plant_model`.
-        changes: What happens to box or floor on the way; each once.
-        rng: For the sensors' noise.
-        noise: Of the sensors.
-        start: First qpos, shape (nq,); None: `home`.
+        model: A model made by `plant_model`.
+        changes: Changes of box or floor on the way; each happens once.
+        rng: Random generator of the sensors' noise.
+        noise: Noise of the sensors.
+        start: Initial qpos, shape (nq,); None: `home`.
     """
 
     def __init__(
@@ -71,17 +71,17 @@ class Plant:
 
     @property
     def time(self) -> float:
-        """Since the start [s]."""
+        """Time since the start [s]."""
         return self._steps * self.model.opt.timestep
 
     @property
     def state(self) -> State:
-        """The truth: for evaluation and logs, not for the controller."""
+        """The true state: for evaluation and logs, not for the controller."""
         return state_of(self._at, self.time, self._data.qpos, self._data.qvel)
 
     @property
     def qpos(self) -> FloatArray:
-        """All coordinates, for pictures, shape (nq,)."""
+        """All coordinates qpos, for pictures, shape (nq,)."""
         return np.array(self._data.qpos)
 
     @property
@@ -163,7 +163,7 @@ _FATAL = (
     mujoco.mjtWarning.mjWARN_BADQACC,
 )
 _NO_TIMES = np.empty(0)
-#: No samples of the robot's own sensors, and none of the cameras.
+#: Empty samples of the robot's own sensors, and of the cameras.
 _NOTHING_OWN: Samples = {
     "joints.position": (_NO_TIMES, np.empty((0, 12))),
     "joints.velocity": (_NO_TIMES, np.empty((0, 12))),

@@ -32,7 +32,7 @@ _PATH_POINTS = 49
 
 
 def recorder_of(run: Run, path: Path) -> Recorder:
-    """The recorder of a run's log, with all that tells what the log is of."""
+    """The recorder of a run's log, with the metadata that say what the log shows."""
     options = run.options
     metadata = {
         "system": run.system.name,
@@ -61,7 +61,7 @@ class TaskMessages:
         self._path, self._throttle = task.path, Throttle()
 
     def __call__(self, log: LogWriter, cycle: Cycle) -> None:
-        """Write what is due in a cycle."""
+        """Write the messages that are due in a cycle."""
         path, stamp, reference = self._path, stamp_ns(cycle.time), cycle.plan.reference
         if self._throttle.due("/amhe/path", cycle.time, NEVER):
             points = path.points(np.linspace(0.0, path.length, _PATH_POINTS if path.curvature else 2))

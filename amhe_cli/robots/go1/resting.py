@@ -12,11 +12,11 @@ from amhe_cli.robots.go1.model import layout, plant_model
 
 
 def trunk_height(orientation: FloatArray, joints: FloatArray) -> float:
-    """Height of the trunk's centre over the floor [m], where the lowest of all collision shapes touches it.
+    """Height of the trunk's centre when the lowest of all collision shapes touches the floor [m].
 
     Args:
         orientation: Unit quaternion of the trunk (4,); its heading does not matter.
-        joints: [rad], shape (12,).
+        joints: Joint angles [rad], shape (12,).
     """
     model, robot = _robot()
     data = mujoco.MjData(model)
@@ -34,7 +34,7 @@ def trunk_height(orientation: FloatArray, joints: FloatArray) -> float:
 
 @cache
 def _robot() -> tuple[mujoco.MjModel, list[int]]:
-    """The plant, and its shapes that touch the floor."""
+    """The plant's model, and the robot's shapes that touch the floor."""
     model = plant_model()
     floor, box = model.geom("floor").id, model.geom("box").id
     pairs = np.stack((model.pair_geom1, model.pair_geom2), axis=1)
@@ -46,9 +46,9 @@ def _reach(kind: int, size: FloatArray, axes: FloatArray) -> float:
     """How far a shape reaches down from its centre [m].
 
     Args:
-        kind: Of the shape, an mjtGeom.
-        size: See MuJoCo, shape (3,).
-        axes: The vertical part of each of its axes, shape (3,).
+        kind: Type of the shape, an mjtGeom.
+        size: Size as MuJoCo defines it for that type, shape (3,).
+        axes: Vertical component of each of its axes, shape (3,).
     """
     upright = abs(float(axes[2]))
     match kind:

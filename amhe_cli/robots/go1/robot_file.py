@@ -36,7 +36,7 @@ _MEANING = {
     for words in permutations(pair)
 }
 
-#: Of a file, what is no part of a robot's body, or belongs to a scene of its own.
+#: Parts of a file that do not belong to a robot's body, or to a scene of its own.
 _LEFT_OUT = (
     "actuators", "sensors", "pairs", "equalities", "tendons", "keys", "lights", "cameras", "tuples",
     "numerics", "texts",
@@ -51,7 +51,7 @@ class RobotFile:
     """A robot as its file has it.
 
     Args:
-        spec: The file's spec: its bodies, and what they are made of.
+        spec: The file's spec, with its bodies.
         root: Name of the body that carries the four legs and moves freely.
         joints: Name of each of the twelve joints in the file, in our order.
     """
@@ -65,7 +65,8 @@ def read_robot(path: Path) -> RobotFile:
     """Find a Go1 in a model file.
 
     Raises:
-        ConfigError: There is no file, MuJoCo cannot read it, or it holds no Go1; the text says what is amiss.
+        ConfigError: The file does not exist, MuJoCo cannot read it, or it holds no Go1; the text says what is
+            wrong.
     """
     if not path.is_file():
         raise ConfigError(f"no robot model {str(path)!r}; give the MJCF of a Go1")
@@ -101,7 +102,7 @@ def _joints(spec: mujoco.MjSpec, file: str) -> tuple[str, ...]:
 
 
 def _hip_above_knee(hips: list[str], thighs: list[str]) -> None:
-    """Where one joint is called abduction and the next one hip, that hip is our thigh."""
+    """Where a file calls one joint abduction and the next one hip, that hip is our thigh."""
     plain = [name for name in hips if _bare(name).endswith("hip")]
     if not thighs and len(hips) == 2 and len(plain) == 1:
         hips.remove(plain[0])
@@ -131,7 +132,7 @@ def _root(spec: mujoco.MjSpec, joints: tuple[str, ...], file: str) -> str:
 
 
 def _collide_by_masks(spec: mujoco.MjSpec) -> None:
-    """Where a file lists its contacts as pairs, the geoms in them touch other things all the same."""
+    """Let geoms that a file lists in contact pairs touch other geoms too."""
     listed = {name for pair in spec.pairs for name in (pair.geomname1, pair.geomname2)}
     for geom in spec.geoms:
         if geom.name in listed:
@@ -147,7 +148,7 @@ def _topmost(body: mujoco.MjsBody) -> str:
 
 
 def _check_geometry(model: mujoco.MjModel, root: str, joints: tuple[str, ...], file: str) -> None:
-    """Joints at home must be where a Go1's are, and turn as a Go1's do."""
+    """Check that the joints at home are where a Go1's are, and turn as a Go1's do."""
     data = mujoco.MjData(model)
     for i, name in enumerate(joints):
         data.joint(name).qpos[0] = HOME_LEG[i % 3]

@@ -51,12 +51,12 @@ class RunOptions:
 
     Args:
         task: Name of the task.
-        mode: Whose belief: one of `MODES`.
+        mode: Which belief the controller uses: one of `MODES`.
         target: 'sim' or 'go1'.
         belief: A belief, or its file, that replaces the mode's fixed one.
-        seed: Of start poses, sensor noise and sampling.
-        threads: Of the rollouts; the outcome does not depend on it.
-        duration: The longest that it may take [s].
+        seed: Seed of start poses, sensor noise and sampling.
+        threads: Threads of the rollouts; the outcome does not depend on them.
+        duration: Longest duration of the episode [s].
         realtime: Keep pace with the wall clock.
         plant: MJCF of another Go1.
         settings: Settings that replace the system's own, as a nested mapping.
@@ -75,23 +75,23 @@ class RunOptions:
 
     @property
     def live(self) -> bool:
-        """Time goes on while we compute."""
+        """Whether time goes on while the program computes."""
         return self.realtime or self.target != "sim"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """An episode on its target, and what it is about.
+    """An episode on its target, with task and system.
 
     Args:
-        options: As given.
+        options: Options that the run was opened with.
         task: The task.
         system: `go1_push` with the user's settings.
-        episode: Ready to run.
-        target: Of the episode.
-        plant: Behind a simulated target; for pictures.
-        judge: Of the episode.
-        first_truth: The plant's parameters at the start, by name; {} where nobody knows.
+        episode: The episode, ready to run.
+        target: Target of the episode.
+        plant: Plant behind a simulated target, for pictures; None for a real robot.
+        judge: Judge of the episode.
+        first_truth: The plant's parameters at the start, by name; {} where they are unknown.
     """
 
     options: RunOptions
@@ -110,14 +110,15 @@ def generator(seed: int, use: str) -> np.random.Generator:
 
 
 def open_run(options: RunOptions, task: Task | None = None) -> Run:
-    """Set everything up.
+    """Prepare a run.
 
     Args:
-        options: As given.
-        task: In place of the one that the options name.
+        options: Options of the run.
+        task: The task, in place of the one that the options name.
 
     Raises:
-        ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, a setting.
+        ConfigError: Unknown task or mode, a belief that does not suit, a plant that is no Go1, or a wrong
+            setting.
     """
     task, system = task_and_system(options, task)
     settings = settings_of(system).control
@@ -136,12 +137,12 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
 
 
 def measured(task: Task) -> dict[str, Any]:
-    """What the system file must be told of a task: the size of its box, where it is another one."""
+    """Measured sizes that the system file needs for a task: that of its box, where it is another one."""
     return {} if task.box.size == Box().size else {"boxes": {"box": list(task.box.size)}}
 
 
 def as_measured(task: Task, system: System) -> Task:
-    """The task with the box of the system: the user may have measured another one (`boxes.box`).
+    """The task with the box size of the system: the user may have measured another one (`boxes.box`).
 
     Its near face stays where the task has it, or a deep box would reach into the robot; the path, which
     begins at the centre of the box, goes with it.
@@ -157,7 +158,7 @@ def as_measured(task: Task, system: System) -> Task:
 
 
 def _extent(box: Box, heading: float) -> float:
-    """Of a box along a direction over the floor [m]."""
+    """Extent of a box along a direction over the floor [m]."""
     depth, width, _ = box.size
     turn = heading - box.yaw
     return float(abs(np.cos(turn)) * depth + abs(np.sin(turn)) * width)
@@ -175,14 +176,14 @@ def controller_for(
 
 
 def task_and_system(options: RunOptions, task: Task | None = None) -> tuple[Task, System]:
-    """What is done, with the box as it was measured, and `go1_push` with that box and the user's settings.
+    """The task with its box as measured, and `go1_push` with that box and the user's settings.
 
     Args:
-        options: As given.
-        task: In place of the one that the options name.
+        options: Options of the run.
+        task: The task, in place of the one that the options name.
 
     Raises:
-        ConfigError: Unknown task, or a setting is wrong.
+        ConfigError: Unknown task, or a wrong setting.
     """
     task = task or find_task(options.task)
     system = system_of(options, task)
@@ -201,14 +202,15 @@ def system_of(options: RunOptions, task: Task) -> System:
 def belief_source(
     options: RunOptions, task: Task, system: System, plant: Plant | None, slow: float = 1.0
 ) -> BeliefSource:
-    """Whom the controller believes: the plant, where there is one, or fixed parameters.
+    """Source of the controller's belief: the plant, where there is one, fixed parameters, or an estimator.
 
     Args:
-        options: As given.
-        task: That is done.
-        system: What is estimated.
-        plant: Behind a simulated target.
-        slow: How many seconds of the wall clock one of the run's takes: the estimator has that much longer.
+        options: Options of the run.
+        task: The task that the robot performs.
+        system: The system whose parameters are estimated.
+        plant: Plant behind a simulated target; None for a real robot.
+        slow: How many seconds of the wall clock one second of the run takes: the estimator has that much
+            longer.
 
     Raises:
         ConfigError: Unknown mode, or a belief that does not suit.
@@ -232,12 +234,12 @@ def belief_source(
 
 
 def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:
-    """The estimator of an adaptive run; also in another process, which has nothing but what is given here.
+    """The estimator of an adaptive run; its arguments are all it needs, also in another process.
 
     Args:
-        options: Of the run.
-        start: What is believed there.
-        belief: To go on from, where an estimator has ended; None: that of the run's start.
+        options: Options of the run.
+        start: Prior belief at the start of the run.
+        belief: Belief from which to go on after an estimator has ended; None: `start`.
     """
     system = system_of(options, find_task(options.task))
     threads = 1 if options.live else options.threads
@@ -247,7 +249,7 @@ def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = Non
 
 
 def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:
-    """The belief file's, or else the task's fixed one; adaptive runs start from the baseline's."""
+    """The belief of the file, or else the task's fixed one; adaptive runs start from the baseline's."""
     if options.belief is not None:
         return completed(belief_for(system, options.belief), system.space, system.name)
     if options.mode == "stale" and task.stale is None:

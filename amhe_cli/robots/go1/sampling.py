@@ -1,4 +1,4 @@
-"""The samples of each control cycle that log and estimator get: sensors, poses with twists, commands."""
+"""The samples of each control cycle for log and estimator: sensors, poses with twists, commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OWN = ("joints.position", "joints.velocity", "imu.angular_velocity", "imu.linea
 
 
 class Sampler:
-    """Makes samples of what a cycle measured, estimated and commanded, in the single precision of a Go1.
+    """Makes samples of each cycle's measurements, estimates and commands, in single precision.
 
     The robot's own samples are thinned: 500 Hz of twelve joints are most of a log, and an identification
     learns little from them. Nothing is older than the first command: then the clock of our reader, which
@@ -47,7 +47,7 @@ class Sampler:
         return {key: (times, _single(values)) for key, (times, values) in samples.items()}
 
     def _with_twists(self, seen: Samples, now: State) -> Samples:
-        """Measured poses, with twists between those of the last cycle's estimate and this one's."""
+        """Measured poses, with twists interpolated between the last cycle's estimate and this one's."""
         before = self._last or now
         samples = dict(seen)
         for name in ("trunk", "box"):
@@ -72,5 +72,5 @@ def _twists(before: Body, after: Body, share: FloatArray) -> tuple[FloatArray, F
 
 
 def _single(values: ArrayLike) -> FloatArray:
-    """In single precision: half of a log's size, and more digits than any sensor has."""
+    """Convert to single precision: half of a log's size, and more digits than any sensor has."""
     return np.asarray(values, dtype=np.float32).astype(np.float64)

@@ -25,13 +25,14 @@ SPEED, TAPER = 0.2, 0.2
 LONGEST = 40.0
 
 _AHEAD = (0.6, 0.0)
-#: Beside the front right foot, so near that the leg reaches it: the face is 4 cm from the standing foot.
+#: Start of a box beside the front right foot, so near that the leg reaches it: its face is 4 cm from that
+#: foot.
 _BESIDE = (0.1, -0.34)
 
 
 @dataclass(frozen=True, slots=True)
 class Believed:
-    """A fixed belief: mass [kg] and friction against the floor of the box."""
+    """A fixed belief: mass of the box [kg], and its friction against the floor."""
 
     box_mass: float
     floor_friction: float
@@ -39,19 +40,19 @@ class Believed:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """One task.
+    """What is pushed where, what changes on the way, and what is believed at the start.
 
     Args:
-        name: As on the command line.
-        title: In words.
-        box: At the start, with the plant's true numbers.
-        path: Of the box's centre; its end is the goal.
-        nominal_time: [s].
-        changes: Of the plant on the way.
+        name: Name on the command line.
+        title: Title in words.
+        box: The box at the start, with the plant's true parameters.
+        path: Path of the box's centre; its end is the goal.
+        nominal_time: Nominal duration [s].
+        changes: Changes of the plant on the way.
         baseline: The fixed belief of mode `baseline`.
-        stale: That of mode `stale`, where there is one.
-        one_leg: Pushed with a front leg on three standing ones, not by walking.
-        corridor: The box may be no further than this from its path [m].
+        stale: The fixed belief of mode `stale`, where there is one.
+        one_leg: Whether the robot pushes with a front leg and stands on the other three; otherwise it walks.
+        corridor: Largest allowed distance of the box from its path [m].
     """
 
     name: str
@@ -66,21 +67,21 @@ class Task:
     corridor: float = np.inf
 
     def behaviour(self) -> Behaviour:
-        """How the robot does it; a fresh one for each episode."""
+        """A new behaviour that performs the task; each episode needs its own."""
         depth, width, _ = self.box.size
         if self.one_leg:
             return Sweeping(self.path, half_width=0.5 * width)
         return Walking(Helm(self.path, SPEED, TAPER, half_length=0.5 * depth, half_width=0.5 * width))
 
     def commanded_speed(self, progress: float) -> float:
-        """Of the robot, when the box is so far along its path [m]: [m/s]."""
+        """Commanded speed of the robot [m/s] when the box has come so far along its path [m]."""
         if self.one_leg:
             return 0.0
         return SPEED * self.path.tapered(progress, TAPER)
 
     @property
     def judged_from(self) -> float:
-        """Since when the speed is judged [s]: with one leg, since it is free."""
+        """Time from which the speed is judged [s]: with one leg, from when it is free."""
         return Tripod().shift_time if self.one_leg else 1.0
 
     @property
@@ -156,10 +157,10 @@ TASKS = {
 
 
 def find_task(name: str) -> Task:
-    """The task of a name.
+    """The task with a given name.
 
     Raises:
-        ConfigError: There is none; the text lists them.
+        ConfigError: There is no such task; the text lists all.
     """
     if name not in TASKS:
         raise ConfigError(one_of("task", name, TASKS))

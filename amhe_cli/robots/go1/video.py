@@ -44,8 +44,8 @@ class Film:
     """A camera that follows robot and box.
 
     Args:
-        model: Of the plant; a copy is drawn.
-        floor: What is drawn on the floor.
+        model: Model of the plant; a copy of it is drawn.
+        floor: Lines and marks to draw on the floor.
         size: Width and height [pixels].
 
     Raises:
@@ -95,11 +95,11 @@ class Film:
 
     @contextmanager
     def shooting(self, path: Path, later: bool = False) -> Iterator[Shots]:
-        """Give what takes the shots; the film is whole when the block ends, however it ends.
+        """A function that takes the shots; the film is complete when the block ends, however it ends.
 
         Args:
-            path: Of the .mp4 file.
-            later: Draw when the block ends; meanwhile nothing costs time.
+            path: Path of the .mp4 file.
+            later: Whether to draw only when the block ends, so that no time is lost before.
         """
         shots = Shots(self, path, later)
         try:
@@ -129,7 +129,7 @@ class Film:
         self._outline(floor.path[-1], floor.goal_yaw)
 
     def _outline(self, place: FloatArray, yaw: float) -> None:
-        """Where the box is to stand."""
+        """Draw the outline of a place where the box should stand."""
         depth, width = (0.5 * edge for edge in self._floor.footprint)
         ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
         self._plate(place, (depth, width), yaw, (*_GOAL_COLOR[:3], 0.25), 0.0015)
@@ -154,7 +154,7 @@ class Film:
 
 
 def _simplify(model: mujoco.MjModel) -> None:
-    """Half of the time of a frame where no GPU draws it; reflections are a second picture."""
+    """Remove reflections, which are a second picture: without a GPU, half of the time of a frame."""
     model.vis.quality.shadowsize, model.vis.quality.offsamples = 4096, 4
     model.mat_reflectance[:] = 0.0
     model.vis.global_.fovy = _VIEW
@@ -170,7 +170,7 @@ class Shots:
         self._taken = 0
 
     def __call__(self, time: float, qpos: FloatArray) -> None:
-        """See the plant at a time [s] with coordinates (nq,)."""
+        """Take a shot if one is due: the plant at a time [s] with coordinates (nq,)."""
         while self._taken <= time * FPS + 1e-6:
             self._taken += 1
             if self._later:
@@ -179,7 +179,7 @@ class Shots:
                 self._draw(qpos)
 
     def close(self) -> None:
-        """Draw what was put off, and end the file."""
+        """Draw the postponed shots, and end the file."""
         for qpos in self._kept:
             self._draw(qpos)
         self._writer.close()
@@ -198,7 +198,7 @@ def strip(frames: Sequence[Frame], width: int, gap: int = 6) -> Frame:
 
 
 def check_encoder() -> None:
-    """See that a film could be written.
+    """Check that a film could be written.
 
     Raises:
         ConfigError: There is no encoder.
@@ -243,7 +243,7 @@ def _context_of(kind: str, width: int, height: int) -> Any:
 
 
 def _forget_opengl() -> None:
-    """PyOpenGL stays with the platform that it was first loaded for, also where that failed."""
+    """Unload PyOpenGL: it keeps the platform that it was first loaded for, even if that failed."""
     os.environ.pop("PYOPENGL_PLATFORM", None)
     for name in [name for name in sys.modules if name.split(".")[0] == "OpenGL"]:
         del sys.modules[name]
