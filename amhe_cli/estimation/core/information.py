@@ -147,7 +147,7 @@ def weights(
 
     Args:
         cost: The matching cost on c clips.
-        residual: Shape (c, R).
+        residual: Residuals, shape (c, R).
         times: Autocorrelation time of each channel's residuals, in samples.
         variances: Variance of each channel's noise, in declared variances; None: as declared.
     """
@@ -186,7 +186,7 @@ def mean_squares(cost: MatchingCost, residual: FloatArray, keep: BoolArray) -> d
 
     Args:
         cost: The matching cost on c clips.
-        residual: Shape (c, R).
+        residual: Residuals, shape (c, R).
         keep: Clips that count, shape (c,).
     """
     squares = {}

@@ -55,7 +55,7 @@ class Linearisation:
         gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
         curves: Nonlinear (even) response to each of h pairs of samples, 0 for pairs that diverged, shape
             (h, c, R); numpy's or on the engine's device.
-        bend: Mean square of the nonlinear response, shape (c, R).
+        bend: Mean square of the nonlinear response (bend), shape (c, R).
         first: What was known of the first-state errors; the samples followed it.
         completed: Clips that could be linearised, shape (c,).
         rollouts, diverged: Number of rollouts, and how many of them diverged.

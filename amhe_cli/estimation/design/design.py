@@ -1,6 +1,6 @@
 """Bayesian D-optimal design: how well data would determine the parameters, and the plan of a probe.
 
-What an excitation tells depends on the true parameters, which nobody knows. So the expectation over a few
+How much data reveal depends on the true parameters, which nobody knows. So the expectation over a few
 draws of the prior is maximised,
 
     mean over draws of log det(P + M),

@@ -1,4 +1,4 @@
-"""A probe: the excitation that tells most about the parameters is found, and recorded as a log.
+"""A probe: the excitation that reveals most about the parameters is found, and recorded as a log.
 
 `Probe` is what every kind of probe can do. `ActuatorProbe` drives a system's own actuators by multisines.
 """
@@ -90,10 +90,10 @@ class Probe(Protocol):
         ...
 
     def design(self, say: Say) -> ProbePlan:
-        """Find the best excitation.
+        """Find the excitation that reveals most about the parameters.
 
         Raises:
-            ConfigError: The time is too short for any.
+            ConfigError: The time is too short for any excitation.
         """
         ...
 
@@ -119,8 +119,8 @@ def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | No
             raise EstimationError("nothing moves in it")
         engine, rng = open_engine(system, threads=options.threads), options.rng(9)
         found = information_where_it_points(system, windows, engine, rng)
-    except AmheError as error:  # the log is worth more than our word on it
-        logger.warning(f"what the log tells cannot be said: {error}")
+    except AmheError as error:  # the log is worth more than a number computed from it
+        logger.warning(f"what the log reveals cannot be computed: {error}")
         return None
     return accuracy(system.space, found[None])
 

@@ -101,7 +101,7 @@ def _later_logs(clips: Sequence[Window]) -> BoolArray:
 def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> dict[str, FloatArray]:
     """Where the estimate would move if unmeasured details of contact were others.
 
-    A detail that the log itself speaks against, even with another estimate and other first states, is taken
+    A detail that the log itself contradicts, even with another estimate and other first states, is changed
     only as far as the log allows: to where the misfit would have risen by SURPRISE squared.
     """
     system, prior = problem.system, problem.system.space.prior_precision

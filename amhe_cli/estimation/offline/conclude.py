@@ -28,11 +28,11 @@ from amhe_cli.matching.cost import MatchingCost
 def conclude(
     problem: Problem, finding: Finding, validation: list[Window], *, interrupted: bool, hurried: bool
 ) -> Identification:
-    """Everything that is reported of a finished, or interrupted, search.
+    """All results of a finished, or interrupted, search.
 
     Args:
-        problem: What was searched.
-        finding: Where the search ended.
+        problem: The problem that was searched.
+        finding: Result of the search.
         validation: Clips that were not fitted.
         interrupted: The search was cut short by the user.
         hurried: Skip the slow checks: the comparison of the logs' halves, contact variants, profiles.
@@ -64,7 +64,7 @@ def conclude(
 
 
 def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
-    """All that can be said of how well the estimate is known."""
+    """All that is known about how accurate the estimate is."""
     space, setting = problem.system.space, problem.settings.identify
     fit = final_fit(problem, finding)
     compared = disagreements(problem, finding, fit, with_halves=not hurried)

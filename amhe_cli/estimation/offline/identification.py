@@ -36,12 +36,13 @@ class IdentifyOptions:
 
     Args:
         method: 'linearised' or 'cmaes'.
-        seed: Of every random draw.
+        seed: Seed of every random draw.
         threads: CPU threads; results do not depend on them.
         max_time: Stop after this many seconds with the best so far; None: no limit.
         checkpoint: File to save the search in after every iteration, and to resume from.
         prior: A belief to start from instead of the system's own prior.
-        executor: Whose workers roll out; None: threads of this process. Results do not depend on it.
+        executor: Executor whose workers compute the rollouts; None: threads of this process. Results do not
+            depend on it.
         engine: Kind of engine, see `open_engine`.
     """
 
@@ -199,9 +200,9 @@ _BAD = 4.0
 
 
 def _needs_rescue(problem: Problem, finding: SearchState, validation: list[Window]) -> bool:
-    """The held-out cost stayed bad, or got worse by more than its scatter.
+    """Whether the held-out cost stayed bad, or got worse by more than its scatter.
 
-    Who begins at the truth cannot gain.
+    A search that begins at the truth cannot gain.
     """
     found = validate(problem, validation, finding)
     if found is None:

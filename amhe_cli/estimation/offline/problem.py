@@ -32,8 +32,8 @@ class Problem:
     Args:
         system: Model, parameters with their prior, signals.
         pool: Source of clips to fit.
-        engine: Rollout engine.
-        seed: Of every random draw.
+        engine: Engine of the rollouts.
+        seed: Seed of every random draw.
         only: Fit these clips alone, a part of the problem.
     """
 
@@ -86,7 +86,7 @@ class Problem:
 
     @cached_property
     def active(self) -> BoolArray:
-        """Parameters that these logs can feel at all, shape (d,)."""
+        """Which parameters these logs depend on at all, shape (d,)."""
         d = len(self.system.space)
         clips = self.clips[:: max(1, len(self.clips) // 8)]
         steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d), -0.5 * np.eye(d)))

@@ -24,7 +24,7 @@ class ParameterResult:
 
     Args:
         sd: Posterior standard deviation (on the log scale times the estimate, where log-scaled).
-        prior_sd: Likewise of the prior, times the prior's value.
+        prior_sd: Standard deviation of the prior, on the log scale times the prior's value.
         lower, upper: 90 % interval.
         bounds: The hard bounds of the search.
         shrinkage: 1 - posterior sd / prior sd, on the parameter's own scale.
@@ -68,7 +68,7 @@ class Combination:
 
 
 def sharper(combinations: Sequence[Combination], relative: Mapping[str, float]) -> list[Combination]:
-    """Those known more precisely than each of their parameters, whose relative sd are given; best first."""
+    """Combinations known more precisely than each of their parameters, by the relative sd; best first."""
 
     def parts(combination: Combination) -> Iterator[float]:
         for factor in combination.text.replace(" / ", " * ").split(" * "):
@@ -112,10 +112,10 @@ class Fit:
 
     Args:
         clip: Label, such as 'toss_041.mcap 0.00-0.40 s'.
-        channel: 'cube.position'.
+        channel: Name of the channel, such as 'cube.position'.
         unit: Unit of the values.
         columns: Names of the columns, length k.
-        time: [s] from the clip's start, shape (T,).
+        time: Time from the clip's start [s], shape (T,).
         measured, initial, identified: Values, shape (T, k); for rotations, rotation vectors relative
             to the clip's first measured orientation.
         valid: Rows where a measurement really was taken, shape (T,).

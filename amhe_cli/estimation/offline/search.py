@@ -52,13 +52,13 @@ class SearchState:
 
     Args:
         stage: 'explore' re-draws random clips each iteration, 'polish' uses the same ones.
-        number: Iterations done.
+        number: Number of iterations done.
         z: Estimate, shape (d,).
         shape: Shape of the samples of z, (d, d).
         scale: Channel -> residual sd over declared noise sd.
         record: One entry an iteration.
         settled: The last step was short, and the samples no wider than the posterior.
-        trail: Where each step of polishing a rough cost ended, shape (k, d).
+        trail: Estimates after each step of polishing a rough cost, shape (k, d).
         first: Posterior of the clips' first states; None: as recorded.
     """
 
@@ -133,10 +133,10 @@ class LineStep:
     """A Gauss-Newton step that was tried and accepted.
 
     Args:
-        z: Where it ended, shape (d,).
+        z: The new estimate, shape (d,).
         moved: Length of the step, in posterior sd.
         far: The full step left the region that was sampled, and was shortened.
-        cost: In units of the declared noise.
+        cost: Its cost, in units of the declared noise.
     """
 
     z: FloatArray

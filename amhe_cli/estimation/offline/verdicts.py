@@ -19,7 +19,7 @@ MISSED = 5.0
 #: Ratio of the sd to that at a doubled step that a linearisation may show.
 LINEAR = (0.7, 1.4)
 #: Disagreements beyond this many sd are no chance. They widen the sd; from NOTED, a share of the value,
-#: they are told, and from NOTABLE they make the number model-sensitive.
+#: they are reported, and from NOTABLE they make the number model-sensitive.
 SURPRISE, NOTED, NOTABLE = 3.0, 0.05, 0.25
 #: Correlation from which two parameters are known only together.
 TOGETHER = 0.9
@@ -32,7 +32,7 @@ class Evidence:
     Args:
         z: The estimate.
         covariance: Posterior covariance, shape (d, d).
-        active: Parameters that the logs can feel.
+        active: Parameters that the logs depend on.
         step_ratio: Posterior sd over that at a doubled step.
         bootstrap: Spread over resampled clips.
         disagreements: Name of a comparison -> (difference, its sd).
@@ -121,7 +121,7 @@ def _verdict(
 
 
 def _bound(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
-    """At a bound the estimate is what the bound says."""
+    """The reason that applies where an estimate is at a bound: the bound decides it, not the data."""
     lower, upper = (b[i] for b in space.bounds)
     margin = min(0.01 * (upper - lower), 0.5 * float(np.sqrt(evidence.covariance[i, i])))
     p = space.parameters[i]

@@ -48,7 +48,8 @@ class Estimate:
         belief: Parameters with their covariance.
         mark: How the window was used.
         misfit: Rms residual before the update, in noise sd; NaN where nothing was rolled out.
-        excitation: Rms change of the predictions under the samples, in noise sd; NaN likewise.
+        excitation: Rms change of the predictions under the samples, in noise sd; NaN where nothing was rolled
+            out.
         rollouts, diverged: Number of rollouts, and how many of them diverged.
         update_ms: Time that the update took [ms].
     """
@@ -148,7 +149,7 @@ class MovingHorizon:
 
     Args:
         system: Model, parameters, signals, settings.
-        engine: Rollout engine.
+        engine: Engine of the rollouts.
         rng: Generator of the samples.
         belief: Belief to start from; None: the system's prior.
     """

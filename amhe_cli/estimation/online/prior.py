@@ -20,8 +20,8 @@ class Gaussian:
     known better than either.
 
     Args:
-        z: Mean, shape (d,).
-        covariance: Shape (d, d).
+        z: Mean of z, shape (d,).
+        covariance: Covariance of z, shape (d, d).
     """
 
     z: FloatArray

@@ -33,9 +33,9 @@ class ReplayProblem:
 
     Args:
         system: The system whose parameters are estimated.
-        engine: Rollout engine.
+        engine: Engine of the rollouts.
         estimator: The estimator before its first window.
-        start: Its prior.
+        start: Belief before the first window.
         windows: The window of each update.
         truth: Parameter -> true value at each window's end according to the log, shape (windows,); NaN where
             the log has none.
@@ -140,7 +140,7 @@ def open_replay(
         log: The log.
         belief: Belief to start from; None: the system's prior.
         seed: Seed of the random numbers.
-        threads: CPU threads; results do not depend on it.
+        threads: CPU threads; results do not depend on them.
         begun: Time at which the log was begun to be read, from the start of its file [s].
         paced: The update period follows from the window, see `paced`.
 
@@ -214,7 +214,7 @@ def replayed(
     Args:
         problem: What to replay; its estimator is at its end afterwards.
         on_estimate: Called with each estimate.
-        stopped: Asked after each.
+        stopped: Called after each estimate; returns whether to stop.
     """
     estimates: list[Estimate] = []
     begun = time.perf_counter()

@@ -31,11 +31,11 @@ class Tracker:
         """Take in the next samples; never waits for the estimator.
 
         Args:
-            samples: What came since the last call, of the system's signals and perhaps of others.
+            samples: Samples since the last call, of the system's signals and perhaps of others.
             now: Time at which a new window ends [s]; None: that of the newest sample.
 
         Returns:
-            Estimates that are in force from now on, and troubles of the estimator, since the last call.
+            Estimates that take effect now, and troubles of the estimator, since the last call.
         """
         self._buffer.append(samples)
         now = self._buffer.newest if now is None else now
@@ -57,5 +57,5 @@ class Tracker:
         return ()
 
     def close(self) -> None:
-        """Let go of the estimator."""
+        """Stop the estimator."""
         self._worker.close()

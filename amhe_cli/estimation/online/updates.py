@@ -131,8 +131,9 @@ class WindowFit:
     """A window that was linearised and fitted by itself, without the prior.
 
     Args:
-        slopes: Its residuals and their slopes.
-        information: Its information on z, the nuisances marginalised; None where too many samples diverged.
+        slopes: Residuals of the window and their slopes.
+        information: Information of the window on z, the nuisances marginalised; None where too many samples
+            diverged.
         noise: Noise of the windows up to this one.
         innovation: Normalised innovation: distance of the window's own estimate from the prior, in sd of
             both; 0 where its own fit leaves most of the residuals, since no parameters explain them.
@@ -222,7 +223,7 @@ def linearised_update(problem: WindowProblem, first: WindowFit, prior: Gaussian)
 
     Args:
         problem: The window.
-        first: Its fit about the prior's mean.
+        first: Fit of the window about the prior's mean.
         prior: The prior to combine it with: the problem's own, or an inflated one after a jump.
     """
     space, counts = problem.cost.system.space, problem.cost.clips.counts
@@ -300,8 +301,8 @@ def learned(
     """Mean and sd (d,) moved towards the elites, whose variance is taken about the old mean.
 
     Args:
-        samples: Shape (b, d).
-        costs: Shape (b,); inf for samples that diverged, which are never elites.
+        samples: Samples of z, shape (b, d).
+        costs: Their costs, shape (b,); inf for samples that diverged, which are never elites.
         mean, sigma: Mean and sd that the samples were drawn with, shape (d,).
         share: Share of the samples that are elites.
         rate: Learning rate alpha.

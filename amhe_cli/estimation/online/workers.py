@@ -1,4 +1,4 @@
-"""Where the estimator beside a running system computes: in lock-step with it, or in a process of its own."""
+"""Processes for the estimator beside a running system: in lock-step with it, or a process of its own."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Trouble:
     text: str
 
 
-#: What comes from the estimator.
+#: Results of the estimator.
 News: TypeAlias = Estimate | Trouble
 
 
@@ -50,7 +50,7 @@ class Worker(Protocol):
 
     @property
     def ready(self) -> bool:
-        """No update is under way."""
+        """Whether no update is under way."""
         ...
 
     def submit(self, window: Window, at: float) -> None:
@@ -58,11 +58,11 @@ class Worker(Protocol):
         ...
 
     def poll(self, now: float) -> tuple[News, ...]:
-        """What has come from the estimator since the last call, known at a time [s]; never waits."""
+        """Results of the estimator since the last call, as known at a time [s]; never waits."""
         ...
 
     def close(self) -> None:
-        """Let go of everything."""
+        """Stop the estimator."""
         ...
 
 
@@ -104,8 +104,8 @@ class InProcess:
     Args:
         factory: Makes the estimator, in the process.
         budget: Longest time that an update may take [s].
-        patience: An update that takes longer hangs: its process is ended and another one started [s].
-        starting: As `patience`, for the start of the process, which loads a lot [s].
+        patience: An update that takes longer hangs [s]: its process is ended and another one started.
+        starting: The same for the start of the process, which loads a lot [s].
     """
 
     def __init__(
@@ -173,7 +173,7 @@ class InProcess:
         return "" if code is None else f" (exit code {code})"
 
     def _restarted(self, now: float, what: str) -> tuple[Trouble]:
-        """Start again from the belief in force; not for ever, as each start takes the controller's cores."""
+        """Start again from the belief in force, but not for ever: each start takes the controller's cores."""
         self.close()
         self._failures += 1
         if self._given_up:
@@ -203,7 +203,7 @@ def _send(pipe: Connection, order: tuple[Window, float, float]) -> None:
 
 
 def _serve(pipe: Connection, factory: Factory, belief: Belief | None) -> None:
-    """The process: windows in, estimates out, until the pipe ends. None means that it is ready."""
+    """Loop of the process: windows in, estimates out, until the pipe ends. None means that it is ready."""
     os.nice(_NICE)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the run, which ends us
     with suppress(EOFError, OSError):  # nobody reads any more

@@ -10,24 +10,25 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.rotations import conjugate, difference, exp, log, mean, multiply, rotate
 from amhe_cli.robots.go1.poses.source import Pose, PoseError
 
-#: Place [m] and rotation vector [rad] of what it is on, in the rigid body's frame.
+#: Place [m] and rotation vector [rad] of the body that carries the markers, in the rigid body's frame.
 Offset = tuple[float, float, float, float, float, float]
 NO_OFFSET: Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
-#: Between two halves of a look at what stands still it moves and turns no further than so [m, rad].
+#: Between two halves of an observation, what stands still moves and turns by no more than this [m, rad].
 _STILL = (0.002, 0.01)
 #: A pivot lies within its body, or as far outside as markers stand off it [m].
 _STAND_OFF = 0.15
-#: The least height of a pivot over the floor [m]: what is below has another axis upward, or another origin.
+#: The least height of a pivot over the floor [m]: below, another axis is upward, or the origin is another
+#: one.
 _LOWEST = 0.02
 
 
 def average(poses: Sequence[Pose], of: str) -> Pose:
-    """The mean of poses of something that stands still.
+    """The mean of poses of a body that stands still.
 
     Args:
-        poses: At least two.
-        of: Its name.
+        poses: At least two poses.
+        of: Name of the body.
 
     Raises:
         PoseError: It moved.
@@ -62,13 +63,13 @@ def rigid_body(true: Pose, offset: Sequence[float]) -> Pose:
 
 
 def check_pivot(body: Pose, true: Pose, size: FloatArray, of: str) -> None:
-    """Refuse a rigid body that cannot be on what stands there.
+    """Refuse a rigid body that cannot be on the body that stands there.
 
     Args:
-        body: By motion capture.
-        true: Where it was put.
-        size: Edge lengths of what it is on [m], shape (3,).
-        of: Its name.
+        body: Its pose by motion capture.
+        true: True pose of the body that carries it.
+        size: Edge lengths of that body [m], shape (3,).
+        of: Name of that body.
 
     Raises:
         PoseError: It is elsewhere; the text says what to check.

@@ -33,13 +33,13 @@ _PR_SET_PDEATHSIG = 1
 
 @dataclass(frozen=True, slots=True)
 class FeedOptions:
-    """Where poses come from.
+    """Kind, address and bodies of a source of poses.
 
     Args:
         kind: One of `KINDS`.
-        host: natnet: of Motive; motioncapture: KIND:HOST, such as vicon:192.168.1.5; udp: own address to
+        host: natnet: Motive's host; motioncapture: KIND:HOST, such as vicon:192.168.1.5; udp: own address to
             listen on; ros2: the domain's number, or ''.
-        port: natnet, udp.
+        port: Port of natnet or udp.
         bodies: Names of the two bodies.
         seconds: Longest wait for the first poses [s].
         slow: See `Clock`.
@@ -54,7 +54,7 @@ class FeedOptions:
 
 
 def source_of(options: FeedOptions) -> PoseSource:
-    """The source that options ask for."""
+    """The source that options describe."""
     match options.kind:
         case "natnet":
             return NatNet(options.host, options.port, options.seconds)
@@ -72,9 +72,9 @@ class TimedPose:
     """A pose on our clock, in the source's frame.
 
     Args:
-        body: Name.
-        time: Of the exposure [s].
-        position: [m], shape (3,).
+        body: Name of the body.
+        time: Time of the exposure [s].
+        position: Position [m], shape (3,).
         orientation: Unit quaternion w, x, y, z, shape (4,).
     """
 
@@ -85,10 +85,10 @@ class TimedPose:
 
 
 class PoseFeed:
-    """The poses that come; use it as a context manager.
+    """A source of poses in a process of its own; use it as a context manager.
 
     Args:
-        options: Where from.
+        options: Kind, address and bodies of the source.
     """
 
     def __init__(self, options: FeedOptions) -> None:
@@ -113,7 +113,7 @@ class PoseFeed:
         """Wait until every body has been seen; the newest pose of each, by name.
 
         Raises:
-            PoseError: One was not, or the source cannot be reached.
+            PoseError: A body was not seen, or the source cannot be reached.
         """
         seen: dict[str, TimedPose] = {}
         others: set[str] = set()
@@ -134,7 +134,7 @@ class PoseFeed:
         return seen
 
     def poses(self) -> list[TimedPose]:
-        """All that came since the last call.
+        """All poses that have arrived since the last call.
 
         Raises:
             PoseError: The source has died.
@@ -142,7 +142,7 @@ class PoseFeed:
         return [pose for message in self._messages() if (pose := _pose(message)) is not None]
 
     def publish(self, names: Sequence[str], values: FloatArray, sd: FloatArray) -> None:
-        """Let those behind the source know estimates of parameters, where it can; values, sd (d,)."""
+        """Send estimates of parameters to those behind the source, where it can; values, sd (d,)."""
         if self._child is not None:
             told = {"names": list(names), "values": values.tolist(), "sd": sd.tolist()}
             self._child.pipe.send(json.dumps(told).encode())
@@ -190,20 +190,20 @@ class _Sender:
         if seen.stamp is None and told == before:  # a camera is never so still: the source has frozen
             return
         arrival = self._clock.now()
-        # the shortest way from a stamp to us is as long as the told age, at least
+        # the least delay from a stamp to us is at least the age that the source gives
         time = (arrival if seen.stamp is None else self._map.see(seen.stamp, arrival)) - seen.age
         position, orientation = seen.position.tolist(), seen.orientation.tolist()
         self.say({"body": seen.body, "time": time, "position": position, "orientation": orientation})
 
 
 def _end_with_the_program() -> None:
-    """Be killed as soon as the program ends, however: a source that waits for ever does not see it."""
+    """Have this process killed when the program ends: a source that waits for ever does not notice it."""
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
 
 
 def main() -> None:
-    """Pass poses on until the program hangs up."""
+    """Send poses to the program until it closes the pipe."""
     for number in (
         signal.SIGINT,
         signal.SIGTERM,

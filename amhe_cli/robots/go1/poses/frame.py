@@ -1,4 +1,4 @@
-"""From the frame of motion capture to that of the task, and whether what is seen can be true at all."""
+"""From the frame of motion capture to that of the task, with checks whether poses can be true."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class World:
     """The task's frame in that of motion capture: moved over the floor and turned about the vertical.
 
     Args:
-        origin: [m], shape (3,).
-        turn: Unit quaternion, shape (4,).
+        origin: Origin of the task's frame in that of motion capture [m], shape (3,).
+        turn: Orientation of the task's frame in that of motion capture, a unit quaternion, shape (4,).
     """
 
     origin: FloatArray
@@ -37,18 +37,18 @@ class World:
 
     @staticmethod
     def same() -> World:
-        """That of motion capture itself."""
+        """The frame of motion capture itself."""
         return World(np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))
 
     @staticmethod
     def under(trunk: Pose) -> World:
-        """On the floor under the trunk, x along its heading."""
+        """The frame on the floor under the trunk, x along its heading."""
         position, orientation = trunk
         level = np.array([0.0, 0.0, yaw_of(orientation)])
         return World(np.array([position[0], position[1], 0.0]), exp(level))
 
     def seen(self, pose: Pose) -> Pose:
-        """A pose of motion capture in the task's frame."""
+        """A pose of motion capture, in the task's frame."""
         back = conjugate(self.turn)
         return rotate(back, pose[0] - self.origin), multiply(back, pose[1])
 
@@ -59,7 +59,7 @@ def up(orientation: FloatArray) -> FloatArray:
 
 
 def check_axes(trunk: Pose, imu: FloatArray) -> None:
-    """Refuse a frame that is not z upward in metres, by what the IMU says of the trunk.
+    """Refuse a frame that is not in metres with z upward, by comparison with the IMU.
 
     Args:
         trunk: Pose of the trunk by motion capture.
@@ -89,12 +89,12 @@ def check_axes(trunk: Pose, imu: FloatArray) -> None:
 
 
 def check_place(box: FloatArray, wanted: FloatArray, tolerance: float) -> None:
-    """Refuse a box that is not where the task has it.
+    """Refuse a box that is not where the task puts it.
 
     Args:
         box: Its centre in the task's frame [m], shape (3,).
         wanted: Where it should be, shape (3,).
-        tolerance: [m].
+        tolerance: Largest distance [m].
 
     Raises:
         PoseError: It is elsewhere.

@@ -1,6 +1,6 @@
 """Vicon, VRPN, Qualisys and others by `motioncapture` (libmotioncapture).
 
-It tells no time stamps and no validity, and `connect` to a host that does not answer waits for ever: which is
+It gives no time stamps and no validity, and `connect` to a host that does not answer waits for ever: that is
 why every source lives in a process that can be ended.
 """
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from amhe_cli.robots.go1.poses.source import PoseError, Sighting, sighting
 
-#: Of the kinds that its package on PyPI was built with.
+#: The kinds that its package on PyPI was built with.
 KINDS = ("vicon", "vrpn", "qualisys", "optitrack", "mock")
 
 
@@ -19,7 +19,7 @@ class MotionCapture:
 
     Args:
         kind: One of `KINDS`.
-        host: Of the system; for `mock`: what to mock, 'name(x,y,z,qw,qx,qy,qz);...'.
+        host: Host of the system; for `mock`: what to mock, 'name(x,y,z,qw,qx,qy,qz);...'.
     """
 
     def __init__(self, kind: str, host: str) -> None:

@@ -15,7 +15,7 @@ from amhe_cli.robots.go1.poses.source import PoseError, Sighting, sighting
 
 #: Motive's command port.
 PORT = 1510
-#: Ticks of the clock of Motive's computer, as Windows has it [Hz].
+#: Frequency of the clock of Motive's computer, as Windows has it [Hz].
 _CLOCK_HZ = 1e7
 _STEP = 0.002
 
@@ -24,9 +24,9 @@ class NatNet:
     """See `source.PoseSource`.
 
     Args:
-        host: Of Motive.
-        port: Its command port.
-        seconds: Longest wait for it to answer [s].
+        host: Host of Motive.
+        port: Motive's command port.
+        seconds: Longest wait for an answer [s].
     """
 
     def __init__(self, host: str, port: int, seconds: float) -> None:
@@ -92,12 +92,12 @@ class NatNet:
 
 
 class _Ear(socket.socket):
-    """A UDP socket that hears one address only; `bind` first."""
+    """A UDP socket that receives from one address only; `bind` first."""
 
     heard: str = ""
 
     def recvfrom(self, bufsize: int, flags: int = 0) -> tuple[bytes, Any]:  # type: ignore[override]
-        """Of that address; what others send is dropped."""
+        """Receive a datagram of that address; those of others are dropped."""
         while True:
             datagram, sender = super().recvfrom(bufsize, flags)
             if sender[0] == self.heard:
@@ -105,7 +105,7 @@ class _Ear(socket.socket):
 
 
 def _listening_to(motive: str, client: type) -> type:
-    """A client of the package whose sockets are at its own address, and hear Motive's only.
+    """A client of the package whose sockets are at its own address, and receive from Motive only.
 
     The package's own ones take datagrams from everybody, the one for data on every network of this computer.
 
@@ -127,7 +127,7 @@ def _listening_to(motive: str, client: type) -> type:
 
 
 def _address(host: str) -> str:
-    """Of a computer, as datagrams tell it.
+    """Address of a computer, as datagrams give it.
 
     Raises:
         PoseError: There is no such computer.
@@ -139,7 +139,7 @@ def _address(host: str) -> str:
 
 
 def _own_address(host: str, port: int) -> str:
-    """This computer's address in the network of another one's address."""
+    """This computer's address in the network that another address is in."""
     if ipaddress.ip_address(host).is_loopback:
         return "127.0.0.1"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

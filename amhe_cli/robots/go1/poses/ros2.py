@@ -22,7 +22,7 @@ class Ros2:
     """See `source.PoseSource`.
 
     Args:
-        topics: Of the bodies.
+        topics: Topics of the bodies.
         domain: ROS_DOMAIN_ID.
     """
 

@@ -41,7 +41,7 @@ def headed(kind: Any, seconds: float, **fields: Any) -> Any:
     Args:
         kind: Type of the message.
         seconds: Stamp of the header, on ROS's clock [s].
-        fields: All others.
+        fields: All other fields.
     """
     header = kind.__annotations__["header"]
     stamp = header.__annotations__["stamp"](int(seconds), int(1e9 * (seconds % 1.0)))

@@ -1,4 +1,4 @@
-"""What every pose source gives, and the interface behind which each has its own protocol."""
+"""The interface of pose sources, each of which has its own protocol."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ class PoseError(AmheError):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sighting:
-    """One body seen once, as the source tells it.
+    """One body at one instant, as the source reports it.
 
     Args:
-        body: Its name.
+        body: Name of the body.
         position: [m], shape (3,).
         orientation: Unit quaternion w, x, y, z, shape (4,).
-        stamp: On the source's own clock [s]; None: it tells none.
-        age: Since the exposure, when it was sent, as far as the source tells it [s].
+        stamp: Time stamp on the source's own clock [s]; None: it gives none.
+        age: Time from the exposure to the sending, as far as the source gives it [s].
     """
 
     body: str
@@ -39,7 +39,7 @@ class Sighting:
 
 
 class PoseSource(Protocol):
-    """One way to learn poses. It lives in a process of its own: it may block, and may die."""
+    """A source of poses. It lives in a process of its own: it may block, and may die."""
 
     def connect(self) -> None:
         """Reach the source.
@@ -50,27 +50,27 @@ class PoseSource(Protocol):
         ...
 
     def wait(self, seconds: float) -> list[Sighting]:
-        """What was seen since the last call; waits for something, but no longer than so [s]."""
+        """What was seen since the last call; waits for something, but no longer than this [s]."""
         ...
 
     def close(self) -> None:
-        """Let go."""
+        """Disconnect."""
         ...
 
 
 @runtime_checkable
 class EstimateSink(Protocol):
-    """A source by which estimates go back, to whoever listens."""
+    """A source that can also publish estimates, to whoever listens."""
 
     def publish(self, names: Sequence[str], values: Sequence[float], sd: Sequence[float]) -> None:
-        """Tell the newest estimates of parameters, and their sd, in the parameters' own units."""
+        """Publish the newest estimates of parameters, and their sd, in the parameters' own units."""
         ...
 
 
 def sighting(
     body: str, position: object, orientation: object, stamp: float | None = None, age: float = 0.0
 ) -> Sighting | None:
-    """A sighting of what looks like one; None where it is no pose: lost bodies are told as NaN or 0."""
+    """A sighting of a valid pose; None for any other: sources mark lost bodies by NaN or 0."""
     place = np.asarray(position, dtype=np.float64)
     turn = np.asarray(orientation, dtype=np.float64)
     if place.shape != (3,) or turn.shape != (4,):

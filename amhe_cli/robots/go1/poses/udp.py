@@ -1,4 +1,4 @@
-"""Our own datagrams, for every source that no other dialect covers.
+"""Our own datagrams, for every source that no other protocol covers.
 
 One UDP datagram is one JSON object, of one body:
 
@@ -21,13 +21,13 @@ _LARGEST = 2048
 
 
 def datagram(body: str, time: float, position: FloatArray, orientation: FloatArray) -> bytes:
-    """What a sender sends."""
+    """The datagram that a sender sends."""
     told = {"body": body, "time": time, "position": list(position), "orientation": list(orientation)}
     return json.dumps(told).encode()
 
 
 def read(message: bytes) -> Sighting | None:
-    """The sighting of a datagram; None: it is none."""
+    """The sighting in a datagram; None: it holds none."""
     try:
         told = json.loads(message)
         stamp = told.get("time")

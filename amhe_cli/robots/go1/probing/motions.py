@@ -1,4 +1,4 @@
-"""Ways to push a box that may tell about it: speeds and places of the push, over and over; no goal."""
+"""Motions that may reveal the parameters of a box: speeds and places of the push, over and over; no goal."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ FASTEST, WIDEST_OFFSET = 0.5, 0.12
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """One command for some time.
+    """A constant command for some time.
 
     Args:
-        seconds: How long [s].
-        speed: Of the robot ahead [m/s]; below zero it backs off.
+        seconds: Duration [s].
+        speed: Speed of the robot ahead [m/s]; below zero it backs off.
         offset: Where to push, left of the box's middle [m]; None: wherever steers the box along its line.
     """
 
@@ -40,9 +40,9 @@ class Motion:
     """One way to push, repeated for as long as there is time.
 
     Args:
-        name: A word.
-        title: In words.
-        phases: Of one turn, one after the other.
+        name: Short name.
+        title: Title in words.
+        phases: Its segments, one after the other.
     """
 
     name: str
@@ -51,20 +51,20 @@ class Motion:
 
     @property
     def seconds(self) -> float:
-        """How long one turn takes [s]."""
+        """Duration of one repetition [s]."""
         return sum(phase.seconds for phase in self.phases)
 
 
-#: Until the bumper meets the box; tells nothing, and comes before everything else.
+#: The approach, until the bumper meets the box; it reveals nothing, and comes before everything else.
 APPROACH = Motion("approach", "walk up to the box", (Segment(1.0, 0.2),))
 #: The plain push.
 STEADY = Motion("steady", "push on at one speed", (Segment(1.0, 0.2),))
 
 
 def _surges(offset: float | None, count: int) -> tuple[Segment, ...]:
-    """The trot's stride is 0.5 s: one surge in the first half of each.
+    """Surges of speed at an offset from the box's middle, each in the first half of a stride of 0.5 s.
 
-    0.5 m/s tell hardly more, and take a robot's joint targets to where its link trips (`target_jump`).
+    0.5 m/s would reveal hardly more, and take joint targets to where the link trips (`target_jump`).
     """
     return (Segment(0.25, 0.4, offset), Segment(0.25, 0.1, offset)) * count
 
@@ -78,15 +78,15 @@ MOTIONS = (
 
 
 def named_motion(name: str) -> Motion:
-    """One of `MOTIONS`."""
+    """The motion of `MOTIONS` with a given name."""
     return next(motion for motion in MOTIONS if motion.name == name)
 
 
 class Score:
-    """What is commanded when: the approach, then a motion over and over.
+    """The command at each time: the approach, then a motion over and over.
 
     Args:
-        motion: After the approach.
+        motion: The motion after the approach.
     """
 
     def __init__(self, motion: Motion) -> None:
@@ -94,7 +94,7 @@ class Score:
         self._ends = list(accumulate(phase.seconds for phase in motion.phases))
 
     def at(self, time: float) -> Segment:
-        """What is commanded at a time [s]."""
+        """The command at a time [s]."""
         since = time - APPROACH.seconds + 1e-9
         if since < 0.0:
             return APPROACH.phases[0]
@@ -102,7 +102,7 @@ class Score:
         return self.motion.phases[min(bisect_right(self._ends, turn), len(self._ends) - 1)]
 
 
-#: The box is in front of the robot, on a line that no probe comes to the end of [m].
+#: Place of the box in front of the robot, and length of its path, to whose end no probe comes [m].
 _PLACE, _LENGTH = Box().position, 100.0
 
 
@@ -112,9 +112,9 @@ class ScoreHelm(Helm):
     While it pushes off the middle, the box turns as it likes and the robot follows its yaw.
 
     Args:
-        score: What to do when.
-        path: Line of the box.
-        half_length, half_width: Of the box along and across the push [m].
+        score: The command at each time.
+        path: Path of the box.
+        half_length, half_width: Half the extent of the box along and across the push [m].
     """
 
     def __init__(self, score: Score, path: Course, half_length: float, half_width: float) -> None:
@@ -141,14 +141,14 @@ class ProbeTask(Task):
     """A task's box and floor, pushed by a score; for the rest see `Task`.
 
     Args:
-        motion: What is done after the approach, for the task's nominal time.
+        motion: What the robot does after the approach, for the task's nominal time.
     """
 
     motion: Motion = APPROACH
 
     @property
     def score(self) -> Score:
-        """With the approach."""
+        """The score of the motion, with the approach."""
         return Score(self.motion)
 
     def behaviour(self) -> Walking:
@@ -158,14 +158,14 @@ class ProbeTask(Task):
 
 
 def probe_task(task: Task, motion: Motion, seconds: float, box: Believed, believed: Believed) -> ProbeTask:
-    """A task as it is before anything changes, as something to probe.
+    """A task as it is before anything changes, as a probe.
 
     Args:
-        task: Gives box and floor.
+        task: The task with the box and the floor to probe.
         motion: How to push.
-        seconds: How long, the approach included [s].
-        box: The plant's numbers.
-        believed: What the controller plans with where there is no other belief.
+        seconds: Duration with the approach [s].
+        box: The box with the plant's parameters.
+        believed: Belief of the controller where there is no other.
     """
     placed = replace(task.box, position=_PLACE, yaw=0.0, mass=box.box_mass, floor_friction=box.floor_friction)
     return ProbeTask(

@@ -68,11 +68,12 @@ class PushProbe:
     """See `probe.Probe`.
 
     Args:
-        options: As given.
-        robot: To probe in place of a simulation.
+        options: Options of the probe.
+        robot: A robot to probe in place of a simulation.
 
     Raises:
-        ConfigError: Unknown task, a belief that does not suit, a setting, what only a simulation can do.
+        ConfigError: Unknown task, a belief or setting that does not suit, or an option that only a simulation
+            has.
     """
 
     def __init__(self, options: ProbeOptions, robot: Go1OnLink | None = None) -> None:
@@ -116,8 +117,8 @@ class PushProbe:
     def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """See `Probe`: closed-loop on the task's own box, or the robot's.
 
-        The controller begins with the belief, and an estimator beside it brings that up to date: a robot that
-        pushes a heavy box as if it were light stalls, and tells less.
+        The controller begins with the belief, and an estimator updates it meanwhile: a robot that pushes a
+        heavy box as if it were light stalls, and reveals less.
         """
         motion = named_motion(plan.parts[-1].name)
         if not self._robot:
@@ -138,12 +139,12 @@ class PushProbe:
         say: Say = lambda text: None,
         mode: str = "adaptive",
     ) -> Ending:
-        """Any motion in simulation, for so long [s] with the approach; `baseline` holds on to the belief."""
+        """Run any motion in simulation, for so long [s] with the approach; `baseline` keeps to the belief."""
         task = self._as_it_is(motion, seconds)
         return self._record(self._open(task, self._options.seed, mode), path, stopped, say)
 
     def on_robot(self, motion: Motion, seconds: float, robot: Go1OnLink) -> Run:
-        """A motion on the robot; nothing is sent yet.
+        """Prepare a motion on the robot; nothing is sent yet.
 
         Raises:
             ConfigError: What the wire's options or the settings do not allow.
@@ -155,7 +156,7 @@ class PushProbe:
         return open_go1_run(replace(options, target="go1"), robot.wire, task)
 
     def _information(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:
-        """Information of a second of a motion (d, d), if z (d,) were true and believed; none if it fell."""
+        """Information per second of a motion (d, d), if z (d,) were true and believed; zero after a fall."""
         system, options = self.system, self._options
         named = system.space.named(system.space.theta_of(z))
         box = Believed(named["box_mass"], named["floor_friction"])
@@ -184,7 +185,7 @@ class PushProbe:
         return self._probe(motion, seconds, Believed(*own))
 
     def _run_options(self, task: ProbeTask, seed: int, mode: str) -> RunOptions:
-        """With the user's belief and plant; a rehearsal, `true`, is of a draw by our own plant."""
+        """Options with the user's belief and plant; in a rehearsal, `true`, a draw in our own plant."""
         own, real = self._options, mode != "true"
         return RunOptions(
             self.task, mode, seed=seed, threads=own.threads, duration=task.nominal_time,
@@ -203,7 +204,7 @@ class PushProbe:
         say: Say = lambda text: None,
         attend: Attend = _nobody,
     ) -> Ending:
-        """Run to the end; a fall is an ending too."""
+        """Run to the end and record; a fall is an end too."""
         history = History(run.task)
         with recorder_of(run, path) as recorder, attend(run.target, recorder, history):
             ending = drive(
@@ -215,14 +216,15 @@ class PushProbe:
 
 
 def open_probe(options: ProbeOptions, robot: Go1OnLink | None = None) -> Probe:
-    """A walking robot behind its box, or actuators that are driven as they are.
+    """The probe of a system: a walking robot behind its box, or actuators that are driven as they are.
 
     Args:
-        options: As given.
-        robot: To probe in place of a simulation.
+        options: Options of the probe.
+        robot: A robot to probe in place of a simulation.
 
     Raises:
-        ConfigError: Unknown system or task, nothing to drive, a belief, plant or setting that does not suit.
+        ConfigError: Unknown system or task, nothing to drive, or a belief, plant or setting that does not
+            suit.
     """
     folder = _driven(options, robot)
     if folder is None:
@@ -231,7 +233,7 @@ def open_probe(options: ProbeOptions, robot: Go1OnLink | None = None) -> Probe:
 
 
 def _driven(options: ProbeOptions, robot: Go1OnLink | None) -> Path | None:
-    """Folder of the system that is driven as it is, or None: the Go1 walks. Refuses what a system has not."""
+    """Folder of the system whose own actuators are driven; None: the Go1 walks. Refuses other options."""
     folder = find_system(options.system or SYSTEM)
     if folder.resolve() == find_system(SYSTEM).resolve():
         return None

@@ -1,4 +1,4 @@
-"""What robot and box do, from motion capture, gyro, joint encoders and the feet that stand.
+"""State of robot and box from motion capture, gyro, joint encoders and the standing feet.
 
 One small filter (`kalman.py`) for each of: position and orientation of trunk and box, joints, and angular
 velocity of the trunk. The trunk's velocity comes from its feet (`sensing.py`): the lowest point of a standing
@@ -24,7 +24,7 @@ from amhe_cli.robots.go1.state_estimator.sensing import Feet, Gyro, Pose, Sensor
 
 #: Poses that come later than this are left out; joints are not extrapolated any further than that [s].
 _OLDEST, _HOLD = 0.1, 0.02
-#: What the trunk may turn unseen while the gyro is silent [rad/sqrt(s)]: a stride's rocking.
+#: Noise of the trunk's rotation while the gyro is silent [rad/sqrt(s)]: a stride's rocking.
 _BLIND = 0.1
 #: Robot and box begin at rest: first sd of velocities [m/s], angular velocities, the gyro's offset [rad/s],
 #: and of the trunk's angular acceleration [rad/s^2].
@@ -33,15 +33,15 @@ _FIRST_SPEED, _FIRST_TURN, _FIRST_OFFSET, _FIRST_SPIN_UP = 0.02, 0.05, 0.02, 5.0
 
 @dataclass(frozen=True, slots=True)
 class EstimatorNoise:
-    """Noise of sensors (sd), and of what moves robot and box (root of a white density).
+    """Noise of the sensors (sd), and process noise of robot and box (root of a white density).
 
     Args:
-        position: Of poses [m].
-        orientation: Of poses, about each axis [rad].
-        joint: Of joint angles [rad].
-        joint_rate: [rad/s].
-        gyro: [rad/s].
-        foot: Of the trunk's velocity by the feet, slip and give of the ground included [m/s].
+        position: Noise of measured positions [m].
+        orientation: Noise of measured orientations, about each axis [rad].
+        joint: Noise of joint angles [rad].
+        joint_rate: Noise of joint velocities [rad/s].
+        gyro: Noise of the gyro [rad/s].
+        foot: Noise of the trunk's velocity by the feet, slip and give of the ground included [m/s].
         gate: Feet that are further from the prediction, in sd, do not stand.
         trunk: Acceleration of the trunk [m/s^2/sqrt(Hz)].
         box: Acceleration of the box [m/s^2/sqrt(Hz)].
@@ -69,7 +69,7 @@ class EstimatorNoise:
 
 
 class _Filters(NamedTuple):
-    """Of trunk or box."""
+    """The filters of trunk or box."""
 
     place: ValueFilter
     turn: Turn
@@ -108,7 +108,7 @@ class StateEstimator:
         return self.state(time)
 
     def observe(self, measured: Samples) -> None:
-        """Take in what was measured since the last call; samples that are not finite are left out."""
+        """Take in the measurements since the last call; samples that are not finite are left out."""
         samples = SensorSamples.of(measured, self._standing, self._spins)
         self._spins = samples.spins
         self._see_joints(samples)
@@ -116,7 +116,7 @@ class StateEstimator:
         self._see_box(poses(measured, "box"))
 
     def state(self, time: float) -> State:
-        """Robot and box at a time [s], by all that was observed.
+        """Robot and box at a time [s], from all measurements so far.
 
         Raises:
             ValueError: Not `ready`.
@@ -129,7 +129,7 @@ class StateEstimator:
         return State(time, trunk, box, self._joints.at(held), np.array(self._joints.rate))
 
     def _see_joints(self, samples: SensorSamples) -> None:
-        """Joints, and the trunk's angular velocity as the gyro has it."""
+        """Take in joints, and the trunk's angular velocity by the gyro."""
         noise = self._noise
         for time, joints, rates, spin in samples.rows():
             if self._joints is None or self._gyro is None:
@@ -147,7 +147,7 @@ class StateEstimator:
             self._gyro.see_value(spin, noise.gyro, time)
 
     def _see_trunk(self, seen: list[Pose], samples: SensorSamples) -> None:
-        """Poses and feet in the order of time, the gyro in between."""
+        """Take in poses and feet in the order of time, the gyro in between."""
         noise = self._noise
         if self._trunk is None:
             if not seen:
@@ -180,20 +180,20 @@ class StateEstimator:
             self._see_pose(self._box, pose)
 
     def _see_pose(self, body: _Filters, pose: Pose, spin: FloatArray | float = 0.0) -> None:
-        """Correct by a pose; `spin` is what the gyro says [rad/s], if that has been counted already."""
+        """Correct by a pose; `spin` is the gyro's angular velocity [rad/s], if already counted."""
         if pose.time > body.place.time - _OLDEST:
             body.place.see_value(pose.position, self._noise.position, pose.time)
             body.turn.see(pose.orientation, self._noise.orientation, pose.time, spin)
 
     def _started(self, pose: Pose, drive: float, turning: tuple[float, float, float]) -> _Filters:
-        """At a pose, at rest; `turning`: first sd of the rate of turning, its drive, and the angle's walk."""
+        """Filters at rest at a pose; `turning`: first sd of the turning rate, its drive, the angle's walk."""
         noise, at_rest, (sd, turn_drive, walk) = self._noise, np.zeros(3), turning
         place = ValueFilter(pose.time, pose.position, at_rest, noise.position**2, _FIRST_SPEED**2, drive)
         error = ValueFilter(pose.time, at_rest, at_rest, noise.orientation**2, sd**2, turn_drive, walk)
         return _Filters(place, Turn(pose.orientation, error))
 
     def _see_feet(self, place: ValueFilter, block: Feet, to_world: FloatArray) -> None:
-        """Correct the trunk's velocity by those feet that rest as the prediction says."""
+        """Correct the trunk's velocity by those feet whose velocity agrees with the prediction."""
         noise, velocities = self._noise, block.velocities @ to_world.T
         limit = noise.gate**2 * (place.rr + noise.foot**2)
         rests = block.stood & (np.square(velocities - place.rate).sum(axis=1) < limit)
@@ -202,6 +202,6 @@ class StateEstimator:
 
 
 def _body(filters: _Filters, time: float, rate: FloatArray) -> Body:
-    """At a time [s], at this angular velocity [rad/s], shape (3,)."""
+    """The body at a time [s], at this angular velocity [rad/s], shape (3,)."""
     place, turn = filters
     return Body(place.at(time), turn.at(time, rate), np.array(place.rate), np.array(rate))

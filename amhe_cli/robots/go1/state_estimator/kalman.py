@@ -23,9 +23,9 @@ class ValueFilter:
     """Values and their rates; changes in place.
 
     Args:
-        time: Of the estimate [s].
-        value: In any unit, shape (k,).
-        rate: [1/s], shape (k,).
+        time: Time of the estimate [s].
+        value: Estimated values in any unit, shape (k,).
+        rate: Estimated rates [1/s], shape (k,).
         vv: Variance of a value.
         rr: Variance of a rate.
         drive: Root of the spectral density of the acceleration [1/s^2/sqrt(Hz)].
@@ -70,7 +70,7 @@ class ValueFilter:
         return self.value + (time - self.time) * self.rate
 
     def _correct(self, surprise: FloatArray, with_value: float, with_rate: float, variance: float) -> None:
-        """By a measurement of this variance and of these covariances with value and rate."""
+        """Correct by a measurement of this variance and of these covariances with value and rate."""
         to_value, to_rate = with_value / variance, with_rate / variance
         self.value = self.value + to_value * surprise
         self.rate = self.rate + to_rate * surprise
@@ -83,8 +83,8 @@ class ValueFilter:
 class Turn:
     """An orientation, and the small rotation by which it is wrong, in the body's own frame; changes in place.
 
-    The rate of that rotation is the angular velocity that no gyro told of: all of it where there is no gyro,
-    the gyro's offset where there is one.
+    The rate of that rotation is the part of the angular velocity that no gyro measures: all of it where there
+    is no gyro, the gyro's offset where there is one.
 
     Args:
         orientation: Unit quaternion w, x, y, z, shape (4,).
@@ -96,7 +96,7 @@ class Turn:
 
     @property
     def time(self) -> float:
-        """Of the estimate [s]."""
+        """Time of the estimate [s]."""
         return self.error.time
 
     def advance(self, time: float, angle: FloatArray | float = 0.0) -> None:
@@ -117,7 +117,7 @@ class Turn:
         return _turned(self.orientation, (time - self.time) * rate)
 
     def matrix(self) -> FloatArray:
-        """Body to world, shape (3, 3)."""
+        """Rotation matrix from body to world, shape (3, 3)."""
         w, x, y, z = self.orientation.tolist()
         return np.array(
             [
@@ -141,7 +141,7 @@ def _turned(orientation: FloatArray, rotation: FloatArray) -> FloatArray:
 
 
 def _between(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Rotation vector (3,) [rad], in the frame of `start`, that takes it to `end`; signs do not matter."""
+    """Rotation vector (3,) [rad], in the frame of `start`, that rotates it to `end`; signs do not matter."""
     w, x, y, z = start.tolist()
     cosine, *sines = _product([w, -x, -y, -z], end.tolist()).tolist()
     sine = hypot(*sines)

@@ -13,11 +13,12 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1 import kinematics as legs
 
-#: Robot samples that make one velocity of the feet: the errors of feet are slow, more samples know no more.
+#: Number of robot samples in one velocity of the feet: the errors of feet are slow, so more samples add
+#: nothing.
 _BLOCK = 5
 #: Columns of `SensorSamples.table`.
 _JOINTS, _RATES, _GYRO, _SPIN = slice(1, 13), slice(13, 25), slice(25, 28), [0, 25, 26, 27]
-#: For differences in time [s]: now, a little later, a little earlier.
+#: Offsets in time for differences [s]: now, a little later, a little earlier.
 _DT = 1e-4
 _INSTANT = sealed([0.0, _DT, -_DT])[:, None, None]
 
@@ -31,7 +32,7 @@ class Pose(NamedTuple):
 
 
 class Feet(NamedTuple):
-    """A block of samples: its time [s], the trunk's velocity in its own frame [m/s] by each foot, who stood.
+    """A block of samples: time [s], the trunk's velocity in its own frame [m/s] by each foot, who stood.
 
     Shapes (4, 3) and (4,).
     """
@@ -90,7 +91,7 @@ class SensorSamples:
 
 
 class Gyro:
-    """Angle that the trunk turned, as the gyro has it: samples joined by straight lines, held outside."""
+    """Integrated gyro: the angle that the trunk turned. Samples are joined by lines, and held outside."""
 
     def __init__(self, samples: SensorSamples) -> None:
         times, rates = samples.spins[:, :1], samples.spins[:, 1:]
@@ -116,8 +117,8 @@ def feet(samples: SensorSamples, offset: FloatArray, upright: FloatArray) -> lis
     """The trunk's velocity by its feet, block by block.
 
     Args:
-        samples: Of the robot.
-        offset: To be added to the gyro [rad/s], shape (3,).
+        samples: The robot's samples.
+        offset: Offset of the gyro, to be added to it [rad/s], shape (3,).
         upright: The world's upward direction in the trunk's frame, shape (3,).
     """
     count = len(samples.table)
@@ -136,13 +137,13 @@ def feet(samples: SensorSamples, offset: FloatArray, upright: FloatArray) -> lis
 def trunk_velocities(
     joints: FloatArray, joint_rates: FloatArray, gyro: FloatArray, upright: FloatArray
 ) -> FloatArray:
-    """How the trunk moves if the lowest point of a foot rests; by each foot.
+    """Velocity of the trunk if the lowest point of a foot rests, by each foot.
 
     A foot is a sphere that rolls on the floor: its centre does not rest.
 
     Args:
         joints: Angles [rad], shape (m, 12).
-        joint_rates: [rad/s], shape (m, 12).
+        joint_rates: Joint velocities [rad/s], shape (m, 12).
         gyro: Angular velocity of the trunk in its own frame [rad/s], shape (m, 3).
         upright: The world's upward direction in the trunk's frame, shape (3,).
 
@@ -160,6 +161,6 @@ def trunk_velocities(
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """As `np.cross` of vectors (..., 3), which takes twice as long for few of them."""
+    """Like `np.cross` of vectors (..., 3), which takes twice as long for few of them."""
     ax, ay, az, bx, by, bz = (v[..., i] for v in (a, b) for i in range(3))
     return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
