@@ -14,7 +14,7 @@ class FixedBelief:
     """The same parameters all the time, or those of a plant as they are at the moment.
 
     Args:
-        parameters: Gives the parameters by name.
+        parameters: Returns the parameters by name.
     """
 
     def __init__(self, parameters: Callable[[], dict[str, float]]) -> None:
@@ -37,7 +37,7 @@ class AdaptiveBelief:
 
     Args:
         start: Parameters by name before the first estimate.
-        tracker: Estimates them.
+        tracker: Tracker that estimates them.
     """
 
     def __init__(self, start: Mapping[str, float], tracker: Tracker) -> None:
@@ -61,7 +61,7 @@ class AdaptiveBelief:
 
 
 class SharedBelief:
-    """A belief whose estimates somebody else gets too.
+    """A belief whose estimates are also passed on.
 
     Args:
         source: The belief.

@@ -34,8 +34,8 @@ class Commands:
             time: Time of the cycle [s].
             played: Joint targets in force while it planned [rad], shape (n,).
             plan: The plan that it made.
-            sent: Times [s] (m,) at which the robot followed targets [rad] (m, n); None: nobody knows, and the
-                plans are taken at their word.
+            sent: Times [s] (m,) at which the robot followed targets [rad] (m, n); None: unknown, and the
+                plans count as followed.
 
         Returns:
             Times [s], shape (c,), and joint targets [rad], shape (c, n).
@@ -60,9 +60,9 @@ class Commands:
         return np.append(missed, time), np.array([*between, played])
 
     def _sent(self, times: FloatArray, targets: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """What was followed in the middle of each short time, since a reader holds it for that time.
+        """Targets in the middle of each short period, since a reader holds them for that period.
 
-        It differs from the plans: one that is late begins late, a new one is blended into, and the motors'
+        They differ from the plans: one that is late begins late, a new one is blended into, and the motors'
         torque is limited.
         """
         if self._newest_sent is not None:

@@ -19,10 +19,10 @@ from amhe_cli.live.target import Target
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cycle:
-    """All that happened in one control period.
+    """Measurements, estimates, plan and truth of one control period.
 
     Args:
-        samples: What log and estimator are given of it.
+        samples: Samples for log and estimator.
         estimate: Estimated state.
         played: Joint targets in force while it was planned [rad], shape (n,).
         plan: The plan made from that state; it takes effect one period later.
@@ -32,7 +32,7 @@ class Cycle:
         plan_ms: Time that the cycle took to compute [ms].
         misses: Number of periods without a new plan, so far.
         over: The episode ends with this cycle.
-        news: Estimates that came in since the cycle before, and troubles of the estimator.
+        news: Estimates that arrived since the last cycle, and troubles of the estimator.
     """
 
     samples: Samples
@@ -54,10 +54,10 @@ class Cycle:
 
 
 class Observer(Protocol):
-    """Estimates the robot's state from what was measured."""
+    """Estimates the robot's state from measurements."""
 
     def update(self, time: float, measured: Samples) -> Any:
-        """The state at a time [s], from what was measured since the last call."""
+        """The state at a time [s], from the measurements since the last call."""
         ...
 
 
@@ -68,7 +68,7 @@ class CycleSampler(Protocol):
         """The samples of one cycle; call it once for each, in their order.
 
         Args:
-            measured: What was measured since the cycle before.
+            measured: Measurements since the cycle before.
             estimate: State estimated from it.
             played: Joint targets in force meanwhile [rad], shape (n,).
             plan: The plan made from that state.
@@ -84,11 +84,11 @@ class BeliefSource(Protocol):
         ...
 
     def learn(self, cycle: Cycle) -> tuple[News, ...]:
-        """Take in a cycle; what is new for the next."""
+        """Take in a cycle; returns the estimates and troubles for the next."""
         ...
 
     def close(self) -> None:
-        """Let go of what it holds; it is not used any more."""
+        """Release its resources; it is not used any more."""
         ...
 
 
@@ -111,11 +111,11 @@ class Episode:
 
     Args:
         target: Robot or simulation that is controlled.
-        observer: Estimates its state.
-        controller: Plans.
-        belief: Parameters that it plans with.
+        observer: Estimates the state of the target.
+        controller: Makes the plans.
+        belief: Gives the parameters that the controller plans with.
         sampler: Makes the samples for log and estimator.
-        judge: Says when it is over.
+        judge: Says when the episode is over.
     """
 
     target: Target

@@ -1,4 +1,4 @@
-"""Drive a run to its end, whatever that is: all that it brought is kept."""
+"""Drive a run to its end, however it ends, and keep all results."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class CycleHistory(Protocol):
     """Numbers of every cycle, for the report."""
 
     def add(self, cycle: Cycle) -> dict[str, float]:
-        """Take in a cycle, and return its numbers by name."""
+        """Take in a cycle; returns its numbers by name."""
         ...
 
     @property
@@ -41,7 +41,7 @@ def drive(
 
     Args:
         episode: The episode to run.
-        recorder: Open; the caller closes it.
+        recorder: Recorder of the run, open; the caller closes it.
         history: Takes in every cycle.
         stopped: Called after each cycle; True: stop here.
         on_cycle: Called after each cycle.

@@ -1,4 +1,4 @@
-"""A live run as a log: every cycle goes into an MCAP file that `amhe identify` and any viewer opens.
+"""A live run as a log: every cycle goes into an MCAP file that `amhe identify` and any viewer can read.
 
 Stamps are the run's own time, from zero: a seed gives the same log every time. Only /amhe/timing and
 /diagnostics depend on the wall clock.
@@ -48,13 +48,13 @@ float64 plan_ms
 # control periods that began without a new plan, so far
 uint32 deadline_misses
 """
-#: Types of all that is written.
+#: Types of all messages that are written.
 _TYPES = (
     "sensor_msgs/msg/JointState", "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "nav_msgs/msg/Path",
     "geometry_msgs/msg/PoseStamped", "tf2_msgs/msg/TFMessage", "diagnostic_msgs/msg/DiagnosticArray",
     PLAN, TIMING, estimates.ESTIMATE,
 )  # fmt: skip
-#: Time between two messages of what changes seldom, and of what never changes [s].
+#: Longest time between two messages of content that changes seldom, and of content that never changes [s].
 SELDOM, NEVER = 0.1, 1.0
 
 #: Writes a robot's own messages of a cycle.
@@ -65,11 +65,11 @@ class Recorder:
     """Writes one cycle after the other; use it as a context manager.
 
     Args:
-        path: The .mcap file; whole and readable however the block ends.
+        path: Path of the .mcap file; it is complete and readable however the block ends.
         signals: Signals whose samples are written.
-        metadata: What the log says of itself.
+        metadata: Metadata of the log.
         attachments: Texts by file name.
-        write_more: Writes what only this robot or task has.
+        write_more: Writes messages that only this robot or task has.
 
     Raises:
         ConfigError: A signal is of a message type that cannot be written.
@@ -106,7 +106,7 @@ class Recorder:
         self._log.__exit__(kind, error, trace)
 
     def write(self, cycle: Cycle) -> None:
-        """Append all that a cycle brought."""
+        """Append all messages of a cycle."""
         write_samples(self._log, self._signals, cycle.samples, stamp_ns)
         self._transforms(cycle.samples)
         self._beliefs(cycle)
@@ -136,7 +136,7 @@ class Recorder:
                 self._log.joint_state(topic, stamp_ns(cycle.time), values, list(values.values()))
 
     def _news(self, cycle: Cycle) -> None:
-        """Estimates at the time from which they were in force, and troubles of the estimator."""
+        """Write estimates at the time from which they were in force, and troubles of the estimator."""
         stamp = stamp_ns(cycle.time)
         for news in cycle.news:
             if isinstance(news, Estimate):
@@ -145,7 +145,7 @@ class Recorder:
                 self._log.diagnostics(stamp, WARN, news.text, {}, of="estimator")
 
     def _plan(self, cycle: Cycle) -> None:
-        """How planning went; its time is by the wall clock, unlike all else in a log."""
+        """Write how planning went; its time is by the wall clock, unlike all else in a log."""
         log, stamp, step = self._log, stamp_ns(cycle.time), cycle.plan.step
         if self._throttle.due("/diagnostics", cycle.time, NEVER):
             text, level = ("late", WARN) if cycle.misses > self._misses else ("planning in time", OK)
@@ -174,7 +174,7 @@ class Recorder:
 
 
 class Throttle:
-    """Which topics are due: those that have not been written for some time, or whose content has changed."""
+    """Says which topics are due: those not written for some time, or whose content has changed."""
 
     def __init__(self) -> None:
         self._written: dict[str, tuple[float, object]] = {}
@@ -184,7 +184,7 @@ class Throttle:
 
         Args:
             topic: Name of the topic.
-            time: Now [s].
+            time: Present time [s].
             period: Longest time between two messages [s].
             content: What would be written; compared with the last content.
         """

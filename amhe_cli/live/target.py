@@ -1,4 +1,4 @@
-"""What is controlled: a simulated robot here, a real one behind the same few calls."""
+"""The controlled robot: a simulated one here, a real one behind the same interface."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Target(Protocol):
         ...
 
     def play(self, plan: Plan) -> None:
-        """Hand over the newest plan, at once.
+        """Take over the newest plan, at once.
 
         It takes effect one period after the measurements that it was made from; until then the one before
         is played.
@@ -43,7 +43,7 @@ class Target(Protocol):
         ...
 
     def measure(self) -> tuple[float, Samples]:
-        """Wait for the end of the next period: its time [s], and what was measured since the last call."""
+        """Wait for the end of the next period; its time [s], and the measurements since the last call."""
         ...
 
 
@@ -66,7 +66,7 @@ class Simulation(Protocol):
         ...
 
     def advance(self, targets: FloatArray, duration: float) -> Samples:
-        """Follow joint targets (n,) [rad] for some time [s]; what was measured meanwhile."""
+        """Follow joint targets (n,) [rad] for some time [s]; the measurements meanwhile."""
         ...
 
 

@@ -14,10 +14,10 @@ class Ablation:
     """One setting over its values, in one task and mode.
 
     Args:
-        path: Of the setting.
-        task, mode: That it was tried in.
-        values: Of the setting, in order.
-        groups: One for each value.
+        path: Path of the setting.
+        task, mode: Task and mode in which it was tried.
+        values: Values of the setting, in order.
+        groups: One group of runs for each value.
         default: Index of the operating point among them; None: it was not run.
     """
 
@@ -30,10 +30,10 @@ class Ablation:
 
 
 def ablations(groups: Groups, defaults: Mapping[str, Any]) -> list[Ablation]:
-    """All that were run.
+    """All ablations that were run.
 
     Args:
-        groups: Of the study.
+        groups: Groups of the study.
         defaults: Each setting's default, by its path.
     """
     base = dict(groups.base)

@@ -14,13 +14,13 @@ Setting = tuple[tuple[str, Any], ...]
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One run.
+    """One run of a study.
 
     Args:
-        task, mode, seed: As of `amhe run`.
-        setting: How it differs from the defaults.
+        task, mode, seed: Task, mode and seed, as in `amhe run`.
+        setting: Settings that differ from the defaults.
         belief: Content of a belief file that replaces the mode's fixed numbers; None: there is none.
-        duration: The longest that it may take [s].
+        duration: Longest duration of the run [s].
     """
 
     task: str
@@ -32,15 +32,15 @@ class Cell:
 
     @property
     def title(self) -> str:
-        """'t4 adaptive, mhe.samples=8, seed 3'."""
+        """The cell in words: 't4 adaptive, mhe.samples=8, seed 3'."""
         return ", ".join(filter(None, (f"{self.task} {self.mode}", words(self.setting), f"seed {self.seed}")))
 
     def plain(self) -> dict[str, Any]:
-        """Built-in types, for JSON and for other machines."""
+        """The cell in built-in types, for JSON and for other machines."""
         return asdict(self) | {"setting": dict(self.setting)}
 
     def file_name(self, code: Mapping[str, str]) -> str:
-        """Of its result under a version of the code: 't4-true-03-5d41402abc4b.json'."""
+        """Name of the file of its result under a version of the code: 't4-true-03-5d41402abc4b.json'."""
         text = json.dumps([self.plain(), dict(code)], sort_keys=True)
         return (
             f"{self.task}-{self.mode}-{self.seed:02d}-{hashlib.sha256(text.encode()).hexdigest()[:12]}.json"
@@ -67,7 +67,7 @@ def assignments(setting: Setting) -> list[str]:
 
 
 def words(setting: Setting) -> str:
-    """'mhe.samples=8, mhe.window=0.25'; '' for the defaults."""
+    """The setting in words: 'mhe.samples=8, mhe.window=0.25'; '' for the defaults."""
     return ", ".join(assignments(setting))
 
 
@@ -80,15 +80,15 @@ def grid(
     exists: Mapping[str, Iterable[str]],
     duration: float,
 ) -> list[Cell]:
-    """All cells of a study, seed by seed, so that a part of them says something about each mode already.
+    """All cells of a study, seed by seed, so that its first part already covers each mode.
 
     Args:
-        tasks, modes: By name.
-        seeds: How many, from 0 on.
-        settings: To run each in.
+        tasks, modes: Names of the tasks and modes.
+        seeds: Number of seeds, from 0 on.
+        settings: Settings, in each of which every run is made.
         beliefs: Task -> content of a belief file, for the modes that start from the baseline's.
-        exists: Task -> modes that it has.
-        duration: The longest that one may take [s].
+        exists: Task -> modes that the task has.
+        duration: Longest duration of a run [s].
     """
     tasks, modes, settings = tuple(tasks), tuple(modes), tuple(dict.fromkeys(settings))
     return [
@@ -101,5 +101,5 @@ def grid(
     ]
 
 
-#: Modes whose belief is their own, not that of an identification.
+#: Modes that have a belief of their own, not that of an identification.
 _OWN_BELIEF = ("true", "stale")

@@ -43,7 +43,7 @@ def imported_by(module: str, package: Path) -> dict[str, Path]:
     not count either: it holds the version, which `code` has, and names that are imported on demand.
 
     Args:
-        module: Dotted name.
+        module: Dotted name of the module.
         package: Folder of the top-level package that the module is in.
     """
     found: dict[str, Path] = {}

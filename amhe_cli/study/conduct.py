@@ -1,4 +1,4 @@
-"""Run the cells of a study on any executor, and keep each result the moment it comes."""
+"""Run the cells of a study on any executor, and keep each result as soon as it arrives."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ def conduct(
     """Run cells; one that fails is recorded with its reason and does not stop the others.
 
     Args:
-        store: Written here, so that workers need no disk in common.
-        cells: To run.
-        run: Runs one: a request to the content of a result file.
-        pool: Where.
-        stopped: Asked now and then; True: give up the cells that are running.
-        on_result: Told of each result.
+        store: Store of the results; it is written to from here, so that workers need no common disk.
+        cells: Cells to run.
+        run: Runs one cell: from a request to the content of a result file.
+        pool: Executor that the cells are run on.
+        stopped: Called now and then; returns whether to give up the cells that are running.
+        on_result: Called with each result.
 
     Raises:
-        AmheError: What would stop every cell: other code on a worker, a full disk, a scheduler that is gone.
+        AmheError: A failure that would stop every cell: other code on a worker, a full disk, a scheduler that
+            is gone.
     """
     requests = {cell: {"cell": cell.plain(), "code": dict(store.study.code)} for cell in cells}
     for cell, brought in gathered(run, requests, pool, stopped):

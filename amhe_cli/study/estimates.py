@@ -1,4 +1,4 @@
-"""How good the online estimates of a study were: errors and intervals, from the traces of its runs."""
+"""Accuracy of a study's online estimates: errors and intervals, from the traces of its runs."""
 
 from __future__ import annotations
 
@@ -11,25 +11,26 @@ from amhe_cli.core.statistics import Z90
 from amhe_cli.study.results import CellResult
 from amhe_cli.study.summary import Group
 
-#: What a box that is pushed resists with is the product of these; each is harder to tell.
+#: The product of these is the resistance of a box that is pushed; each by itself is harder to determine.
 PAIR = ("box_mass", "floor_friction")
-#: Estimates count from so long after the change; where nothing changes, from so long after the start [s].
+#: Estimates count from this long after the change; where nothing changes, from this long after the start [s].
 SETTLED, BEGUN = 1.5, 3.0
-#: So long after the same instants either parameter is to be this near, or its interval is to hold it [s].
+#: From this long after the same instants, each parameter should be this near, or its interval hold the truth
+#: [s].
 RESOLVED, NEAR = 5.0, 0.15
 
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """Of one group of runs; errors are rms, relative, over time and seeds.
+    """Accuracy of one group of runs; errors are rms, relative, over time and seeds.
 
     Args:
-        task, mode: Whose.
-        n: Runs.
+        task, mode: Task and mode of the group.
+        n: Number of runs.
         product: Error of mass times friction.
-        mass, friction: Error of either.
+        mass, friction: Errors of mass and of friction.
         mass_held, friction_held: Share of the time that the 90 % interval holds the truth.
-        resolved: Share of runs where 5 s after the change mass and friction are within 15 %, or held.
+        resolved: Share of runs in which 5 s after the change mass and friction are within 15 %, or held.
     """
 
     task: str
@@ -44,7 +45,7 @@ class Estimates:
 
 
 def estimates(group: Group) -> Estimates | None:
-    """None where nothing was estimated, or not for long enough."""
+    """The accuracy of a group; None where nothing was estimated, or not for long enough."""
     rows = [_judged(result) for result in group.results if f"belief_sd/{PAIR[0]}" in result.trace]
     rows = [row for row in rows if row is not None]
     if not rows:
@@ -58,12 +59,12 @@ def estimates(group: Group) -> Estimates | None:
 
 
 def _rms(errors: FloatArray) -> list[float]:
-    """Of each column of errors (m, k)."""
+    """Rms of each column of errors (m, k)."""
     return np.sqrt((errors**2).mean(axis=0)).tolist()
 
 
 def change_of(result: CellResult) -> float | None:
-    """When box or floor changed first [s]; None: nothing did."""
+    """Time of the first change of box or floor [s]; None: nothing changed."""
     truth = [values for name, values in result.trace.items() if name.startswith("truth/")]
     rows = [row for values in truth for row in np.flatnonzero(np.diff(values))]
     return float(result.trace["time"][min(rows) + 1]) if rows else None
@@ -79,7 +80,7 @@ def deviations(result: CellResult) -> tuple[FloatArray, FloatArray]:
 
 
 def _judged(result: CellResult) -> tuple[FloatArray, BoolArray, bool] | None:
-    """Errors of mass, friction and product (m, 3), whether either is held (m, 2), and whether resolved."""
+    """Errors of mass, friction, product (m, 3); whether mass and friction are held (m, 2); if resolved."""
     off, sd = deviations(result)
     change = change_of(result)
     since = result.trace["time"] - (BEGUN - SETTLED if change is None else change)

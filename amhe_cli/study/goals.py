@@ -1,4 +1,4 @@
-"""What a study is to reach, and whether it does: the true belief by itself, the adaptive one against it."""
+"""The goals of a study, and whether it reaches them: the true belief alone, the adaptive one against it."""
 
 from __future__ import annotations
 
@@ -10,26 +10,26 @@ import numpy as np
 from amhe_cli.study import paper
 from amhe_cli.study.summary import Group, Groups, difference
 
-#: Tasks that every seed is to finish, and the task with one leg, whose end is judged by distance.
+#: Tasks that every seed should finish, and the task with one leg, whose end is judged by distance.
 _WALKING, _ONE_LEG, _ONE_LEG_ERROR = ("t1", "t2", "t3", "t4"), "t5", 0.12
 #: The adaptive mode succeeds no less often than the true one.
 _AT_LEAST = {"success": 0.0, "on_time": 0.0}
-#: It may be worse by so much: in the measure's unit, or as a share.
+#: The adaptive mode may be worse by this much: in the measure's unit, or as a share.
 _ALLOWED = {"goal_error_m": 0.02, "speed_rmse": 0.005}
 _ALLOWED_SHARE = {"cost": 0.05, "time_s": 0.05}
 
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """One number and its limit.
+    """A measured number and its limit.
 
     Args:
-        task, mode, measure: That it is about.
+        task, mode, measure: Task, mode and measure that the goal is about.
         kind: 'value'; 'difference' from or 'ratio' to (minus one) the true mode, paired by seeds.
-        value, low, high: With its 95 % interval.
-        limit: To keep.
-        n: Seeds that it was judged by.
-        at_least: Whether the limit is from below.
+        value, low, high: The number with its 95 % interval.
+        limit: The limit that the value should keep.
+        n: Number of seeds that were judged.
+        at_least: Whether the limit is a lower one.
     """
 
     task: str
@@ -50,7 +50,7 @@ class Goal:
 
 
 def goals(groups: Groups) -> list[Goal]:
-    """All that can be judged by the results that there are."""
+    """All goals that the existing results allow to judge."""
     found: list[Goal] = []
     for task in groups.tasks:
         true, adaptive = groups.get(task, "true"), groups.get(task, "adaptive")

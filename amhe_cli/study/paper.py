@@ -1,8 +1,8 @@
-"""The paper's own numbers (Adaptive-MHE, tables I and II), to stand beside ours. The only place for them."""
+"""The paper's own numbers (Adaptive-MHE, tables I and II), for comparison. The only place for them."""
 
 from __future__ import annotations
 
-#: Their mode -> ours; `stale` is ours alone.
+#: Mode of the paper -> our mode; the paper has no `stale`.
 MODES = {"true": "True", "baseline": "Baseline", "adaptive": "Adaptive-MHE"}
 
 #: Table I, T4, 15 seeds: measure -> mode -> mean and sd.

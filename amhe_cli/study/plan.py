@@ -25,7 +25,8 @@ class EvalOptions:
     """The request for a study.
 
     Args:
-        tasks, modes: Names; an empty `modes` means all, or the adaptive mode where there are ablations.
+        tasks, modes: Names of tasks and modes; no `modes`: all, or the adaptive mode where there are
+            ablations.
         seeds: Number of seeds, from 0 on.
         ablations: Settings to try, each a text such as 'samples=8,16'.
         beliefs: Task -> belief file that replaces the baseline's parameters.

@@ -1,4 +1,4 @@
-"""What one cell brought: its outcome, and traces thin enough to keep thousands of cells."""
+"""Result of a cell: its outcome, and traces thin enough to keep thousands of cells."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ _NAMED_DIGITS = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CellResult:
-    """One cell and what came of it.
+    """A cell and its result.
 
     Args:
-        cell: That was run.
+        cell: The cell.
         code: Versions and hashes of what decides a result.
-        reason: Why it failed; None: it did not.
+        reason: Why the run failed; None: it did not.
         outcome: Content of the run's result.json; {} of a failed one.
         trace: Columns over time, each shape (n,); {} of a failed one.
-        seconds: Of wall clock that it took.
+        seconds: Wall-clock time that the run took [s].
     """
 
     cell: Cell
@@ -53,7 +53,8 @@ class CellResult:
         """A number of the outcome; NaN if the run has none, for instance no goal error before a goal.
 
         Raises:
-            AmheError: No run of this version would leave the number out: other code wrote the result.
+            AmheError: The number is absent, though every run of this version has it: other code wrote the
+                result.
         """
         if name not in self.outcome:
             raise AmheError(f"{self.cell.title}: its result has no {name}; other code wrote it: run it again")
@@ -67,8 +68,8 @@ def thinned(columns: Mapping[str, FloatArray], period: float) -> dict[str, Any]:
     A column that never changes is one number.
 
     Args:
-        columns: Of a run's history, shape (cycles,) each.
-        period: Between two of its rows [s].
+        columns: Columns of a run's history, shape (cycles,) each.
+        period: Time between two of its rows [s].
     """
     cycles = len(columns["time"])
     every = max(1, round(TRACE_STEP / period))
@@ -88,7 +89,7 @@ def thinned(columns: Mapping[str, FloatArray], period: float) -> dict[str, Any]:
 
 
 def _rounded(values: FloatArray, digits: int) -> Any:
-    """As few characters as the digits need; JSON lacks NaN, and has null."""
+    """Values with as few characters as the digits need; null for NaN, which JSON lacks."""
     rows = [
         None if math.isnan(v) else int(v) if v == int(v) else v for v in np.round(values, digits).tolist()
     ]
@@ -111,12 +112,12 @@ def read_result(path: Path | zipfile.Path) -> CellResult:
 
 
 def blank(request: Mapping[str, Any], reason: str | None) -> dict[str, Any]:
-    """The record of a cell that brought nothing: what was asked for, and why there is nothing."""
+    """The record of a cell without a result: its request, and why there is no result."""
     return {"schema_version": 1, **request, "reason": reason, "outcome": {}, "trace": {}, "seconds": 0.0}
 
 
 def result_of(record: Mapping[str, Any]) -> CellResult:
-    """The result that a record tells of; `run.run_cell` makes them."""
+    """The result in a record, which `run.run_cell` makes."""
     columns = record["trace"]
     rows = len(columns.get("time", ()))
     trace = {

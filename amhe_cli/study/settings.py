@@ -50,7 +50,7 @@ def ablated(ablations: Sequence[str], base: Setting, defaults: Mapping[str, Any]
         defaults: Every setting's default at the operating point, by its path.
 
     Raises:
-        ConfigError: A text is not of that form, there is no such setting, or it does nothing here.
+        ConfigError: A text does not have that form, there is no such setting, or it has no effect here.
     """
     for text in ablations:
         key, sign, values = text.partition("=")
@@ -71,7 +71,7 @@ def system_with(given: Mapping[str, Any]) -> System:
 
 
 def _check_acts(path: str, base: Setting) -> None:
-    """Refuse to ablate a setting that does nothing.
+    """Refuse to ablate a setting without effect.
 
     Raises:
         ConfigError: The setting belongs to the other estimation method.

@@ -17,13 +17,13 @@ _Z95 = 1.959963984540054
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """What values over seeds are like; NaN where there are too few.
+    """Distribution of values over seeds; NaN where there are too few.
 
     Args:
-        n: How many there are.
-        mean: Their mean; of a rate, the share.
+        n: Number of values.
+        mean: Mean of the values; of a rate, the share.
         sd: Standard deviation (n - 1).
-        median: Their median.
+        median: Median of the values.
         low, high: 95 % interval of the mean.
     """
 
@@ -36,14 +36,14 @@ class Spread:
 
 
 def spread(values: FloatArray, rng: np.random.Generator) -> Spread:
-    """Of a measure, shape (n,); NaN values do not count. The interval is that of the bootstrap."""
+    """Spread of a measure, shape (n,); NaN values do not count. The interval is that of the bootstrap."""
     values = values[np.isfinite(values)]
     low, high = bootstrap(values[:, None], lambda x: x[..., 0].mean(axis=-1), rng)
     return _spread(values, low, high)
 
 
 def rate(values: FloatArray) -> Spread:
-    """Of a yes or no, shape (n,) of 0 and 1, with Wilson's interval."""
+    """Rate of a yes or no, shape (n,) of 0 and 1, with Wilson's interval."""
     return _spread(values, *wilson(int(values.sum()), values.size))
 
 
@@ -59,9 +59,10 @@ class Difference:
     """One mode against another on the same seeds.
 
     Args:
-        n: Seeds that both have.
-        mean, low, high: Of the paired differences, with the 95 % interval of their mean.
-        ratio, ratio_low, ratio_high: Of the means, minus one: 0.05 is five percent more.
+        n: Number of seeds that both have.
+        mean, low, high: Mean of the paired differences, with its 95 % interval.
+        ratio, ratio_low, ratio_high: Ratio of the means minus one, with its interval: 0.05 is five percent
+            more.
     """
 
     n: int
@@ -103,8 +104,8 @@ def bootstrap(
 
     Args:
         rows: Independent rows, shape (n, k); fewer than two have no interval.
-        statistic: Of resamples (r, n, k), shape (r,); of rows (n, k), a number.
-        rng: Of the resampling.
+        statistic: Takes resamples (r, n, k) to an array (r,), and rows (n, k) to a number.
+        rng: Random generator of the resampling.
     """
     n = len(rows)
     if n < 2:
@@ -116,7 +117,7 @@ def bootstrap(
 
 
 def wilson(successes: int, n: int) -> tuple[float, float]:
-    """95 % interval of a rate by Wilson's score; it stays within 0 and 1, and is honest at both ends."""
+    """95 % interval of a rate by Wilson's score; it stays within 0 and 1, and is right at both ends."""
     if not n:
         return float("nan"), float("nan")
     share, z2 = successes / n, _Z95**2

@@ -26,7 +26,7 @@ _PACKED_DATE = (1980, 1, 1, 0, 0, 0)
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What all cells of a folder share.
+    """Description that all cells of a folder share.
 
     Args:
         code: Versions and hashes of what decides a result.
@@ -35,7 +35,7 @@ class Study:
         duration: Longest time of a run [s].
         commands: Command lines that ran cells here, oldest first.
         made: Time of the first one, UTC.
-        machine: Hardware and operating system that commanded it.
+        machine: Hardware and operating system of the machine that ran the commands.
     """
 
     code: Mapping[str, str]
@@ -56,22 +56,22 @@ class Store:
     """CellResult files in a folder; each appears whole or not at all.
 
     Args:
-        folder: Of the study.
-        study: What it is of.
+        folder: Folder of the study.
+        study: Description of the study.
     """
 
     def __init__(self, folder: Path, study: Study) -> None:
         self.folder, self.study = folder, study
 
     def path(self, cell: Cell) -> Path:
-        """Of a cell's file."""
+        """Path of a cell's file."""
         return self.folder / CELLS / cell.file_name(self.study.code)
 
     def write(self, cell: Cell, record: Mapping[str, Any]) -> None:
-        """Keep what a cell brought.
+        """Write the record of a cell.
 
         Raises:
-            AmheError: It cannot be written, as on a full disk.
+            AmheError: The record cannot be written, as on a full disk.
         """
         write_file(self.path(cell), json.dumps(record, separators=(",", ":"), allow_nan=False) + "\n")
 
@@ -103,7 +103,7 @@ class Store:
         return [files[name] for name in sorted(files)]
 
     def missing(self, cells: list[Cell]) -> list[Cell]:
-        """Those of the cells that have no result yet, or failed."""
+        """Cells that have no result yet, or failed."""
         done = {self.path(result.cell) for result in self.results() if result.reason is None}
         return [cell for cell in cells if self.path(cell) not in done]
 
@@ -112,7 +112,7 @@ def open_store(folder: Path) -> Store:
     """The study in a folder.
 
     Raises:
-        ConfigError: There is none.
+        ConfigError: The folder holds no study.
     """
     path = folder / STUDY
     try:
@@ -126,14 +126,14 @@ def open_store(folder: Path) -> Store:
 
 
 def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence[Cell] = ()) -> Store:
-    """The store to write to: a fresh one, or one to go on with.
+    """The store to write to: a new one, or one to continue.
 
     Args:
-        folder: Of the study.
-        study: What it is of.
-        resume: Go on with what the folder holds.
-        force: Write over what it holds.
-        cells: That are to be run.
+        folder: Folder of the study.
+        study: Description of the study.
+        resume: Continue with the content of the folder.
+        force: Overwrite the content of the folder.
+        cells: Cells to run.
 
     Raises:
         ConfigError: The folder holds something, or a study that this one must not be mixed with.
@@ -162,7 +162,7 @@ def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence
 
 
 def _check(folder: Path, before: Study, now: Study) -> None:
-    """Refuse to mix what cannot be compared."""
+    """Refuse to mix studies that cannot be compared."""
     go_on = f"choose another folder with -o, or see what it holds with --report {folder}"
     for name, version in now.code.items():
         if before.code.get(name) != version:
@@ -176,7 +176,7 @@ def _check(folder: Path, before: Study, now: Study) -> None:
 
 
 def _check_beliefs(store: Store, cells: Sequence[Cell]) -> None:
-    """Refuse a second belief for a run that there is: tables would count its seed twice."""
+    """Refuse a second belief for a run that exists: tables would count its seed twice."""
     known = {replace(one.cell, belief=None): one.cell.belief for one in store.results()}
     for cell in cells:
         if known.get(replace(cell, belief=None), cell.belief) != cell.belief:

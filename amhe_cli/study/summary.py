@@ -1,4 +1,4 @@
-"""Results by group: what the seeds of one task, mode and setting say together."""
+"""Results by group: all seeds of one task, mode and setting together."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class Group:
     """Seeds of one task, mode and setting.
 
     Args:
-        task, mode, setting: That they share.
-        results: Of cells that were run, by seed.
-        failed: Cells that brought no result.
+        task, mode, setting: Task, mode and setting that the seeds share.
+        results: Results of the cells that were run, by seed.
+        failed: Number of cells without a result.
     """
 
     task: str
@@ -37,7 +37,7 @@ class Group:
 
     @property
     def n(self) -> int:
-        """Seeds that count."""
+        """Number of seeds that count."""
         return len(self.results)
 
     def values(self, name: str) -> FloatArray:
@@ -45,7 +45,7 @@ class Group:
         return np.array([result.measure(name) for result in self.results])
 
     def spread(self, name: str) -> Spread:
-        """Of a measure or a rate."""
+        """Spread of a measure or a rate."""
         if name in RATES:
             return rate(self.values(name))
         return spread(self.values(name), np.random.default_rng(_SEED))
@@ -55,9 +55,9 @@ class Groups:
     """All groups of a study, in a given order of tasks and modes; unknown ones come last.
 
     Args:
-        results: Of a study.
+        results: Results of a study.
         base: Its operating point: the setting of the tables.
-        tasks, modes: In order.
+        tasks, modes: Order of tasks and modes.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Groups:
         self._groups = {key: _group(key, found[key]) for key in sorted(found, key=_order(tasks, modes, base))}
 
     def __iter__(self) -> Iterator[Group]:
-        """In order."""
+        """All groups in order."""
         return iter(self._groups.values())
 
     def get(self, task: str, mode: str, setting: Setting | None = None) -> Group | None:
@@ -79,26 +79,26 @@ class Groups:
         return self._groups.get((task, mode, self.base if setting is None else setting))
 
     def at_base(self) -> list[Group]:
-        """Those at the operating point that have results."""
+        """Groups at the operating point that have results."""
         return [group for group in self if group.setting == self.base and group.n]
 
     @property
     def tasks(self) -> list[str]:
-        """That have results at the operating point."""
+        """Tasks that have results at the operating point."""
         return list(dict.fromkeys(group.task for group in self.at_base()))
 
     def of(self, task: str) -> list[Group]:
-        """Those of a task at the operating point, mode by mode."""
+        """Groups of a task at the operating point, mode by mode."""
         return [group for group in self.at_base() if group.task == task]
 
     def modes_of(self, tasks: Iterable[str]) -> list[str]:
-        """Modes that any of the tasks has results of, in order."""
+        """Modes in which any of the tasks has results, in order."""
         found = {group.mode for task in tasks for group in self.of(task)}
         return sorted(found, key=lambda mode: _rank(self._modes, mode))
 
 
 def difference(group: Group, reference: Group, name: str) -> Difference:
-    """How a group differs from another on the seeds that both have."""
+    """Difference of a group from another on the seeds that both have."""
     other = {result.cell.seed: result for result in reference.results}
     both = [(result, other[result.cell.seed]) for result in group.results if result.cell.seed in other]
     values, references = (np.array([pair[i].measure(name) for pair in both]) for i in (0, 1))

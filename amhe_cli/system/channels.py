@@ -10,7 +10,7 @@ from amhe_cli.system import driven, measured
 from amhe_cli.system.schema import Description, SignalEntry, SystemEntry
 from amhe_cli.system.wiring import WiringDraft, chosen, signal_of
 
-#: What a topic that is only read is asked for, by the end of its type's name.
+#: Quantity that is read from a topic that is only read, by the end of its type's name.
 _CARRIED = {
     "JointState": ("position", "velocity", "effort"),
     "JointTrajectory": ("position",),

@@ -24,7 +24,7 @@ class Edit(Protocol):
 
     @property
     def cells(self) -> tuple[Cells, ...]:
-        """Every number that it may change."""
+        """Every number that the edit may change."""
         ...
 
     def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
@@ -38,8 +38,8 @@ class ScalarEdit:
 
     Args:
         column: Column of theta.
-        written: The numbers.
-        mode: What is done with them.
+        written: The numbers that the parameter sets.
+        mode: Whether it is set into them, multiplied onto them or added to them.
         carried: Bodies whose inertia is scaled with their mass.
     """
 
@@ -50,7 +50,7 @@ class ScalarEdit:
 
     @property
     def cells(self) -> tuple[Cells, ...]:
-        """The numbers themselves, and the inertias that follow."""
+        """The numbers that are set, and the inertias that follow."""
         return self.written + tuple(Cells("body_inertia", row, (0, 1, 2)) for row in self.carried)
 
     def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
@@ -76,7 +76,7 @@ class PseudoInertiaEdit:
         """Take the nominal body from the model.
 
         Raises:
-            ConfigError: Its own inertia is not that of any real body.
+            ConfigError: The body's own inertia is not that of any real body.
         """
         self._body, self._columns = body, list(columns)
         try:
@@ -131,7 +131,7 @@ class ModelEdits:
     Args:
         model: The base model.
         space: The parameters, columns of theta.
-        edits: What each does to the model.
+        edits: The edits, which write these parameters into the model.
         delay_column: The parameter that is the common command delay [s].
     """
 
@@ -169,7 +169,7 @@ class ModelEdits:
 
         Args:
             arrays: MjModel field -> array (n, ...); every one of `fields` must be there.
-            theta: Candidates, shape (n, d).
+            theta: Candidate parameters, shape (n, d).
         """
         for cells, own in self._base:
             arrays[cells.field][cells.index] = own

@@ -60,7 +60,7 @@ def pseudo_inertia(mass: float, com: FloatArray, quaternion: FloatArray, inertia
     """Pseudo-inertia (4, 4) of MuJoCo's numbers for one body.
 
     Args:
-        mass: [kg].
+        mass: Mass of the body [kg].
         com: Centre of mass in the body frame [m], shape (3,).
         quaternion: Principal axes in the body frame, shape (4,).
         inertia: Principal moments about the centre of mass [kg m^2], shape (3,).
@@ -95,7 +95,7 @@ def body_numbers(factor: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
     """MuJoCo's numbers for pseudo-inertias L L^T.
 
     Args:
-        factor: L, shape (n, 4, 4).
+        factor: Upper triangular factor L, shape (n, 4, 4).
 
     Returns:
         Mass (n,), centre of mass (n, 3), principal quaternion (n, 4), principal moments (n, 3).

@@ -158,8 +158,8 @@ def _built(
     """Compile a system from its description.
 
     Args:
-        source: Keeps the mistakes.
-        where: What warnings call the description.
+        source: Keeps the mistakes that are found.
+        where: Name of the description in warnings.
         entry: The description, validated.
         spec: The model as it was given; sensors are added to it.
         name, folder, text: See `System`.
@@ -203,7 +203,7 @@ def _built(
 
 
 def _refuse_strangers(file: Description, entry: SystemEntry) -> None:
-    """Settings by parameter are of parameters that there are."""
+    """Refuse settings of parameters that do not exist."""
     mhe, identify = entry.settings.mhe, entry.settings.identify
     for group, setting, given in (
         ("mhe", "prior_weight", mhe.prior_weight),

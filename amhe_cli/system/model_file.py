@@ -1,4 +1,4 @@
-"""Model files, MJCF or URDF, with MuJoCo's complaints in our words."""
+"""Model files, MJCF or URDF, with MuJoCo's errors and warnings in our words."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def read_spec(path: Path) -> mujoco.MjSpec:
 
 
 def spec_of(model: mujoco.MjModel | mujoco.MjSpec | str | Path) -> mujoco.MjSpec:
-    """A spec of one's own of a model: read from its MJCF or URDF file, or copied.
+    """A spec of a model that the caller may change: read from its MJCF or URDF file, or copied.
 
     MuJoCo keeps the source of a compiled model only of the XML that was loaded last; the numbers of such a
     spec have six digits.
@@ -77,8 +77,8 @@ def compiled(spec: mujoco.MjSpec, name: str = "the model") -> mujoco.MjModel:
     """Compile a spec; its elements then know their rows in the model.
 
     Args:
-        spec: To compile.
-        name: For complaints.
+        spec: The spec to compile.
+        name: Name of the model in error messages.
 
     Raises:
         ConfigError: MuJoCo cannot compile it.
@@ -89,7 +89,7 @@ def compiled(spec: mujoco.MjSpec, name: str = "the model") -> mujoco.MjModel:
 
 @contextmanager
 def _in_our_words(what: str) -> Iterator[None]:
-    """Errors as ConfigError, warnings as log lines."""
+    """Turn errors into ConfigErrors, and warnings into log lines."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         try:

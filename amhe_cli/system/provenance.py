@@ -1,4 +1,4 @@
-"""The record of how a result was made, so that somebody else can repeat it."""
+"""The record of how a result was made, so that others can repeat it."""
 
 from __future__ import annotations
 

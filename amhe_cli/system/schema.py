@@ -1,4 +1,4 @@
-"""What may stand in a `system.yaml`, or in the arguments of `System.from_model`."""
+"""What a `system.yaml`, or the arguments of `System.from_model`, may contain."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class TargetEntry(_Entry):
 
 
 class ParameterEntry(_Entry):
-    """One unknown; what is not given is taken from the model."""
+    """One unknown parameter; what is not given is taken from the model."""
 
     targets: Annotated[list[TargetEntry], Field(min_length=1)]
     unit: str | None = None
@@ -54,7 +54,7 @@ class ParameterEntry(_Entry):
 
 
 class SignalEntry(_Entry):
-    """One topic, and what it is to the model."""
+    """One topic, and how it relates to the model."""
 
     topic: str
     type: Name | None = None
@@ -243,7 +243,7 @@ def _real(data: Any, place: Place) -> Iterator[str | int]:
             yield part
 
 
-#: What would be valid, in place of pydantic's words for its types; `{}` is the limit.
+#: What would be valid, in place of pydantic's names for its types; `{}` is the limit.
 _VALID = {
     "string_type": "a word",
     "string_too_short": "a name",
@@ -262,7 +262,7 @@ _VALID = {
     "too_short": "at least {} of them",
     "too_long": "at most {} of them",
 }
-#: Keys whose shape is told best by an example.
+#: Keys whose shape is best explained by an example.
 _EXAMPLES = {
     "noise": "a mapping such as {position: 0.002}",
     "columns": "a mapping such as {position: [q1, q2]} or {position: 'q*'}",
@@ -295,7 +295,7 @@ def _in_words(mistakes: list[Any], place: Place, data: Any, schema: type[Setting
 
 
 def _label(place: Place) -> str:
-    """What people call the value at `place`: its key, with the index if it is in a list."""
+    """The user's name for the value at `place`: its key, with the index if it is in a list."""
     if not place:
         return "this file"
     return str(place[-1]) if isinstance(place[-1], str) else f"{_label(place[:-1])}[{place[-1]}]"

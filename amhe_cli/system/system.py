@@ -20,14 +20,14 @@ class Channel:
     """One series of a log, and where the model predicts it.
 
     Args:
-        key: Series of the log, `signal.quantity`.
+        key: Key of the series in the log, `signal.quantity`.
         kind: 'linear' residuals are differences, 'rotation' residuals the rotation logarithm.
         source: Array of the rollout that predicts it.
         columns: Columns of that array, in the order of the series' columns (4 for a quaternion).
         noise: Measurement noise sd [SI] of one column; None: unknown.
         unit: Unit of the residual.
         compared: Rollouts are held against it; else it only sets the state that they start from.
-        slope: Of a velocity: at a window's start it is the slope of the positions that were measured within
+        slope: For a velocity: at a window's start it is the slope of the positions that were measured within
             this time before and after [s]; 0: as recorded.
     """
 
@@ -42,13 +42,13 @@ class Channel:
 
     @property
     def integral(self) -> str:
-        """Of a velocity: the series that it is the derivative of."""
+        """For a velocity: the series that it is the derivative of."""
         signal, quantity = self.key.rsplit(".", 1)
         return f"{signal}." + ("orientation" if quantity == "angular_velocity" else "position")
 
     @property
     def sets_state(self) -> bool:
-        """The series gives part of the state that a rollout starts from."""
+        """Whether the series gives part of the state that a rollout starts from."""
         return self.source in ("qpos", "qvel")
 
 
@@ -57,7 +57,7 @@ class Input:
     """One series of a log that drives the model.
 
     Args:
-        key: Series of the log.
+        key: Key of the series in the log.
         columns: Columns of the engine's input vector that it fills, in the series' column order.
         delayed: Subject to the common command delay, where that is a parameter.
     """
@@ -69,7 +69,7 @@ class Input:
 
 @dataclass(frozen=True, eq=False)
 class System:
-    """Everything that is known of a robot and its surroundings before a log is read.
+    """A model, its unknown parameters, and how logged signals relate to it.
 
     Args:
         name: Name of the folder or of the model.
@@ -183,5 +183,5 @@ class System:
 
     @property
     def senses(self) -> bool:
-        """Some channel is predicted by a sensor of the model, not by its state alone."""
+        """Whether a channel is predicted by a sensor of the model, not by its state alone."""
         return any(channel.source == "sensordata" for channel in self.channels)

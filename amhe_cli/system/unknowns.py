@@ -44,7 +44,7 @@ def generalise(spec: mujoco.MjSpec, entry: SystemEntry) -> None:
 
 @dataclass
 class _Unknowns:
-    """What has been read so far."""
+    """What has been read of the parameters so far."""
 
     parameters: list[Parameter] = field(default_factory=list)
     edits: list[tuple[int, Edit]] = field(default_factory=list)

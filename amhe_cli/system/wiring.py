@@ -67,7 +67,7 @@ class WiringDraft:
         return Wiring(tuple(self.signals), tuple(channels), tuple(inputs), spec)
 
     def has_commands(self) -> bool:
-        """Some signal commands actuators."""
+        """Whether a signal commands actuators."""
         return any(delayed for _, _, _, delayed in self.driven)
 
     def unset_joints(self) -> list[str]:
