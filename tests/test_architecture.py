@@ -48,6 +48,7 @@ WALLS = {
     "mujoco": ("system", "init", "engine", "robots/go1", "api/identify.py"),
     "natnet": ("robots/go1",),
     "pyarrow": ("logs",),
+    "pyulog": ("logs",),
     "rich": ("report", "api", "cli"),
     "rosbags": ("logs",),
     "yaml": ("logs", "system", "init", "core/belief_file.py", "core/yaml_file.py"),

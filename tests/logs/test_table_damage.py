@@ -16,6 +16,7 @@ from amhe_cli.core.errors import AmheError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import read_signals, survey
+from tests.logs.ulog_maker import write_ulog
 
 SIGNAL = Signal("joints", "", ("position",), columns={"position": ("q",)})
 #: Mutated files of each format.
@@ -30,6 +31,9 @@ def written(folder: Path, suffix: str) -> Path:
         np.savetxt(path, np.column_stack(list(arrays.values())), delimiter=",", header="time,q", comments="")
     elif suffix == "npz":
         np.savez(path, **arrays)
+    elif suffix == "ulg":
+        stamps = np.round(1e6 * arrays["time"]).astype(np.uint64)
+        write_ulog(path, {("log", 0): {"timestamp": stamps, "q": arrays["q"]}})
     elif suffix == "h5":
         with h5py.File(path, "w") as file:
             for name, array in arrays.items():
@@ -59,7 +63,7 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
     return content[:place] + b"9" * 400 + content[place:]
 
 
-@pytest.mark.parametrize("suffix", ["csv", "npz", "h5", "parquet", "feather"])
+@pytest.mark.parametrize("suffix", ["csv", "npz", "h5", "parquet", "feather", "ulg"])
 def test_damage_is_told_in_one_line(suffix: str, tmp_path: Path) -> None:
     content = written(tmp_path, suffix).read_bytes()
     rng = np.random.default_rng(7)

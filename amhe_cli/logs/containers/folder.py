@@ -15,7 +15,8 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.logs.containers import bag_file, mcap_file, sqlite_file
 from amhe_cli.logs.containers.compression import decompress, unfold_file
 from amhe_cli.logs.containers.raw import Batch, Connection, LogFile, batch_of, readable
-from amhe_cli.logs.containers.table_file import open_tables
+from amhe_cli.logs.containers.table_file import TableFile
+from amhe_cli.logs.containers.table_formats import open_tables
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _METADATA_LIMIT = 2**24
@@ -50,7 +51,9 @@ class StoredLog:
     def format(self) -> str:
         """Name of the format, for people."""
         formats = " + ".join(dict.fromkeys(file.format for file in self.files))
-        return f"{formats} ({len(self.files)} files)" if len(self.files) > 1 else formats
+        paths = {file.path for file in self.files if isinstance(file, TableFile)}
+        parts = "tables" if len(paths) == 1 else "files"
+        return f"{formats} ({len(self.files)} {parts})" if len(self.files) > 1 else formats
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all)."""

@@ -1,0 +1,213 @@
+"""The files that hold tables: text (CSV, TSV ...), .npz, .npy, ULog, parquet, feather and HDF5.
+
+The last three need the extra [tables], ULog the extra [ulog].
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import LogError
+from amhe_cli.logs.containers import text_table
+from amhe_cli.logs.containers.table_file import NumberTable, TableFile, is_time, listed
+from amhe_cli.logs.containers.text_dialect import Column, dialect_of, looks_like_text
+
+#: First bytes of the binary tables -> name of the format.
+MAGIC: Mapping[bytes, str] = {
+    b"PK\x03\x04": "npz",
+    b"\x93NUMPY": "npy",
+    b"PAR1": "parquet",
+    b"ARROW1": "feather",
+    b"\x89HDF\r\n\x1a\n": "HDF5",
+    b"ULog\x01\x125": "ULog",
+}
+
+#: Rows of one batch of a table that is in memory.
+_ROWS = 2**16
+
+
+def open_tables(path: Path) -> list[TableFile]:
+    """The tables of a file; an empty list where it holds no table.
+
+    Raises:
+        LogError: It is a table that cannot be read, or one that needs an extra.
+    """
+    with path.open("rb") as file:
+        head = file.read(4096)
+    format = next((name for magic, name in MAGIC.items() if head.startswith(magic)), None)
+    if format is None:
+        if not looks_like_text(head):
+            return []
+        dialect = dialect_of(path)
+        table = NumberTable(
+            _stem(path), dialect.columns, lambda problems: text_table.blocks(path, dialect, problems),
+            dialect.comments,
+        )  # fmt: skip
+        return [TableFile(path, "TSV" if dialect.delimiter == b"\t" else "CSV", table)]
+    tables = {
+        "npz": _npz,
+        "npy": _npy,
+        "parquet": _parquet,
+        "feather": _feather,
+        "HDF5": _hdf5,
+        "ULog": _ulog,
+    }[format](path)
+    return [TableFile(path, format, table) for table in tables]
+
+
+def _npy(path: Path) -> list[NumberTable]:
+    array = np.load(path, allow_pickle=False, mmap_mode="r")
+    if array.dtype.names is None:
+        raise LogError(f"{path}: an array without names; save it with np.savez(file, time=t, position=q)")
+    return [_in_memory(path, _stem(path), {name: array[name] for name in array.dtype.names})]
+
+
+def _npz(path: Path) -> list[NumberTable]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return [_in_memory(path, _stem(path), {name: file[name] for name in file.files})]
+    except (ValueError, OSError, KeyError, BadZipFile) as error:
+        raise LogError(f"{path}: a .zip file that is no .npz of numbers ({error})") from None
+
+
+def _parquet(path: Path) -> list[NumberTable]:
+    _needed(path, "pyarrow", "a parquet file")
+    import pyarrow.parquet
+
+    return [_from_arrow(path, pyarrow.parquet.read_table(path))]
+
+
+def _feather(path: Path) -> list[NumberTable]:
+    _needed(path, "pyarrow", "a feather file")
+    import pyarrow.feather
+
+    return [_from_arrow(path, pyarrow.feather.read_table(path))]
+
+
+def _from_arrow(path: Path, table: Any) -> NumberTable:
+    import pyarrow as pa
+
+    arrays: dict[str, np.ndarray] = {}
+    for name in table.column_names:
+        column = table[name].combine_chunks()
+        kind = column.type
+        if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+            flat = column.flatten().to_numpy(zero_copy_only=False)
+            if len(column) and flat.size % len(column) == 0:
+                arrays[name] = flat.reshape(len(column), -1)
+        elif pa.types.is_timestamp(kind):
+            arrays[name] = column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False)
+        elif pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+            arrays[name] = column.to_numpy(zero_copy_only=False)
+    return _in_memory(path, _stem(path), arrays)
+
+
+def _hdf5(path: Path) -> list[NumberTable]:
+    _needed(path, "h5py", "an HDF5 file")
+    import h5py
+
+    groups: dict[str, dict[str, np.ndarray]] = {}
+
+    def visit(name: str, item: object) -> None:
+        if isinstance(item, h5py.Dataset) and item.ndim in (1, 2) and item.dtype.kind in "fiub":
+            group, _, own = name.rpartition("/")
+            groups.setdefault(group, {})[own] = item[()]
+
+    with h5py.File(path, "r") as file:
+        file.visititems(visit)
+    if not groups:
+        raise LogError(f"{path}: an HDF5 file without a table of numbers")
+    timed = {group: arrays for group, arrays in groups.items() if any(map(is_time, arrays))}
+    return [_in_memory(path, group or _stem(path), arrays) for group, arrays in (timed or groups).items()]
+
+
+def _ulog(path: Path) -> list[NumberTable]:
+    """Each instance of each topic is a table: `name`, and `name_1`, `name_2` where there are several."""
+    _needed(path, "pyulog", "a ULog of PX4", "ulog")
+    import pyulog
+
+    said = io.StringIO()  # pyulog prints what it finds damaged
+    with redirect_stdout(said):
+        log = pyulog.ULog(str(path))
+    problems = ["parts of it are damaged and skipped"] if log.file_corruption or said.getvalue() else []
+    if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
+        problems.append(f"the recorder dropped messages {len(log.dropouts)} times, {lost:.2f} s in all")
+    found = [
+        _in_memory(
+            path,
+            data.name + (f"_{data.multi_id}" if data.multi_id else ""),
+            _with_arrays(data.data),
+        )
+        for data in log.data_list
+    ]
+    if not found:
+        raise LogError(f"{path}: a ULog without data")
+    return [replace(found[0], notes=tuple(problems)), *found[1:]]
+
+
+def _with_arrays(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Fields of a ULog topic, 'q[0]', 'q[1]' ... as one array; its times are microseconds since boot."""
+    arrays: dict[str, list[np.ndarray]] = {}
+    for name, values in data.items():
+        stem, _, index = name.rpartition("[") if name.endswith("]") else (name, "", "")
+        arrays.setdefault(stem if index[:-1].isdecimal() else name, []).append(values)
+    return {
+        "timestamp [us]" if name == "timestamp" else name: parts[0]
+        if len(parts) == 1
+        else np.stack(parts, axis=1)
+        for name, parts in arrays.items()
+    }
+
+
+def _needed(path: Path, library: str, what: str, extra: str = "tables") -> None:
+    from importlib.util import find_spec
+
+    if find_spec(library) is None:
+        raise LogError(f"{path}: {what}; reading it needs the extra: pip install 'amhe[{extra}]'")
+
+
+def _in_memory(path: Path, name: str, arrays: Mapping[str, np.ndarray]) -> NumberTable:
+    """A table of arrays (n,) and (n, k); arrays of another length are left out and named."""
+    usable = {key: a for key, a in arrays.items() if a.ndim in (1, 2) and a.dtype.kind in "fiubM"}
+    clock = next((key for key in usable if is_time(key)), next(iter(usable), None))
+    if clock is None:
+        raise LogError(f"{path}: no array of numbers in it")
+    length = len(usable[clock])
+    rest = [key for key in arrays if key not in usable or len(usable[key]) != length]
+    kept = {key: array for key, array in usable.items() if key not in rest}
+    columns = tuple(_array_column(key, array) for key, array in kept.items())
+
+    def rows(problems: list[str]) -> Iterator[FloatArray]:
+        for start in range(0, length, _ROWS):
+            parts = [_floats(array[start : start + _ROWS]) for array in kept.values()]
+            yield np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+        if rest:
+            problems.append(f"{listed(rest)} another length than {clock!r}, or no numbers: left out")
+
+    return NumberTable(name, columns, rows)
+
+
+def _array_column(name: str, array: np.ndarray) -> Column:
+    if array.dtype.kind == "M":
+        return Column(name, "date")
+    return Column(name, "array", array.shape[1]) if array.ndim == 2 else Column(name, "number")
+
+
+def _floats(array: np.ndarray) -> FloatArray:
+    if array.dtype.kind == "M":
+        return array.astype("datetime64[ns]").astype(np.int64).astype(np.float64)
+    return array.astype(np.float64)
+
+
+def _stem(path: Path) -> str:
+    return path.name.split(".")[0]
