@@ -22,7 +22,7 @@ class Plan:
 
     Args:
         start: Time from which the first row acts [s]; each row holds for one period.
-        period: Control period [s].
+        period: Control period, the time between two rows [s].
         targets: Joint targets [rad], shape (H, n).
         reference: What the behaviour aimed at; None for a plan without a behaviour.
         command: Command of the behaviour with the plan's channels added, shape (c,).

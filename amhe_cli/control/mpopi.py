@@ -3,7 +3,7 @@
 A plan is a vector: K knots of a cubic spline for each of the joints, then a few channels that are held over
 the horizon. Its distribution is a diagonal Gaussian about a mean that moves with time. One step samples,
 rolls out, and moves the mean by MPPI's weights; after a switch of the gait's contacts it also refines the
-Gaussian, one loop a step. What a rollout costs is the caller's.
+Gaussian, one loop a step. The caller computes the costs of rollouts.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ _CHANNEL_RANGE = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """What rollouts cost.
+    """Costs of rollouts.
 
     Args:
-        cost: Shape (n,); infinite where a rollout diverged.
-        terms: The parts of it, each shape (n,).
+        cost: Cost of each rollout, shape (n,); infinite where it diverged.
+        terms: Parts of the cost, each shape (n,).
     """
 
     cost: FloatArray
@@ -37,12 +37,12 @@ class Scores:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MpopiStep:
-    """What one step of MPOPI did.
+    """Result and statistics of one step of MPOPI.
 
     Args:
         mean: The new mean, shape (d,).
-        weights: With which it is the mean of the samples, shape (n,); all zero where all of them diverged.
-        rollouts, diverged: Counts.
+        weights: Weights of the samples in the new mean, shape (n,); all zero where all samples diverged.
+        rollouts, diverged: Number of rollouts, and how many of them diverged.
         effective_samples: 1 / sum of squared weights: 1 where one sample decides, n where none does.
         best, average: Least cost, and mean of the finite ones.
         terms: Parts of the least cost.
@@ -163,7 +163,7 @@ class Mpopi:
 
         The variance is taken about the *old* mean (rank-mu update of CMA-ES): it does not collapse while
         the mean still moves. Each number has its own elites, of the plans that carry noise in it: the others
-        say nothing of its spread.
+        do not show its spread.
         """
         s = self._settings
         order = np.argsort(cost)[: np.count_nonzero(np.isfinite(cost))]

@@ -13,11 +13,11 @@ def spline_basis(at: FloatArray, knots: int) -> FloatArray:
     Outside of [0, 1] the spline keeps its end values.
 
     Args:
-        at: Where to evaluate, shape (H,).
+        at: Where to evaluate, between 0 and 1, shape (H,).
         knots: K, at least 2.
 
     Returns:
-        Shape (H, K); rows sum to one.
+        Matrix of shape (H, K); rows sum to one.
     """
     x = np.clip(at, 0.0, 1.0)
     gap = 1.0 / (knots - 1)

@@ -77,7 +77,7 @@ def read_belief(path: Path, system: Described | None = None) -> Belief:
 
     Args:
         path: The file.
-        system: The system that it must be about, to start from; None: any.
+        system: The system that the belief must be about; None: any.
 
     Raises:
         ConfigError: The file is no belief, not about this system, or of other parameters; every mistake

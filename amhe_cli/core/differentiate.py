@@ -77,7 +77,7 @@ def _segments(times: FloatArray, bridge: float) -> tuple[IntArray, IntArray]:
 
 
 def differentiated(times: FloatArray, values: FloatArray, source: str, bridge: float) -> FloatArray:
-    """Velocities (n, k) of positions or orientations (n, k) at stamps (n,) [s]; NaN where none can be told.
+    """Velocities (n, k) of positions or orientations (n, k) at stamps (n,) [s]; NaN where there are none.
 
     Args:
         times: Stamps [s], strictly increasing.

@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 
 class AmheError(Exception):
-    """Root of all expected errors; the command line prints its text and no traceback."""
+    """Base class of all expected errors; the command line prints its text and no traceback."""
 
 
 class ConfigError(AmheError):
@@ -29,11 +29,11 @@ class SimulationError(AmheError):
 
 @dataclass(frozen=True, slots=True)
 class Ending:
-    """How a run or a probe ended that keeps what it recorded, whatever happens.
+    """How a run or a probe ended; what it recorded is kept in any case.
 
     Args:
-        interrupted: Somebody stopped it.
-        error: What broke it; None: nothing did.
+        interrupted: Whether the user stopped it.
+        error: The error that ended it; None: there was none.
     """
 
     interrupted: bool = False

@@ -1,4 +1,4 @@
-"""Where work is done: local processes, or a cluster of dask workers, behind `concurrent.futures.Executor`.
+"""Executors: local processes, or a cluster of dask workers, behind `concurrent.futures.Executor`.
 
 Nothing here knows what the work is, and nothing heavy is imported: a fresh process begins with this file.
 """
@@ -34,11 +34,11 @@ R = TypeVar("R")
 #: Opens an executor; leaving it stops what still runs there.
 Pool = Callable[[], AbstractContextManager[Executor]]
 
-#: How often work is tried whose process died under it.
+#: How often work is tried if the process that does it dies.
 ATTEMPTS = 3
-#: A scheduler answers within this [s], or is taken for absent.
+#: Longest time in which a scheduler must answer [s].
 PATIENCE = 10.0
-#: How often it is asked whether to stop [s].
+#: Time between two checks whether to stop [s].
 _GLANCE = 0.2
 #: One thread of linear algebra in each process: the processes share the cores already.
 _ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -50,7 +50,7 @@ def pool_of(workers: int, cluster: str | None) -> Pool:
 
 
 def executor_of(workers: int | None, cluster: str | None) -> AbstractContextManager[Executor | None]:
-    """The executor that was asked for, open; None where none was."""
+    """The requested executor, open; None where none was requested."""
     return nullcontext() if workers is None and cluster is None else pool_of(workers or 1, cluster)()
 
 
@@ -72,7 +72,7 @@ def local(workers: int) -> Iterator[Executor]:
 
 
 def _begin() -> None:
-    """A worker leaves Ctrl-C to its parent, and goes when its parent is gone."""
+    """Set up a worker: it leaves Ctrl-C to its parent, and ends when its parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     parent = multiprocessing.parent_process()
@@ -87,11 +87,11 @@ def _begin() -> None:
 
 @contextmanager
 def remote(address: str) -> Iterator[Executor]:
-    """The workers of a dask scheduler, such as tcp://host:8786; what a dead one did is done by another.
+    """The workers of a dask scheduler, such as tcp://host:8786; the work of one that dies is done by another.
 
     Raises:
         ConfigError: The extra is not installed, or the address is none.
-        AmheError: Nobody answers there.
+        AmheError: No scheduler answers at the address.
     """
     try:
         from distributed import Client
@@ -124,13 +124,13 @@ def remote(address: str) -> Iterator[Executor]:
 def gathered(
     function: Callable[[T], R], items: Mapping[K, T], pool: Pool, stopped: Callable[[], bool]
 ) -> Iterator[tuple[K, R | Exception]]:
-    """Do all the work, and give each result as it comes; work whose process died is done again.
+    """Do all the work, and yield each result as it arrives; work is repeated if its process dies.
 
     Args:
-        function: Importable by name: it is sent to other processes.
-        items: What to call it with, by key.
-        pool: Where.
-        stopped: Asked now and then; True: give up what is running.
+        function: Function to call; importable by name, as it is sent to other processes.
+        items: Arguments of the function, by key.
+        pool: Executor that does the work.
+        stopped: Called now and then; returns whether to give up what is running.
 
     Yields:
         A key, and what the function returned or raised; `BrokenExecutor` of work under which the process
@@ -141,7 +141,8 @@ def gathered(
     """
     left, deaths = dict(items), Counter[K]()
     while left and not stopped():
-        # what was running when a process died goes alone from then on: only the guilty is given up
+        # what was running when a process died runs alone from then on: only the work that kills it is given
+        # up
         turn = [key for key in left if not deaths[key]] or [next(iter(left))]
         with pool() as executor:
             futures = {executor.submit(function, left[key]): key for key in turn}
@@ -160,7 +161,7 @@ def gathered(
 def _finished(
     futures: Iterable[Future[R]], stopped: Callable[[], bool]
 ) -> Iterator[tuple[Future[R], list[Future[R]]]]:
-    """Futures as they end, each with those that were running when we looked before."""
+    """Yield futures as they end, each with those that were running at the check before."""
     waiting, running = set(futures), list[Future[R]]()
     while waiting and not stopped():
         done, waiting = wait(waiting, _GLANCE, FIRST_COMPLETED)

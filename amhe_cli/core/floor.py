@@ -39,8 +39,8 @@ def outline(centre: FloatArray, yaw: float, size: tuple[float, float]) -> tuple[
     """X and y of the closed outline of a rectangle on the floor [m], shape (5,) each.
 
     Args:
-        centre: Its centre [m], shape (2,).
-        yaw: Its heading [rad].
+        centre: Centre of the rectangle [m], shape (2,).
+        yaw: Heading of the rectangle [rad].
         size: Depth along the heading and width across it [m].
     """
     ahead = 0.5 * size[0] * np.array([1, 1, -1, -1, 1])

@@ -52,7 +52,7 @@ class Log:
         series: `signal.quantity` -> Series, for instance 'box.orientation', all of T rows.
         source: Path of the log, for messages and provenance.
         start_ns: Stamp of row 0 [ns].
-        metadata: What the log says of itself (the `amhe` metadata record): system, truth, seed.
+        metadata: Metadata of the log (its `amhe` metadata record): system, truth, seed.
     """
 
     dt: float
@@ -66,7 +66,7 @@ class Log:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """As plain values: windows go to an estimator in another process, and mapping proxies do not."""
+        """Pickle as plain values: windows go to an estimator's process, and mapping proxies cannot."""
         return Log, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata))
 
     @classmethod
@@ -85,7 +85,7 @@ class Log:
                 orientations are quaternions w, x, y, z. Each signal has times of its own, on one clock. A
                 value that is NaN was not measured.
             system: The system, whose signals these are.
-            name: What messages and results call the log.
+            name: Name of the log in messages and results.
 
         Raises:
             LogError: A signal or quantity is missing or unknown, or an array has the wrong shape; times are

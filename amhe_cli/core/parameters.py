@@ -25,11 +25,11 @@ class Parameter:
     """One unknown number.
 
     Args:
-        name: As the user wrote it.
+        name: Name, as the user wrote it.
         unit: SI unit, '-' for none.
         nominal: Prior mean (median, on the log scale); strictly within the bounds.
-        lower, upper: Hard bounds.
-        log: Searched on the logarithmic scale.
+        lower, upper: Hard bounds of the value.
+        log: Whether it is searched on the logarithmic scale.
         prior_sd: Prior standard deviation of log(theta) if `log`, else of theta.
         drift: How much it may change while the system works, per square root of a second: a share of its
             value if `log`, else of its prior sd. Only the online estimator allows for it.
@@ -50,8 +50,8 @@ class ParameterSpace:
     """An ordered set of parameters; arrays of theta and z have shape (..., d).
 
     Args:
-        parameters: In column order.
-        prior_correlation: Of z a priori, as rows; None: independent.
+        parameters: The parameters in column order.
+        prior_correlation: Prior correlation of z, as rows; None: independent.
     """
 
     parameters: tuple[Parameter, ...]
@@ -87,7 +87,7 @@ class ParameterSpace:
 
     @cached_property
     def prior_covariance(self) -> FloatArray:
-        """Of z, shape (d, d): ones on the diagonal."""
+        """Prior covariance of z, shape (d, d): ones on the diagonal."""
         return np.eye(len(self)) if self.prior_correlation is None else sealed(self.prior_correlation)
 
     @cached_property
@@ -171,7 +171,7 @@ class Described(Protocol):
 
     @property
     def space(self) -> ParameterSpace:
-        """Its parameters."""
+        """Parameters of the system."""
         ...
 
 
@@ -182,11 +182,11 @@ class Belief:
     Args:
         system: Name of the system it is about.
         names: Parameter names, length d.
-        units: Their units.
+        units: Units of the parameters.
         log: Which are log-scaled: for those, phi = log(theta).
-        estimate: theta, shape (d,).
-        covariance: Of phi, shape (d, d).
-        provenance: Where it came from: versions, hashes, seed, command.
+        estimate: Estimated values theta, shape (d,).
+        covariance: Covariance of phi, shape (d, d).
+        provenance: Origin of the belief: versions, hashes, seed, command.
     """
 
     system: str
@@ -225,7 +225,7 @@ class Belief:
         write_whole(Path(path), belief_text(self))
 
     def sample(self, n: int, rng: np.random.Generator | int = 0) -> FloatArray:
-        """Draw parameters.
+        """Draw parameters from the belief.
 
         Args:
             n: Number of draws.
@@ -258,8 +258,8 @@ def mistakes_of(name: str, log: bool, estimate: float, space: ParameterSpace) ->
 
     Args:
         name: Name of the parameter in the belief.
-        log: It is log-scaled there.
-        estimate: Its value there.
+        log: Whether it is log-scaled in the belief.
+        estimate: Its value in the belief.
         space: Parameters of a system.
     """
     known = {p.name: p for p in space.parameters}

@@ -62,7 +62,7 @@ def resample(
 
     Args:
         times: Stamps [s], strictly increasing, shape (n,).
-        values: Samples, shape (n, k); NaN where a message does not say.
+        values: Samples, shape (n, k); NaN where a message lacks the value.
         columns: Names of the columns.
         grid: Instants of the clock [s], uniform, shape (T,).
         bridge: Longest silence [s] that is filled.

@@ -1,4 +1,4 @@
-"""What was measured, whoever measured it: each quantity's samples at their own times.
+"""Measurements from any source: each quantity's samples at their own times.
 
 Logs, simulated plants, a robot's link and live topics make samples; ring buffer, estimators and recorders
 take them.
@@ -51,7 +51,7 @@ class Thinner:
         self._reached: dict[str, float] = {}
 
     def thinned(self, samples: Samples) -> Samples:
-        """Those of the next samples that are kept."""
+        """The next samples, without those that are left out."""
         return {key: self._kept(key, *series) for key, series in samples.items()}
 
     def _kept(self, key: str, times: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:

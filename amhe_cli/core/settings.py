@@ -93,7 +93,7 @@ class IdentifySettings(SettingsGroup):
     smaller steps measure the jitter."""
     model_error: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """What the model itself gets wrong of a parameter (sd, as a share of it; of a linear one in prior sd), as
-    logs with known parameters tell. No log averages it away: it is added to the noise's sd."""
+    logs with known parameters show. No log averages it away: it is added to the noise's sd."""
     bootstrap: Annotated[int, Field(ge=0)] = 200
     """Resamples of the clip bootstrap."""
     profile_points: Annotated[int, Field(ge=0)] = 11
@@ -146,19 +146,19 @@ class MheSettings(SettingsGroup):
     """Floor under the sd of a belief that is loaded for live use, as a share of each value."""
     excitation: Annotated[float, Field(ge=0)] = 0.1
     """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing, but
-    for one that tells of a jump: a light box that turns out to be a heavy one hardly answers to samples."""
+    for one that shows a jump: a light box that turns out to be a heavy one hardly answers to samples."""
     jump: Positive = 3.0
-    """A window that wants the parameters this many sd from the belief tells of a jump."""
+    """A window whose own estimate is this many sd from the belief shows a jump."""
     jump_windows: Annotated[int, Field(ge=1)] = 1
     """So many in a row must: single ones may be a contact that was missed."""
     jump_sd: Positive = 0.6
     """What a jump adds to each sd, in sd of the system's prior, before its window is learnt from."""
     information: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Share of a window's information that linearised counts; less than all where first states are taken as
-    recorded: their errors bend a whole window one way, which no residual's noise tells."""
+    recorded: their errors bend a whole window one way, which no residual's noise shows."""
     systematic: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
     """A direction in which the model itself is wrong, and by how much (sd, as a share of each parameter; of a
-    linear one in prior sd). No window averages it away; it widens what is told, and moves no estimate."""
+    linear one in prior sd). No window averages it away; it widens what is reported, and moves no estimate."""
     budget: Positive | None = None
     """Most time that one live update may take [s]; None: the update period."""
     latency: Annotated[float, Field(ge=0)] = 0.1
@@ -166,17 +166,17 @@ class MheSettings(SettingsGroup):
 
     @property
     def sample_count(self) -> int:
-        """B."""
+        """Number of samples B of an iteration."""
         return self.samples or {"linearised": 8, "logrank": 32}[self.method]
 
     @property
     def iteration_count(self) -> int:
-        """L_MHE."""
+        """Number of iterations L_MHE of an update."""
         own = 3 if self.first_state == "estimated" else 1
         return self.iterations or {"linearised": own, "logrank": 4}[self.method]
 
     def idle(self, names: Iterable[str]) -> list[str]:
-        """Those of these settings that act with the other method only."""
+        """Those of these settings that have an effect with the other method only."""
         return [name for name in names if _ACTS_WITH.get(name, self.method) != self.method]
 
     def weights(self, names: Sequence[str]) -> list[float]:

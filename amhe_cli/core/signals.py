@@ -1,4 +1,4 @@
-"""What is wanted from a log, said without any word of the simulator."""
+"""What to read from a log, in terms that do not depend on the simulator."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ class Signal:
     Args:
         name: The signal's name; its series are called `name.quantity`.
         topic: Topic in the log.
-        quantities: What to read, keys of QUANTITIES. A velocity that the topic does not carry is
+        quantities: Quantities to read, keys of QUANTITIES. A velocity that the topic does not carry is
             differentiated from the position or orientation that it does.
-        type: ROS message type such as 'nav_msgs/msg/Odometry'; None takes what the log says.
-        names: For messages with named entries (JointState, JointTrajectory): the entries wanted,
+        type: ROS message type such as 'nav_msgs/msg/Odometry'; None takes the type in the log.
+        names: Of messages with named entries (JointState, JointTrajectory): the entries to read,
             as the log calls them, in column order. Empty: all, in the order of the first message.
         child_frame: Name of the body's frame. Of a TFMessage the one transform that is wanted; a log that is
             written has it in its Odometry and Imu messages.

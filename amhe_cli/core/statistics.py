@@ -43,7 +43,7 @@ def log_rank_weights(rank: FloatArray, count: FloatArray) -> FloatArray:
     """Weights ln(count + 1/2) - ln(rank) of CMA-ES, not yet normalised; none beyond the count.
 
     Args:
-        rank: From 1, the best, on; shape (...).
+        rank: Rank of each sample, from 1 for the best; shape (...).
         count: How many share the weight, shape (...).
     """
     return np.where(rank <= count, np.log(count + 0.5) - np.log(np.maximum(rank, 1.0)), 0.0)

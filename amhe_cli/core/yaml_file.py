@@ -26,7 +26,7 @@ class _Loader(yaml.SafeLoader):
 
 
 def _decimal(loader: yaml.SafeLoader, node: Any) -> int:
-    """An integer as people read it: `010` is ten, not eight."""
+    """An integer in decimal: `010` is ten, not eight."""
     return int(loader.construct_scalar(node))
 
 
@@ -207,7 +207,7 @@ def at_place(data: Any, place: Sequence[str | int]) -> Any:
 
 
 def _said(error: Exception) -> str:
-    """One line of what PyYAML says."""
+    """The message of a PyYAML error, on one line."""
     problem = getattr(error, "problem", None)
     context = getattr(error, "context", None)
     text = ", ".join(part for part in (context, problem) if part) or str(error)

@@ -32,7 +32,8 @@ def open_engine(
     Args:
         system: The system.
         threads: Number of CPU threads; results do not depend on it.
-        executor: Its workers compute the rollouts, instead of threads of this process; it must stay open.
+        executor: Executor whose workers compute the rollouts, instead of threads of this process; it must
+            stay open.
         kind: One of `KINDS`.
         sensors: Whether rollouts record sensors; None: if the system needs them.
         model: Roll out this model of the same layout; None: the system's own.
@@ -58,7 +59,7 @@ def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]
 
     Args:
         engine: The engine.
-        model: Its model.
+        model: Model of the engine.
 
     Returns:
         Name of the variant -> its engine; empty for a model that cannot collide.

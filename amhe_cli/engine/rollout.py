@@ -37,7 +37,7 @@ class Rollouts:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts:
-    """Where the rollouts of c clips start, and what drives them.
+    """First states and inputs of the rollouts of c clips.
 
     Args:
         qpos, qvel: First states, shape (c, nq) and (c, nv).
@@ -120,8 +120,8 @@ class Wanted:
 
     Args:
         source: The array of `Rollouts`.
-        rows: Its row (instant - 1) of each sample, shape (c, s); below the clip's length.
-        columns: Its columns, k of them.
+        rows: Row (instant - 1) of each sample in that array, shape (c, s); below the clip's length.
+        columns: The k columns to pick from that array.
     """
 
     source: Literal["qpos", "qvel", "sensordata"]
@@ -129,7 +129,7 @@ class Wanted:
     columns: tuple[int, ...]
 
     def of(self, clips: IntArray) -> Wanted:
-        """What is wanted of some of the clips."""
+        """The wanted numbers of some of the clips."""
         return replace(self, rows=self.rows[clips])
 
     def pick(self, rollouts: Rollouts, count: int) -> FloatArray:

@@ -32,7 +32,7 @@ class SpreadEngine:
     """An engine whose rollouts are computed by the workers of an executor, one thread each.
 
     Args:
-        executor: Open as long as the engine is used.
+        executor: Executor of the rollouts; open as long as the engine is used.
         model: The model to roll out.
         edits: How parameters are written into it.
         input_spec: mjtState bits of the input vector.

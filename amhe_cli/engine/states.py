@@ -21,7 +21,7 @@ def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> Fl
         delta: Steps, shape (..., nv); rotations of free and ball joints are in the body's own frame.
 
     Returns:
-        Shape (..., nq).
+        Moved positions, shape (..., nq).
     """
     moved = np.array(np.broadcast_to(qpos, (*delta.shape[:-1], model.nq)))
     for joint in range(model.njnt):

@@ -53,7 +53,7 @@ def init_system(
         force: Write into a folder that is not empty.
 
     Returns:
-        What was guessed, in sentences.
+        The guesses, in sentences.
 
     Raises:
         ConfigError: The model cannot be read, or nothing in the logs is a part of it.

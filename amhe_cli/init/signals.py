@@ -36,8 +36,8 @@ class Topic:
     """One readable topic of a log.
 
     Args:
-        name, type: As the log declares them.
-        rate: Messages per second.
+        name, type: Name and type, as the log declares them.
+        rate: Number of messages per second.
         entries: Names in its messages: joints, child frames; '[n]' for an array of n numbers.
         quantities: Quantities that it carries, keys of QUANTITIES.
         columns: Of a part of a table: quantity -> its columns, in the order of `entries`.
@@ -58,8 +58,8 @@ class Guess:
     """One entry of the file to be written.
 
     Args:
-        name: Its key.
-        entry: Its keys and values, noise left out.
+        name: Key of the entry.
+        entry: Keys and values of the entry, without its noise.
         why: The guess in one sentence.
         noise: Quantity -> sd; None: it sets the state and is not compared.
     """

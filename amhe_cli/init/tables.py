@@ -26,7 +26,7 @@ _COMMANDED = {*COMMANDS, "con", "des"}
 
 @dataclass(frozen=True, slots=True)
 class _Meaning:
-    """What one column is taken for; `entry` is the joint's name or number, `count` the numbers in a cell."""
+    """Interpretation of a column; `entry` is the joint's name or number, `count` the numbers in a cell."""
 
     column: str
     quantity: str

@@ -28,8 +28,8 @@ def system_text(
         model: Model file, in the same folder.
         original: Name of the model file that the user gave.
         logs: Logs that the guesses come from.
-        guesses: Signals.
-        parameters: Parameters, and
+        guesses: Guessed signals.
+        parameters: Guessed parameters, and
         notes: Sentences for the user.
         skeletons: Signals to complete by hand, as lines; written as comments.
     """

@@ -87,7 +87,7 @@ def _warn(
 
 
 def _missing(log: StoredLog, signal: Signal) -> str:
-    """Why the log has nothing for `signal`, and what it has instead."""
+    """Why the log has no data for `signal`, and what it has instead."""
     here = [connection for connection in log.connections if connection.topic == signal.topic]
     types = sorted({connection.type for connection in here})
     if signal.type is not None and types and signal.type not in types:

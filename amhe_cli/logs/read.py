@@ -1,4 +1,4 @@
-"""From a log to a trajectory: decode what is asked for, choose clocks, convert to SI, resample."""
+"""From a log to a trajectory: decode the requested signals, choose clocks, convert to SI, resample."""
 
 from __future__ import annotations
 
@@ -102,8 +102,8 @@ def inspect_log(
     """See what is in a log, and how it suits a system.
 
     Args:
-        path: The log.
-        system: The system that it is held against; None: the log is only surveyed.
+        path: Path of the log.
+        system: The system that the log is checked for; None: the log is only surveyed.
         start, end, msg_path: As for `read_log`.
 
     Raises:
@@ -131,7 +131,7 @@ def inspect_log(
 
 
 def _check(signal: Signal, alone: Log | str) -> SignalCheck:
-    """How a signal was read alone: whatever would stop `identify` is found in the same words."""
+    """Read one signal alone; errors are those that would stop `identify`, in the same words."""
     if isinstance(alone, str):
         return SignalCheck(signal, alone, 0.0)
     valid = alone.usable(tuple(alone.series))
@@ -169,7 +169,7 @@ def read_signals(
 
     Raises:
         ConfigError: If the path does not exist, or a signal or option makes no sense.
-        LogError: If the log is unreadable, or lacks a topic, joint or quantity that is asked for.
+        LogError: If the log is unreadable, or lacks a requested topic, joint or quantity.
     """
     if not signals or not dt > 0:
         raise ConfigError("reading a log takes at least one signal and a positive time step")

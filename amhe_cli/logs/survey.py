@@ -29,9 +29,9 @@ class TopicSurvey:
     """One topic of a log.
 
     Args:
-        name, type, encoding: As the log declares them; type as 'pkg/msg/Type'.
-        count: Messages.
-        rate: From the median period [Hz]; 0 for fewer than two messages.
+        name, type, encoding: Name, type and encoding as the log declares them; type as 'pkg/msg/Type'.
+        count: Number of messages.
+        rate: Rate from the median period [Hz]; 0 for fewer than two messages.
         longest_gap: Longest silence [s], and
         gap_at: when it begins [s from the log's first message].
         first_ns, last_ns: First and last stamp [ns] on each clock: 'header' (where set), 'publish', 'log'.
@@ -67,10 +67,10 @@ class Survey:
     """What is in a log.
 
     Args:
-        path: The log.
-        format: 'MCAP', 'rosbag2 sqlite3', 'ROS 1 bag'.
-        duration: From the first message to the last, by the recorder's clock [s].
-        topics: By name.
+        path: Path of the log.
+        format: Name of the format: 'MCAP', 'rosbag2 sqlite3', 'ROS 1 bag'.
+        duration: Time from the first message to the last, by the recorder's clock [s].
+        topics: Topics by name.
         problems: What is damaged, in words.
         metadata: The record named 'amhe'.
         offsets: Clock offsets between topics above 5 ms, in words.

@@ -31,12 +31,12 @@ def table_columns(connection: Connection) -> tuple[str, ...]:
 
 
 def signals_on_tables(connections: Sequence[Connection], signals: Sequence[Signal]) -> list[Signal]:
-    """The signals with the fields and topics that they have in a log of tables; in other logs, unchanged.
+    """In a log of tables, the signals with their fields and topics there; else the signals unchanged.
 
     A log of one table needs no topic: every signal is read from it.
 
     Raises:
-        LogError: A column is absent, or a signal does not say which columns it takes.
+        LogError: A column is absent, or a signal does not name the columns to read.
     """
     tables = {connection.topic: connection for connection in connections if connection.encoding == ENCODING}
     return [_on_table(tables, signal) for signal in signals] if tables else list(signals)

@@ -43,7 +43,7 @@ class SignalTrack:
     Args:
         signal: The signal of the system.
         times: Stamps of the m samples that count.
-        samples: Their values.
+        samples: Values of these samples.
         twist_in_child: Twists are in the child frame's axes, as in an odometry.
     """
 
@@ -58,7 +58,7 @@ class SignalTrack:
         return float(np.median(np.diff(self.times.stamps_ns))) / 1e9 if self.times.stamps_ns.size > 1 else 0.0
 
     def moved(self, seconds: float) -> SignalTrack:
-        """The same, with stamps later by `seconds`."""
+        """The same track, with stamps later by `seconds`."""
         stamps_ns = self.times.stamps_ns + round(seconds * 1e9)
         return replace(self, times=replace(self.times, stamps_ns=stamps_ns))
 

@@ -1,4 +1,4 @@
-"""True parameters that a log contains, as that of a simulation can; nothing is ever fitted to them."""
+"""True parameters that the log of a simulation may contain; nothing is ever fitted to them."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Floor 4, results become things to read: tables, files, one page."""
+"""Results for readers: tables, files, one page."""

@@ -27,7 +27,7 @@ logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its notes on its font
 INK, MUTED, RULE = "#1e293b", "#64748b", "#e2e8f0"
 IDENTIFIED, INITIAL, MEASURED = "#2563eb", "#d97706", "#475569"
 
-#: As in report.css.
+#: Colours as in report.css.
 FONTS = "Inter, 'Segoe UI', 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
 
 #: Width of the page's figures [inch].

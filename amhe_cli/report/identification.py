@@ -141,7 +141,7 @@ def parameter_table(result: Identification) -> Table:
 
 
 def truth_line(result: Identification, truth: Mapping[str, float]) -> str:
-    """'true values in the logs: mass 0.55, damping 0.03; outside the 90 % interval: damping'."""
+    """The truth in words: 'true values in the logs: mass 0.55, damping 0.03; outside ...: damping'."""
     known = [p for p in result.parameters if p.name in truth]
     values = ", ".join(f"{p.name} {truth[p.name]:g}" for p in known)
     outside = [p.name for p in known if not p.lower <= truth[p.name] <= p.upper]
@@ -150,7 +150,7 @@ def truth_line(result: Identification, truth: Mapping[str, float]) -> str:
 
 
 def held_out_line(held_out: HeldOut | None) -> str:
-    """'6 clips: cost 12.3 -> 1.04, position error 42 mm -> 9 mm'."""
+    """The held-out errors in words: '6 clips: cost 12.3 -> 1.04, position error 42 mm -> 9 mm'."""
     if held_out is None:
         return "nothing was held out, so the fit is not validated"
     parts = [f"cost {held_out.initial_cost:.3g} -> {held_out.cost:.3g}"]

@@ -23,18 +23,18 @@ def rounded(value: float, resolution: float) -> str:
 
 
 def with_sd(estimate: float, sd: float) -> str:
-    """'0.7421 ± 0.0041'."""
+    """Estimate with sd: '0.7421 ± 0.0041'."""
     return f"{rounded(estimate, sd)} ± {rounded(sd, sd)}"
 
 
 def interval(lower: float, upper: float) -> str:
-    """'0.735 to 0.749', with three digits of its width."""
+    """Interval: '0.735 to 0.749', with three digits of its width."""
     step = (upper - lower) / 4.0
     return f"{rounded(lower, step)} to {rounded(upper, step)}"
 
 
 def percent(fraction: float) -> str:
-    """'1.2 %', '95 %', '0.031 %'."""
+    """Percentage: '1.2 %', '95 %', '0.031 %'."""
     if not math.isfinite(fraction):
         return MISSING
     value = 100.0 * fraction
@@ -70,5 +70,5 @@ def angle(radians: float) -> str:
 
 
 def joined(names: Sequence[str]) -> str:
-    """'a, b and c'."""
+    """List in words: 'a, b and c'."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -175,7 +175,7 @@ def _diverged(record: Mapping[str, Any]) -> Iterator[Statement]:
 
 
 def windows_line(record: Mapping[str, Any]) -> str:
-    """'61 windows used (2 jumps detected), 5 skipped (too little excitation)'."""
+    """The windows in words: '61 windows used (2 jumps detected), 5 skipped (too little excitation)'."""
     used, jumps = record["updated"], record["jumps"]
     reasons = {
         "too little excitation": record["still"],
@@ -195,7 +195,7 @@ def windows_line(record: Mapping[str, Any]) -> str:
 
 
 def speed_line(record: Mapping[str, Any]) -> str:
-    """'4.1 times real time; an update takes 35 ms (median), 52 ms (99th percentile)'."""
+    """The speed in words: '4.1 times real time; an update takes 35 ms (median), 52 ms (99th percentile)'."""
     ms = record["update_ms"]
     took = [numbers.MISSING if ms[key] is None else f"{ms[key]:.0f} ms" for key in ("p50", "p99")]
     factor = record["real_time_factor"]

@@ -198,7 +198,7 @@ def measure_table(record: Mapping[str, Any]) -> Table:
 
 
 def belief_line(record: Mapping[str, Any]) -> str:
-    """'belief (truth) at the end: box_mass 2 (4), floor_friction 0.3 (0.6)'."""
+    """The belief in words: 'belief (truth) at the end: box_mass 2 (4), floor_friction 0.3 (0.6)'."""
     if not record["belief"]:
         return f"belief: {numbers.MISSING}"
     truth = record["truth"]

@@ -41,7 +41,7 @@ def rich_table(table: Table, styles: Mapping[str, str] | None = None) -> rich.ta
 
     Args:
         table: The table; its remarks are left out.
-        styles: Text of a cell -> how it is coloured.
+        styles: Text of a cell -> colour.
     """
     made = rich.table.Table(box=rich.box.SIMPLE_HEAD, pad_edge=False, show_edge=False, padding=(0, 1, 0, 0))
     for name, look in zip(table.head, table.looks, strict=True):

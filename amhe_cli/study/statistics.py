@@ -22,7 +22,7 @@ class Spread:
     Args:
         n: Number of values.
         mean: Mean of the values; of a rate, the share.
-        sd: Standard deviation (n - 1).
+        sd: Standard deviation of the values (n - 1).
         median: Median of the values.
         low, high: 95 % interval of the mean.
     """

@@ -56,7 +56,7 @@ class Groups:
 
     Args:
         results: Results of a study.
-        base: Its operating point: the setting of the tables.
+        base: Operating point of the study: the setting of the tables.
         tasks, modes: Order of tasks and modes.
     """
 

@@ -231,7 +231,7 @@ def objective(
     Args:
         cost: The matching cost on c clips.
         residuals: Residuals of p candidates.
-        first: Their first-state errors, shape (p, c, nx).
+        first: First-state errors of the candidates, shape (p, c, nx).
         times: Autocorrelation time of each channel, in samples.
         clip_weight: Weight of each clip, shape (c,).
     """

@@ -9,7 +9,7 @@ as ensemble Kalman smoothers do (Evensen, Raanes and Stordal 2019). The samples 
 it: its prior at first, and its posterior where a search has one already (posterior linearisation,
 Garcia-Fernandez et al. 2015), since a contact that is missed by a millimetre lies on no straight line. Where
 contacts make the model rough, r is the mean over the samples; where it is smooth, r is the residual itself.
-`information` turns the slopes into what the clips tell about z.
+`information` turns the slopes into information of the clips about z.
 
 The residuals stay where the engine computed them, which may be a device: only sums over the samples are
 copied to the host.

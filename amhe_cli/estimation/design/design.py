@@ -24,7 +24,7 @@ def ensemble(space: ParameterSpace, pairs: int, rng: np.random.Generator) -> Flo
     """Draws of z that stand for its prior, shape (1 + 2 pairs, d): the mean, and pairs one sd to either side.
 
     With random signs as coordinates the draws have the prior's spread, and none is extreme: a box that no
-    robot can push would tell nothing.
+    robot can push would reveal nothing.
     """
     d = len(space)
     signs = rng.choice([-1.0, 1.0], size=(pairs, d))

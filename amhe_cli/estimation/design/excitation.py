@@ -24,9 +24,9 @@ class DrivenControls:
     """The controls that a system's signals command.
 
     Args:
-        columns: Their columns of the engine's input vector, shape (n,).
-        rest: Their values at the home state, shape (n,).
-        lower, upper: Their limits, shape (n,).
+        columns: Columns of the controls in the engine's input vector, shape (n,).
+        rest: Values of the controls at the home state, shape (n,).
+        lower, upper: Limits of the controls, shape (n,).
         home: The whole input vector at the home state, shape (nu,).
     """
 
@@ -76,9 +76,9 @@ class Multisine:
     """Controls over time: sums of sines.
 
     Args:
-        name: Short name.
+        name: Short name of the motion.
         rest: Controls before it begins, shape (nu,).
-        hertz: Frequencies [Hz], shape (k,).
+        hertz: Frequencies of the sines [Hz], shape (k,).
         size: Amplitude of each sine of each control, shape (nu, k).
         phase: Phase of each sine of each control [rad], shape (nu, k) or (nu, 1).
     """

@@ -1,4 +1,4 @@
-"""How much a log tells about the parameters: Fisher information by the matching cost."""
+"""How much a log reveals about the parameters: Fisher information by the matching cost."""
 
 from __future__ import annotations
 

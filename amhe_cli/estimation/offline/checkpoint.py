@@ -30,7 +30,7 @@ class Checkpoint:
     Args:
         path: The file; None saves nothing.
         problem: The problem, whose fingerprint must match on resuming.
-        method: The method asked for.
+        method: The requested method.
     """
 
     def __init__(self, path: Path | None, problem: Problem, method: str) -> None:

@@ -42,7 +42,8 @@ SETTLED = 0.3
 REACH = 3.0
 #: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
 LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
-#: Near its minimum a rough cost cannot tell a good step from none: the longest that completes is taken.
+#: Near its minimum a rough cost cannot distinguish a good step from none: the longest that completes is
+#: taken.
 BLIND_LINE = np.array([1.0, 0.5, 0.2])
 
 

@@ -43,7 +43,7 @@ class Estimate:
     Args:
         time: Time of the window's last instant [s].
         theta: Parameters, shape (d,).
-        sd: Their standard deviations in the same units, shape (d,).
+        sd: Standard deviations of theta, shape (d,).
         lower, upper: Central 90 % intervals, shape (d,).
         belief: Parameters with their covariance.
         mark: How the window was used.

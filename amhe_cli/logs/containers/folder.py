@@ -1,4 +1,4 @@
-"""From a path to the files of a log, told apart by their first bytes, never by their names."""
+"""From a path to the files of a log, recognised by their first bytes, never by their names."""
 
 from __future__ import annotations
 

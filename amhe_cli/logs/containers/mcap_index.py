@@ -45,7 +45,7 @@ class Contents:
     """What a walk over the file finds.
 
     Args:
-        pieces: In file order.
+        pieces: Pieces in file order.
         metadata: Bodies of the metadata records.
         declarations: (opcode, body) of the schemas and channels that the summary repeats.
         expected: Number of messages, where the file gives it.

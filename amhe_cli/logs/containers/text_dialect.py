@@ -42,11 +42,11 @@ class Dialect:
     """How a text table is written.
 
     Args:
-        delimiter: Between cells.
+        delimiter: Text between two cells.
         decimal_comma: Numbers are written 1,5 instead of 1.5.
         columns: All columns, in the order of the file.
         start: Byte at which the first row begins.
-        comments: What the comment lines before the first row say, without their marks.
+        comments: Comment lines before the first row, without their marks.
     """
 
     delimiter: bytes

@@ -28,7 +28,7 @@ logger = logging.getLogger(__name__)
 
 _BLOCK = 2**22
 _NULLS = sorted(case for word in MISSING for case in (word.decode(), word.decode().upper()))
-#: A longer line than this is no line of a table.
+#: A line that is longer than this does not belong to a table.
 _LONGEST_LINE = 2**20
 
 
@@ -140,7 +140,7 @@ def _parsed(text: bytes, dialect: Dialect) -> tuple[FloatArray, int]:
 
 
 def _parsed_by_line(text: bytes, dialect: Dialect) -> tuple[FloatArray, int]:
-    """As `_parsed`, for blocks with comments, ragged lines, or quoted words."""
+    """Like `_parsed`, for blocks with comments, ragged lines, or quoted words."""
     kept: list[list[bytes]] = []
     dropped = 0
     for line in text.splitlines():

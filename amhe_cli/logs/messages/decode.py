@@ -118,7 +118,7 @@ class SignalDecoder:
         self.count += batch.starts.size
 
     def samples(self) -> SignalSamples:
-        """Everything collected.
+        """Samples of all messages that were fed.
 
         Raises:
             LogError: If no message has a wanted entry or quantity.

@@ -40,13 +40,13 @@ class Field:
     """One field of a message type.
 
     Args:
-        name: Its name; those of times are ROS 2's.
+        name: Name of the field; those of times are ROS 2's.
         wire: Kind of its bytes: VARINT, FIXED64, BYTES or FIXED32.
-        dtype: Of a number; None for anything else.
-        zigzag: Its varint is zigzag encoded.
+        dtype: Dtype of a number; None for anything else.
+        zigzag: Whether its varint is zigzag encoded.
         message: Type of the message that it holds; '' for anything else.
-        text: It is a string.
-        repeated: It is a list.
+        text: Whether it is a string.
+        repeated: Whether it is a list.
         absent: Its value where a message does not have it; NaN where that means that it is unknown.
     """
 
@@ -104,7 +104,7 @@ def protobuf_types(descriptor_set: bytes) -> ProtobufTypes:
     """All message types of a FileDescriptorSet.
 
     Raises:
-        MalformedMessageError: It is none.
+        MalformedMessageError: The bytes are not such a set.
     """
     types: dict[str, Mapping[int, Field]] = {}
     for number, file in _fields(descriptor_set):

@@ -32,7 +32,7 @@ class JsonRows:
         """Layout and numbers, shape (n,), of one message.
 
         Raises:
-            MalformedMessageError: It is no JSON object, or too deep or too large.
+            MalformedMessageError: The message is not a JSON object, or it is too deep or too large.
         """
         try:
             content = json.loads(message)

@@ -22,9 +22,9 @@ def write_samples(
     """Write one message for each time at which a signal was sampled, in the order of time.
 
     Args:
-        log: Open.
-        signals: What to write, where there are samples of it; see `message_type`.
-        samples: Of these signals, and perhaps of others.
+        log: The log to write to, open.
+        signals: Signals to write, where there are samples of them; see `message_type`.
+        samples: Samples of these signals, and perhaps of others.
         stamp: Turns a time [s] into a stamp [ns].
 
     Raises:

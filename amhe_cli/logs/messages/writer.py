@@ -146,10 +146,11 @@ class LogWriter:
         Args:
             topic: As in `write`.
             stamp_ns: As in `write`.
-            position: In the world [m], shape (3,).
+            position: Position in the world [m], shape (3,).
             orientation: Unit quaternion w, x, y, z of the body in the world.
-            linear_velocity: In the world [m/s], shape (3,); stored in the child frame, as ROS wants it.
-            angular_velocity: In the body's frame [rad/s], shape (3,).
+            linear_velocity: Velocity in the world [m/s], shape (3,); stored in the child frame, as ROS wants
+                it.
+            angular_velocity: Angular velocity in the body's frame [rad/s], shape (3,).
             frame: Name of the world.
             child_frame: Name of the body.
         """
@@ -258,7 +259,7 @@ class LogWriter:
             level: `OK`, `WARN` or `ERROR`.
             text: The status in words.
             values: Numbers that go with it, by name.
-            of: The component.
+            of: Name of the component.
         """
         package = "diagnostic_msgs/msg/"
         status = self.message(

@@ -18,7 +18,7 @@ from amhe_cli.study.summary import Group, Groups
 
 #: A mean over seeds is drawn where at least this share of them is still running.
 _QUORUM = 0.5
-#: A number of the box, out of a trace, as it was believed or as it truly was.
+#: A parameter of the box from a trace, as it was believed or as it truly was.
 _Value = Callable[[Mapping[str, FloatArray], str], FloatArray]
 _SHOWN: tuple[tuple[str, _Value], ...] = (
     ("mass m [kg]", lambda trace, of: trace[f"{of}/box_mass"]),
@@ -73,7 +73,7 @@ def cost_figure(groups: Groups, tasks: Sequence[StudyTask]) -> Figure:
 
 
 def parameter_figure(groups: Groups, tasks: Sequence[StudyTask]) -> Figure:
-    """What was believed of the box, against what was true; time from the change on."""
+    """Believed parameters of the box against the true ones; time from the change on."""
     grid = Grid(len(_SHOWN) * len(tasks), len(_SHOWN), height=2.5)
     figure = room(grid)
     for row, task in enumerate(tasks):
@@ -112,7 +112,7 @@ def over_time(
     """Time [s], mean and sd over seeds (m,), where at least half of them are running.
 
     Args:
-        results: Of one group.
+        results: Results of one group.
         values: A column over a result's own time.
         origin: Time of a result that is to be zero [s].
     """
@@ -130,7 +130,7 @@ def over_time(
 
 
 def since_change(result: CellResult) -> float:
-    """When box or floor changed first [s]; 0 where nothing did."""
+    """Time of the first change of box or floor [s]; 0 where nothing changed."""
     return change_of(result) or 0.0
 
 

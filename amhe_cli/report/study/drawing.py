@@ -1,4 +1,4 @@
-"""How figures of a study are made: one look, and each as SVG for the page, PNG and PDF for elsewhere."""
+"""How figures of a study are made: in one style, and each as SVG for the page, PNG and PDF for elsewhere."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from amhe_cli.core.floor import Floor
 from amhe_cli.report.figures import INK, MUTED, Grid, styled, svg
 from amhe_cli.report.page import Section
 
-#: Of each mode, everywhere; a mode of another name is grey.
+#: Colour of each mode, everywhere; a mode of another name is grey.
 COLORS = {"true": INK, "baseline": "#d97706", "stale": "#b91c1c", "adaptive": "#2563eb"}
 TRUTH, DEFAULT, PATH = "#15803d", "#15803d", "#94a3b8"
 #: Height of the legend below the panels [inch].
@@ -22,7 +22,7 @@ _STRIP = 0.34
 
 
 class StudyTask(Protocol):
-    """What figures need to know of a task."""
+    """Properties of a task that figures need."""
 
     @property
     def name(self) -> str:
@@ -42,13 +42,13 @@ class StudyTask(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """A figure to come.
+    """A figure that is still to be drawn.
 
     Args:
-        name: Of its files.
-        title: What it shows.
-        caption: How to read it.
-        draw: Makes it.
+        name: Name of its files.
+        title: Title of the figure.
+        caption: Caption: how to read it.
+        draw: Function that draws it.
     """
 
     name: str
@@ -61,8 +61,8 @@ def drawn(drawings: Sequence[Drawing], folder: Path) -> list[Section]:
     """Draw figures, write each as PNG and PDF, and return them as sections of a page.
 
     Args:
-        drawings: What to draw.
-        folder: For the files; made where there is something to draw.
+        drawings: The figures to draw.
+        folder: Folder of the files; made where there is something to draw.
     """
     sections = []
     for drawing in drawings:
@@ -81,7 +81,7 @@ def drawn(drawings: Sequence[Drawing], folder: Path) -> list[Section]:
 
 
 def color_of(mode: str) -> str:
-    """Of a mode."""
+    """Colour of a mode."""
     return COLORS.get(mode, MUTED)
 
 
@@ -93,7 +93,7 @@ def room(grid: Grid) -> Figure:
 
 
 def legend(figure: Figure, modes: Sequence[str], *others: Line2D) -> None:
-    """One for all panels, below them: modes by their colour, and other lines."""
+    """A legend for all panels, below them: modes by their colour, and other lines."""
     lines = [Line2D([], [], color=color_of(mode), linewidth=1.8, label=mode) for mode in modes]
     handles = [*lines, *others]
     figure.legend(handles=handles, loc="lower center", ncols=len(handles), fontsize=8.5, handlelength=1.8)

@@ -44,12 +44,12 @@ _FIGURES: tuple[tuple[str, str, str, tuple[str, ...], _Draw], ...] = (
 
 
 def drawings(groups: Groups, tried: Sequence[Ablation], tasks: Mapping[str, StudyTask]) -> list[Drawing]:
-    """Those that have something to show.
+    """The figures that have something to show.
 
     Args:
-        groups: Of the study.
-        tried: Its ablations.
-        tasks: All that there are.
+        groups: Groups of the study.
+        tried: Ablations of the study.
+        tasks: All tasks.
     """
     made = []
     for name, title, caption, wanted, draw in _FIGURES:

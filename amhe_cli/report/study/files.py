@@ -22,11 +22,11 @@ from amhe_cli.study.summary import Groups, summary
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What was written, for whoever tells of it.
+    """Content of the files that were written.
 
     Args:
-        cells: Cells that brought a result.
-        failures: Title of a cell -> why it brought none.
+        cells: Number of cells with a result.
+        failures: Title of a cell -> why it has no result.
         summary: Content of summary.json.
         text: The tables, for a terminal.
     """
@@ -41,9 +41,9 @@ def write_study(store: Store, tasks: Mapping[str, StudyTask], modes: Sequence[st
     """Write summary.json, tables/, figures/ and report.html of all cells of a study.
 
     Args:
-        store: Of the study.
-        tasks: All that there are, in order.
-        modes: Likewise.
+        store: Store of the study.
+        tasks: All tasks, in order.
+        modes: All modes, in order.
     """
     results = store.results()
     groups = Groups(results, store.study.setting, tuple(tasks), modes)

@@ -1,4 +1,4 @@
-"""One table, as people and as programs read it."""
+"""A table in forms for people and for programs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 from amhe_cli.core.files import plain
 
-#: Characters that LaTeX takes for its own, and how they are written.
+#: Characters with a special meaning in LaTeX, and how they are written.
 _LATEX = {
     "\\": r"\textbackslash{}", "%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "$": r"\$",
     "±": r"$\pm$", "≤": r"$\le$", "≥": r"$\ge$", "–": "--", "×": r"$\times$", "−": "$-$",
@@ -24,11 +24,11 @@ class StudyTable:
     """Text for people, numbers for programs.
 
     Args:
-        name: Of its files.
-        title: What it shows.
-        head: Of the columns.
-        rows: As many texts each.
-        records: The same as numbers, in long form.
+        name: Name of its files.
+        title: Title of the table.
+        head: Headings of the columns.
+        rows: Rows, with one text for each column.
+        records: The same content as numbers, in long form.
         note: What a reader should know.
     """
 
@@ -41,7 +41,7 @@ class StudyTable:
 
 
 def text(table: StudyTable) -> str:
-    """For a terminal: columns side by side, the first to the left."""
+    """The table for a terminal: columns side by side, the first to the left."""
     lines = [table.head, *table.rows]
     widths = [max(len(line[i]) for line in lines) for i in range(len(table.head))]
 
@@ -54,14 +54,14 @@ def text(table: StudyTable) -> str:
 
 
 def markdown(table: StudyTable) -> str:
-    """For GitHub."""
+    """The table for GitHub."""
     lines = [table.head, ("---", *["---:"] * (len(table.head) - 1)), *table.rows]
     body = ["| " + " | ".join(line) + " |" for line in lines]
     return "\n".join((f"**{table.title}**", "", *body, *(["", table.note] if table.note else []))) + "\n"
 
 
 def latex(table: StudyTable) -> str:
-    """For a paper that loads booktabs."""
+    """The table for a LaTeX paper that loads booktabs."""
     columns = "l" + "r" * (len(table.head) - 1)
     lines = [" & ".join(map(_escaped, line)) + r" \\" for line in (table.head, *table.rows)]
     return "\n".join(
@@ -75,7 +75,7 @@ def latex(table: StudyTable) -> str:
 
 
 def comma_separated(table: StudyTable) -> str:
-    """The numbers, one row each."""
+    """The table as CSV, one row for each record."""
     out = io.StringIO()
     names = list(dict.fromkeys(name for record in table.records for name in record))
     writer = csv.DictWriter(out, names, lineterminator="\n")
@@ -85,12 +85,12 @@ def comma_separated(table: StudyTable) -> str:
 
 
 def as_json(table: StudyTable) -> str:
-    """The numbers and the title."""
+    """The table as JSON: the numbers and the title."""
     record = {"name": table.name, "title": table.title, "note": table.note, "rows": plain(table.records)}
     return json.dumps(record, indent=1, allow_nan=False) + "\n"
 
 
-#: Suffix of a file -> what is in it.
+#: Suffix of a file -> function that makes its content.
 FORMATS: Mapping[str, Callable[[StudyTable], str]] = {
     "txt": text, "md": markdown, "tex": latex, "csv": comma_separated, "json": as_json,
 }  # fmt: skip

@@ -22,7 +22,7 @@ _TRUNK = np.array([0.436, 0.154])
 
 
 def path_figure(groups: Groups, tasks: Sequence[StudyTask]) -> Figure:
-    """Where the box went, seed by seed; straight paths with their sides stretched."""
+    """The paths of the box, seed by seed; straight ones with their sides stretched."""
     grid = Grid(len(tasks), 3, height=3.3)
     figure = room(grid)
     for index, task in enumerate(tasks):
@@ -81,6 +81,6 @@ def _box_size(group: Group, task: StudyTask) -> FloatArray:
 def _outline(
     axes: Axes, trace: Mapping[str, FloatArray], row: int, size: FloatArray, what: str, **style: Any
 ) -> None:
-    """A rectangle where a body stood."""
+    """Draw the outline of a body in one row of a trace."""
     x, y, yaw = (trace[f"{what}_{name}"][row] for name in ("x", "y", "yaw"))
     axes.plot(*outline(np.array([x, y]), yaw, (size[0], size[1])), **style)

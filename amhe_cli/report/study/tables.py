@@ -30,7 +30,7 @@ SIGNS: dict[str, tuple[str, str, int]] = {
 
 
 def tables(groups: Groups, found: list[Ablation], judged: list[Goal]) -> list[StudyTable]:
-    """All that have a row."""
+    """All tables that have a row."""
     made = (
         table_1(groups),
         table_2(groups),
@@ -44,13 +44,13 @@ def tables(groups: Groups, found: list[Ablation], judged: list[Goal]) -> list[St
 
 
 def label(name: str) -> str:
-    """'e_g [m]'."""
+    """Label of a measure with its unit: 'e_g [m]'."""
     sign, unit, _ = SIGNS[name]
     return sign if unit == "-" else f"{sign} [{unit}]"
 
 
 def mean_sd(name: str, spread: Spread) -> str:
-    """'0.028 ± 0.005'; of a rate percent."""
+    """Mean and sd: '0.028 ± 0.005'; of a rate, percent."""
     return _with_sd(name, spread.mean, spread.sd)
 
 
@@ -93,7 +93,7 @@ def table_2(groups: Groups) -> StudyTable:
 
 
 def measures(groups: Groups) -> StudyTable:
-    """Everything that is measured, at the operating point."""
+    """All measures, at the operating point."""
     rows, records = [], []
     for group in groups.at_base():
         shown = [_rate(group.spread(name)) for name in ("success", "on_time")]
@@ -142,7 +142,7 @@ def differences(groups: Groups) -> StudyTable:
 
 
 def goal_table(judged: list[Goal]) -> StudyTable:
-    """What was to be reached."""
+    """The goals, and whether they are reached."""
     rows = []
     for goal in judged:
         sign, unit, digits = SIGNS[goal.measure]
@@ -160,7 +160,7 @@ def goal_table(judged: list[Goal]) -> StudyTable:
 
 
 def estimate_table(groups: Groups) -> StudyTable:
-    """How good the online estimates were."""
+    """Accuracy of the online estimates."""
     found = [told for group in groups.at_base() if (told := estimates(group))]
     rows = [
         (
@@ -184,7 +184,7 @@ def estimate_table(groups: Groups) -> StudyTable:
 
 
 def ablation_table(found: list[Ablation]) -> StudyTable:
-    """Every value that was tried, the operating point marked."""
+    """Every value that was tried, with the operating point marked."""
     rows, records = [], []
     for ablation in found:
         for index, (value, group) in enumerate(zip(ablation.values, ablation.groups, strict=True)):

@@ -112,7 +112,7 @@ class Plant:
     def _step(self) -> None:
         mujoco.mj_step(self.model, self._data)
         self._steps += 1
-        # MuJoCo resets a diverged simulation and goes on: only the warning tells.
+        # MuJoCo resets a diverged simulation and goes on: only the warning shows it.
         if any(self._data.warning[kind].number for kind in _FATAL) or not np.isfinite(self._data.qpos).all():
             raise SimulationError(f"the plant diverged at {self.time:.3f} s: its state is not a number")
         box_x = float(self._data.qpos[self._at.box][0])

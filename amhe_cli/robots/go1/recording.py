@@ -42,9 +42,9 @@ def recorder_of(run: Run, path: Path) -> Recorder:
         "target": options.target,
         "version": __version__,
     }
-    if measured(run.task):  # so that whoever reads the log has the same model
+    if measured(run.task):  # so that the reader of the log has the same model
         metadata["overrides"] = json.dumps(measured(run.task))
-    if run.first_truth and not run.task.changes:  # what changes has no one true value; /amhe/truth tells it
+    if run.first_truth and not run.task.changes:  # values that change are in /amhe/truth
         metadata["truth"] = json.dumps(run.first_truth)
     signals = (*run.system.signals, _IMU)
     return Recorder(path, signals, metadata, attachments(run.system), TaskMessages(run.task))

@@ -47,7 +47,7 @@ _USES = ("start", "sensors", "samples", "estimator")
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What the user asked `amhe run` for.
+    """Options of `amhe run`.
 
     Args:
         task: Name of the task.

@@ -45,7 +45,7 @@ class State:
         time: Time of the instant [s].
         trunk, box: Pose and twist of each.
         joints: Joint angles in the order of `kinematics.JOINTS` [rad], shape (12,).
-        joint_rates: Their rates [rad/s], shape (12,).
+        joint_rates: Joint velocities [rad/s], shape (12,).
     """
 
     time: float

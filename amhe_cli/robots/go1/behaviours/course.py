@@ -45,7 +45,7 @@ class Course:
 
     @property
     def goal(self) -> FloatArray:
-        """Last point [m], shape (2,)."""
+        """Last point of the path [m], shape (2,)."""
         return self.points(np.array([self.length]))[0]
 
     def tapered(self, progress: FloatArray | float, taper: float) -> float:

@@ -76,7 +76,7 @@ class Gait:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LegTargets:
-    """What a gait asks for; the leading axes are those of time and command.
+    """Targets of a gait; the leading axes are those of time and command.
 
     Args:
         targets: Joint targets, force lead included [rad], shape (..., 12).
@@ -204,9 +204,9 @@ def stance_weights(feet: FloatArray, load: FloatArray, centre: FloatArray) -> Fl
     gets. Shares are never negative: feet do not stick.
 
     Args:
-        feet: Places [m], shape (..., 4, 2 or 3).
+        feet: Places of the feet [m], shape (..., 4, 2 or 3).
         load: How much each foot may carry, 0 in the air to 1, at least one above 0; shape (..., 4).
-        centre: The point that the weight acts through [m], shape (..., 2).
+        centre: Point that the weight acts through [m], shape (..., 2).
 
     Returns:
         Shares, shape (..., 4).

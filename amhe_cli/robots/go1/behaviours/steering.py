@@ -24,7 +24,7 @@ _LONGEST = 0.05
 class Pacing:
     """How much more speed to command: soft feet, slip and gears make a robot slower than its model.
 
-    The planner never learns of it. So the missing share of the speed is integrated, as offset-free MPC does
+    The planner does not know of it. So the missing share of the speed is integrated, as offset-free MPC does
     with disturbances that its model lacks (Maeder, Borrelli and Morari 2009).
 
     Args:
@@ -117,7 +117,7 @@ class Helm:
         path: Path of the box.
         speed: Commanded speed [m/s].
         taper: Last distance of the path over which the speed goes to zero [m].
-        half_length, half_width: Of the box along and across the push [m].
+        half_length, half_width: Half the extent of the box along and across the push [m].
         steering, retreat: Gains and thresholds.
     """
 
@@ -137,7 +137,7 @@ class Helm:
         self.retreating = False
 
     def on_path(self, state: State) -> Reference:
-        """The fixed path reference: what the task asks for, whatever can be done about it."""
+        """The fixed path reference: what the task demands, whether or not it can be done."""
         return self._on_path(state, self._path.place(state.box.position[:2]))
 
     def _on_path(self, state: State, place: Place) -> Reference:

@@ -62,7 +62,7 @@ def stand_on_three(
     """Shift the trunk, lift the leg, and from then on put the free foot where `foot` says.
 
     Places are in the frame of the trunk *before* the shift: that frame stays with the three feet. Those of
-    the result are in the trunk's frame, as ever.
+    the result are in the trunk's frame, as always.
 
     Args:
         gait: Height and servo gain; the rest is not used.
@@ -133,6 +133,6 @@ def _from_trunk(places: FloatArray, moved: FloatArray, turn: FloatArray) -> Floa
 
 
 def _smooth(share: FloatArray) -> FloatArray:
-    """From 0 to 1 without a jerk, clipped outside."""
+    """A smooth step from 0 to 1, clipped outside."""
     x = np.clip(share, 0.0, 1.0)
     return x * x * (3.0 - 2.0 * x)

@@ -37,14 +37,14 @@ class Pipe:
         self.open = True
 
     def fileno(self) -> int:
-        """For `select`, and for signals to be written to."""
+        """Descriptor of the pipe: for `select`, and for signals to be written to."""
         return self._end.fileno()
 
     def send(self, message: bytes) -> bool:
         """Hand a message over; False where the other side is gone, or so far behind that it is dropped."""
         try:
             self._end.send(message)
-        except OSError:  # what it said before it went can still be read
+        except OSError:  # what it sent before it ended can still be read
             return False
         return True
 
@@ -55,7 +55,7 @@ class Pipe:
                 message = self._end.recv(_LONGEST)
             except BlockingIOError:
                 return
-            except ConnectionResetError:  # told once, where something of ours was left unread
+            except ConnectionResetError:  # raised once, if the other side left a message of ours unread
                 continue
             except OSError:
                 message = b""

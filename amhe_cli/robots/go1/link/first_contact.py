@@ -50,12 +50,12 @@ class Share:
 class Contact:
     """Counts what arrives before anything moves, and times echoes.
 
-    A state tells each motor's mode. Servo mode without gains and damping mode both leave a motor alone, so
+    A state contains each motor's mode. Servo mode without gains and damping mode both leave a motor alone, so
     that switching from one to the other moves nothing, and the echo gives the round-trip time.
 
     Attributes:
         mode: Mode to command now.
-        driven: Somebody else drives the motors.
+        driven: Whether another program drives the motors.
         pace: Recent seconds of the robot's clock per second of ours; 0: not known yet.
     """
 

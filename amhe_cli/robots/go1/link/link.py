@@ -82,7 +82,7 @@ class Link:
                 self._child = Child("amhe_cli.robots.go1.link.sender", given, files)
             opening.callback(self._child.end, 5.0 * self._clock.slow)
             if threading.current_thread() is threading.main_thread():
-                # the signal itself tells the sender, even while our thread is deep in a rollout
+                # the signal itself informs the sender, even while our thread is deep in a rollout
                 descriptor = self._child.pipe.fileno()
                 before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
                 opening.callback(signal.set_wakeup_fd, before)

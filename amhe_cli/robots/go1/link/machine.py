@@ -44,7 +44,7 @@ class Inbox:
         plan: Newest plan.
         plan_time: Time at which it arrived [s].
         pose_time: Time of the older one of the newest poses of trunk and box [s].
-        stand, arm, finish: The operator, or the program, wants this.
+        stand, arm, finish: Whether the operator, or the program, wants this.
         stop: Why motors are to be damped at once; '' if they are not.
     """
 
@@ -95,7 +95,7 @@ class Machine:
 
         Args:
             now: Present time [s].
-            inbox: What is known.
+            inbox: All that is known at this tick.
         """
         if inbox.state is not None:
             self._count_power(inbox.state)

@@ -38,7 +38,7 @@ class WireOptions:
     """How robot and motion capture are reached.
 
     Args:
-        host, port: Of the robot.
+        host, port: Address of the robot.
         pose: Protocol of motion capture.
         pose_host, pose_port: Address of motion capture, see `FeedOptions`; None: the default of the protocol.
         slow: How many times slower an emulated robot runs.

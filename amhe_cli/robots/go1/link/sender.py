@@ -1,4 +1,4 @@
-"""The process that talks to the robot: a packet every 2 ms, whatever planner and estimator do meanwhile.
+"""The process that sends to the robot: a packet every 2 ms, whatever planner and estimator do meanwhile.
 
     python -m amhe_cli.robots.go1.link.sender CHANNEL
 
@@ -153,7 +153,7 @@ class Sender:
                 self._contact.see_strange(datagram)
                 continue
             self._inbox.bad_packets = 0
-            if read.tick != self._tick:  # a robot whose clock stands still tells nothing new
+            if read.tick != self._tick:  # a robot whose clock stands still gives no new information
                 self._take(read, arrival)
 
     def _take(self, read: RobotState, arrival: float) -> None:
@@ -166,7 +166,7 @@ class Sender:
             if self._contact.driven:
                 raise DrivenError(_DRIVEN)
         if read.tick % _PASS_ON == 0:
-            # what is sent is some time on its way: those that the robot followed when it told its state
+            # packets take time to arrive: take those that the robot followed when it sent its state
             followed = self._sent.by(time - 0.5 * self._contact.round_trip)
             sample = _sample(time, self._machine.phase, read, followed)
             self._pipe.send(mail.sample_message(sample))

@@ -66,7 +66,7 @@ def check_pivot(body: Pose, true: Pose, size: FloatArray, of: str) -> None:
     """Refuse a rigid body that cannot be on the body that stands there.
 
     Args:
-        body: Its pose by motion capture.
+        body: Pose of the rigid body by motion capture.
         true: True pose of the body that carries it.
         size: Edge lengths of that body [m], shape (3,).
         of: Name of that body.

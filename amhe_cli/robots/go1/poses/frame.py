@@ -92,7 +92,7 @@ def check_place(box: FloatArray, wanted: FloatArray, tolerance: float) -> None:
     """Refuse a box that is not where the task puts it.
 
     Args:
-        box: Its centre in the task's frame [m], shape (3,).
+        box: Centre of the box in the task's frame [m], shape (3,).
         wanted: Where it should be, shape (3,).
         tolerance: Largest distance [m].
 

@@ -25,7 +25,7 @@ class Sighting:
 
     Args:
         body: Name of the body.
-        position: [m], shape (3,).
+        position: Position [m], shape (3,).
         orientation: Unit quaternion w, x, y, z, shape (4,).
         stamp: Time stamp on the source's own clock [s]; None: it gives none.
         age: Time from the exposure to the sending, as far as the source gives it [s].

@@ -43,7 +43,7 @@ class UdpPoses:
 
     Args:
         host: Address of this computer to listen on.
-        port: To listen on.
+        port: Port to listen on.
     """
 
     def __init__(self, host: str, port: int) -> None:

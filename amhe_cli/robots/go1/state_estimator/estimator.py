@@ -79,7 +79,7 @@ class StateEstimator:
     """Pose and twist of trunk and box, joints and joint rates, once in a control cycle.
 
     Args:
-        standing: Tells which feet should stand at times [s] (m,), shape (m, 4).
+        standing: Function that says which feet should stand at times [s] (m,), shape (m, 4).
         noise: Noise of sensors and motion.
     """
 
@@ -99,7 +99,7 @@ class StateEstimator:
         return not (self._trunk is None or self._box is None or self._joints is None)
 
     def update(self, time: float, measured: Samples) -> State:
-        """Take in what was measured since the last call, and estimate the state at a time [s].
+        """Take in the measurements since the last call, and estimate the state at a time [s].
 
         Raises:
             ValueError: Not `ready`. The measurements are taken in all the same.
@@ -119,7 +119,7 @@ class StateEstimator:
         """Robot and box at a time [s], from all measurements so far.
 
         Raises:
-            ValueError: Not `ready`.
+            ValueError: The estimator is not `ready`.
         """
         if self._trunk is None or self._box is None or self._joints is None or self._gyro is None:
             raise ValueError("no state yet: trunk, box and joints must each have been measured once")
