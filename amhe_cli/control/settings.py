@@ -35,4 +35,4 @@ class ControlSettings(SettingsGroup):
     sigma_range: Range = (0.25, 1.5)
     """Bounds of the refined sigma, as multiples of its start."""
     temperature: Positive = 0.1
-    """Of MPPI's weights, in units of (median - least) cost: the same for cheap and dear situations."""
+    """Temperature of MPPI's weights, in units of (median - least) cost: the same for any scale of costs."""

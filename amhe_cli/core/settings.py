@@ -148,11 +148,11 @@ class MheSettings(SettingsGroup):
     """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing, but
     for one that shows a jump: a light box that turns out to be a heavy one hardly answers to samples."""
     jump: Positive = 3.0
-    """A window whose own estimate is this many sd from the belief shows a jump."""
+    """A window whose own estimate is this many sd from the belief indicates a jump."""
     jump_windows: Annotated[int, Field(ge=1)] = 1
-    """So many in a row must: single ones may be a contact that was missed."""
+    """Number of such windows in a row that count as a jump: a single one may be a contact that was missed."""
     jump_sd: Positive = 0.6
-    """What a jump adds to each sd, in sd of the system's prior, before its window is learnt from."""
+    """Sd that a jump adds to each parameter, in sd of the system's prior, before the update by its window."""
     information: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Share of a window's information that linearised counts; less than all where first states are taken as
     recorded: their errors bend a whole window one way, which no residual's noise shows."""
@@ -188,7 +188,7 @@ class ProbeSettings(SettingsGroup):
     """The design of `amhe probe`."""
 
     pairs: Annotated[int, Field(ge=0)] = 1
-    """Pairs of draws of the belief, beside its mean, that the information is averaged over."""
+    """Pairs of draws of the belief, in addition to its mean, that the information is averaged over."""
     candidates: Annotated[int, Field(ge=1)] = 12
     """Random multisines to choose from, where actuators are driven as they are."""
 

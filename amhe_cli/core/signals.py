@@ -43,7 +43,7 @@ class Signal:
         quantities: Quantities to read, keys of QUANTITIES. A velocity that the topic does not carry is
             differentiated from the position or orientation that it does.
         type: ROS message type such as 'nav_msgs/msg/Odometry'; None takes the type in the log.
-        names: Of messages with named entries (JointState, JointTrajectory): the entries to read,
+        names: For messages with named entries (JointState, JointTrajectory): the entries to read,
             as the log calls them, in column order. Empty: all, in the order of the first message.
         child_frame: Name of the body's frame. Of a TFMessage the one transform that is wanted; a log that is
             written has it in its Odometry and Imu messages.

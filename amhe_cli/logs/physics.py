@@ -64,7 +64,7 @@ def twist_looks_global(times: FloatArray, values: Mapping[str, FloatArray], turn
 
     Args:
         times: Stamps [s], shape (m,).
-        values: Its position and linear_velocity as logged, shape (m, 3).
+        values: Position and linear_velocity as logged, shape (m, 3).
         turned: The velocity turned into the world as ROS defines it, shape (m, 3).
     """
     known = np.isfinite(values["position"]).all(axis=1) & np.isfinite(turned).all(axis=1)

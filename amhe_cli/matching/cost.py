@@ -59,7 +59,7 @@ class MatchingCost:
         system: What to compare, and how.
         windows: The clips; every candidate is rolled out on all of them.
         engine: The rollout engine.
-        settings: Robustness.
+        settings: Settings of the robust loss and of trimming.
         noise_scale: Channel -> factor on its declared noise sd, where the data showed another.
     """
 
@@ -158,7 +158,7 @@ def whitened(observed: Observed, predicted: AnyArray) -> AnyArray:
         predicted: What p candidates predict, shape (p, c, samples, columns).
 
     Returns:
-        Shape (p, c, samples, k); 0 where nothing was measured.
+        Residuals, shape (p, c, samples, k); 0 where nothing was measured.
     """
     xp = namespace_of(predicted)
     measured, scale = xp.asarray(observed.measured), xp.asarray(observed.mask[..., None] / observed.noise)

@@ -69,7 +69,7 @@ def _position(channel: Channel, window: Window, reach: float) -> FloatArray:
 def _velocity(channel: Channel, window: Window) -> FloatArray:
     """Velocity of one channel at a window's start, shape (columns,).
 
-    It is the slope of the positions where the channel asks for that: a velocity that was filtered on the
+    It is the slope of the positions where the channel demands that: a velocity that was filtered on the
     robot lags the motion.
     """
     recorded = _recorded(channel, window)

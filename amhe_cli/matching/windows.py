@@ -45,7 +45,7 @@ class Clips:
 
     Args:
         windows: The windows.
-        starts: Their first states and inputs, for an engine.
+        starts: First states and inputs of the windows, for an engine.
         observed: What the compared channels measured.
         counts: Number of scalar measurements in each clip, shape (c,); at least 1.
     """

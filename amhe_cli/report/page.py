@@ -53,7 +53,7 @@ class Section:
     """A titled part of a page; everything below the title is optional and shown in this order.
 
     Args:
-        title: Its heading.
+        title: Heading of the section.
         text: A paragraph.
         legend: The entries of a legend.
         table: A table.
@@ -121,7 +121,7 @@ class Page:
     origin: Origin
 
     def html(self) -> str:
-        """The page as a file of its own."""
+        """The page as HTML that needs no other file."""
         return template("page.html.j2").render(page=self)
 
 

@@ -136,7 +136,7 @@ def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence
         cells: Cells to run.
 
     Raises:
-        ConfigError: The folder holds something, or a study that this one must not be mixed with.
+        ConfigError: The folder is not empty, or holds a study that this one must not be mixed with.
     """
     if folder.is_file():
         raise ConfigError(f"{folder}: is a file; -o needs a folder")

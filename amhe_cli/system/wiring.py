@@ -141,7 +141,7 @@ def _kind(quantity: str) -> Literal["linear", "rotation"]:
 
 
 def names_of_log(names: list[str] | Mapping[str, str] | None) -> tuple[list[str], list[str]]:
-    """The model's names and the log's."""
+    """Names of the elements in the model, and in the log."""
     if isinstance(names, Mapping):
         return list(names), list(names.values())
     return list(names or ()), list(names or ())

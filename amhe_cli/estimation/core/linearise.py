@@ -87,7 +87,7 @@ def linearise(
 
     Args:
         cost: The matching cost on c clips.
-        z: The place, shape (d,).
+        z: Where to linearise, shape (d,).
         first: What is known of the first-state errors.
         shape: Samples are z + shape w with w of unit variance, shape (d, d).
         samples: Number of candidates; raised to two for each unknown of the regression.

@@ -78,7 +78,7 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     wrong = space.in_z([setting.model_error.get(name, 0.0) for name in space.names])
     extra = systematic(fit.posterior, compared, shifts) + rough + wrong**2
     wider = np.sqrt(1.0 + extra * problem.active / np.diag(own))
-    covariance = own * np.outer(wider, wider)  # what is known together stays so
+    covariance = own * np.outer(wider, wider)  # widening changes no correlation
     points = 0 if hurried else setting.profile_points
     return Evidence(
         z=finding.z,

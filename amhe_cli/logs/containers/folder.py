@@ -37,7 +37,7 @@ class StoredLog:
 
     Args:
         path: The path that the user gave.
-        files: Its parts, in order.
+        files: Parts of the log, in order.
         notes: Defects of the folder, in words.
         packed: Each message is compressed by itself (rosbag2's compression mode 'message').
     """

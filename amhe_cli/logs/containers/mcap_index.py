@@ -234,7 +234,7 @@ def _split(data: mmap, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
     """Opcode, start and end of each record's body.
 
     Raises:
-        ValueError: Where a record does not end within the bytes that there are.
+        ValueError: A record does not end within the bytes that there are.
     """
     position = start
     while position < stop:

@@ -37,7 +37,7 @@ def blocks(path: Path, dialect: Dialect, problems: list[str]) -> Iterator[FloatA
 
     Args:
         path: The file.
-        dialect: As `dialect_of` found it.
+        dialect: Form of the table, as `dialect_of` found it.
         problems: Takes a line for each kind of damage, once the last block has been read.
     """
     done = dropped = passed = 0

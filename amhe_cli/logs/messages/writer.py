@@ -144,8 +144,8 @@ class LogWriter:
         """Write a nav_msgs/Odometry.
 
         Args:
-            topic: As in `write`.
-            stamp_ns: As in `write`.
+            topic: Topic, as in `write`.
+            stamp_ns: Stamp [ns], as in `write`.
             position: Position in the world [m], shape (3,).
             orientation: Unit quaternion w, x, y, z of the body in the world.
             linear_velocity: Velocity in the world [m/s], shape (3,); stored in the child frame, as ROS wants
@@ -255,7 +255,7 @@ class LogWriter:
         """Write a diagnostic_msgs/DiagnosticArray on /diagnostics with the status of one component.
 
         Args:
-            stamp_ns: As in `write`.
+            stamp_ns: Stamp [ns], as in `write`.
             level: `OK`, `WARN` or `ERROR`.
             text: The status in words.
             values: Numbers that go with it, by name.

@@ -102,7 +102,7 @@ def _joints(spec: mujoco.MjSpec, file: str) -> tuple[str, ...]:
 
 
 def _hip_above_knee(hips: list[str], thighs: list[str]) -> None:
-    """Where a file calls one joint abduction and the next one hip, that hip is our thigh."""
+    """Take a joint called abduction as our hip, and the hip after it as our thigh."""
     plain = [name for name in hips if _bare(name).endswith("hip")]
     if not thighs and len(hips) == 2 and len(plain) == 1:
         hips.remove(plain[0])

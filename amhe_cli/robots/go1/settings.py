@@ -22,64 +22,64 @@ _Offset = tuple[float, float, float, float, float, float]
 
 
 class TripSettings(SettingsGroup):
-    """What ends a run; ages are a little below the 50, 100 and 200 ms in which motors must be told.
+    """Thresholds that end a run; ages are just below the 50, 100 and 200 ms within which motors must react.
 
     No bound is so wide that a trip could be switched off by it.
     """
 
     state_age: Annotated[float, Field(ge=0.02, le=0.5)] = 0.045
-    """No new state of the robot for so long [s]: motors damped."""
+    """Longest time without a new state of the robot [s]; then motors are damped."""
     plan_age: Annotated[float, Field(ge=0.04, le=1)] = 0.09
-    """No new plan [s]: hold, sit, then motors damped."""
+    """Longest time without a new plan [s]; then the robot holds, sits down, and its motors are damped."""
     pose_age: Annotated[float, Field(ge=0.02, le=1)] = 0.19
-    """No new pose of trunk or box [s]: hold, sit, then motors damped."""
+    """Longest time without a new pose of trunk or box [s]; then as for `plan_age`."""
     tilt: Annotated[float, Field(ge=0.2, le=1.3)] = 0.9
-    """Of the trunk, by the IMU [rad]."""
+    """Largest tilt of the trunk, by the IMU [rad]."""
     joint_speed: tuple[_Speed, _Speed, _Speed] = (25.0, 25.0, 18.0)
-    """Of hip, thigh and calf [rad/s]."""
+    """Largest speed of hip, thigh and calf [rad/s]."""
     power: Annotated[float, Field(ge=50, le=2000)] = 700.0
-    """Sum over the motors of |torque x speed| [W] ..."""
+    """Largest sum over the motors of |torque x speed| [W] ..."""
     power_ticks: Annotated[int, Field(ge=1, le=50)] = 6
-    """... in so many states one after the other, as the vendor's own PowerProtect counts."""
+    """... in this many states, counted as by the vendor's own PowerProtect."""
     temperature: Annotated[float, Field(ge=30, le=85)] = 75.0
-    """Of the hottest motor [deg C]; nobody publishes a limit, this one is ours."""
+    """Highest temperature of a motor [deg C]; nobody publishes a limit, this one is ours."""
     charge: Annotated[float, Field(ge=5, le=100)] = 15.0
     """Least charge of the battery [%]."""
     target_jump: Annotated[float, Field(ge=0.05, le=1)] = 0.5
-    """Between the targets in force and a new plan [rad]; less is blended over 20 ms, 0.05 rad a packet."""
+    """Largest step from the targets in force to a new plan [rad]; it is blended over 20 ms."""
     position_margin: Annotated[float, Field(ge=0, le=0.3)] = 0.05
     """How far a joint may be beyond the limits of commands [rad], once the robot stands."""
     bad_packets: Annotated[int, Field(ge=1, le=100)] = 20
-    """Damaged datagrams in a row."""
+    """This many damaged datagrams in a row end a run."""
     share: Annotated[float, Field(ge=0.6, le=0.95)] = 0.8
-    """Of the robot's last 200 states that must have come; a second program takes about half of them."""
+    """Least share of the robot's last 200 states that must arrive; a second program takes about half."""
 
 
 class Go1Settings(SettingsGroup):
     """The real robot."""
 
     rate: Annotated[float, Field(ge=100, le=1000)] = 500.0
-    """Packets a second to the robot [Hz]."""
+    """Rate of packets to the robot [Hz]."""
     crc: Literal["plain", "encrypted"] = "plain"
     """Form of the commands' checksum: EDU robots take the plain one."""
     kp: Annotated[float, Field(gt=0, le=100)] = 60.0
     """Gain of position control [N m/rad]: that of the planner's model."""
     kd: tuple[_Damping, _Damping, _Damping] = (2.0, 3.0, 3.0)
-    """Of hip, thigh and calf [N m s/rad]: the planner's 1, and that of its model's own joints."""
+    """Damping of hip, thigh and calf [N m s/rad]: the planner's 1, and that of its model's own joints."""
     torque_share: _Share = 0.7
-    """Targets are clipped so that position control asks for no more than this share of the torque limit."""
+    """Largest share of the torque limit that position control may demand; targets are clipped accordingly."""
     damping: Annotated[float, Field(ge=0.5, le=10)] = 3.0
-    """kd of damped motors [N m s/rad]."""
+    """Damping gain kd of damped motors [N m s/rad]."""
     gain_time: Positive = 2.0
-    """In which gains rise from zero, before standing up [s]."""
+    """Time in which gains rise from zero, before standing up [s]."""
     stand_speed: Annotated[float, Field(gt=0, le=3)] = 0.5
-    """Fastest joint while standing up [rad/s]."""
+    """Highest speed of a joint while standing up [rad/s]."""
     sit_time: Annotated[float, Field(gt=0, le=10)] = 2.5
-    """[s]."""
+    """Time in which the robot sits down [s]."""
     hold_time: Annotated[float, Field(ge=0, le=1)] = 0.1
-    """Standing still between a lost plan or pose and sitting down [s]; two feet may be in the air."""
+    """Time of standing still between a lost plan or pose and sitting down [s]; two feet may be in the air."""
     damp_time: Annotated[float, Field(ge=0.3)] = 1.5
-    """Motors are damped at least so long before the sender ends [s]."""
+    """Least time for which motors are damped before the sender ends [s]."""
     connect_time: Positive = 3.0
     """Longest wait for the robot, and for motion capture [s]."""
     arm: Literal["operator", "auto"] = "operator"
@@ -87,17 +87,17 @@ class Go1Settings(SettingsGroup):
     trunk: str = "go1"
     """Name of the trunk's rigid body."""
     box: str = "box"
-    """Name of the box's."""
+    """Name of the box's rigid body."""
     trunk_offset: _Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     """Trunk frame in the rigid body's frame: position [m], rotation vector [rad]."""
     box_offset: _Offset = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    """Centre of the box in its rigid body's frame, likewise."""
+    """Centre of the box in its rigid body's frame: position [m], rotation vector [rad]."""
     world: Literal["trunk", "mocap"] = "trunk"
     """The task's frame: under the trunk along its heading before it stands up, or motion capture's own."""
     place_tolerance: Annotated[float, Field(gt=0, le=0.5)] = 0.15
-    """How far the box may be from where the task has it, before anything moves [m]."""
+    """Largest distance of the box from where the task puts it, before anything moves [m]."""
     pose_delay: Annotated[float, Field(ge=0)] = 0.0
-    """Age of poses when they arrive, beside what the source itself tells [s]."""
+    """Age of poses when they arrive, in addition to the age that the source itself gives [s]."""
     trips: TripSettings = TripSettings()
 
 
@@ -131,7 +131,7 @@ def settings_of(system: System) -> PushSettings:
 
 
 def deviations(settings: Go1Settings) -> str:
-    """What is not as it comes: 'go1.kp 20 (60), go1.trips.tilt 1.2 (0.9)'; '' where all is."""
+    """Settings that differ from their defaults: 'go1.kp 20 (60), go1.trips.tilt 1.2 (0.9)'; '' if none."""
     return ", ".join(_deviations(settings, Go1Settings(), "go1"))
 
 

@@ -50,25 +50,25 @@ class PushWeights:
     """Weights of the terms of walking and pushing; in 1 / (unit of the term)^2."""
 
     box_speed: float = 300.0
-    """(Box's speed along the heading - reference) [m/s]."""
+    """Weight of (box's speed along the heading - reference) [m/s]."""
     robot_speed: float = 100.0
-    """(Trunk's speed ahead in its own heading - reference) [m/s]."""
+    """Weight of (trunk's speed ahead in its own heading - reference) [m/s]."""
     box_left: float = 20.0
-    """Box's distance from the line [m]."""
+    """Weight of the box's distance from the line [m]."""
     robot_left: float = 60.0
-    """Distance of the bumper's middle from where it is to push [m]."""
+    """Weight of the distance between the bumper's middle and the place where it should push [m]."""
     yaw: float = 100.0
-    """Robot's yaw [rad]."""
+    """Weight of the error of the robot's yaw [rad]."""
     box_yaw: float = 60.0
-    """Box's yaw [rad]."""
+    """Weight of the error of the box's yaw [rad]."""
     height: float = 200.0
-    """Trunk's height [m]."""
+    """Weight of the error of the trunk's height [m]."""
     tilt: float = 60.0
-    """Sine of the trunk's roll and pitch."""
+    """Weight of the sine of the trunk's roll and pitch."""
     box_tilt: float = 300.0
-    """The same of the box."""
+    """Weight of the sine of the box's roll and pitch."""
     knots: float = 0.5
-    """Knots: how far the joint targets leave the gait's [rad]."""
+    """Weight of the knots: how far the joint targets leave the gait's [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,25 +76,25 @@ class SweepWeights:
     """Weights of the terms of pushing with one leg; in 1 / (unit of the term)^2."""
 
     box_speed: float = 300.0
-    """(Box's speed along its path - reference) [m/s]."""
+    """Weight of (box's speed along its path - reference) [m/s]."""
     robot_speed: float = 20.0
-    """Trunk's speed, which is to be none [m/s]."""
+    """Weight of the trunk's speed, which should be zero [m/s]."""
     box_left: float = 100.0
-    """Box's distance from the line [m]."""
+    """Weight of the box's distance from the line [m]."""
     box_yaw: float = 20.0
-    """Box's yaw [rad]."""
+    """Weight of the error of the box's yaw [rad]."""
     height: float = 200.0
-    """Trunk's height [m]."""
+    """Weight of the error of the trunk's height [m]."""
     tilt: float = 60.0
-    """Sine of the trunk's roll and pitch."""
+    """Weight of the sine of the trunk's roll and pitch."""
     box_tilt: float = 300.0
-    """The same of the box."""
+    """Weight of the sine of the box's roll and pitch."""
     trunk_place: float = 1500.0
-    """Trunk from where it should lean to [m]; in plans only."""
+    """Weight of the trunk's distance from where it should lean to [m]; in plans only."""
     trunk_turn: float = 40.0
-    """The same of its yaw [rad]."""
+    """Weight of the error of the trunk's yaw against its lean [rad]; in plans only."""
     knots: float = 0.5
-    """Knots: how far the joint targets leave the reference's [rad]."""
+    """Weight of the knots: how far the joint targets leave the reference's [rad]."""
 
 
 def lean_terms(weights: SweepWeights, trunk: Body, lean: FloatArray) -> dict[str, FloatArray]:

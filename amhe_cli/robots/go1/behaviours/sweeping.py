@@ -36,15 +36,14 @@ class SweepShape:
         speed: Speed of foot and box [m/s].
         reach: The foot goes no further to the side than this [m].
         lean: Trunk at full reach: ahead and left of where the leg was lifted [m], and its turn [rad].
-        lean_ahead: The trunk leans as if the foot were so much further along [m], as it lags behind its
-            targets.
+        lean_ahead: The trunk leans as if the foot were so much further along [m]: it lags its targets.
         lean_time: Time over which the lean sets in after the sweep has begun [s].
         back_first: How much earlier the trunk goes back than it leans aside: backwards is where the triangle
             is wide.
-        lead: The foot's target is where it would be so much later [s]: the servo's damping over its gain.
+        lead: Time by which the foot's target leads the foot [s]: the servo's damping over its gain.
         yaw_gain: How far beside the box's middle to push, per turn of the box [m/rad], up to `yaw_limit` [m].
-        leash: The foot's target is never further from the foot than this [m]: a soft servo pushes with little
-            more than the force that the belief, and the plan's channel, ask of it.
+        leash: Largest distance of the foot's target from the foot [m]: so a soft servo pushes with little
+            more than the force that the belief, and the plan's channel, demand.
         kick_leash: The same as `leash`, in the kick and on the way back [m].
         kick: Speed over the last `kick_length` [m] of the reach [m/s]: the box slides on by itself.
         margin: Nearer to the edge of the three feet's triangle than this, the trunk first comes back [m].

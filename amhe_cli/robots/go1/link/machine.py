@@ -91,7 +91,7 @@ class Machine:
     _power_tick: int = -1
 
     def step(self, now: float, inbox: Inbox) -> MotorCommand:
-        """The command of this tick.
+        """Compute the command of this tick.
 
         Args:
             now: Present time [s].

@@ -15,23 +15,23 @@ class Phase(IntEnum):
     """What the sender is doing; only later ones follow."""
 
     CONNECT = 0
-    """Packets that do nothing, so that states come."""
+    """Packets that do nothing are sent, so that the robot sends its state."""
     HOLD = 1
     """Gains rise about the joints' present angles."""
     STAND = 2
-    """Slowly by the folded pose to standing."""
+    """The robot moves slowly by the folded pose to standing."""
     READY = 3
-    """Stands, and waits for the operator."""
+    """The robot stands, and waits for the operator."""
     RUN = 4
-    """Plays plans."""
+    """The robot follows plans."""
     PAUSE = 5
-    """Plan or poses are lost: stands still where it is."""
+    """Plan or poses are lost: the robot stands still where it is."""
     SIT = 6
-    """Slowly to the folded pose."""
+    """The robot moves slowly to the folded pose."""
     DAMP = 7
     """Motors only damp."""
     OVER = 8
-    """The last packet that does nothing is sent."""
+    """The last packet that does nothing has been sent."""
 
 
 #: One-byte orders. Smaller bytes are numbers of signals: the program's signal handler writes them itself, at

@@ -27,7 +27,7 @@ def average(poses: Sequence[Pose], of: str) -> Pose:
     """The mean of poses of a body that stands still.
 
     Args:
-        poses: At least two poses.
+        poses: Poses of the body, at least two.
         of: Name of the body.
 
     Raises:

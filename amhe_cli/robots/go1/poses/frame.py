@@ -93,7 +93,7 @@ def check_place(box: FloatArray, wanted: FloatArray, tolerance: float) -> None:
 
     Args:
         box: Centre of the box in the task's frame [m], shape (3,).
-        wanted: Where it should be, shape (3,).
+        wanted: Centre at which it should be, shape (3,).
         tolerance: Largest distance [m].
 
     Raises:

@@ -27,7 +27,8 @@ class Segment:
     Args:
         seconds: Duration [s].
         speed: Speed of the robot ahead [m/s]; below zero it backs off.
-        offset: Where to push, left of the box's middle [m]; None: wherever steers the box along its line.
+        offset: Place of the push, left of the box's middle [m]; None: the place that steers the box along its
+            line.
     """
 
     seconds: float

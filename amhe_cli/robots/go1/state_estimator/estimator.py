@@ -102,7 +102,7 @@ class StateEstimator:
         """Take in the measurements since the last call, and estimate the state at a time [s].
 
         Raises:
-            ValueError: Not `ready`. The measurements are taken in all the same.
+            ValueError: The estimator is not `ready`; the measurements are taken in nevertheless.
         """
         self.observe(measured)
         return self.state(time)
