@@ -1,6 +1,7 @@
 """The house: which room may import which, and which room owns each outside library."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -126,3 +127,36 @@ def test_a_class_name_means_one_thing() -> None:
                 places.setdefault(node.name, []).append(module)
     places["Path"] = ["pathlib", *places.get("Path", ())]
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
+
+
+def texts_of(module: str) -> Iterator[str]:
+    """String constants of a module, docstrings left out."""
+    tree = ast.parse((PACKAGE / module).read_text(encoding="utf-8"))
+    docs = {
+        id(node.body[0].value)
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+        and isinstance(node.body[0], ast.Expr)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in docs:
+            yield node.value
+
+
+#: Texts may name the options of a whole command: 'amhe eval --report', 'dask worker ... --nthreads'.
+OF_A_COMMAND = re.compile(r"`?(amhe \w+|dask worker)[^`]*|--nthreads 1`")
+
+
+def test_the_library_speaks_of_arguments_not_of_options() -> None:
+    option = re.compile(r"(^|[\s('\"`])--[a-z]")
+    library = [module for module in ROOMED if not module.startswith("cli/")]
+    wrong = [(m, text) for m in library for text in texts_of(m) if option.search(OF_A_COMMAND.sub("", text))]
+    assert not wrong, "write the argument in backquotes; cli/wording.py makes an option of it"
+
+
+def test_the_library_reads_no_environment_and_no_arguments() -> None:
+    """But for the environment of child processes, and MuJoCo's own variable for its renderer."""
+    own = {"core/executors.py", "robots/go1/link/child.py", "robots/go1/video.py"}
+    library = [m for m in ROOMED if not m.startswith("cli/") and m not in own]
+    wrong = [m for m in library if re.search(r"os\.environ|os\.getenv|sys\.argv", (PACKAGE / m).read_text())]
+    assert not wrong

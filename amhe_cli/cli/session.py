@@ -9,6 +9,8 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from amhe_cli.cli.wording import in_options
+
 if TYPE_CHECKING:
     from logging import Handler
 
@@ -65,8 +67,8 @@ class Session:
         return LOSSY if self.strict and self.warnings else DONE
 
     def say(self, kind: str, text: str) -> None:
-        """Write one message, such as 'amhe identify: error: ...', on stderr."""
-        first, *rest = text.splitlines() or [""]
+        """Write one message, such as 'amhe identify: error: ...', on stderr; it speaks of options."""
+        first, *rest = in_options(text).splitlines() or [""]
         label = f"{kind}: " if kind else ""
         print(f"{self.command}: {label}{first}", *(f"  {line}" for line in rest), sep="\n", file=sys.stderr)
 
@@ -137,7 +139,7 @@ def _listener(session: Session) -> Handler:
 
     class Listener(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            text = record.getMessage()
+            text = in_options(record.getMessage())
             if record.levelno >= logging.WARNING:
                 if text in session.warnings:
                     return

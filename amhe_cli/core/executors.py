@@ -97,13 +97,13 @@ def remote(address: str) -> Iterator[Executor]:
         from distributed import Client
         from distributed.comm.addressing import get_address_host_port
     except ImportError:
-        raise ConfigError("--cluster needs the extra: pip install 'amhe[cluster]'") from None
+        raise ConfigError("`cluster` needs the extra: pip install 'amhe[cluster]'") from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes back with the futures
     try:
         get_address_host_port(address)  # first: a client that refuses one dies noisily, 20 s later
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except ValueError as error:
-        raise ConfigError(f"--cluster {address}: {error}; write tcp://HOST:8786") from None
+        raise ConfigError(f"`cluster` {address}: {error}; write tcp://HOST:8786") from None
     except (OSError, AssertionError):  # the latter: dask's own thread did not start in 10 s on a busy machine
         raise AmheError(
             f"no scheduler answers at {address} within {PATIENCE:g} s: start one with `dask scheduler`, "
@@ -175,7 +175,9 @@ def _error(future: Future[R]) -> Exception | None:
     try:
         error = future.exception()
     except CancelledError:  # not by us: we never ask for one that we cancelled
-        raise AmheError("the scheduler is gone; what is done is kept: start it again, and --resume") from None
+        raise AmheError(
+            "the scheduler is gone; what is done is kept: start it again with `resume=True`"
+        ) from None
     if error is not None and not isinstance(error, Exception):
         raise error
     return error

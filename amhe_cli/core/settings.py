@@ -50,7 +50,7 @@ class ClipSettings(SettingsGroup):
     count: Annotated[int, Field(ge=1)] = 24
     """Clips in one iteration, re-drawn for the next; fewer where they would cover the logs twice."""
     held_out: Share = 0.25
-    """Share of the logs' time kept for validation when no `--held-out` log is given."""
+    """Share of the logs' time kept for validation when no held-out log is given."""
     held_out_length: Positive | None = None
     """Length [s] of a validation clip; the mean of `length` where not given."""
     held_out_first_only: bool = False

@@ -60,7 +60,7 @@ def init_system(
         LogError: A log cannot be read.
     """
     if out.exists() and not force and any(out.iterdir()):
-        raise ConfigError(f"{out}: is not empty; choose another folder, or pass --force")
+        raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
     spec = read_spec(model_path)
     model = compiled(spec)
     topics = _with_tables(_topics(logs, msg_path), model)

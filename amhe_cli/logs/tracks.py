@@ -89,7 +89,7 @@ def _trusted(
     remedy = (
         "the recorder's stamps are used for all topics"
         if stamp == "auto"
-        else "data on its two sides do not belong together; use --set logs.stamp=log"
+        else "data on its two sides do not belong together; use `logs.stamp=log`"
     )
     for topic, found in stepping.items():
         _Warner(path, topic)(f"{step_words(found)}: {remedy}")
@@ -153,7 +153,7 @@ def _tell_offsets(path: Path, tracks: Sequence[SignalTrack], align: bool) -> Non
             logger.info("%s: %s (corrected)", path, words)
         elif apart > max(_LATENCY, 0.5 * min(periods[late], periods[early])):
             logger.warning(
-                "%s: %s: if both were measured at once, correct it with --set logs.align=true", path, words
+                "%s: %s: if both were measured at once, correct it with `logs.align=true`", path, words
             )
         else:
             logger.info("%s: %s", path, words)
@@ -172,12 +172,12 @@ def grid_of(
     if low < 0 or high <= low:
         raise ConfigError(
             f"{path}: the log lasts {(rows - 1) * dt:.3f} s: no part of it lies between "
-            f"--from {start or 0:g} and --to {'its end' if end is None else f'{end:g}'}"
+            f"`start` {start or 0:g} and `end` {'its end' if end is None else f'{end:g}'}"
         )
     if high - low > _MOST_ROWS:
         raise LogError(
             f"{path}: {(high - low) * dt:.0f} s at steps of {dt:g} s are {high - low} rows, more than "
-            f"{_MOST_ROWS}; cut it with --from and --to, or look for a wrong stamp with `amhe inspect`"
+            f"{_MOST_ROWS}; cut it with `start` and `end`, or look for a wrong stamp with `amhe inspect`"
         )
     start_ns = anchor + round(begin + low * step)
     return np.arange(high - low, dtype=np.float64) * dt, start_ns

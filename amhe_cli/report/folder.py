@@ -27,9 +27,11 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
     if out is None:
         out = _fresh(Path("amhe-out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}")
     if out.exists() and not out.is_dir():
-        raise ConfigError(f"{out}: is a file; -o needs a folder")
+        raise ConfigError(f"{out}: is a file; `out` needs a folder")
     if out.exists() and not force and any(out.iterdir()):
-        raise ConfigError(f"{out}: is not empty; choose another folder, or pass --force to write into it")
+        raise ConfigError(
+            f"{out}: is not empty; choose another folder, or give `force=True` to write into it"
+        )
     ancestor = next(path for path in (out, *out.absolute().parents) if path.exists())
     if not ancestor.is_dir() or not os.access(ancestor, os.W_OK | os.X_OK):
         raise ConfigError(f"{out}: cannot be written; choose another folder with -o")

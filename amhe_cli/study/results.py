@@ -107,7 +107,7 @@ def read_result(path: Path | zipfile.Path) -> CellResult:
         return result_of(record)
     except (ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error):
         raise AmheError(
-            f"{path}: is no result of a cell; delete it, and run it again with --resume"
+            f"{path}: is no result of a cell; delete it, and run it again with `resume=True`"
         ) from None
 
 

@@ -142,7 +142,9 @@ def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence
         raise ConfigError(f"{folder}: is a file; -o needs a folder")
     if folder.exists() and any(folder.iterdir()) and not force:
         if not resume:
-            raise ConfigError(f"{folder}: is not empty; pass --resume to go on, or choose another folder")
+            raise ConfigError(
+                f"{folder}: is not empty; give `resume=True` to go on, or choose another folder"
+            )
         store = open_store(folder)
         before = store.study
         _check(folder, before, study)
@@ -162,8 +164,8 @@ def start(folder: Path, study: Study, resume: bool, force: bool, cells: Sequence
 
 
 def _check(folder: Path, before: Study, now: Study) -> None:
-    """Refuse to mix studies that cannot be compared."""
-    go_on = f"choose another folder with -o, or see what it holds with --report {folder}"
+    """Refuse to mix what cannot be compared."""
+    go_on = f"choose another folder, or see what it holds with `report` {folder}"
     for name, version in now.code.items():
         if before.code.get(name) != version:
             raise ConfigError(
@@ -171,7 +173,7 @@ def _check(folder: Path, before: Study, now: Study) -> None:
             )
     if (before.setting, before.duration) != (now.setting, now.duration):
         raise ConfigError(
-            f"{folder}: holds cells of other --set, --config or --duration; give the same, or {go_on}"
+            f"{folder}: holds cells of other settings or another `duration`; give the same, or {go_on}"
         )
 
 
@@ -181,7 +183,7 @@ def _check_beliefs(store: Store, cells: Sequence[Cell]) -> None:
     for cell in cells:
         if known.get(replace(cell, belief=None), cell.belief) != cell.belief:
             raise ConfigError(
-                f"{store.folder}: holds {cell.title} with another --belief: give the same, or choose another "
+                f"{store.folder}: holds {cell.title} with another `belief`: give the same, or choose another "
                 "folder with -o"
             )
 
@@ -196,5 +198,5 @@ def write_file(path: Path, text: str) -> None:
         write_whole(path, text)
     except OSError as error:
         raise AmheError(
-            f"{path}: {error.strerror}; the cells before it are kept: mend that, and go on with --resume"
+            f"{path}: {error.strerror}; the cells before it are kept: mend that, and go on with `resume=True`"
         ) from None

@@ -137,7 +137,7 @@ def test_cells_of_a_killed_worker_are_run_by_another(cluster: Cluster, tmp_path:
 def test_a_scheduler_that_goes_away_stops_the_work_with_one_line(cluster: Cluster) -> None:
     cluster.worker()
     items = {n: 0.2 if n == 0 else 60.0 for n in range(3)}
-    with pytest.raises(AmheError, match="--resume"):
+    with pytest.raises(AmheError, match="resume=True"):
         for _ in gathered(slow, items, pool_of(1, cluster.address), never):
             cluster.close()
 

@@ -156,7 +156,7 @@ def test_several_steps_and_a_forced_header_clock(tmp_path: Path, caplog: pytest.
     trajectory = read(path, settings=LogSettings(stamp="header"))
     assert trajectory.start_ns == T0
     assert "jumps by +0.500 s, 1.00 s after its first message (the largest of 2 jumps)" in warnings(caplog)
-    assert "--set logs.stamp=log" in warnings(caplog)
+    assert "`logs.stamp=log`" in warnings(caplog)
 
 
 def test_late_messages_stalls_of_the_recorder_silences_and_drift_are_no_steps(
@@ -238,7 +238,7 @@ def test_only_offsets_that_no_transport_explains_are_warned_of(
     assert not warnings(caplog)
     read(large, early, late)
     assert "topic '/late' is stamped 300 ms later than '/early'" in warnings(caplog)
-    assert "--set logs.align=true" in warnings(caplog)
+    assert "`logs.align=true`" in warnings(caplog)
 
 
 @given(st.lists(st.integers(-50, 50), min_size=1, max_size=40))

@@ -308,7 +308,7 @@ def test_fields_of_foreign_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_definitions_from_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, layout: str) -> None:
     path = custom_log(tmp_path / "a", False, monkeypatch)
     signal = Signal("m", "/low", ("value",), fields={"value": ("motorState[1].q",)})
-    with pytest.raises(LogError, match="no definition of go_msgs/msg/Low.*--msg-path"):
+    with pytest.raises(LogError, match="no definition of go_msgs/msg/Low.*`msg_path`"):
         read(path, signal)
     folder = tmp_path / "defs" / layout
     folder.mkdir(parents=True)

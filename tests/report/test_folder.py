@@ -20,7 +20,7 @@ def test_the_default_folder_is_fresh(tmp_path: Path, monkeypatch: pytest.MonkeyP
 def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
     assert reserve(tmp_path, "identify", force=False) == tmp_path
     (tmp_path / "mine.txt").touch()
-    with pytest.raises(ConfigError, match="--force"):
+    with pytest.raises(ConfigError, match="`force=True`"):
         reserve(tmp_path, "identify", force=False)
     assert reserve(tmp_path, "identify", force=True) == tmp_path
     with pytest.raises(ConfigError, match="is a file"):

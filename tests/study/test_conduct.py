@@ -86,7 +86,7 @@ def test_a_full_disk_stops_cleanly_and_the_study_goes_on_later(tmp_path: Path, m
 
     with monkeypatch.context() as patch:
         patch.setattr(files.os, "fsync", full)
-        with pytest.raises(AmheError, match="No space left on device.*--resume"):
+        with pytest.raises(AmheError, match="No space left on device.*resume=True"):
             run(store, cells(2, 3))
     assert [path.suffix for path in (tmp_path / "cells").iterdir()] == [".json"]
     again = start(tmp_path, STUDY, resume=True, force=False)
@@ -125,7 +125,7 @@ def test_a_packed_file_that_is_cut_is_refused_by_its_name(tmp_path: Path) -> Non
 
 def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine.txt").touch()
-    with pytest.raises(ConfigError, match="not empty.*--resume"):
+    with pytest.raises(ConfigError, match="not empty.*resume=True"):
         start(tmp_path, STUDY, resume=False, force=False)
     with pytest.raises(ConfigError, match=r"holds no study\.json"):
         start(tmp_path, STUDY, resume=True, force=False)
@@ -148,7 +148,7 @@ def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
 def test_cells_that_cannot_be_compared_are_not_mixed(tmp_path: Path, other: Study, said: str) -> None:
     store = start(tmp_path, STUDY, resume=False, force=False)
     run(store, cells(0))
-    with pytest.raises(ConfigError, match=f"{said}.*-o.*--report") as caught:
+    with pytest.raises(ConfigError, match=f"{said}.*`report`") as caught:
         start(tmp_path, other, resume=True, force=False)
     assert "\n" not in str(caught.value)
     assert len(store.results()) == 1
@@ -159,7 +159,7 @@ def test_a_seed_is_not_run_under_a_second_belief(tmp_path: Path) -> None:
     first, second = (Cell("t4", "adaptive", 0, belief=text) for text in ("mass: 2", "mass: 3"))
     run(start(tmp_path, STUDY, resume=False, force=False), [first])
     known = (tmp_path / "study.json").read_text()
-    with pytest.raises(ConfigError, match="t4 adaptive, seed 0 with another --belief"):
+    with pytest.raises(ConfigError, match="t4 adaptive, seed 0 with another `belief`"):
         start(tmp_path, STUDY, resume=True, force=False, cells=[second])
     assert (tmp_path / "study.json").read_text() == known
     for one in (first, replace(second, seed=2), replace(second, mode="true", belief=None)):

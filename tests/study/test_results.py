@@ -72,5 +72,5 @@ def test_a_number_that_does_not_exist_is_nan_but_a_key_of_other_code_is_an_error
 def test_a_file_that_is_none_is_refused_by_its_name(tmp_path) -> None:
     path = tmp_path / "t1-true-00-0.json"
     path.write_text('{"cell": ')
-    with pytest.raises(AmheError, match="t1-true-00-0.json: is no result.*--resume"):
+    with pytest.raises(AmheError, match="t1-true-00-0.json: is no result.*resume=True"):
         read_result(path)

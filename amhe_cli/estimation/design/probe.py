@@ -152,7 +152,9 @@ class ActuatorProbe:
         """See `Probe`."""
         options, space = self._options, self.system.space
         if options.seconds < _SHORTEST:
-            raise ConfigError(f"--for {options.seconds:g}: too short; a probe takes {_SHORTEST:g} s or more")
+            raise ConfigError(
+                f"`seconds` {options.seconds:g}: too short; a probe takes {_SHORTEST:g} s or more"
+            )
         draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
         tried = self._multisines
         found = []
@@ -225,7 +227,7 @@ def _other_plant(options: ProbeOptions, own: System, plant: Path) -> Playback:
         system = System.load(own.folder, {**options.settings, "model": str(plant.resolve())}, warn=False)
     except ConfigError as error:
         first = str(error).splitlines()[0]
-        raise ConfigError(f"--plant {plant}: does not suit the system: {first}") from None
+        raise ConfigError(f"`plant` {plant}: does not suit the system: {first}") from None
     model = compiled(system.spec)
     unedited = replace(system, edits=ModelEdits(model, system.space, ()))
     engine = open_engine(unedited, threads=options.threads, model=model)

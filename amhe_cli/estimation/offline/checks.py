@@ -163,7 +163,7 @@ def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
     if moving or left.max() > UNSETTLED:
         logger.warning(
             f"the search stopped before it settled ({space.names[int(left.argmax())]} was still moving): "
-            f"give it more with --set identify.iterations"
+            f"give it more with `identify.iterations`"
         )
 
 

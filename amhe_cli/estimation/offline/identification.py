@@ -146,7 +146,7 @@ class _Watch:
         if self._limit is not None and not self._late and time.monotonic() - self._began > self._limit:
             self._late = True
             logger.warning(
-                f"stopped after {self._limit:g} s as asked (--max-time): the search had not settled"
+                f"stopped after {self._limit:g} s as asked (`max_time`): the search had not settled"
             )
         return self.interrupted or self._late
 

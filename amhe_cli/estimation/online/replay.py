@@ -184,7 +184,7 @@ def windows(system: System, log: Log) -> list[Window]:
     if longest < LEAST:
         raise EstimationError(
             f"{log.source}: {log.duration:.3g} s hold no window; record a longer log, "
-            f"or take more of it (--from, --to)"
+            f"or take more of it (`start`, `end`)"
         )
     if longest < length:
         logger.warning(

@@ -78,7 +78,7 @@ class Definitions:
         if connection.type not in types:
             raise LogError(
                 f"{topic}: the log has no definition of {connection.type}; "
-                f"give the folder that holds {connection.type.split('/')[-1]}.msg with --msg-path"
+                f"give the folder that holds {connection.type.split('/')[-1]}.msg with `msg_path`"
             )
         return types
 
@@ -147,7 +147,7 @@ def _bundled(encoding: str) -> Types:
 def _read_folder(folder: Path) -> Types:
     files = sorted(folder.rglob("*.msg"))
     if not files:
-        raise ConfigError(f"--msg-path {folder}: no such folder, or no .msg file in it")
+        raise ConfigError(f"`msg_path` {folder}: no such folder, or no .msg file in it")
     types: dict[str, Any] = {}
     for file in files:
         parents = [part for part in file.relative_to(folder.parent).parts[:-1] if part != "msg"]
@@ -156,5 +156,5 @@ def _read_folder(folder: Path) -> Types:
         try:
             types.update(_fields(get_types_from_msg(file.read_text(encoding="utf-8"), name)))
         except Exception as error:  # rosbags' parser raises many kinds on malformed text
-            raise ConfigError(f"--msg-path: {file} is not a message definition: {error}") from error
+            raise ConfigError(f"`msg_path`: {file} is not a message definition: {error}") from error
     return types

@@ -104,6 +104,6 @@ def film_of(run: Run) -> Film:
         ConfigError: A film cannot be drawn, or not be encoded.
     """
     if run.plant is None:
-        raise ConfigError("--video films a simulated plant; leave it out with --target go1")
+        raise ConfigError("`video` films a simulated plant; leave it out with `target=go1`")
     check_encoder()
     return Film(run.plant.model, run.task.floor)

@@ -219,7 +219,7 @@ def belief_source(
         raise ConfigError(one_of("mode", options.mode, MODES))
     if options.mode == "true" and plant is not None:
         if options.belief is not None:
-            raise ConfigError("--mode true believes the plant's own parameters; leave out --belief")
+            raise ConfigError("`mode=true` believes the plant's own parameters; leave out `belief`")
         return FixedBelief(lambda: plant.parameters)
     start = _start_belief(options, task, system)
     fixed = system.space.named(start.estimate)
@@ -254,7 +254,7 @@ def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:
         return completed(belief_for(system, options.belief), system.space, system.name)
     if options.mode == "stale" and task.stale is None:
         raise ConfigError(
-            f"task {task.name} has no stale belief; give one with --belief, or use --mode baseline"
+            f"task {task.name} has no stale belief; give one with `belief`, or use `mode=baseline`"
         )
     believed = asdict(task.stale if options.mode == "stale" and task.stale else task.baseline)
     space = system.space

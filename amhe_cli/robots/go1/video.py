@@ -208,7 +208,7 @@ def check_encoder() -> None:
 
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError):
-        raise ConfigError("--video needs imageio-ffmpeg: pip install 'amhe[video]'") from None
+        raise ConfigError("`video` needs imageio-ffmpeg: pip install 'amhe[video]'") from None
 
 
 def _writer(path: Path, size: tuple[int, int]) -> Any:
@@ -233,7 +233,7 @@ def _gl_context(width: int, height: int) -> Any:
         except Exception as error:  # missing libraries fail in as many ways as there are drivers
             failures.append(f"{kind}: {' '.join(str(error).split()) or type(error).__name__}")
             _forget_opengl()
-    raise ConfigError(f"--video cannot draw on this machine: {'; '.join(failures)}")
+    raise ConfigError(f"`video` cannot draw on this machine: {'; '.join(failures)}")
 
 
 def _context_of(kind: str, width: int, height: int) -> Any:

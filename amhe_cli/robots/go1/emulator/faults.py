@@ -1,4 +1,4 @@
-"""What can be made to go wrong: `--fault loss=0.02,after=5,hot=10`."""
+"""What can be made to go wrong: `loss=0.02,after=5,hot=10`."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def parse_faults(text: str) -> Faults:
         try:
             given[name] = 1e-3 * float(value[:-2]) if value.endswith("ms") else float(value.removesuffix("s"))
         except ValueError:
-            raise ConfigError(f"--fault {part}: write {name}=NUMBER, such as {name}=0.5") from None
+            raise ConfigError(f"`fault` {part}: write {name}=NUMBER, such as {name}=0.5") from None
     return Faults(**given)
 
 

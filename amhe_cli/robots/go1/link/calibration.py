@@ -116,7 +116,7 @@ class Calibration:
             if len(some) < _FEWEST:
                 raise PoseError(
                     f"{len(some)} {what} came in {seconds:g} s, and {_FEWEST} are needed: look longer "
-                    "(--for), or see that its markers are in view and the robot is on"
+                    "(`seconds`), or see that its markers are in view and the robot is on"
                 )
         return average(seen, body), states
 

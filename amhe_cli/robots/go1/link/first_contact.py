@@ -17,7 +17,7 @@ from amhe_cli.robots.go1.link.state import RobotState
 _TURNS, _PATIENCE = 10, 0.1
 #: Length of our time over which the robot's is counted [s], from to: states are held up now and then.
 _PACED, _PACED_LONGEST = 0.25, 1.0
-#: How far the pace may be from 1: clocks differ by far less, a forgotten --slow by far more.
+#: How far the pace may be from 1: clocks differ by far less, a forgotten `slow` by far more.
 _PACE_ERROR = 0.05
 #: Motors that nobody drives have less torque than this [N m].
 _DRIVEN = 2.0

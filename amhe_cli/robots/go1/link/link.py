@@ -218,7 +218,7 @@ class Link:
             raise LinkError(f"nobody listens on {where}: is it the robot's address, and is the robot on?")
         if not states:
             raise LinkError(
-                f"nothing answers from {where}: check --host, the cable, and that this computer has an "
+                f"nothing answers from {where}: check `host`, the cable, and that this computer has an "
                 "address in the robot's network"
             )
         if contact["share"] < _SHARE:
@@ -229,14 +229,14 @@ class Link:
         if not contact["complete"]:
             raise LinkError(
                 f"the robot on {where} sends states but follows no commands: another program talks to it, or "
-                "it wants the other checksum (--set go1.crc=encrypted)"
+                "it wants the other checksum (`go1.crc=encrypted`)"
             )
         if report.unfit:
             raise LinkError(f"the robot cannot be driven: {report.unfit}")
         if not contact["in_step"]:
             raise LinkError(
                 f"the robot's clock does {contact['pace']:.2f} s in one of ours: give amhe emulate and this "
-                "command the same --slow, and a larger one where the computer is too slow for it"
+                "command the same `slow`, and a larger one where the computer is too slow for it"
             )
 
 

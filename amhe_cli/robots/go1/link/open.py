@@ -99,7 +99,7 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
 def _clock(wire: WireOptions) -> Clock:
     """The program's clock. `slow` is refused for a real robot: thresholds would be longer than they say."""
     if wire.slow != 1.0 and not _on_loopback(wire.host):
-        raise ConfigError(f"--slow is for the emulator on this computer; {wire.host} is a robot")
+        raise ConfigError(f"`slow` is for the emulator on this computer; {wire.host} is a robot")
     return Clock(wire.slow)
 
 
@@ -110,10 +110,10 @@ def _publish(feed: PoseFeed, estimate: Estimate) -> None:
 def _refuse(options: RunOptions) -> None:
     if options.mode == "true":
         raise ConfigError(
-            "--mode true needs a plant whose parameters are known; on go1 use adaptive or baseline"
+            "`mode=true` needs a plant whose parameters are known; on go1 use adaptive or baseline"
         )
     if options.plant is not None:
-        raise ConfigError("--plant is the robot of a simulation; leave it out with --target go1")
+        raise ConfigError("`plant` is the robot of a simulation; leave it out with `target=go1`")
 
 
 def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
@@ -121,9 +121,9 @@ def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
         raise ConfigError(one_of("pose source", wire.pose, KINDS))
     host = wire.pose_host or _POSE_HOSTS.get(wire.pose)
     if host is None:
-        raise ConfigError("--pose motioncapture needs --pose-host KIND:HOST, such as vicon:192.168.1.5")
+        raise ConfigError("`pose=motioncapture` needs `pose_host` KIND:HOST, such as vicon:192.168.1.5")
     if wire.pose == "ros2" and host and not host.isdecimal():
-        raise ConfigError(f"--pose-host {host}: --pose ros2 takes the number of a DDS domain, such as 0")
+        raise ConfigError(f"`pose_host` {host}: `pose=ros2` takes the number of a DDS domain, such as 0")
     port = wire.pose_port if wire.pose_port is not None else _POSE_PORTS.get(wire.pose, 0)
     bodies = (settings.trunk, settings.box)
     if bodies[0] == bodies[1]:

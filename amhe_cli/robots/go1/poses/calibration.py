@@ -84,5 +84,5 @@ def check_pivot(body: Pose, true: Pose, size: FloatArray, of: str) -> None:
         at, to = (", ".join(f"{value:.2f}" for value in place) for place in (body[0], true[0]))
         raise PoseError(
             f"the pivot of {of!r} is at ({at}) m of motion capture, but what it is on was to stand at ({to}):"
-            " check its name (--set go1.trunk=NAME --set go1.box=NAME), metres, and where you put it"
+            " check its name (`go1.trunk=NAME` `go1.box=NAME`), metres, and where you put it"
         )

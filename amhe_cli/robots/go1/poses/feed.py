@@ -163,7 +163,7 @@ class PoseFeed:
         known = f"it has: {', '.join(sorted(others))}" if others else "it sends no body at all"
         return (
             f"{o.kind} sends no pose of {' and '.join(map(repr, missing))} within {o.seconds:g} s; {known}. "
-            "Name the bodies with --set go1.trunk=NAME --set go1.box=NAME"
+            "Name the bodies with `go1.trunk=NAME` `go1.box=NAME`"
         )
 
 

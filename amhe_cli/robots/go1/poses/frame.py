@@ -102,7 +102,7 @@ def check_place(box: FloatArray, wanted: FloatArray, tolerance: float) -> None:
     if np.hypot(*(box[:2] + wanted[:2])) < tolerance and wanted[0] > tolerance:
         raise PoseError(
             "the box seems to be behind the robot: have the two rigid bodies each other's name? "
-            "(--set go1.trunk=NAME --set go1.box=NAME)"
+            "(`go1.trunk=NAME` `go1.box=NAME`)"
         )
     away = np.hypot(*(box[:2] - wanted[:2]))
     if away > tolerance or abs(box[2] - wanted[2]) > tolerance:

@@ -31,7 +31,7 @@ class MotionCapture:
         try:
             import motioncapture  # pyright: ignore[reportMissingImports]
         except ImportError:
-            raise PoseError("--pose motioncapture needs: pip install 'amhe[mocap]'") from None
+            raise PoseError("`pose=motioncapture` needs: pip install 'amhe[mocap]'") from None
         mock = {"rigid_bodies": self._host, "frequency": "100"}
         settings = mock if self._kind == "mock" else {"hostname": self._host}
         self._client = motioncapture.connect(self._kind, settings)  # pyright: ignore[reportAttributeAccessIssue]

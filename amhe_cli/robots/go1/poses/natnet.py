@@ -40,7 +40,7 @@ class NatNet:
         try:
             from natnet import NatNetClient
         except ImportError:
-            raise PoseError("--pose natnet needs the package natnet: pip install 'amhe[mocap]'") from None
+            raise PoseError("`pose=natnet` needs the package natnet: pip install 'amhe[mocap]'") from None
         motive = _address(self._host)
         self._client = _listening_to(motive, NatNetClient)(
             motive, _own_address(motive, self._port), command_port=self._port, use_multicast=False
@@ -51,7 +51,7 @@ class NatNet:
             self._client.connect(self._seconds)
         except TimeoutError:
             raise PoseError(
-                f"no Motive answers from {self._host}:{self._port}: check --pose-host, and that Motive "
+                f"no Motive answers from {self._host}:{self._port}: check `pose_host`, and that Motive "
                 "streams by unicast (Edit > Settings > Streaming)"
             ) from None
         except Exception as error:  # the package has errors of its own

@@ -40,7 +40,7 @@ class Ros2:
             from cyclonedds.sub import DataReader  # pyright: ignore[reportMissingImports]
             from cyclonedds.topic import Topic  # pyright: ignore[reportMissingImports]
         except ImportError:
-            raise PoseError("--pose ros2 needs the package cyclonedds: pip install 'amhe[mocap]'") from None
+            raise PoseError("`pose=ros2` needs the package cyclonedds: pip install 'amhe[mocap]'") from None
         participant = DomainParticipant(self._domain)
         # best effort matches both kinds of publishers; only the newest counts
         qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(10))

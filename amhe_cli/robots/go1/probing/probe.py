@@ -82,7 +82,7 @@ class PushProbe:
         self._own = system_of(RunOptions(self.task, settings=options.settings), self._task)
         self.system: System = believing(self._own, options.belief)
         if robot and options.box:
-            raise ConfigError("--box: the box of a real robot is as it is; leave it out")
+            raise ConfigError("`box`: the box of a real robot is as it is; leave it out")
         if robot:  # what it refuses is refused before the rehearsals
             self.on_robot(STEADY, options.seconds, robot).episode.belief.close()
 
@@ -92,7 +92,7 @@ class PushProbe:
         room = options.seconds - APPROACH.seconds
         if room < _SHORTEST:
             raise ConfigError(
-                f"--for {options.seconds:g}: too short; the approach and the shortest push take "
+                f"`seconds` {options.seconds:g}: too short; the approach and the shortest push take "
                 f"{APPROACH.seconds + _SHORTEST:g} s"
             )
         draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
@@ -103,7 +103,7 @@ class PushProbe:
         if not any(told.any() for told in found):
             raise SimulationError(
                 "no rehearsal told anything: under this belief the robot falls, or the box never moves; "
-                "give another one with --belief"
+                "give another one with `belief`"
             )
         best = int(np.argmax([criterion(told, space.prior_precision) for told in found]))
         chosen, plain = MOTIONS[best], found[MOTIONS.index(STEADY)]
@@ -237,11 +237,11 @@ def _driven(options: ProbeOptions, robot: Go1OnLink | None) -> Path | None:
     folder = find_system(options.system or SYSTEM)
     if folder.resolve() == find_system(SYSTEM).resolve():
         return None
-    for flag, value in (("--box", options.box), ("--task", options.task)):
+    for flag, value in (("`box`", options.box), ("`task`", options.task)):
         if value:
             raise ConfigError(f"{flag}: {options.system} has none; leave it out")
     if robot:
-        raise ConfigError(f"--target go1 pushes boxes: leave out --system {options.system}")
+        raise ConfigError(f"`target=go1` pushes boxes: leave out `system` {options.system}")
     return folder
 
 

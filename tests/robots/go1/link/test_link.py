@@ -354,7 +354,7 @@ def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:
 def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: float) -> None:
     with (
         Link("127.0.0.1", puppet.port, HASTY, Clock(slow)) as link,
-        pytest.raises(LinkError, match="same --slow"),
+        pytest.raises(LinkError, match="same `slow`"),
     ):
         link.connect()
 

@@ -1,0 +1,40 @@
+"""The library speaks of arguments, in backquotes; on the command line they are options."""
+
+from __future__ import annotations
+
+import re
+
+#: Arguments whose option has another name; all others are called alike: `held_out` is --held-out.
+_OTHERS = {
+    "start": "--from",
+    "end": "--to",
+    "topics": "--topic",
+    "seconds": "--for",
+    "out": "-o",
+    "logs": "LOG",
+}
+_ALIKE = {
+    "belief", "box", "checkpoint", "cluster", "config", "duration", "fault", "force", "held_out", "host",
+    "max_time", "method", "mode", "msg_path", "plant", "pose", "pose_host", "pose_port", "port", "report",
+    "resume", "seed", "slow", "system", "target", "task", "threads", "update_period", "video", "window",
+    "workers",
+}  # fmt: skip
+#: Groups of settings: `logs.align=true` is --set logs.align=true.
+_GROUPS = {"boxes", "clips", "control", "cost", "go1", "identify", "logs", "mhe", "probe"}
+_QUOTED = re.compile(r"`([a-z_0-9]+)((?:\.\w+)*)(?:=([^`]*))?`")
+
+
+def in_options(text: str) -> str:
+    """A text of the library with its arguments written as options; other words in backquotes stay."""
+    return _QUOTED.sub(_option, text)
+
+
+def _option(match: re.Match[str]) -> str:
+    name, rest, value = match.groups()
+    if rest:
+        setting = f"{name}{rest}" if value is None else f"{name}{rest}={value}"
+        return f"--set {setting}" if name in _GROUPS else match.group()
+    if name not in _ALIKE and name not in _OTHERS:
+        return match.group()
+    option = _OTHERS.get(name) or "--" + name.replace("_", "-")
+    return option if value in (None, "True") else f"{option} {value}"
