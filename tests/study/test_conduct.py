@@ -141,8 +141,8 @@ def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
             "cells of sources 0123456789ab.*ffffffffffff",
         ),
         (replace(STUDY, code=CODE | {"mujoco": "5.0.0"}), "mujoco 4.0.0, and this is 5.0.0"),
-        (replace(STUDY, setting=(("control.samples", 16),)), "other --set"),
-        (replace(STUDY, duration=10.0), "--duration"),
+        (replace(STUDY, setting=(("control.samples", 16),)), "other settings"),
+        (replace(STUDY, duration=10.0), "`duration`"),
     ],
 )
 def test_cells_that_cannot_be_compared_are_not_mixed(tmp_path: Path, other: Study, said: str) -> None:
