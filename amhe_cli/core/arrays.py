@@ -23,7 +23,7 @@ def namespace_of(array: AnyArray) -> Any:
 
 def to_host(array: AnyArray) -> FloatArray:
     """The same numbers as a numpy array; a numpy array is returned as it is, without a copy."""
-    return array.get() if hasattr(array, "get") else np.asarray(array)  # CuPy refuses the latter
+    return array.get() if hasattr(array, "get") else np.asarray(array)  # CuPy refuses np.asarray
 
 
 def sealed(values: ArrayLike) -> FloatArray:

@@ -98,13 +98,13 @@ def remote(address: str) -> Iterator[Executor]:
         from distributed.comm.addressing import get_address_host_port
     except ImportError:
         raise ConfigError("`cluster` needs the extra: pip install 'amhe[cluster]'") from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters comes back with the futures
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # relevant errors return with the futures
     try:
-        get_address_host_port(address)  # first: a client that refuses one dies noisily, 20 s later
+        get_address_host_port(address)  # a client refuses an address only after 20 s, and noisily
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except ValueError as error:
         raise ConfigError(f"`cluster` {address}: {error}; write tcp://HOST:8786") from None
-    except (OSError, AssertionError):  # the latter: dask's own thread did not start in 10 s on a busy machine
+    except (OSError, AssertionError):  # AssertionError: dask's own thread did not start in 10 s
         raise AmheError(
             f"no scheduler answers at {address} within {PATIENCE:g} s: start one with `dask scheduler`, "
             f"and workers with `dask worker {address} --nthreads 1`"
@@ -165,7 +165,7 @@ def _finished(
     waiting, running = set(futures), list[Future[R]]()
     while waiting and not stopped():
         done, waiting = wait(waiting, _GLANCE, FIRST_COMPLETED)
-        # results come first: an error may end it all
+        # results before errors: an error may end the loop
         for future in sorted(done, key=lambda future: _error(future) is not None):
             yield future, running
         running = [future for future in waiting if future.running()]
@@ -174,7 +174,7 @@ def _finished(
 def _error(future: Future[R]) -> Exception | None:
     try:
         error = future.exception()
-    except CancelledError:  # not by us: we never ask for one that we cancelled
+    except CancelledError:  # not cancelled by us: we never read a future that we cancelled
         raise AmheError(
             "the scheduler is gone; what is done is kept: start it again with `resume=True`"
         ) from None

@@ -26,7 +26,7 @@ def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> Fl
     moved = np.array(np.broadcast_to(qpos, (*delta.shape[:-1], model.nq)))
     for joint in range(model.njnt):
         q, v = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        kind = mujoco.mjtJoint(model.jnt_type[joint])  # a bare numpy integer equals no enum inside a tuple
+        kind = mujoco.mjtJoint(model.jnt_type[joint])  # in a tuple, numpy integers do not equal enums
         if kind == mujoco.mjtJoint.mjJNT_FREE:
             moved[..., q : q + 3] += delta[..., v : v + 3]
             q, v = q + 3, v + 3

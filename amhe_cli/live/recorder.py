@@ -95,7 +95,7 @@ class Recorder:
         self._log.define(PLAN, _PLAN)
         self._log.define(TIMING, _TIMING)
         estimates.define(self._log)
-        self._log.prepare(_TYPES)  # a robot that has begun does not wait
+        self._log.prepare(_TYPES)  # now, as a running robot does not wait
         for name, text in self._attachments.items():
             self._log.attach(name, "application/yaml", text.encode())
         return self
@@ -152,7 +152,7 @@ class Recorder:
             self._misses = cycle.misses
             values = {"plan ms": f"{cycle.plan_ms:.1f}", "deadline misses": str(cycle.misses)}
             log.diagnostics(stamp, level, text, values)
-        if step is not None:  # somebody sampled it
+        if step is not None:  # the plan was sampled
             command = cycle.plan.command
             plan = log.message(
                 PLAN,

@@ -39,7 +39,7 @@ def commanded(model: mujoco.MjModel, row: int) -> str:
 
 
 def joint_force(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
-    """Known forces or torques at joints, beside the actuators."""
+    """Known forces or torques at joints, in addition to the actuators'."""
     own, logged = names_of_log(entry.joint_force)
     rows = single_joints(draft.model, own)
     quantity = one_quantity(entry, "value" if str(entry.type).endswith("MultiArray") else "effort")

@@ -91,7 +91,7 @@ def _write(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, row: int) -> 
     if kind in ("dof", "jnt"):
         joint = _with_id(spec.joints, int(model.dof_jntid[row]) if kind == "dof" else row)
         value = float(getattr(model, field)[row])
-        joint.springdamper = np.zeros(2)  # else it would decide stiffness and damping again
+        joint.springdamper = np.zeros(2)  # else it would override stiffness and damping
         if attribute in ("damping", "stiffness"):  # polynomials; the first coefficient is the linear one
             getattr(joint, attribute)[0] = value
         else:

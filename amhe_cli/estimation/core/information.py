@@ -212,7 +212,7 @@ def fitted_noise_scale(
     """Noise scale of each channel after the first states were fitted; see `noise_scale` for `before`."""
     keep = clip_weights(slopes, found) > 0.0
     total = max(float(slopes.cost.clips.counts[keep].sum()), 1.0)
-    hidden = float((found.nuisance[keep] ** 2).sum()) / total  # what fitting the first states took away
+    hidden = float((found.nuisance[keep] ** 2).sum()) / total  # misfit that the first states absorb
     squares = mean_squares(slopes.cost, found.residual, keep)
     return noise_scale({key: square + hidden for key, square in squares.items()}, before)
 

@@ -44,7 +44,7 @@ def bounded(covariance: FloatArray, floor: FloatArray, active: BoolArray) -> Flo
     scale = floor[rows]
     block = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
     values, vectors = np.linalg.eigh(block)
-    part = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1.0))  # floor: one, in units of itself
+    part = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1.0))  # in units of the floor, which is 1
     part = part * np.minimum(1.0, WIDEST / np.linalg.norm(part, axis=0))
     shape = np.zeros_like(covariance)
     shape[np.ix_(rows, rows)] = part

@@ -186,7 +186,7 @@ class ActuatorProbe:
         if self._options.plant is None:
             about["truth"] = json.dumps(self._truth)
         played = [s for s in self.system.signals if all(s.key(q) in log.series for q in s.quantities)]
-        with LogWriter(path, about) as file:  # stamps begin after zero, which would be no stamp
+        with LogWriter(path, about) as file:  # a stamp of zero would mean that there is none
             write_samples(file, played, sampled(log), lambda time: round(1e9 * (time + log.dt)))
         return Ending()
 

@@ -156,7 +156,7 @@ def _search(
 ) -> Finding:
     """Run the method, and CMA-ES from several starts where the linearised one did not help."""
     if not problem.active.any():
-        return replace(search.start(problem), stage="done", settled=True)  # nothing to look for
+        return replace(search.start(problem), stage="done", settled=True)  # no parameter to search
     saved = kept.load()
     if isinstance(saved, CmaState):
         return _run(cma.advance, cma.total, problem, saved, watch, kept)

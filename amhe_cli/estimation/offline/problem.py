@@ -92,7 +92,7 @@ class Problem:
         steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d), -0.5 * np.eye(d)))
         residuals = self.cost(clips).residuals(self.system.space.clip(steps))
         moved = np.abs(residuals.flat - residuals.flat[0]).max(axis=(1, 2))[1:].reshape(2, d)
-        diverged = np.any(~residuals.completed, axis=1)[1:].reshape(2, d)  # then it was felt
+        diverged = np.any(~residuals.completed, axis=1)[1:].reshape(2, d)  # the step had an effect
         return (moved > OUT_OF_REACH).any(axis=0) | diverged.any(axis=0)
 
     @cached_property

@@ -125,7 +125,7 @@ class Pace:
 
     Args:
         rollout: Time of a rollout [s]; 0 before the first update.
-        fixed: Rollouts of an iteration beside the samples that were requested.
+        fixed: Rollouts of an iteration in addition to the requested samples.
     """
 
     rollout: float = 0.0

@@ -156,7 +156,7 @@ def open_replay(
         start=prior_of(system.space, belief, system.settings.mhe.start_sd),
         windows=steps,
         truth=_truth(system, log, steps),
-        begun=np.ceil(begun / log.dt - 1e-6) * log.dt,  # as the log is read
+        begun=np.ceil(begun / log.dt - 1e-6) * log.dt,  # reading begins at a step of the clock
         paced=paced,
     )
 

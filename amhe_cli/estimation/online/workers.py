@@ -205,8 +205,8 @@ def _send(pipe: Connection, order: tuple[Window, float, float]) -> None:
 def _serve(pipe: Connection, factory: Factory, belief: Belief | None) -> None:
     """Loop of the process: windows in, estimates out, until the pipe ends. None means that it is ready."""
     os.nice(_NICE)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # a Ctrl-C is for the run, which ends us
-    with suppress(EOFError, OSError):  # nobody reads any more
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the run, which ends this process
+    with suppress(EOFError, OSError):  # the reader has ended
         try:
             estimator = factory(belief)
         except Exception as error:

@@ -54,7 +54,7 @@ def drawings(groups: Groups, tried: Sequence[Ablation], tasks: Mapping[str, Stud
     made = []
     for name, title, caption, wanted, draw in _FIGURES:
         shown = [tasks[task] for task in groups.tasks if task in (wanted or groups.tasks) and task in tasks]
-        if name == "parameters":  # those of the true mode are the truth
+        if name == "parameters":  # in mode true, beliefs are the truth
             shown = [task for task in shown if set(groups.modes_of([task.name])) - {"true"}]
         if shown:
             made.append(Drawing(name, title, caption, lambda d=draw, s=shown: d(groups, s)))

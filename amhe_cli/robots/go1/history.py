@@ -103,7 +103,7 @@ class History:
 def _motion(state: State, task: Task) -> dict[str, float]:
     box, trunk = state.box.position, state.trunk.position
     place = task.path.place(box[:2])
-    foot = trunk + rotate(state.trunk.orientation, feet(state.joints)[0])  # the front right one
+    foot = trunk + rotate(state.trunk.orientation, feet(state.joints)[0])  # the front right foot
     return {
         "time": state.time,
         "trunk_x": float(trunk[0]),

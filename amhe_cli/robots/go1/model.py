@@ -106,8 +106,8 @@ def planner_model(box: Box = Box(), servo: Servo = Servo(), timestep: float = 0.
     spec = read_spec(_folder() / "scene.xml")
     spec.option.timestep = timestep
     spec.option.cone = mujoco.mjtCone.mjCONE_PYRAMIDAL
-    spec.option.impratio, spec.option.iterations = 1.0, 10  # the cheaper ones
-    spec.delete(spec.pair("head_box"))  # 6 mm before the upper bar: much for an estimate, nothing for a plan
+    spec.option.impratio, spec.option.iterations = 1.0, 10  # cheap solver options
+    spec.delete(spec.pair("head_box"))  # 6 mm before the upper bar: a plan can ignore it
     for name in JOINTS:
         spec.joint(name).frictionloss = 0.0
     _set_box(spec, box)
@@ -164,7 +164,7 @@ def _folder() -> Path:
 def _set_box(spec: mujoco.MjSpec, box: Box) -> None:
     body = spec.body("box")
     body.mass = box.mass
-    resize(spec.geom("box"), box.size)  # its inertia too
+    resize(spec.geom("box"), box.size)  # and its inertia
     body.pos = [*box.position, 0.5 * box.size[2]]
     body.quat = [np.cos(0.5 * box.yaw), 0.0, 0.0, np.sin(0.5 * box.yaw)]
 

@@ -35,7 +35,7 @@ class MotorPlant(Plant):
         self, model: mujoco.MjModel, rng: np.random.Generator, noise: SensorNoise | None = None
     ) -> None:
         super().__init__(model, (), rng, noise or SensorNoise())
-        model.actuator_ctrllimited[:] = 0  # motors know torque limits, and no others
+        model.actuator_ctrllimited[:] = 0  # motors have no limits but those of torque
         model.dof_damping[layout(model).joints_v] = 0.0
         self._leg_of = np.full(model.nbody, -1)
         self._leg_of[[model.joint(name).bodyid[0] for name in JOINTS]] = np.repeat(np.arange(len(LEGS)), 3)

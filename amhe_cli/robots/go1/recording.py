@@ -20,7 +20,7 @@ from amhe_cli.robots.go1.tasks import Task
 from amhe_cli.robots.go1.video import Film, check_encoder
 from amhe_cli.system.provenance import attachments
 
-#: Recorded beside the system's own signals. It measures no orientation, which is in /odom.
+#: Recorded in addition to the system's own signals. It measures no orientation, which is in /odom.
 _IMU = Signal(
     "imu",
     "/imu",

@@ -211,7 +211,7 @@ def stance_weights(feet: FloatArray, load: FloatArray, centre: FloatArray) -> Fl
     Returns:
         Shares, shape (..., 4).
     """
-    half_length = 0.2  # of a Go1 [m]: brings moments to the size of forces
+    half_length = 0.2  # half the length of a Go1 [m]: scales moments to the size of forces
     arms = (feet[..., :2] - centre[..., None, :]) / half_length
     equations = np.concatenate((np.ones_like(arms[..., :1]), arms), axis=-1)  # (..., 4, 3)
     weighted = equations * load[..., None]

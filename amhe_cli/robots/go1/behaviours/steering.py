@@ -178,7 +178,7 @@ class Helm:
         if self.retreating:
             return replace(wanted, speed=self._retreat_speed(gap), turn=0.0, yaw=box_yaw, pushing=0.0)
         touching = gap < s.touching
-        if touching and path.speed == self._speed:  # not where it tapers
+        if touching and path.speed == self._speed:  # not while the commanded speed falls
             self._pacing.update(state.time, 1.0 - float(heading_velocity(state.trunk)[0]) / self._speed)
         return replace(wanted, pushing=float(touching))
 

@@ -95,7 +95,7 @@ class EmulatedBody:
         self._temperatures += STEP * heat
 
     def _discharge(self, torques: FloatArray, rates: FloatArray) -> None:
-        mechanical = np.maximum(torques * rates, 0.0)  # braking gives nothing back
+        mechanical = np.maximum(torques * rates, 0.0)  # braking does not charge the battery
         power = _STANDBY + float(mechanical.sum() + _COPPER * np.sum(torques**2))
         self._charge = max(0.0, self._charge - 100.0 * STEP * power / _CAPACITY)
 

@@ -102,7 +102,7 @@ class Machine:
             self._go_on(now, inbox, inbox.state)
             phase, wanted = self.phase, self._targets(now, inbox)
             self._guard(now, inbox, inbox.state, wanted)
-            if self.phase != phase:  # a plan that has been lost is not followed for one packet more
+            if self.phase != phase:  # a trip: follow the lost plan for no further packet
                 wanted = self._targets(now, inbox)
             if self._drives:
                 return self._servo(now, inbox.state, wanted)
@@ -226,7 +226,7 @@ class Machine:
         self._jump = NO_JUMP
         if plan is not self._playing:
             self._jump = _largest_step(np.vstack((targets - before, np.diff(plan.rows, axis=0))))
-            # the first one leans on its feet where a standing robot did not yet
+            # the first plan's targets include the load on the feet, those of standing do not
             duration = _FIRST_BLEND if self._playing is None else _BLEND
             self._playing, self._blend = plan, (now - 1.0 / self.settings.rate, duration, before - targets)
         begun, duration, offset = self._blend

@@ -189,7 +189,7 @@ class Sender:
             return
         try:
             keys = os.read(self._keys, 64)
-        except OSError:  # of a terminal that hung up
+        except OSError:  # the terminal has been closed
             keys = b""
         if not keys:
             self._keys = -1
@@ -286,7 +286,7 @@ def main() -> None:
         pipe.send(mail.report_message({"phase": int(Phase.OVER), "trip": "error", "reason": str(error)}))
         return
     gc.freeze()
-    gc.disable()  # nothing here makes cycles
+    gc.disable()  # no code here makes reference cycles
     notes = [] if take_priority(SENDER) else [_NO_PRIORITY]
     sender = Sender(settings, robot, pipe, clock, given["keys"], notes)
     for number in _STOPPING:

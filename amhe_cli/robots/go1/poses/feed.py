@@ -121,7 +121,7 @@ class PoseFeed:
         begun = False
         while time.monotonic() < end and not set(self._options.bodies) <= set(seen):
             for message in self._messages():
-                if "connecting" in message and not begun:  # its Python has started: from now on it counts
+                if "connecting" in message and not begun:  # its Python has started: the wait begins now
                     begun, end = True, time.monotonic() + self._options.seconds * max(1.0, self._options.slow)
                 pose = _pose(message)
                 if pose is not None:

@@ -143,5 +143,5 @@ def _own_address(host: str, port: int) -> str:
     if ipaddress.ip_address(host).is_loopback:
         return "127.0.0.1"
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.connect((host, port))  # sends nothing
+        probe.connect((host, port))  # connecting a UDP socket sends nothing
         return probe.getsockname()[0]

@@ -73,7 +73,7 @@ def _surges(offset: float | None, count: int) -> tuple[Segment, ...]:
 MOTIONS = (
     STEADY,
     Motion("surge", "a surge in every stride", _surges(None, 1)),
-    Motion("sides", "surges left and right of the middle by turns", _surges(0.12, 4) + _surges(-0.12, 4)),
+    Motion("sides", "surges left and right of the middle, alternating", _surges(0.12, 4) + _surges(-0.12, 4)),
     Motion("release", "back off and meet the box again", (Segment(0.6, -0.2), Segment(1.4, 0.4))),
 )
 

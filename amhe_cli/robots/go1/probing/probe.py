@@ -83,7 +83,7 @@ class PushProbe:
         self.system: System = believing(self._own, options.belief)
         if robot and options.box:
             raise ConfigError("`box`: the box of a real robot is as it is; leave it out")
-        if robot:  # what it refuses is refused before the rehearsals
+        if robot:  # refuse wrong options before the rehearsals
             self.on_robot(STEADY, options.seconds, robot).episode.belief.close()
 
     def design(self, say: Say) -> ProbePlan:
@@ -126,7 +126,7 @@ class PushProbe:
         run = self.on_robot(motion, plan.seconds, self._robot)
         try:
             return self._record(run, path, stopped, say, self._robot.attend)
-        except AmheError as error:  # it never came to run: the plan is worth keeping
+        except AmheError as error:  # it did not begin to run: keep the plan
             path.unlink(missing_ok=True)
             return Ending(error=error)
 

@@ -29,7 +29,7 @@ class ValueFilter:
         vv: Variance of a value.
         rr: Variance of a rate.
         drive: Root of the spectral density of the acceleration [1/s^2/sqrt(Hz)].
-        walk: Root of the density with which values wander beside their rates [1/sqrt(s)].
+        walk: Root of the density of the random walk of values, in addition to their rates [1/sqrt(s)].
         vr: Covariance of a value with its rate.
     """
 
