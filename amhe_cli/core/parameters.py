@@ -258,8 +258,8 @@ def mistakes_of(name: str, log: bool, estimate: float, space: ParameterSpace) ->
 
     Args:
         name: Name of the parameter in the belief.
-        log: Whether it is log-scaled in the belief.
-        estimate: Its value in the belief.
+        log: Whether the parameter is log-scaled in the belief.
+        estimate: Value of the parameter in the belief.
         space: Parameters of a system.
     """
     known = {p.name: p for p in space.parameters}

@@ -176,7 +176,7 @@ class MheSettings(SettingsGroup):
         return self.iterations or {"linearised": own, "logrank": 4}[self.method]
 
     def idle(self, names: Iterable[str]) -> list[str]:
-        """Those of these settings that have an effect with the other method only."""
+        """Which of these settings have an effect with the other method only."""
         return [name for name in names if _ACTS_WITH.get(name, self.method) != self.method]
 
     def weights(self, names: Sequence[str]) -> list[float]:

@@ -40,7 +40,7 @@ class Topic:
         rate: Number of messages per second.
         entries: Names in its messages: joints, child frames; '[n]' for an array of n numbers.
         quantities: Quantities that it carries, keys of QUANTITIES.
-        columns: Of a part of a table: quantity -> its columns, in the order of `entries`.
+        columns: For a part of a table, quantity -> its columns, in the order of `entries`.
         table: The table's name.
     """
 

@@ -104,7 +104,7 @@ def inspect_log(
     Args:
         path: Path of the log.
         system: The system that the log is checked for; None: the log is only surveyed.
-        start, end, msg_path: As in `read_log`.
+        start, end, msg_path: See `read_log`.
 
     Raises:
         LogError: The log cannot be read at all.

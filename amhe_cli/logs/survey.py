@@ -35,8 +35,8 @@ class TopicSurvey:
         longest_gap: Longest silence [s], and
         gap_at: when it begins [s from the log's first message].
         first_ns, last_ns: First and last stamp [ns] on each clock: 'header' (where set), 'publish', 'log'.
-        header: Its header stamps: 'none' (the type has no header), 'unset', 'partly set', 'not monotone' or
-            'good'.
+        header: State of the header stamps: 'none' (the type has no header), 'unset', 'partly set',
+            'not monotone' or 'good'.
         clock: The clock that would be used: 'header', 'publish' or 'log'.
         quantities: Quantities that signals can read without naming fields; an array that is empty in every
             message counts as absent.

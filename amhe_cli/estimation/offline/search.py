@@ -137,7 +137,7 @@ class LineStep:
         z: The new estimate, shape (d,).
         moved: Length of the step, in posterior sd.
         far: The full step left the region that was sampled, and was shortened.
-        cost: Its cost, in units of the declared noise.
+        cost: Cost at the new estimate, in units of the declared noise.
     """
 
     z: FloatArray

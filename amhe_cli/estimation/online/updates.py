@@ -302,7 +302,7 @@ def learned(
 
     Args:
         samples: Samples of z, shape (b, d).
-        costs: Their costs, shape (b,); inf for samples that diverged, which are never elites.
+        costs: Costs of the samples, shape (b,); inf for samples that diverged, which are never elites.
         mean, sigma: Mean and sd that the samples were drawn with, shape (d,).
         share: Share of the samples that are elites.
         rate: Learning rate alpha.

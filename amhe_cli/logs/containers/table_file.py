@@ -40,8 +40,8 @@ class NumberTable:
     """One table, whatever file it is in.
 
     Args:
-        name: Of the table; its topic.
-        columns: Its columns, in order.
+        name: Name of the table; its topic.
+        columns: Columns of the table, in order.
         rows: Yields its rows in order, shape (n, numbers in a row); takes the list of problems to add to.
         comments: What the file says of itself.
         notes: What is damaged in its file, in words.

@@ -99,7 +99,7 @@ def _parse(connection: Connection) -> Types:
     """The log's own definition; nothing where it has none or a damaged one.
 
     Raises:
-        Exception: Of many kinds, if the text does not parse.
+        Exception: The text does not parse; the kind of error varies.
     """
     if not connection.definition.strip():
         return {}

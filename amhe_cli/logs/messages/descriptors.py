@@ -47,7 +47,7 @@ class Field:
         message: Type of the message that it holds; '' for anything else.
         text: Whether it is a string.
         repeated: Whether it is a list.
-        absent: Its value where a message does not have it; NaN where that means that it is unknown.
+        absent: Value of the field where a message lacks it; NaN where that means that it is unknown.
     """
 
     name: str

@@ -20,7 +20,7 @@ def run_record(measures: Measures, history: History, ending: Ending) -> dict[str
 
     Args:
         measures: Success, errors and cost of the run.
-        history: Its cycles and online estimates.
+        history: Cycles and online estimates of the run.
         ending: How the loop ended.
     """
     numbers = asdict(measures)

@@ -86,7 +86,7 @@ class Plane:
     """Origin and heading of a frame whose z is the world's.
 
     Args:
-        origin: Its origin in the world [m], shape (2,).
+        origin: Origin of the frame in the world [m], shape (2,).
         yaw: Heading of its x axis [rad].
     """
 

@@ -70,7 +70,7 @@ class Emulator:
         on_command: Is called with each command.
 
     Attributes:
-        lag: By how much the emulated time has fallen behind the clock, in all [s].
+        lag: Total time by which the emulation has fallen behind the clock [s].
     """
 
     def __init__(self, options: EmulatorOptions, on_command: OnCommand | None = None) -> None:

@@ -43,7 +43,7 @@ class Motion:
     Args:
         name: Short name.
         title: Title in words.
-        phases: Its segments, one after the other.
+        phases: Segments of the motion, one after the other.
     """
 
     name: str
