@@ -18,12 +18,15 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=options.Command, short_help="Logs to parameters with honest uncertainty.")
-@click.argument("logs", nargs=-1, required=True, type=options.EXISTING, metavar="LOG...")
+@click.argument(
+    "logs", nargs=-1, required=True, type=options.LOG, callback=options.episodes, metavar="LOG..."
+)
 @options.where
 @click.option(
     "--held-out",
     multiple=True,
-    type=options.EXISTING,
+    type=options.LOG,
+    callback=options.episodes,
     metavar="LOG",
     help="Log used only to validate; repeat for more.  [default: a quarter of the logs' time]",
 )

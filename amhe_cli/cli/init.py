@@ -12,7 +12,9 @@ from amhe_cli.cli.session import Session
 
 @click.command(cls=options.Command, short_help="A model and logs to a first system folder.")
 @click.argument("model", type=options.EXISTING_FILE)
-@click.argument("logs", nargs=-1, required=True, type=options.EXISTING, metavar="LOG...")
+@click.argument(
+    "logs", nargs=-1, required=True, type=options.LOG, callback=options.episodes, metavar="LOG..."
+)
 @click.option(
     "-o",
     "--out",

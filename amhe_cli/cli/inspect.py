@@ -16,7 +16,9 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=options.Command, short_help="What is in a log, and what a system lacks in it.")
-@click.argument("logs", nargs=-1, required=True, type=options.EXISTING, metavar="LOG...")
+@click.argument(
+    "logs", nargs=-1, required=True, type=options.LOG, callback=options.episodes, metavar="LOG..."
+)
 @options.where
 @options.common
 @click.pass_obj

@@ -23,7 +23,7 @@ _SHOWN = 4
 
 
 @click.command("mhe-replay", cls=options.Command, short_help="A log to parameters over time, as if live.")
-@click.argument("log", required=False, type=options.EXISTING, metavar="[LOG]")
+@click.argument("log", required=False, type=options.LOG, callback=options.one_episode, metavar="[LOG]")
 @options.where
 @click.option(
     "--belief",

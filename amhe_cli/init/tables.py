@@ -22,6 +22,8 @@ _QUANTITIES = {
 #: Words that only say that a number was measured, the best first; any other word ranks behind them.
 _MEASURED = ("", "measured", "meas", "actual", "act", "state", "raw", "filtered", "filt")
 _COMMANDED = {*COMMANDS, "con", "des"}
+#: How LeRobot calls the measured and the commanded positions of joints.
+_LEROBOT = re.compile(r"^(observation\.state|action)(\.|$|\[)")
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +36,12 @@ class _Meaning:
     rank: int
     entry: str
     count: int
+
+    @property
+    def kind(self) -> tuple[int, str]:
+        """Columns of one kind differ in their joint only."""
+        lerobot = _LEROBOT.match(self.column)
+        return self.rank, lerobot.group(1) if lerobot else re.sub(r"\d+", "#", self.column)
 
 
 def topics_in(table: Topic, joints: Sequence[str], driven: Sequence[str], alone: bool) -> list[Topic]:
@@ -83,8 +91,13 @@ def _meaning(table: str, column: str) -> _Meaning | None:
     name, _, count = column.removesuffix("]").partition("[")
     found = [w for word in words(name) for w in re.findall(r"[a-z]+|\d+", word)]
     quantity = next((_QUANTITIES[word] for word in found if word in _QUANTITIES), None)
+    lerobot = _LEROBOT.match(name)
+    if quantity is None and lerobot:
+        quantity = "position"
     if quantity is None or "time" in found:
         return None
+    if lerobot:
+        found = [lerobot.group(1).split(".")[-1], *found[2 if "." in lerobot.group(1) else 1 :]]
     rest = [word for word in found if word not in _QUANTITIES]
     command = bool(_COMMANDED & set(rest)) or bool(COMMANDS & set(words(table)))
     rest = [word for word in rest if word not in _COMMANDED]
@@ -99,8 +112,8 @@ def _topic(name: str, table: Topic, meanings: Sequence[_Meaning], joints: Sequen
     names: tuple[str, ...] = ()
     for quantity in ("position", "velocity", "effort"):
         own = [m for m in meanings if m.quantity == quantity]
-        for kind in sorted({(m.rank, re.sub(r"\d+", "#", m.column)) for m in own}):
-            group = [m for m in own if (m.rank, re.sub(r"\d+", "#", m.column)) == kind]
+        for kind in sorted({m.kind for m in own}):
+            group = [m for m in own if m.kind == kind]
             if named := _named(group, [m for m in own if m.rank == kind[0]], joints):
                 names, columns[quantity] = named
                 break
@@ -122,7 +135,8 @@ def _named(
     by_name = {joint: m.column for joint in joints for m in alike if m.entry and m.entry == _bare(joint)}
     if by_name:
         return tuple(by_name), tuple(by_name.values())
-    if len(group) == len(joints) and (len(joints) == 1 or all(re.search(r"\d", m.entry) for m in group)):
+    listed = all(re.search(r"\d", m.entry) or _LEROBOT.match(m.column) for m in group)
+    if len(group) == len(joints) and (len(joints) == 1 or listed):
         ordered = sorted(group, key=lambda m: [int(n) for n in re.findall(r"\d+", m.column)])
         return tuple(joints), tuple(m.column for m in ordered)
     return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from amhe_cli.logs.containers.lerobot import episode_paths
 from amhe_cli.logs.messages.writer import LogWriter
 from amhe_cli.logs.read import inspect_log, read_log, read_signals
 from amhe_cli.logs.survey import Inspection, SignalCheck, Survey, TopicSurvey, read_metadata, survey
@@ -13,6 +14,7 @@ __all__ = [
     "SignalCheck",
     "Survey",
     "TopicSurvey",
+    "episode_paths",
     "inspect_log",
     "read_log",
     "read_metadata",

@@ -19,6 +19,7 @@ from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import DERIVED, Measured, Signal, remapped
 from amhe_cli.logs.collect import collect
 from amhe_cli.logs.containers.folder import open_log
+from amhe_cli.logs.containers.lerobot import episode_paths
 from amhe_cli.logs.containers.raw import readable
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.physics import twist_looks_global
@@ -65,7 +66,7 @@ def read_log(
     """Read what a system needs from one log or several, onto the clock of its model.
 
     Args:
-        paths: A .mcap, .db3 or .bag file or a rosbag2 folder, or a sequence of them.
+        paths: A log, or a sequence of them; in a sequence, a LeRobot dataset stands for all its episodes.
         system: Says which topics are read, and the time step.
         topics: Name of a signal -> topic to read it from instead.
         start, end: Part of each log, in seconds from its start.
@@ -82,7 +83,9 @@ def read_log(
         raise ConfigError(f"`end`: {end:g} is not after `start` {start:g}")
     if not isinstance(paths, str | Path):
         return [
-            read_log(path, system, topics=topics, start=start, end=end, msg_path=msg_path) for path in paths
+            read_log(one, system, topics=topics, start=start, end=end, msg_path=msg_path)
+            for path in paths
+            for one in episode_paths(Path(path))
         ]
     signals = remapped(system.signals, topics or {})
     folder = None if msg_path is None else Path(msg_path)

@@ -127,13 +127,22 @@ def sha256(path: Path) -> str:
 def _hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
     """Hash of each log, by its path or name; a folder contributes every file in it."""
     hashes: dict[str, str] = {}
+    files: dict[Path, None] = {}
     for log in logs:
         path = log if isinstance(log, Path) else Path(log.source)
         if isinstance(log, Log) and not path.exists():
             hashes[log.source] = log.digest()
         else:
-            hashes |= {str(file): sha256(file) for file in (_files(path) if path.is_dir() else [path])}
-    return hashes
+            files |= dict.fromkeys(_log_files(path))
+    return hashes | {str(file): sha256(file) for file in files}
+
+
+def _log_files(path: Path) -> list[Path]:
+    """Files of a log; those of an episode, `dataset#3`, are the dataset's, without its videos."""
+    if not path.exists() and "#" in str(path):
+        folder = Path(str(path).rpartition("#")[0])
+        return [file for file in _files(folder) if file.suffix in (".parquet", ".json", ".jsonl")]
+    return _files(path) if path.is_dir() else [path]
 
 
 def _files(folder: Path) -> list[Path]:

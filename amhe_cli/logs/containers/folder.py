@@ -12,7 +12,7 @@ from typing import Any
 import yaml
 
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.logs.containers import bag_file, mcap_file, sqlite_file
+from amhe_cli.logs.containers import bag_file, lerobot, mcap_file, sqlite_file
 from amhe_cli.logs.containers.compression import decompress, unfold_file
 from amhe_cli.logs.containers.raw import Batch, Connection, LogFile, batch_of, readable
 from amhe_cli.logs.containers.table_file import TableFile
@@ -84,6 +84,8 @@ def open_log(path: Path) -> StoredLog:
         ConfigError: If there is no such path.
         LogError: If it is not a log.
     """
+    if (episode := lerobot.open_episode(path)) is not None:
+        return StoredLog(path, (episode,))
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
     if not path.is_dir():

@@ -68,32 +68,33 @@ def _npy(path: Path) -> list[NumberTable]:
     array = np.load(path, allow_pickle=False, mmap_mode="r")
     if array.dtype.names is None:
         raise LogError(f"{path}: an array without names; save it with np.savez(file, time=t, position=q)")
-    return [_in_memory(path, _stem(path), {name: array[name] for name in array.dtype.names})]
+    return [in_memory(path, _stem(path), {name: array[name] for name in array.dtype.names})]
 
 
 def _npz(path: Path) -> list[NumberTable]:
     try:
         with np.load(path, allow_pickle=False) as file:
-            return [_in_memory(path, _stem(path), {name: file[name] for name in file.files})]
+            return [in_memory(path, _stem(path), {name: file[name] for name in file.files})]
     except (ValueError, OSError, KeyError, BadZipFile) as error:
         raise LogError(f"{path}: a .zip file that is no .npz of numbers ({error})") from None
 
 
 def _parquet(path: Path) -> list[NumberTable]:
-    _needed(path, "pyarrow", "a parquet file")
+    needed(path, "pyarrow", "a parquet file")
     import pyarrow.parquet
 
-    return [_from_arrow(path, pyarrow.parquet.read_table(path))]
+    return [in_memory(path, _stem(path), arrow_arrays(pyarrow.parquet.read_table(path)))]
 
 
 def _feather(path: Path) -> list[NumberTable]:
-    _needed(path, "pyarrow", "a feather file")
+    needed(path, "pyarrow", "a feather file")
     import pyarrow.feather
 
-    return [_from_arrow(path, pyarrow.feather.read_table(path))]
+    return [in_memory(path, _stem(path), arrow_arrays(pyarrow.feather.read_table(path)))]
 
 
-def _from_arrow(path: Path, table: Any) -> NumberTable:
+def arrow_arrays(table: Any) -> dict[str, np.ndarray]:
+    """The columns of numbers, times and lists of numbers of one length, of a pyarrow table."""
     import pyarrow as pa
 
     arrays: dict[str, np.ndarray] = {}
@@ -108,11 +109,11 @@ def _from_arrow(path: Path, table: Any) -> NumberTable:
             arrays[name] = column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False)
         elif pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
             arrays[name] = column.to_numpy(zero_copy_only=False)
-    return _in_memory(path, _stem(path), arrays)
+    return arrays
 
 
 def _hdf5(path: Path) -> list[NumberTable]:
-    _needed(path, "h5py", "an HDF5 file")
+    needed(path, "h5py", "an HDF5 file")
     import h5py
 
     groups: dict[str, dict[str, np.ndarray]] = {}
@@ -127,12 +128,12 @@ def _hdf5(path: Path) -> list[NumberTable]:
     if not groups:
         raise LogError(f"{path}: an HDF5 file without a table of numbers")
     timed = {group: arrays for group, arrays in groups.items() if any(map(is_time, arrays))}
-    return [_in_memory(path, group or _stem(path), arrays) for group, arrays in (timed or groups).items()]
+    return [in_memory(path, group or _stem(path), arrays) for group, arrays in (timed or groups).items()]
 
 
 def _ulog(path: Path) -> list[NumberTable]:
     """Each instance of each topic is a table: `name`, and `name_1`, `name_2` where there are several."""
-    _needed(path, "pyulog", "a ULog of PX4", "ulog")
+    needed(path, "pyulog", "a ULog of PX4", "ulog")
     import pyulog
 
     said = io.StringIO()  # pyulog prints what it finds damaged
@@ -143,7 +144,7 @@ def _ulog(path: Path) -> list[NumberTable]:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
         problems.append(f"the recorder dropped messages {len(log.dropouts)} times, {lost:.2f} s in all")
     found = [
-        _in_memory(
+        in_memory(
             path,
             data.name + (f"_{data.multi_id}" if data.multi_id else ""),
             _with_arrays(data.data),
@@ -169,14 +170,15 @@ def _with_arrays(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     }
 
 
-def _needed(path: Path, library: str, what: str, extra: str = "tables") -> None:
+def needed(path: Path, library: str, what: str, extra: str = "tables") -> None:
+    """Refuse a file whose library is not installed, and say how to get it."""
     from importlib.util import find_spec
 
     if find_spec(library) is None:
         raise LogError(f"{path}: {what}; reading it needs the extra: pip install 'amhe[{extra}]'")
 
 
-def _in_memory(path: Path, name: str, arrays: Mapping[str, np.ndarray]) -> NumberTable:
+def in_memory(path: Path, name: str, arrays: Mapping[str, np.ndarray]) -> NumberTable:
     """A table of arrays (n,) and (n, k); arrays of another length are left out and named."""
     usable = {key: a for key, a in arrays.items() if a.ndim in (1, 2) and a.dtype.kind in "fiubM"}
     clock = next((key for key in usable if is_time(key)), next(iter(usable), None))
