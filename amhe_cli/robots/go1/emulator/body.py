@@ -35,7 +35,7 @@ class EmulatedBody:
     """One emulated robot and its box.
 
     Args:
-        task: The task: its box, and what changes on the way (by place, or by time since the box first moved).
+        task: Gives the box, and what changes on the way: by place, or by time since the box first moved.
         rng: Random generator of the sensors' noise.
     """
 

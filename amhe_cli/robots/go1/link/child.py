@@ -122,7 +122,7 @@ def begun() -> tuple[Pipe, dict[str, Any]]:
 
 
 def take_priority(level: int) -> bool:
-    """Run this process before others, if the system allows it; whether it surely does.
+    """Run this process before others; True: always, False: only more often than others.
 
     Args:
         level: Priority among real-time processes; the highest goes first.

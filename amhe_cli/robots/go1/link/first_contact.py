@@ -15,13 +15,13 @@ from amhe_cli.robots.go1.link.state import RobotState
 
 #: Turns of the motors' mode whose echoes are timed, and the time given to one [s].
 _TURNS, _PATIENCE = 10, 0.1
-#: Length of our time over which the robot's is counted [s], from to: states are held up now and then.
+#: Shortest and longest time over which the robot's clock is compared with ours [s]: states may be late.
 _PACED, _PACED_LONGEST = 0.25, 1.0
 #: How far the pace may be from 1: clocks differ by far less, a forgotten `slow` by far more.
 _PACE_ERROR = 0.05
 #: Motors that nobody drives have less torque than this [N m].
 _DRIVEN = 2.0
-#: How many states the arriving share is taken over; a pause counts as so many missing ones at most.
+#: Number of states over which the share is taken, and the most missing ones that a pause counts as.
 _SPAN, _PAUSE = 200, 10
 
 

@@ -127,7 +127,7 @@ class Link:
         """Whether the sender has reached a phase.
 
         Raises:
-            StoppedError: A trip ended the run before.
+            StoppedError: A trip ended the run before that.
         """
         if self._poll().phase > phase:
             raise StoppedError(f"stopped: {self.report.reason or 'the run was ended'}")

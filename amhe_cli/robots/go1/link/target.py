@@ -138,7 +138,7 @@ class Go1Target:
             say: Called with each message to the operator.
 
         Raises:
-            StoppedError: A trip or the operator ended the run before.
+            StoppedError: A trip or the operator ended the run before that.
             PoseError: Box or poses have changed since they were checked.
         """
         self.begun = True
