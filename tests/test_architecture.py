@@ -144,7 +144,7 @@ def texts_of(module: str) -> Iterator[str]:
 
 
 #: Texts may name the options of a whole command: 'amhe eval --report', 'dask worker ... --nthreads'.
-OF_A_COMMAND = re.compile(r"`?(amhe \w+|dask worker)[^`]*|--nthreads 1`")
+OF_A_COMMAND = re.compile(r"`?(amhe \w+|dask worker|mavlogdump.py)[^`]*|--nthreads 1`")
 
 
 def test_the_library_speaks_of_arguments_not_of_options() -> None:

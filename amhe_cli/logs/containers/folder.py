@@ -14,6 +14,7 @@ import yaml
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.logs.containers import bag_file, lerobot, mcap_file, sqlite_file
 from amhe_cli.logs.containers.compression import decompress, unfold_file
+from amhe_cli.logs.containers.foreign import foreign
 from amhe_cli.logs.containers.raw import Batch, Connection, LogFile, batch_of, readable
 from amhe_cli.logs.containers.table_file import TableFile
 from amhe_cli.logs.containers.table_formats import open_tables
@@ -102,9 +103,12 @@ def _open_tables(path: Path) -> list[LogFile]:
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in _TABLES and file.is_file())
         return [table for file in files for table in _open_tables(file)]
     with path.open("rb") as file:
-        head = file.read(16)
-    known = any(head.startswith(magic) for magic in (_ZSTD, *(magic for magic, _ in _READERS)))
-    return [] if known else [*open_tables(path)]
+        head = file.read(512)
+    if any(head.startswith(magic) for magic in (_ZSTD, *(magic for magic, _ in _READERS))):
+        return []
+    if (about := foreign(path, head)) is not None:
+        raise LogError(f"{path}: {about}")
+    return [*open_tables(path)]
 
 
 def _open_file(path: Path) -> LogFile:
@@ -120,8 +124,14 @@ def _open_file(path: Path) -> LogFile:
     if any(magic.startswith(head) for magic, _ in _READERS):
         raise LogError(f"{path}: the file ends after {len(head)} bytes")
     raise LogError(
-        f"{path}: neither MCAP, nor a rosbag2 .db3, nor a ROS 1 .bag, nor a table (judged by its first bytes)"
+        f"{path}: begins with {_shown(head)}, which is no log that is known: MCAP, rosbag2 .db3, ROS 1 .bag, "
+        "ULog, CSV, npz, parquet, feather, HDF5; save its numbers as one of these"
     )
+
+
+def _shown(head: bytes) -> str:
+    """First bytes of a file, in hexadecimal digits."""
+    return f"the bytes {head[:8].hex(' ')}"
 
 
 def _open_packed(path: Path) -> LogFile:

@@ -64,7 +64,7 @@ class Definitions:
         if connection.encoding not in ("cdr", "ros1"):
             raise LogError(
                 f"{topic} is encoded as {connection.encoding!r}; "
-                "ROS messages (cdr, ros1), JSON and protobuf are read"
+                "cdr and ros1 (ROS), json and protobuf are read: let the recorder write one of these"
             )
         try:
             own = _parse(replace(connection, topic=""))
