@@ -8,12 +8,14 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Series, Window
-from amhe_cli.core.resample import resample
+from amhe_cli.core.resample import longest_bridge, resample
 from amhe_cli.core.samples import Samples
 from amhe_cli.core.signals import Signal
 
-#: Time kept before a window's start [s]: a command lasts until the next, and first states are smoothed.
+#: Time before a window's start [s] that is on its grid, since first states are smoothed.
 _BEFORE = 0.2
+#: A signal's period is the median over so many of its last stamps, so that a pause hardly changes it.
+_STAMPS = 100
 
 
 class Buffer:
@@ -23,14 +25,16 @@ class Buffer:
         signals: What is kept; samples of other signals are passed over.
         window: Length of a window [s].
         dt: Step of the clock: the time step of the estimator's model [s].
-        bridge: Longest silence that is filled [s].
+        max_gap: Longest silence that is filled [s], as in logs: slow signals may be silent for longer, and
+            commands that are sent on change last until the next.
     """
 
-    def __init__(self, signals: tuple[Signal, ...], window: float, dt: float, bridge: float) -> None:
+    def __init__(self, signals: tuple[Signal, ...], window: float, dt: float, max_gap: float) -> None:
         self._signal_of = {signal.key(q): signal for signal in signals for q in signal.quantities}
         self._names = {signal.name for signal in signals}
-        self._steps, self._dt, self._bridge = round(window / dt), dt, bridge
+        self._steps, self._dt, self._max_gap = round(window / dt), dt, max_gap
         self._kept: dict[str, deque[tuple[FloatArray, FloatArray]]] = {}
+        self._stamps: dict[str, FloatArray] = {}
 
     @property
     def newest(self) -> float:
@@ -38,10 +42,15 @@ class Buffer:
         return max((float(parts[-1][0][-1]) for parts in self._kept.values()), default=-np.inf)
 
     def append(self, samples: Samples) -> None:
-        """Take in the next samples, each quantity in the order of time; what is too old falls out."""
+        """Take in the next samples, each quantity in the order of time; what is too old falls out.
+
+        The last sample before a window stays, however old it is: a command may still be in force.
+        """
         for key, (times, values) in samples.items():
             if key in self._signal_of and times.size:
                 self._kept.setdefault(key, deque()).append((times, values))
+                before = self._stamps.get(key, times[:0])
+                self._stamps[key] = np.concatenate((before, times))[-_STAMPS:]
         oldest = self.newest - self._steps * self._dt - _BEFORE
         for parts in self._kept.values():
             while len(parts) > 1 and parts[1][0][0] <= oldest:
@@ -62,7 +71,7 @@ class Buffer:
     def _series(self, key: str, grid: FloatArray) -> Series:
         times, values = (np.concatenate(arrays) for arrays in zip(*self._kept[key], strict=True))
         columns = tuple(f"{key}.{i}" for i in range(values.shape[1]))
-        return resample(
-            times, values, columns, grid,
-            bridge=self._bridge, hold=self._signal_of[key].is_input, rotation=key.endswith(".orientation"),
-        )  # fmt: skip
+        hold = self._signal_of[key].is_input
+        bridge = longest_bridge(self._stamps[key], self._max_gap, hold)
+        rotation = key.endswith(".orientation")
+        return resample(times, values, columns, grid, bridge=bridge, hold=hold, rotation=rotation)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Window
+from amhe_cli.core.log import Log, Window
 from amhe_cli.core.samples import Samples, sampled
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
+from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon, usable
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import InStep, News, Trouble
 from amhe_cli.system.system import System
@@ -81,6 +81,42 @@ def test_windows_hold_what_was_measured_whatever_the_portions(
             np.testing.assert_allclose(
                 window.log[key].values[ours][mask], series.values[theirs][mask], atol=1e-12
             )
+
+
+@pytest.mark.parametrize("every", [1, 50, 100, 10**6], ids=["streamed", "4 Hz", "2 Hz", "once"])
+def test_windows_hold_rare_commands_as_logs_do(every: int, cart: System, drive: Drive) -> None:
+    """A command holds until the next, however long ago it was sent."""
+    worker, samples = Slow(0), dict(sampled(drive(4.0)))
+    samples["force.effort"] = tuple(a[::every] for a in samples["force.effort"])
+    times, force = samples["force.effort"]
+    stamps = samples["state.position"][0]
+    states = {key.split(".")[1]: values for key, (_, values) in samples.items() if key.startswith("state.")}
+    arrays = {"state": {"time": stamps, **states}, "force": {"time": times, "effort": force}}
+    log = Log.from_arrays(arrays, cart)
+    tracker = Tracker(cart, worker)
+    first = {key: (t[:1], v[:1]) for key, (t, v) in samples.items()}
+    for now, part in [(0.0, first), *portions(samples, 0.01, 4.0)]:
+        tracker.feed(part, now)
+    assert len(worker.windows) > 10
+    for window, at in worker.windows:
+        assert usable(cart, window)
+        ours = slice(window.start, window.stop + 1)
+        theirs = slice(round(at / DT) - window.length, round(at / DT) + 1)
+        for key, series in log.series.items():
+            np.testing.assert_array_equal(window.log[key].valid[ours], series.valid[theirs], key)
+            np.testing.assert_allclose(window.log[key].values[ours], series.values[theirs], atol=1e-12)
+
+
+def test_a_stream_of_commands_that_breaks_off_is_not_held(cart: System, drive: Drive) -> None:
+    worker, samples = Slow(0), dict(sampled(drive(4.0)))
+    samples["force.effort"] = tuple(a[: round(1.5 / DT)] for a in samples["force.effort"])
+    tracker = Tracker(cart, worker)
+    for now, part in portions(samples, DT, 4.0):
+        tracker.feed(part, now)
+    known = [(at, usable(cart, window)) for window, at in worker.windows]
+    bridged = 1.5 + cart.settings.logs.max_gap
+    assert {good for at, good in known if at < bridged - 0.02} == {True}
+    assert {good for at, good in known if at > bridged + 0.02} == {False}
 
 
 def test_windows_wait_for_every_signal_and_end_at_the_newest_sample(cart: System, drive: Drive) -> None:
