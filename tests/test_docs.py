@@ -20,6 +20,13 @@ def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8")) < 10_000
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/ARCHITECTURE.md"])
+def test_the_library_is_linked(page: str) -> None:
+    links = {path for path, _ in LINK.findall((ROOT / page).read_text(encoding="utf-8"))}
+    targets = {((ROOT / page).parent / path).resolve().relative_to(ROOT).as_posix() for path in links if path}
+    assert {"docs/api.md", "examples/identify_arrays.py", "examples/notebook.ipynb"} <= targets
+
+
 def anchor(heading: str) -> str:
     """The fragment that GitHub gives a heading."""
     return re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")

@@ -225,8 +225,9 @@ def _logs(system: System, given: Log | Sequence[Log], argument: str) -> tuple[Lo
 
 
 def _same_file(one: Log, other: Log) -> bool:
-    path = Path(one.source)
-    return path.exists() and path.resolve() == Path(other.source).resolve()
+    if one.file is None or other.file is None:
+        return False
+    return one.file.resolve() == other.file.resolve()
 
 
 @contextmanager

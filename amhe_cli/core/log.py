@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -50,9 +51,10 @@ class Log:
     Args:
         dt: Step of the clock [s]: the time step of the model that will be compared with it.
         series: `signal.quantity` -> Series, for instance 'box.orientation', all of T rows.
-        source: Path of the log, for messages and provenance.
+        source: Name of the log in messages and results; of a file, its path.
         start_ns: Stamp of row 0 [ns].
         metadata: Metadata of the log (its `amhe` metadata record): system, truth, seed.
+        file: File or folder that the log was read from; None: it was made in memory.
     """
 
     dt: float
@@ -60,6 +62,7 @@ class Log:
     source: str
     start_ns: int = 0
     metadata: Mapping[str, str] = field(default_factory=dict)
+    file: Path | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "series", MappingProxyType(dict(self.series)))
@@ -67,7 +70,7 @@ class Log:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle as plain values: windows go to an estimator's process, and mapping proxies cannot."""
-        return Log, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata))
+        return Log, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata), self.file)
 
     @classmethod
     def from_arrays(

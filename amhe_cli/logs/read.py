@@ -187,7 +187,7 @@ def read_signals(
             found = _series(path, track, grid, start_ns, settings)
             _tell_gaps(path, track.signal, found, dt)
             series |= found
-    return Log(dt, series, str(path), start_ns, log.metadata)
+    return Log(dt, series, str(path), start_ns, log.metadata, path)
 
 
 def _series(

@@ -129,11 +129,12 @@ def _hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
     hashes: dict[str, str] = {}
     files: dict[Path, None] = {}
     for log in logs:
-        path = log if isinstance(log, Path) else Path(log.source)
-        if isinstance(log, Log) and not path.exists():
-            hashes[log.source] = log.digest()
+        if isinstance(log, Path):
+            files |= dict.fromkeys(_log_files(log))
+        elif log.file is not None and log.file.exists():
+            files |= dict.fromkeys(_log_files(log.file))
         else:
-            files |= dict.fromkeys(_log_files(path))
+            hashes[log.source] = log.digest()
     return hashes | {str(file): sha256(file) for file in files}
 
 

@@ -130,7 +130,11 @@ def test_save_writes_what_the_command_writes(result: amhe.Result, tmp_path: Path
     result.save(tmp_path / "out", force=True)
 
 
-def test_a_system_without_a_folder_is_saved_as_well(tmp_path: Path) -> None:
+def test_system_and_logs_without_files_are_saved_as_well(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arrays").mkdir()  # named as the logs are, and has nothing to do with them
     time = np.arange(0.0, 4.0, 0.01)
     system = amhe.System.from_model(
         bundled_root() / "models" / "pendulum" / "scene.xml",
@@ -143,10 +147,12 @@ def test_a_system_without_a_folder_is_saved_as_well(tmp_path: Path) -> None:
     )
     position = 0.5 * np.sin(3.0 * time)
     arrays = {"joints": {"time": time, "position": position}, "command": {"time": time, "position": position}}
-    found = amhe.identify(system, amhe.Log.from_arrays(arrays, system))
+    log, held_out = (amhe.Log.from_arrays(arrays, system) for _ in range(2))
+    assert log.file is None
+    found = amhe.identify(system, log, held_out=held_out)
     found.save(tmp_path / "out")
     belief = amhe.Belief.load(tmp_path / "out" / "belief.yaml", system)
-    assert list(belief.provenance["logs"]) == ["arrays"]  # type: ignore[call-overload]
+    assert belief.provenance["logs"] == {"arrays": log.digest()}
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
 
 

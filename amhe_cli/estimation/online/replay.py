@@ -8,7 +8,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -165,7 +164,7 @@ def _truth(system: System, log: Log, steps: Sequence[Window]) -> dict[str, Float
     """True parameters at the end of each window: over time where the log has them so, else once for all."""
     ends = np.array([step.stop for step in steps])
     stamps_ns = log.start_ns + np.round(ends * log.dt * 1e9).astype(np.int64)
-    over_time = read_truth(Path(log.source), stamps_ns, system.settings.logs)
+    over_time = read_truth(log.file, stamps_ns, system.settings.logs) if log.file else {}
     once = {name: np.full(ends.size, value) for name, value in told_truth([log]).items()}
     return {name: values for name, values in (once | over_time).items() if name in system.space.names}
 

@@ -13,7 +13,7 @@ from amhe_cli.core.parameters import belief_of
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, JumpTest, MovingHorizon, Pace
 from amhe_cli.estimation.online.prior import Gaussian, prior_of
-from amhe_cli.estimation.online.replay import replay, windows
+from amhe_cli.estimation.online.replay import open_replay, replay, windows
 from amhe_cli.estimation.online.updates import Noise, Outcome
 from amhe_cli.system.system import System
 
@@ -35,6 +35,12 @@ def test_it_finds_the_truth(cart, drive, method: str, within: float) -> None:
     assert found[-1].theta == pytest.approx([2.0, 3.0], rel=within)
     assert all(e.updated and e.diverged == 0 for e in found)
     assert found[-1].time == pytest.approx(5.9)
+
+
+def test_a_log_without_a_file_is_replayed(cart, drive) -> None:
+    problem = open_replay(cart, drive(2.0))
+    assert problem.truth == {}
+    assert next(replay(problem.estimator, problem.windows)).updated
 
 
 def test_the_intervals_hold_the_truth_as_often_as_they_say(constant, drive) -> None:
