@@ -73,7 +73,8 @@ def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Cons
     """
     tone, text = verdict(record)
     style = {"good": "green", "mixed": "yellow", "bad": "red"}[tone]
-    console.print(Text.assemble((f"{record['task']} ({title}), mode {record['mode']}: "), (text, style)))
+    verdict = Text.assemble((f"{record['task']} ({title}), mode {record['mode']}: "), (text, style))
+    console.print(verdict, soft_wrap=True)
     console.print()
     console.print(rich_table(measure_table(record)))
     console.print()
