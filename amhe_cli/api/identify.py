@@ -72,7 +72,7 @@ class Result:
     @cached_property
     def table(self) -> str:
         """The table of parameters, known combinations and held-out errors, as text."""
-        return self._rendered().export_text(clear=False)
+        return self._rendered().export_text(clear=False).rstrip("\n")
 
     def model(self) -> mujoco.MjModel:
         """A MuJoCo model with the identified values; sensors that amhe needed are in it too."""
@@ -127,6 +127,10 @@ class Result:
 
         origin = provenance(command, self.seed, self.found.method, self.system, logs, held_out)
         write_identification(folder, self.system, self.found, record, origin)
+
+    def __repr__(self) -> str:
+        verdicts = ", ".join(f"{p.name} {p.estimate:.4g} ({p.verdict})" for p in self.parameters.values())
+        return f"Result({self.system.name!r}: {verdicts})"
 
     def __str__(self) -> str:
         return self.table

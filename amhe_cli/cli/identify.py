@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import log_path, options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -19,14 +19,14 @@ if TYPE_CHECKING:
 
 @click.command(cls=options.Command, short_help="Logs to parameters with honest uncertainty.")
 @click.argument(
-    "logs", nargs=-1, required=True, type=options.LOG, callback=options.episodes, metavar="LOG..."
+    "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
 @options.where
 @click.option(
     "--held-out",
     multiple=True,
-    type=options.LOG,
-    callback=options.episodes,
+    type=log_path.LOG,
+    callback=log_path.episodes,
     metavar="LOG",
     help="Log used only to validate; repeat for more.  [default: a quarter of the logs' time]",
 )

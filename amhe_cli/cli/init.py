@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import log_path, options
 from amhe_cli.cli.session import Session
 
 
 @click.command(cls=options.Command, short_help="A model and logs to a first system folder.")
 @click.argument("model", type=options.EXISTING_FILE)
 @click.argument(
-    "logs", nargs=-1, required=True, type=options.LOG, callback=options.episodes, metavar="LOG..."
+    "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
 @click.option(
     "-o",

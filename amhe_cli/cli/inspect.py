@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import log_path, options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=options.Command, short_help="What is in a log, and what a system lacks in it.")
 @click.argument(
-    "logs", nargs=-1, required=True, type=options.LOG, callback=options.episodes, metavar="LOG..."
+    "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
 @options.where
 @options.common

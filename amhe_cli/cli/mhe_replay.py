@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import log_path, options
 from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.session import Session
 
@@ -23,7 +23,7 @@ _SHOWN = 4
 
 
 @click.command("mhe-replay", cls=options.Command, short_help="A log to parameters over time, as if live.")
-@click.argument("log", required=False, type=options.LOG, callback=options.one_episode, metavar="[LOG]")
+@click.argument("log", required=False, type=log_path.LOG, callback=log_path.one_episode, metavar="[LOG]")
 @options.where
 @click.option(
     "--belief",

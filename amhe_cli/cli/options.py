@@ -30,36 +30,6 @@ if TYPE_CHECKING:
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-class _LogPath(click.Path):
-    """An existing path; of a LeRobot dataset also some of its episodes: `dataset#3`, `dataset#3:10`."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Look for the dataset where the path has the form of its episodes."""
-        folder, mark, _ = str(value).rpartition("#")
-        if mark and (Path(folder) / "meta" / "info.json").exists():
-            return Path(value)
-        return super().convert(value, param, ctx)
-
-
-def episodes(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    """The logs with each LeRobot dataset replaced by its episodes."""
-    if not any("#" in str(path) or (path / "meta" / "info.json").exists() for path in paths):
-        return paths
-    from amhe_cli.logs import episode_paths
-
-    return tuple(one for path in paths for one in episode_paths(path))
-
-
-def one_episode(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
-    """A single log: of a LeRobot dataset, one episode."""
-    found = () if path is None else episodes(ctx, param, (path,))
-    if len(found) > 1:
-        raise click.BadParameter(f"{path} holds several episodes; name one, such as {found[0]}", ctx, param)
-    return found[0] if found else None
-
-
-#: A log that must exist (exit code 2 if not); whether it can be read is the reader's word (4).
-LOG = _LogPath(exists=True, readable=False, path_type=Path)
 EXISTING_FILE = click.Path(exists=True, dir_okay=False, readable=False, path_type=Path)
 EXISTING_FOLDER = click.Path(exists=True, file_okay=False, readable=False, path_type=Path)
 

@@ -68,6 +68,10 @@ class Log:
         object.__setattr__(self, "series", MappingProxyType(dict(self.series)))
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
 
+    def __repr__(self) -> str:
+        columns = ", ".join(f"{key} ({one.values.shape[1]})" for key, one in self.series.items())
+        return f"Log({self.source!r}, {self.duration:.4g} s at {self.dt:g} s: {columns})"
+
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle as plain values: windows go to an estimator's process, and mapping proxies cannot."""
         return Log, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata), self.file)

@@ -128,7 +128,8 @@ def _remarks(survey: Survey) -> list[str]:
 def _print_suitability(found: Inspection, console: Console) -> None:
     console.print(Text.assemble("for system ", (str(found.system), "bold")))
     for check in found.checks:
-        console.print(f"  {check.signal.name}: {check.signal.topic}, {_needs(check.signal)}", soft_wrap=True)
+        source = f"{check.signal.topic}, " if check.signal.topic else ""
+        console.print(f"  {check.signal.name}: {source}{_needs(check.signal)}", soft_wrap=True)
         found_text = f"found, without gaps in {numbers.percent(check.valid)} of the time"
         answer = Text(check.problem or found_text, style="yellow" if check.problem else "green")
         console.print(Padding(answer, (0, 0, 0, 4), expand=False))

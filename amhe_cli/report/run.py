@@ -73,8 +73,8 @@ def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Cons
     """
     tone, text = verdict(record)
     style = {"good": "green", "mixed": "yellow", "bad": "red"}[tone]
-    verdict = Text.assemble((f"{record['task']} ({title}), mode {record['mode']}: "), (text, style))
-    console.print(verdict, soft_wrap=True)
+    line = Text.assemble((f"{record['task']} ({title}), mode {record['mode']}: "), (text, style))
+    console.print(line, soft_wrap=True)
     console.print()
     console.print(rich_table(measure_table(record)))
     console.print()

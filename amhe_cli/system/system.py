@@ -160,6 +160,10 @@ class System:
 
         return from_model(model, parameters, signals, settings, keyframe, name, warn)
 
+    def __repr__(self) -> str:
+        signals = ", ".join(signal.name for signal in self.signals)
+        return f"System({self.name!r}: parameters {', '.join(self.space.names)}; signals {signals})"
+
     @property
     def dt(self) -> float:
         """Time step of the model [s]: the clock that logs are read onto."""

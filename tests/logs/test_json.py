@@ -117,7 +117,10 @@ def test_poses(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(log["s.orientation"].values[:, [0, 3]], TURN, atol=1e-9)
 
 
-@pytest.mark.parametrize("time", ["2023-11-14T22:13:20.000000Z", 1_700_000_000.0, 1_700_000_000_000_000_000])
+@pytest.mark.parametrize(
+    "time",
+    ["2023-11-14T22:13:20.000000Z", "2023-11-14T22:13:20.000000", 1_700_000_000.0, 1_700_000_000_000_000_000],
+)
 def test_any_schema_by_its_paths_and_any_form_of_a_time(time: Any, tmp_path: Path) -> None:
     def message(i: int) -> dict[str, Any]:
         if isinstance(time, str):
@@ -136,10 +139,13 @@ def test_any_schema_by_its_paths_and_any_form_of_a_time(time: Any, tmp_path: Pat
 
 def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     good = JOINTS["ros"][1]
-    bad = {10: b"{", 20: b"[1]", 30: b"[" * 5000, 40: b'{"a": ' * 200 + b"1" + b"}" * 200}
+    bad = {
+        10: b"{", 20: b"[1]", 30: b"[" * 5000, 40: b'{"a": ' * 200 + b"1" + b"}" * 200,
+        50: b'{"stamp": NaN}', 60: b'{"stamp": ' + b"9" * 400 + b"}", 70: b'{"a": ' + b"9" * 400 + b"}",
+    }  # fmt: skip
     path = write(tmp_path / "log.mcap", JOINTS["ros"][0], lambda i: bad.get(i) or good(i))
     log = read(path, "position", names=("a", "b"))
-    assert "4 messages damaged and dropped" in caplog.text
+    assert "7 messages damaged and dropped" in caplog.text
     np.testing.assert_allclose(log["s.position"].values, Q, atol=1e-3)
     (topic,) = survey(path).topics
     assert topic.quantities == ("position",)

@@ -183,6 +183,7 @@ def test_ragged_lines_and_rows_without_a_time_are_dropped_and_counted(
     [
         ("q1,q2,dq1,dq2\n1,2,0,0\n2,3,0,0\n", "none of the columns 'q1', .* is a time: call the one"),
         ("time,q1\n", "a header and no rows"),
+        ("time,position\n", "a header and no rows"),
         (
             "hello 1\nmy friend how are you\n",
             "a text file without a column of numbers|different numbers of cells",

@@ -104,7 +104,8 @@ def _open_tables(path: Path) -> list[LogFile]:
         return [table for file in files for table in _open_tables(file)]
     with path.open("rb") as file:
         head = file.read(512)
-    if any(head.startswith(magic) for magic in (_ZSTD, *(magic for magic, _ in _READERS))):
+    magics = (_ZSTD, *(magic for magic, _ in _READERS))
+    if any(head.startswith(magic) or magic.startswith(head) for magic in magics):
         return []
     if (about := foreign(path, head)) is not None:
         raise LogError(f"{path}: {about}")

@@ -62,9 +62,9 @@ class Dialect:
 
 
 def looks_like_text(head: bytes) -> bool:
-    """Whether the first bytes of a file can be a text table: printable, with at least one digit."""
+    """Whether the first bytes of a file can be a text table: they hold no control characters."""
     control = sum(byte < 9 or 13 < byte < 32 or byte == 127 for byte in head)
-    return bool(head) and not control and any(48 <= byte <= 57 for byte in head)
+    return bool(head) and not control
 
 
 def dialect_of(path: Path) -> Dialect:

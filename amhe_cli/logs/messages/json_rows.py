@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from datetime import datetime
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -34,14 +34,14 @@ class JsonRows:
         Raises:
             MalformedMessageError: The message is not a JSON object, or it is too deep or too large.
         """
+        found = _Found()
         try:
             content = json.loads(message)
-        except (ValueError, RecursionError) as error:
-            raise MalformedMessageError(f"it is no JSON ({error})") from None
-        if not isinstance(content, dict):
-            raise MalformedMessageError("it is no JSON object")
-        found = _Found()
-        found.mapping("", _with_arrays(content), 0)
+            if not isinstance(content, dict):
+                raise MalformedMessageError("it is no JSON object")
+            found.mapping("", _with_arrays(content), 0)
+        except (ValueError, TypeError, OverflowError, RecursionError) as error:
+            raise MalformedMessageError(f"it is no JSON message ({error})") from None
         shape = (tuple(found.shape), tuple(found.strings.items()))
         if shape not in self._layouts:
             self._layouts[shape] = found.layout()
@@ -101,6 +101,7 @@ class _Found:
         elif own in ("stamp", "time"):
             try:
                 moment = datetime.fromisoformat(text)
+                moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
             except ValueError:
                 return
             self.mapping(path, {"sec": int(moment.timestamp()), "nanosec": 1000 * moment.microsecond}, 0)
