@@ -147,7 +147,7 @@ def _refuse_nothing(
 def _of_another(topic: Topic, joints: Sequence[str]) -> bool:
     """Joint states in which no name resembles one of these joints."""
     resembling = any(name in joint or joint in name for name in topic.entries for joint in joints)
-    return topic.type.endswith("/JointState") and not resembling
+    return topic.kind == "JointState" and not resembling
 
 
 def _needs_fields(model: mujoco.MjModel, topics: Sequence[Topic]) -> str:

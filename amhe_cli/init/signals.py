@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -23,11 +24,19 @@ NOISE = {
 }
 #: Types that carry a pose, the best first: an odometry has the twist too.
 _POSES = ("Odometry", "PoseWithCovarianceStamped", "PoseStamped", "TransformStamped", "Pose", "TFMessage")
+#: Foxglove's types that carry what types of ROS do.
+_TWINS = {
+    "JointStates": "JointState",
+    "PoseInFrame": "PoseStamped",
+    "FrameTransform": "TransformStamped",
+    "FrameTransforms": "TFMessage",
+}
 #: Packages whose types, where they are not built in, hold no state of joints.
 _STATELESS = {
     *("std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "visualization_msgs", "diagnostic_msgs"),
     *("rcl_interfaces", "rosgraph_msgs", "builtin_interfaces", "tf2_msgs", "trajectory_msgs", "action_msgs"),
     *("stereo_msgs", "shape_msgs", "dynamic_reconfigure", "bond", "actionlib_msgs", "lifecycle_msgs"),
+    *("foxglove", "foxglove_msgs"),
 }
 
 
@@ -51,6 +60,12 @@ class Topic:
     quantities: tuple[str, ...]
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     table: str = ""
+
+    @property
+    def kind(self) -> str:
+        """Its type without the package; of Foxglove's types, that of the twin in ROS."""
+        package, _, kind = self.type.replace("/", ".").rpartition(".")
+        return _TWINS.get(kind, kind) if package.startswith("foxglove") else kind
 
 
 @dataclass
@@ -114,7 +129,7 @@ def _torques(guess: Guess, topics: Sequence[Topic]) -> str:
 def foreign(topics: Sequence[Topic]) -> list[Topic]:
     """Topics of message types that are neither built in nor of a common package: they may hold the state."""
     own = [topic for topic in topics if not topic.quantities]
-    return [topic for topic in own if topic.type.split("/")[0] not in _STATELESS]
+    return [topic for topic in own if re.split(r"[/.]", topic.type)[0] not in _STATELESS]
 
 
 def fields_example(model: mujoco.MjModel, topic: Topic) -> list[str]:
@@ -163,7 +178,7 @@ def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:
 def _joint_states(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
     """The fewest topics that between them measure the most joints."""
     left = {name: (name,) for name in single_joints(model)}
-    states = [t for t in topics if t.type.endswith("/JointState") and not is_command(t.name, t.type)]
+    states = [t for t in topics if t.kind == "JointState" and not is_command(t.name, t.type)]
     while left and states:
         found = {topic.name: matched(left, topic.entries) for topic in states}
         best = max(states, key=lambda topic: len(found[topic.name]))
@@ -187,7 +202,7 @@ def _commands(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]
         if topic.type.endswith("MultiArray") and f"[{len(left)}]" in topic.entries:
             names, quantity = {name: name for name in left}, "value"
             why = f"{topic.name} has as many numbers as there are actuators, taken in the model's order"
-        elif topic.type.endswith(("/JointState", "/JointTrajectory")):
+        elif topic.kind in ("JointState", "JointTrajectory"):
             names = matched(left, topic.entries)
             why = f"{topic.name} holds commands, judging by its name or type; its {quantity} is used"
         else:
@@ -204,7 +219,7 @@ def _bodies(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
         (topic, frame)
         for kind in _POSES
         for topic in topics
-        if topic.type.endswith(f"/{kind}") and not is_command(topic.name, topic.type)
+        if topic.kind == kind and not is_command(topic.name, topic.type)
         for frame in (topic.entries if kind == "TFMessage" else (None,))
     ]
     free = free_bodies(model)
@@ -245,7 +260,7 @@ def _pose_guess(
 
 def _imus(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
     """An IMU whose name is in that of a site, or the only IMU if there is only one site."""
-    imus = [topic for topic in topics if topic.type.endswith("/Imu")]
+    imus = [topic for topic in topics if topic.kind == "Imu"]
     sites = [name for name in names_of(model, "site") if "imu" in words(name)]
     for topic in imus:
         alike = [

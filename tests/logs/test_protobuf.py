@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 from google.protobuf import descriptor_pb2, timestamp_pb2
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
@@ -19,6 +20,7 @@ from amhe_cli.core.errors import AmheError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
+from amhe_cli.init.folder import init_system
 from amhe_cli.logs import read_signals, survey
 from amhe_cli.logs.containers.raw import Connection, batch_of
 from amhe_cli.logs.messages.decode import SignalDecoder
@@ -325,3 +327,30 @@ def test_mutations_never_end_in_a_traceback(tmp_path: Path) -> None:
         except AmheError as error:
             assert str(path) in str(error)
             assert "\n" not in str(error)
+
+
+MODEL = """<mujoco><worldbody>
+  <body name="box"><freejoint name="box"/><geom size=".1" mass="1"/></body>
+  <body pos="1 0 0"><joint name="a" axis="0 0 1"/><geom size=".1" mass="1"/>
+    <body pos="0 0 .3"><joint name="b" axis="0 1 0"/><geom size=".1" mass="1"/></body></body>
+</worldbody></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("name", "message", "entry"),
+    [
+        ("JointStates", joint_states, {"joints": ["a", "b"]}),
+        ("JointState", JOINTS["JointState"], {"joints": ["a", "b"]}),
+        ("PoseInFrame", POSES["PoseInFrame"][0], {"body": "box"}),
+        ("FrameTransforms", POSES["FrameTransforms"][0], {"body": "box", "child_frame": "box"}),
+    ],
+)
+def test_init_guesses_from_foxglove_types(
+    name: str, message: Callable[[int], Any], entry: dict[str, Any], tmp_path: Path
+) -> None:
+    (tmp_path / "robot.xml").write_text(MODEL)
+    init_system(tmp_path / "robot.xml", [write(tmp_path / "log.mcap", name, message)], tmp_path / "out")
+    signals = yaml.safe_load((tmp_path / "out" / "system.yaml").read_text())["signals"]
+    (signal,) = signals.values()
+    assert signal["type"] == f"foxglove.{name}"
+    assert {key: signal[key] for key in entry} == entry
