@@ -11,10 +11,17 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import SimulationError
-from amhe_cli.engine.rollout import Predicted, Rollouts, Starts, Wanted
+from amhe_cli.engine.rollout import (
+    Predicted,
+    Rollouts,
+    Starts,
+    Wanted,
+    candidates_last,
+    predicted_in_parts,
+)
 from amhe_cli.system.edits import ModelEdits
 
-#: The records of one batch of rollouts stay below this many bytes; more candidates are run in turns.
+#: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
 RECORD_BYTES = 256 * 2**20
 #: Rollouts of different lengths are run in at most this many groups of similar length, so that a short
 #: one does not pay for the longest.
@@ -69,18 +76,16 @@ class CpuEngine:
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
     ) -> Predicted:
         """See `Engine.predict`."""
-        model = self._model
+        model, count, clips = self._model, len(theta), len(starts.lengths)
         row = model.nq + model.nv + model.nsensordata + starts.inputs.shape[2]
-        each = 8 * row * starts.horizon * len(starts.lengths)
-        turns = max(1, int(np.ceil(len(theta) * each / RECORD_BYTES)))
-        if turns == 1:
+        at_once = max(1, RECORD_BYTES // (8 * row * starts.horizon))
+        if count * clips <= at_once:
             return self._predict(theta, starts, errors, wanted)
-        return joined(
-            [
-                self._predict(theta[rows], starts, None if errors is None else errors[rows], wanted)
-                for rows in np.array_split(np.arange(len(theta)), turns)
-            ]
-        )
+        turns = -(-count // max(1, at_once // clips)), -(-clips // at_once)
+        return predicted_in_parts(
+            turns, theta, starts, errors, wanted,
+            lambda parts: [candidates_last(self._predict(*part)) for part in parts],
+        )  # fmt: skip
 
     def _predict(
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
@@ -163,13 +168,6 @@ def _make_finite(rollouts: Rollouts) -> None:
     for values in (rollouts.qpos, rollouts.qvel, rollouts.sensordata):
         if failed.size and values is not None:
             values[failed] = np.nan_to_num(values[failed], posinf=0.0, neginf=0.0)
-
-
-def joined(parts: Sequence[Predicted], axis: int = 0) -> Predicted:
-    """One prediction from those of some candidates, or of some clips, after others along an axis."""
-    columns = zip(*(part.values for part in parts), strict=True)
-    completed = np.concatenate([part.completed for part in parts], axis)
-    return Predicted(tuple(np.concatenate(values, axis) for values in columns), completed)
 
 
 def hush_mujoco() -> None:

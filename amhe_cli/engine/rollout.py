@@ -7,7 +7,7 @@ late (they describe the state before the step); the engine shifts them.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -152,6 +152,58 @@ class Predicted:
 
     values: tuple[AnyArray, ...]
     completed: BoolArray
+
+
+#: Arguments of a prediction: theta, starts, errors, wanted.
+Call = tuple[FloatArray, Starts, FloatArray | None, Sequence[Wanted]]
+
+
+def predicted_in_parts(
+    parts: tuple[int, int],
+    theta: FloatArray,
+    starts: Starts,
+    errors: FloatArray | None,
+    wanted: Sequence[Wanted],
+    run: Callable[[Sequence[Call]], Sequence[Predicted]],
+) -> Predicted:
+    """A prediction that is computed in parts; the same numbers to the bit.
+
+    Args:
+        parts: Into how many parts to cut the candidates, and the clips.
+        theta, starts, errors, wanted: See `Engine.predict`.
+        run: Computes the parts; candidates are the last axis of their results (`candidates_last`).
+    """
+    by_candidate, by_clip = cut(len(theta), parts[0]), cut(len(starts.lengths), parts[1])
+    done = run(
+        [
+            (theta[rows], starts.of(some), None if errors is None else errors[rows][:, some],
+             [one.of(some) for one in wanted])
+            for rows in by_candidate
+            for some in by_clip
+        ]
+    )  # fmt: skip
+    width = len(by_clip)
+    whole = _joined([_joined(done[i : i + width], axis=0) for i in range(0, len(done), width)], axis=-1)
+    return Predicted(tuple(np.moveaxis(v, -1, 0) for v in whole.values), whole.completed.T)
+
+
+def candidates_last(done: Predicted) -> Predicted:
+    """A prediction with the candidates as the last axis.
+
+    In that order the values lie in memory, and copies keep it: how a sum of them is rounded depends on it.
+    """
+    return Predicted(tuple(np.moveaxis(v, 0, -1) for v in done.values), done.completed.T)
+
+
+def cut(count: int, parts: int) -> list[IntArray]:
+    """The numbers below `count`, cut into at most so many parts of equal size."""
+    return np.array_split(np.arange(count), max(1, min(count, parts)))
+
+
+def _joined(parts: Sequence[Predicted], axis: int) -> Predicted:
+    columns = zip(*(part.values for part in parts), strict=True)
+    completed = np.concatenate([part.completed for part in parts], axis)
+    return Predicted(tuple(np.concatenate(values, axis) for values in columns), completed)
 
 
 class Engine(Protocol):

@@ -18,8 +18,16 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import AmheError
-from amhe_cli.engine.cpu import CpuEngine, hush_mujoco, joined
-from amhe_cli.engine.rollout import Predicted, Rollouts, Starts, Wanted
+from amhe_cli.engine.cpu import CpuEngine, hush_mujoco
+from amhe_cli.engine.rollout import (
+    Predicted,
+    Rollouts,
+    Starts,
+    Wanted,
+    candidates_last,
+    cut,
+    predicted_in_parts,
+)
 from amhe_cli.system.edits import ModelEdits
 
 #: A part of a call has at least so many rollouts, and a call at most so many parts.
@@ -56,7 +64,7 @@ class SpreadEngine:
         """
         each = [
             (theta[rows], qpos[rows], qvel[rows], inputs[rows], lengths[rows])
-            for rows in _cut(len(theta), min(_MOST, len(theta) // _LEAST))
+            for rows in cut(len(theta), min(_MOST, len(theta) // _LEAST))
         ]
         done = self._gathered(_rollout, each)
         sensors = [part.sensordata for part in done if part.sensordata is not None]
@@ -77,20 +85,10 @@ class SpreadEngine:
         """
         count, clips = len(theta), len(starts.lengths)
         most = max(1, min(_MOST, count * clips // _LEAST))
-        by_candidate = _cut(count, most)
-        by_clip = _cut(clips, most // len(by_candidate))
-        done = self._gathered(
-            _predict,
-            [
-                (theta[rows], starts.of(some), errors if errors is None else errors[rows][:, some],
-                 [one.of(some) for one in wanted])
-                for rows in by_candidate
-                for some in by_clip
-            ],
-        )  # fmt: skip
-        width = len(by_clip)
-        whole = joined([joined(done[i : i + width], axis=0) for i in range(0, len(done), width)], axis=-1)
-        return Predicted(tuple(np.moveaxis(v, -1, 0) for v in whole.values), whole.completed.T)
+        parts = min(count, most), most // min(count, most)
+        return predicted_in_parts(
+            parts, theta, starts, errors, wanted, lambda each: self._gathered(_predict, each)
+        )
 
     def upon(self, model: mujoco.MjModel) -> SpreadEngine:
         """See `Engine.upon`."""
@@ -107,22 +105,12 @@ class SpreadEngine:
             ) from None
 
 
-def _cut(count: int, parts: int) -> list[IntArray]:
-    """The numbers below `count`, cut into at most so many parts of equal size."""
-    return np.array_split(np.arange(count), max(1, min(count, parts)))
-
-
 def _rollout(blueprint: bytes, *arguments: Any) -> Rollouts:
     return _engine(blueprint).rollout(*arguments)
 
 
 def _predict(blueprint: bytes, *arguments: Any) -> Predicted:
-    """A prediction with the candidates as the last axis.
-
-    In that order the values lie in memory, and a pickle keeps it: how a sum of them is rounded depends on it.
-    """
-    done = _engine(blueprint).predict(*arguments)
-    return Predicted(tuple(np.moveaxis(v, 0, -1) for v in done.values), done.completed.T)
+    return candidates_last(_engine(blueprint).predict(*arguments))
 
 
 @lru_cache(maxsize=2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.engine import cpu
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Starts, Wanted
 from amhe_cli.system.system import System
@@ -195,6 +196,29 @@ def test_predictions_are_picked_from_the_rollouts_of_every_candidate_on_every_cl
                     states = getattr(one, want.source)[0]
                     expected = states[want.rows[j]][:, list(want.columns)]
                     np.testing.assert_allclose(values[i, j], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("limit", [1, 30_000], ids=["one rollout", "some rollouts"])
+@pytest.mark.parametrize("count", [1, 5])
+@pytest.mark.parametrize("name", ENGINES)
+def test_a_prediction_that_is_cut_to_save_memory_is_the_same_to_the_bit(
+    name: str, count: int, limit: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By clips too, where the rollouts of one candidate need more memory than there is for all."""
+    starts, wanted = clips(CUBE, 20)
+    rng = np.random.default_rng(4)
+    theta = CUBE.space.theta_of(rng.normal(0.0, 0.3, (count, 4)))
+    errors = rng.normal(size=(count, 20, starts.first_sd.size))
+    whole = open_engine(CUBE).predict(theta, starts, errors, wanted)
+    monkeypatch.setattr(cpu, "RECORD_BYTES", limit)
+    given = dict(ENGINES[name])
+    with ThreadPoolExecutor(1) as worker:  # where the limit is the same, unlike in another process
+        engine = open_engine(CUBE, executor=worker if given.pop("spread", False) else None, **given)
+        parts = engine.predict(theta, starts, errors, wanted)
+    np.testing.assert_array_equal(parts.completed, whole.completed)
+    for one, other in zip(parts.values, whole.values, strict=True):
+        np.testing.assert_array_equal(one, other)
+        assert one.sum() == other.sum(), "they lie in the same order in memory"
 
 
 def test_a_fraction_of_a_step_of_command_delay_is_interpolated(opened: Open, tmp_path: Path) -> None:
