@@ -11,6 +11,7 @@ from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
+    from amhe_cli.cli.settings import Overrides
     from amhe_cli.robots.go1.link.calibration import Offsets
 
 #: The file of settings that is written.
@@ -31,7 +32,7 @@ def calibrate(
     task: str,
     seconds: float,
     yes: bool,
-    settings: dict[str, Any],
+    overrides: Overrides,
     out: options.Output,
     **wire: Any,
 ) -> None:
@@ -49,7 +50,7 @@ def calibrate(
     session.hush_mujoco()
     reached = at_the_robot.wire_of("go1", wire)
     assert reached is not None
-    asked = RunOptions(task, target="go1", settings=settings)
+    asked = RunOptions(task, target="go1", settings=overrides.all)
     calibration = open_calibration(asked, reached)
     folder = out.reserve("calibrate")
     with calibration:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from math import isfinite
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.cli.settings import Overrides
 
 MOCAP = ("natnet", "udp", "none")
 
@@ -96,7 +99,7 @@ def emulate(
     seed: int,
     trunk_offset: tuple[float, ...] | None,
     box_offset: tuple[float, ...] | None,
-    settings: dict[str, Any],
+    overrides: Overrides,
 ) -> None:
     """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
 
@@ -114,7 +117,7 @@ def emulate(
     from amhe_cli.robots.go1.settings import settings_of
 
     session.hush_mujoco()
-    asked = RunOptions(task, target="go1", settings=settings)
+    asked = RunOptions(task, target="go1", settings=overrides.all)
     measured, system = task_and_system(asked)
     s = settings_of(system).go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)

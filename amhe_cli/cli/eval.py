@@ -11,6 +11,7 @@ from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
+    from amhe_cli.cli.settings import Overrides
     from amhe_cli.study.store import Store
 
 #: What --tasks is without the option: the paper's five.
@@ -105,7 +106,7 @@ def evaluate(
     cluster: str | None,
     resume: bool,
     report: Path | None,
-    settings: dict[str, Any],
+    overrides: Overrides,
     out: options.Output,
 ) -> None:
     """Run tasks in modes over seeds, and make the paper's tables and figures of what came out.
@@ -131,7 +132,7 @@ def evaluate(
     from amhe_cli.robots.go1.tasks import LONGEST
 
     longest = LONGEST if duration is None else duration
-    wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, settings)
+    wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, overrides.all)
     study = study_of(wanted, session.command_line, now(), machine())
     cells = planned(wanted, study)
     store = start(out.folder or out.reserve("eval"), study, resume, out.force, cells)

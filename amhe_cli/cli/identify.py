@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +14,7 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.cli.progress import Shown
+    from amhe_cli.cli.settings import Overrides
     from amhe_cli.estimation.offline.result import Iteration
 
 
@@ -75,7 +76,7 @@ def identify(
     threads: int,
     workers: int | None,
     cluster: str | None,
-    settings: dict[str, Any],
+    overrides: Overrides,
     out: options.Output,
 ) -> None:
     """Find the parameters that make the simulation follow LOG...
@@ -94,7 +95,7 @@ def identify(
     session.hush_mujoco()
     folder = out.reserve("identify")
     _check_apart(logs, held_out)
-    opened = inputs.open(logs, settings)
+    opened = inputs.open(logs, overrides)
     prior = Belief.load(belief, opened) if belief else None
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)

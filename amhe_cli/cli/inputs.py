@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from amhe_cli.cli.settings import Overrides
     from amhe_cli.core.log import Log
     from amhe_cli.system.system import System
 
@@ -33,26 +34,33 @@ class Inputs:
     start: float | None
     end: float | None
 
-    def open(self, logs: Sequence[Path], settings: Mapping[str, Any] | None = None) -> System:
+    def open(self, logs: Sequence[Path], overrides: Overrides | None = None) -> System:
         """Load the system that the user named, or else the one that the logs name.
 
         What the logs state of their system, such as the size of a box, is taken where the system is theirs;
         the user's settings win.
 
+        Args:
+            logs: Paths of the logs.
+            overrides: The user's settings; None: there are none.
+
         Raises:
             ConfigError: There is no such system, the logs differ in it, or a setting is wrong.
         """
+        from amhe_cli.cli.settings import Overrides
         from amhe_cli.core.yaml_file import merged
+        from amhe_cli.system.load import find_system
         from amhe_cli.system.system import System
 
+        own: dict[str, Any] = {}
         if self.system:
-            system = System.load(self.system, settings)
+            folder = find_system(self.system)
         else:
-            own: dict[str, Any] = {}
+            folder = _folder_named_by(logs)
             for path in logs:
                 own = merged(own, _own_settings(path))
-            system = System.load(_folder_named_by(logs), merged(own, settings or {}))
-        return system.reading(self.topics)
+        settings, schema = (overrides or Overrides({}, {})).suited(folder, own)
+        return System.load(folder, settings, schema=schema).reading(self.topics)
 
     def read(self, system: System, logs: Sequence[Path]) -> list[Log]:
         """Read logs for a system; where that fails, the error also tells what they may be about instead.

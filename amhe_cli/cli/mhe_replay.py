@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -15,6 +15,7 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.cli.progress import Shown
+    from amhe_cli.cli.settings import Overrides
     from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.estimation.online.replay import ReplayProblem
 
@@ -44,7 +45,7 @@ def mhe_replay(
     belief: Path | None,
     seed: int,
     threads: int,
-    settings: dict[str, Any],
+    overrides: Overrides,
     out: options.Output,
 ) -> None:
     """Estimate parameters over the time of LOG, with the newest window at each update.
@@ -67,8 +68,8 @@ def mhe_replay(
     session.hush_mujoco()
     folder = out.reserve("mhe-replay")
     path = log or bundled_log()
-    opened = inputs.open([path], settings)
-    chosen = settings.get("mhe") or {}
+    opened = inputs.open([path], overrides)
+    chosen = overrides.all.get("mhe") or {}
     follows = "window" in chosen and "update_period" not in chosen
     if follows and opened.folder is not None:
         opened = paced(opened, System.load(opened.folder, warn=False).settings.mhe)

@@ -26,6 +26,7 @@ from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.cli.settings import Overrides
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -146,7 +147,7 @@ common = stacked(
     click.version_option(__version__, message="amhe %(version)s"),
 )
 
-#: Those of control/tasks.py, which --help need not load.
+#: Names of the tasks in robots/go1/tasks.py, which --help need not load.
 TASKS = ("t1", "t2", "t3", "t4", "t5", "hw1", "hw2")
 
 
@@ -211,15 +212,15 @@ where = bundled(
 )
 
 
-def _settings(assignments: Sequence[str], config: Path | None) -> dict[str, Any]:
+def _overrides(assignments: Sequence[str], config: Path | None) -> Overrides:
     from amhe_cli.cli.settings import gathered
 
     return gathered(config, os.environ, assignments)
 
 
 tuning = bundled(
-    "settings",
-    _settings,
+    "overrides",
+    _overrides,
     ("assignments", "config"),
     click.option(
         "--set",

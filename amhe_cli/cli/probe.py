@@ -12,6 +12,7 @@ from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
+    from amhe_cli.cli.settings import Overrides
     from amhe_cli.estimation.design.design import Accuracy
 
 #: The log that is written.
@@ -66,7 +67,7 @@ def probe(
     plan_only: bool,
     seed: int,
     threads: int,
-    settings: dict[str, Any],
+    overrides: Overrides,
     out: options.Output,
     **wire: Any,
 ) -> None:
@@ -83,11 +84,12 @@ def probe(
     from amhe_cli.report.folder import filling
     from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
-    from amhe_cli.system.load import bundled_systems
+    from amhe_cli.system.load import bundled_systems, find_system
     from amhe_cli.system.provenance import provenance
 
     session.hush_mujoco()
-    asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, settings)
+    settings, schema = overrides.suited(find_system(system or "go1_push"))
+    asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, settings, schema)
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)

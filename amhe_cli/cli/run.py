@@ -16,6 +16,7 @@ from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
+    from amhe_cli.cli.settings import Overrides
 
 _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
@@ -86,7 +87,7 @@ def run(
     realtime: bool,
     video: bool,
     plant: Path | None,
-    settings: dict[str, Any],
+    overrides: Overrides,
     out: options.Output,
     **wire: Any,
 ) -> None:
@@ -112,7 +113,7 @@ def run(
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration
-    asked = RunOptions(task, mode, target, belief, seed, threads, longest, realtime, plant, settings)
+    asked = RunOptions(task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all)
     opened = at_the_robot.opened(asked, wire) or open_run(asked)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
     click.get_current_context().with_resource(closing(opened.episode.belief))

@@ -1,6 +1,6 @@
 """Settings from outside a system folder: `--set`, `AMHE_*` variables, `--config` files.
 
-All of them become one nested mapping for `System.load`, by `gathered`.
+`gathered` collects them; `Overrides.suited` makes of them what `System.load` needs for one system.
 
 Keys are those of `core.settings.Settings` (`clips.length`), and `parameters.NAME....` and
 `signals.NAME....` as in `system.yaml`. `System.load` refuses unknown ones, listing what exists.
@@ -9,23 +9,80 @@ Keys are those of `core.settings.Settings` (`clips.length`), and `parameters.NAM
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import YamlFile, merged, scalar
 
-__all__ = ["from_environment", "from_file", "gathered", "merged", "parse_set"]
+if TYPE_CHECKING:
+    from amhe_cli.core.settings import Settings
 
 #: Start of an environment variable that is a setting, and what stands in it for the dot of `--set`.
 PREFIX, SEPARATOR = "AMHE_", "__"
+#: The one robot that has settings of its own: `robot:` in `system.yaml`.
+_ROBOT = "go1"
 
 
-def gathered(config: Path | None, environment: Mapping[str, str], options: Iterable[str]) -> dict[str, Any]:
-    """All overrides as one nested mapping, the strongest last: file, environment, `--set`."""
-    settings = from_file(config) if config else {}
-    settings = merged(settings, from_environment(environment))
-    return merged(settings, parse_set(options))
+@dataclass(frozen=True, slots=True)
+class Overrides:
+    """Settings from outside a system folder, as nested mappings.
+
+    Args:
+        shared: Those of the environment over those of a file; they may be meant for several systems.
+        chosen: Those of `--set`.
+    """
+
+    shared: Mapping[str, Any]
+    chosen: Mapping[str, Any]
+
+    @property
+    def all(self) -> dict[str, Any]:
+        """All of them; `--set` wins."""
+        return merged(self.shared, self.chosen)
+
+    def suited(
+        self, folder: Path, own: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Any], type[Settings]]:
+        """The settings for one system, and the class that checks them.
+
+        Shared settings of a robot that the system does not have are left out. The settings of its own robot
+        are imported only where there is something to check.
+
+        Args:
+            folder: The system folder.
+            own: Weaker settings, such as those that a log states.
+
+        Raises:
+            ConfigError: `--set` names a setting of a robot that the system does not have.
+        """
+        from amhe_cli.core.settings import Settings
+        from amhe_cli.system.load import FILE_NAME
+        from amhe_cli.system.schema import robot_groups
+
+        described = YamlFile(folder / FILE_NAME, patient=True).own
+        foreign = set(robot_groups({"robot": _ROBOT})) - set(robot_groups(described))
+        for group in sorted(foreign & set(self.chosen)):
+            raise ConfigError(
+                f"--set {_first_key(group, self.chosen[group])}: a setting of the robot {_ROBOT}, which the "
+                f"system {folder.resolve().name} does not have; leave it out"
+            )
+        shared = {group: values for group, values in self.shared.items() if group not in foreign}
+        settings = merged(own or {}, merged(shared, self.chosen))
+        in_file = described.get("settings")
+        present = {*settings, *(in_file if isinstance(in_file, Mapping) else ())}
+        if described.get("robot") == _ROBOT and present & set(robot_groups(described)):
+            from amhe_cli.robots.go1.settings import PushSettings
+
+            return settings, PushSettings
+        return settings, Settings
+
+
+def gathered(config: Path | None, environment: Mapping[str, str], options: Iterable[str]) -> Overrides:
+    """Settings of a file, of the environment, which wins over the file, and of `--set`."""
+    file = from_file(config) if config else {}
+    return Overrides(merged(file, from_environment(environment)), parse_set(options))
 
 
 def parse_set(options: Iterable[str]) -> dict[str, Any]:
@@ -75,3 +132,11 @@ def _nested(keys: list[str], value: Any) -> dict[str, Any]:
     for key in reversed(keys):
         value = {key: value}
     return value
+
+
+def _first_key(name: str, value: Any) -> str:
+    """Dotted name of the first setting in a group: `control.samples`."""
+    while isinstance(value, Mapping) and value:
+        key, value = next(iter(value.items()))
+        name = f"{name}.{key}"
+    return name

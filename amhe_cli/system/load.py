@@ -78,6 +78,7 @@ def load(
     loaded = _built(file, str(file.path), entry, spec, folder.resolve().name, folder, text, warn)
     if warn:
         _warn_of_idle(overrides, loaded.settings.mhe)
+        _warn_of_unchecked(file, schema)
     return loaded
 
 
@@ -226,6 +227,18 @@ def _warn_of_unset(where: str, joints: list[str], keyframe: int | None) -> None:
 def _warn_of_idle(overrides: Mapping[str, Any], mhe: MheSettings) -> None:
     for name in mhe.idle(overrides.get("mhe") or ()):
         logger.warning("mhe.%s does nothing with the method %s", name, mhe.method)
+
+
+def _warn_of_unchecked(file: YamlFile, schema: type[Settings]) -> None:
+    given = file.data.get("settings") or {}
+    groups = [name for name in robot_groups(file.own) if name in given and name not in schema.model_fields]
+    if groups:
+        logger.warning(
+            "%s: settings of the robot %s (%s) were not checked: no class that has them was given as schema",
+            file.path,
+            file.own["robot"],
+            ", ".join(groups),
+        )
 
 
 def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:

@@ -242,7 +242,7 @@ def test_the_environment_of_a_worker_changes_nothing(monkeypatch, done: Path) ->
 
 
 def test_the_users_environment_and_options_are_the_operating_point() -> None:
-    given = gathered(None, {"AMHE_CONTROL__SAMPLES": "16"}, ["control.horizon=16", "control.loops=2.0"])
+    given = gathered(None, {"AMHE_CONTROL__SAMPLES": "16"}, ["control.horizon=16", "control.loops=2.0"]).all
     options = EvalOptions(["t1"], ["true"], 1, settings=given)
     study = study_of(options, "amhe eval", "", {})
     assert study.setting == setting_of({"control.samples": 16, "control.loops": 2})

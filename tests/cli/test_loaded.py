@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-LOG = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
+LOGS = Path(__file__).parents[2] / "examples" / "logs"
+LOG = LOGS / "pendulum.mcap"
+FOREIGN = ("amhe_cli.control", "amhe_cli.live", "amhe_cli.robots")
 SCRIPT = """
 import sys
 from amhe_cli.cli.main import main
@@ -35,10 +37,20 @@ def loaded(*arguments: str) -> set[str]:
 def test_a_pendulum_needs_no_robot_and_no_controller(command: tuple[str, ...], tmp_path: Path) -> None:
     modules = loaded(*command, "--out", str(tmp_path / "out"))
     assert "amhe_cli.report.words" in modules or "amhe_cli.report.page" in modules
-    foreign = ("amhe_cli.control", "amhe_cli.live", "amhe_cli.robots")
-    # the settings of every room are one class, for now
-    settings = {"amhe_cli.robots", "amhe_cli.robots.go1", "amhe_cli.robots.go1.settings"}
-    assert {name for name in modules if name.startswith(foreign)} <= settings
+    assert not {name for name in modules if name.startswith(FOREIGN)}
+
+
+def test_settings_of_a_robot_are_checked_without_the_robot(tmp_path: Path) -> None:
+    command = ("mhe-replay", str(LOGS / "t1.mcap"), "--to", "1.2", "--set", "control.samples=9")
+    modules = loaded(*command, "--out", str(tmp_path / "out"))
+    rooms = {"amhe_cli.control", "amhe_cli.robots", "amhe_cli.robots.go1"}
+    settings = {"amhe_cli.control.settings", "amhe_cli.robots.go1.settings"}
+    assert {name for name in modules if name.startswith(FOREIGN)} == rooms | settings
+
+
+def test_settings_of_a_robot_need_no_simulator() -> None:
+    code = "import sys, amhe_cli.robots.go1.settings; assert 'mujoco' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_a_simulated_run_loads_neither_link_nor_poses(tmp_path: Path) -> None:

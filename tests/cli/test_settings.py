@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
 
-from amhe_cli.cli.settings import from_environment, from_file, merged, parse_set
+from amhe_cli.cli.main import run
+from amhe_cli.cli.settings import from_environment, from_file, gathered, merged, parse_set
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.settings import Settings
+from amhe_cli.robots.go1.settings import PushSettings
+from tests.conftest import MODELS
+
+LOGS = MODELS.parent / "examples" / "logs"
 
 
 def test_options_are_nested_and_typed() -> None:
@@ -63,3 +70,65 @@ def test_the_stronger_source_wins_key_by_key() -> None:
     weak, strong = {"a": {"b": 1, "c": 2}}, {"a": {"b": 3}}
     assert merged(weak, strong) == {"a": {"b": 3, "c": 2}}
     assert weak == {"a": {"b": 1, "c": 2}}
+
+
+def test_shared_settings_of_a_robot_do_not_reach_a_system_without_it(tmp_path: Path) -> None:
+    file = tmp_path / "config.yaml"
+    file.write_text("control: {samples: 8}\ngo1: {kp: 20}\nclips: {count: 3}\n")
+    given = gathered(file, {"AMHE_CONTROL__HORIZON": "9", "AMHE_CLIPS__COUNT": "4"}, ["mhe.window=1"])
+    common = {"clips": {"count": 4}, "mhe": {"window": 1}}
+    assert given.suited(MODELS / "pendulum") == (common, Settings)
+    robots = {"control": {"samples": 8, "horizon": 9}, "go1": {"kp": 20}}
+    assert given.suited(MODELS / "go1_push") == (common | robots, PushSettings)
+
+
+def test_a_log_states_the_weakest_settings() -> None:
+    given = gathered(None, {"AMHE_CLIPS__COUNT": "4"}, [])
+    settings, _ = given.suited(MODELS / "pendulum", {"clips": {"count": 1, "still": 2}})
+    assert settings == {"clips": {"count": 4, "still": 2}}
+
+
+def test_an_option_of_a_robot_is_refused_by_name_where_there_is_none(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    line = ["identify", str(LOGS / "pendulum.mcap"), "--set", "control.samples=8", "-o", str(out)]
+    assert run(line) == 2
+    assert "--set control.samples: a setting of the robot go1, which the system pendulum does not have" in (
+        capsys.readouterr().err
+    )
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ("identify", str(LOGS / "t1.mcap")),
+        ("mhe-replay", str(LOGS / "t1.mcap"), "--to", "1.2"),
+        ("probe", "--plan-only"),
+    ],
+)
+def test_misspelt_settings_of_a_robot_are_refused(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    wrong = ("--set", "control.nope=1", "--set", "go1.zz=3", "-o", str(tmp_path / "out"))
+    assert run([*command, *wrong]) == 2
+    err = capsys.readouterr().err
+    assert "setting control.nope: no key 'nope'" in err
+    assert "setting go1.zz: no key 'zz'" in err
+
+
+@pytest.mark.parametrize("command", ["identify", "mhe-replay", "inspect", "probe"])
+def test_misspelt_settings_of_a_robot_in_its_file_have_their_place(
+    command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder = tmp_path / "mine"
+    shutil.copytree(MODELS / "go1_push", folder)
+    file = folder / "system.yaml"
+    lines = file.read_text().splitlines()
+    row = lines.index("settings:") + 1
+    file.write_text("\n".join([*lines[:row], "  control: {nope: 3}", *lines[row:]]) + "\n")
+    log = [] if command == "probe" else [str(LOGS / "t1.mcap")]
+    out = [] if command == "inspect" else ["-o", str(tmp_path / "out")]
+    assert run([command, *log, "--system", str(folder), *out]) == 2
+    # a long line is broken where it is shown
+    assert f"system.yaml:{row + 1}:13: no key 'nope'" in capsys.readouterr().err

@@ -21,6 +21,7 @@ from amhe_cli.core.errors import AmheError, ConfigError, Ending, EstimationError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.samples import sampled
+from amhe_cli.core.settings import Settings
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
 from amhe_cli.estimation.design.excitation import Multisine, candidates, driven_controls, slow_sine
@@ -59,6 +60,7 @@ class ProbeOptions:
         seed: Seed of all random draws.
         threads: Threads of the rollouts; the outcome does not depend on them.
         settings: Settings that replace the system's own, as a nested mapping.
+        schema: Class of the settings, for systems other than `go1_push`.
     """
 
     system: str | None = None
@@ -70,6 +72,7 @@ class ProbeOptions:
     seed: int = 0
     threads: int = 1
     settings: Mapping[str, Any] = field(default_factory=dict)
+    schema: type[Settings] = Settings
 
     def rng(self, *place: int) -> np.random.Generator:
         """A generator of its own for each use."""

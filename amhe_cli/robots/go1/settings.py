@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -11,7 +11,9 @@ from pydantic import BaseModel, Field
 from amhe_cli.control.settings import ControlSettings
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.settings import Positive, Settings, SettingsGroup
-from amhe_cli.system.system import System
+
+if TYPE_CHECKING:
+    from amhe_cli.system.system import System
 
 #: Less than 1/16 is nothing to a motor.
 _Damping = Annotated[float, Field(ge=0.0625, le=10)]

@@ -60,3 +60,14 @@ def test_mistakes_in_the_file_are_told_with_their_place(
 def test_a_system_without_a_robot_has_no_settings_of_one() -> None:
     with pytest.raises(ConfigError, match="no setting 'control'"):
         System.load("pendulum", {"control": {"samples": 7}}, warn=False)
+
+
+def test_settings_of_a_robot_that_nobody_checks_are_named_once(caplog: pytest.LogCaptureFixture) -> None:
+    given = {"control": {"nope": 3}, "go1": {"zz": 1}}
+    System.load("go1_push", given)
+    (warning,) = [record.getMessage() for record in caplog.records if "not checked" in record.getMessage()]
+    assert "settings of the robot go1 (control, go1) were not checked" in warning
+    caplog.clear()
+    System.load("go1_push", {"clips": {"count": 3}})
+    System.load("go1_push", {"control": {"samples": 8}}, schema=PushSettings)
+    assert "not checked" not in caplog.text

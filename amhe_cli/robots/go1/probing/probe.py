@@ -229,7 +229,7 @@ def open_probe(options: ProbeOptions, robot: Go1OnLink | None = None) -> Probe:
     folder = _driven(options, robot)
     if folder is None:
         return PushProbe(options, robot)
-    return ActuatorProbe(options, System.load(folder, options.settings))
+    return ActuatorProbe(options, System.load(folder, options.settings, schema=options.schema))
 
 
 def _driven(options: ProbeOptions, robot: Go1OnLink | None) -> Path | None:
