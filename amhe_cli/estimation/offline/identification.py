@@ -122,10 +122,29 @@ def _pose(
 
 
 def _no_clips(pool: ClipPool) -> str:
-    return (
-        f"no clip of these logs can be used: {pool.motionless} are motionless, {pool.across_gaps} cross "
-        f"gaps; record a log in which the system moves, or loosen `clips.still` or `logs.max_gap`"
-    )
+    """Why no clip can be used, and what to do."""
+    system = pool.system
+    if not any(channel.compared for channel in system.channels):
+        return (
+            f"system {system.name!r} compares nothing with its logs: give a signal the noise of its sensor, "
+            "for instance noise: {position: 0.002}"
+        )
+    log = max((part.log for part in pool.parts), key=lambda log: log.duration)
+    keys = [c.key for c in system.channels] + [i.key for i in system.inputs]
+    rarest = min(keys, key=lambda key: int(log[key].sampled.sum()))
+    emptiest = min(keys, key=lambda key: float(log.usable((key,)).mean()))
+    spacing = log.duration / max(int(log[rarest].sampled.sum()), 1)
+    counted = f"{pool.motionless} are motionless, {pool.across_gaps} cross gaps"
+    if spacing > pool.settings.length[0]:
+        cause = f"{rarest} has a sample every {spacing:.3g} s: check the unit of its times"
+    elif pool.across_gaps > pool.motionless:
+        share = 100.0 * float(log.usable((emptiest,)).mean())
+        cause = (
+            f"{emptiest} has values in {share:.0f} % of the time: check its times, or loosen `logs.max_gap`"
+        )
+    else:
+        cause = f"record more than {log.duration:.3g} s in which the system moves, or loosen `clips.still`"
+    return f"no clip of these logs can be used ({counted}): {cause}"
 
 
 class _Watch:

@@ -1,0 +1,59 @@
+"""Logs that cannot be fitted: the error names the cause."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+
+MODEL = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="hinge" axis="0 1 0"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/></body></worldbody></mujoco>"""
+
+
+@pytest.fixture
+def model(tmp_path):
+    path = tmp_path / "model.xml"
+    path.write_text(MODEL)
+    return path
+
+
+def system(model, **noise: float) -> amhe.System:
+    return amhe.System.from_model(
+        model,
+        parameters={"damping": {"targets": [{"joint": "hinge", "set": "damping"}], "nominal": 0.01}},
+        signals={"joints": {"topic": "/j", "joints": ["hinge"], "noise": noise}},
+    )
+
+
+def refused(system: amhe.System, times: np.ndarray, position: np.ndarray) -> str:
+    log = amhe.Log.from_arrays({"joints": {"time": times, "position": position[:, None]}}, system)
+    with pytest.raises(amhe.AmheError) as raised:
+        amhe.identify(system, log)
+    return str(raised.value)
+
+
+TIMES = np.arange(0.0, 3.0, 0.005)
+
+
+def test_nothing_is_compared(model) -> None:
+    assert "compares nothing with its logs" in refused(system(model), TIMES, np.sin(TIMES))
+
+
+def test_milliseconds_are_taken_for_seconds(model) -> None:
+    slow = 1000.0 * TIMES[:100]
+    text = refused(system(model, position=0.001), slow, np.sin(slow))
+    assert "joints.position has a sample every 4.95 s: check the unit of its times" in text
+
+
+def test_the_log_has_gaps_everywhere(model) -> None:
+    position = np.sin(TIMES)
+    position[np.arange(position.size) % 100 > 2] = np.nan
+    text = refused(system(model, position=0.001), TIMES, position)
+    assert "joints.position has values in" in text
+    assert "check its times, or `logs.max_gap`" in text
+
+
+def test_nothing_moves(model) -> None:
+    text = refused(system(model, position=0.001), TIMES, np.zeros_like(TIMES))
+    assert "record more than 3 s in which the system moves" in text
