@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from amhe_cli.api.arguments import checked
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.errors import EstimationError, LogError, one_of
@@ -30,7 +31,7 @@ class Estimator:
         threads: CPU threads; results do not depend on it.
 
     Raises:
-        ConfigError: The belief does not suit the system, or the window is too short.
+        ConfigError: An argument is wrong, the belief does not suit the system, or the window is too short.
     """
 
     def __init__(
@@ -42,6 +43,7 @@ class Estimator:
         threads: int = 1,
     ) -> None:
         hush_mujoco()
+        seed, threads = checked(seed, threads)
         check_window(system.settings.mhe, system.dt)
         start = None if belief is None else belief_for(system, belief)
         engine = open_engine(system, threads=threads)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import logging
-import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -15,6 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from amhe_cli import __version__
+from amhe_cli.api.arguments import checked
 from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
@@ -175,7 +175,7 @@ def identify(
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
         engine: What computes the rollouts: 'cpu'.
-        max_time: Stop after this time [s] with the best so far.
+        max_time: Stop after this time [s] with the best so far; None: no limit.
         checkpoint: File in which the search is saved after each iteration; it is resumed if the file exists.
         executor: Computes the rollouts with its workers in place of threads of this process.
         progress: Called after each iteration with its record and the expected number of iterations.
@@ -186,7 +186,9 @@ def identify(
         EstimationError: No clip of the logs can be used.
     """
     hush_mujoco()
-    fitted, validation = _logs(system, logs, "logs"), _logs(system, held_out or (), "held_out")
+    seed, threads = checked(seed, threads, times={"max_time": max_time}, files={"checkpoint": checkpoint})
+    fitted = _logs(system, logs, "logs")
+    validation = () if held_out is None else _logs(system, held_out, "held_out")
     if not fitted:
         raise ConfigError("`logs`: there is none; give a log or several")
     for log in validation:
@@ -195,7 +197,7 @@ def identify(
     options = identification.IdentifyOptions(
         method=method,
         seed=seed,
-        threads=threads or cores(),
+        threads=threads,
         max_time=max_time,
         checkpoint=None if checkpoint is None else Path(checkpoint),
         prior=None if prior is None else belief_for(system, prior),
@@ -205,14 +207,9 @@ def identify(
     begun = time.monotonic()
     with _warnings() as warnings:
         found = identification.identify(
-            system, fitted, validation or None, options, progress or (lambda iteration, total: None)
+            system, fitted, validation, options, progress or (lambda iteration, total: None)
         )
     return Result(system, found, fitted, validation, seed, time.monotonic() - begun, tuple(warnings))
-
-
-def cores() -> int:
-    """Number of cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _logs(system: System, given: Log | Sequence[Log], argument: str) -> tuple[Log, ...]:

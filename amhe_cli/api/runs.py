@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from amhe_cli.api.identify import cores
+from amhe_cli.api.arguments import checked
 from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.cpu import hush_mujoco
@@ -47,8 +47,9 @@ def probe(
         SimulationError: The simulation diverged.
     """
     hush_mujoco()
+    seed, threads = checked(seed, threads, times={"seconds": seconds}, files={"log": log})
     start = Path(belief) if isinstance(belief, str) else belief
-    options = ProbeOptions(seconds=seconds, belief=start, seed=seed, threads=threads or cores())
+    options = ProbeOptions(seconds=seconds, belief=start, seed=seed, threads=threads)
     opened = ActuatorProbe(options, system)
     say = progress or (lambda text: None)
     plan = opened.design(say)
@@ -101,9 +102,10 @@ def run(
     from amhe_cli.robots.go1.tasks import LONGEST
 
     hush_mujoco()
+    seed, threads = checked(seed, threads, times={"duration": duration}, files={"log": log})
     options = RunOptions(
-        task, mode, belief=Path(belief) if isinstance(belief, str) else belief, seed=seed,
-        threads=threads or cores(), duration=duration or LONGEST, settings=settings or {},
+        task, mode, belief=Path(belief) if isinstance(belief, str) else belief, seed=seed, threads=threads,
+        duration=LONGEST if duration is None else duration, settings={} if settings is None else settings,
     )  # fmt: skip
     opened = open_run(options)
     history, show = History(opened.task), progress or (lambda row: None)

@@ -82,6 +82,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
     metavar="S",
     help="Stop each run after S seconds of it.  [default: 40, the tasks' own limit]",
 )
+@options.engine
 @options.spread
 @click.option("--resume", is_flag=True, help="Go on in OUT: run what is missing or has failed.")
 @click.option(

@@ -3,8 +3,8 @@
 common: --strict --json -q -v --no-color --version, on every command and before it
 where:  --system --topic --msg-path --from --to
 tuning: --set --config
-sampling: --seed --threads
-work:   those and --engine
+engine: --engine
+work:   --seed --threads --engine
 spread: --workers --cluster
 out:    -o --force
 """
@@ -99,9 +99,15 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _cpu_only(ctx: click.Context, param: click.Parameter, value: str) -> None:
-    if value == "gpu":
-        raise click.BadParameter("there is no GPU engine in this version; use cpu or auto", ctx, param)
+def _known_engine(ctx: click.Context, param: click.Parameter, value: str) -> None:
+    if value != "cpu":  # the default needs no look at the library, which is slow to load
+        from amhe_cli.core.errors import ConfigError
+        from amhe_cli.engine.open import check_kind
+
+        try:
+            check_kind(value)
+        except ConfigError as error:
+            raise click.BadParameter(str(error), ctx, param) from None
 
 
 def stacked(*decorators: Callable[[F], F]) -> Callable[[F], F]:
@@ -232,7 +238,17 @@ tuning = bundled(
     click.option("--config", type=EXISTING_FILE, metavar="FILE", help="YAML file of settings; --set wins."),
 )
 
-sampling = stacked(
+engine = click.option(
+    "--engine",
+    metavar="KIND",
+    default="cpu",
+    show_default=True,
+    expose_value=False,
+    callback=_known_engine,
+    help="What computes the rollouts: cpu.",
+)
+
+work = stacked(
     click.option("--seed", type=WholeNumber(min=0), metavar="N", default=0, show_default=True),
     click.option(
         "--threads",
@@ -242,19 +258,7 @@ sampling = stacked(
         show_default="all cores",
         help="Results depend on the seed, never on this.",
     ),
-)
-
-work = stacked(
-    sampling,
-    click.option(
-        "--engine",
-        type=click.Choice(["cpu", "gpu", "auto"]),
-        default="auto",
-        show_default=True,
-        expose_value=False,
-        callback=_cpu_only,
-        help="What rolls the candidates out.",
-    ),
+    engine,
 )
 
 

@@ -50,7 +50,7 @@ MODES = ("true", "baseline", "stale", "adaptive")
     metavar="FILE",
     help="A belief.yaml in place of the task's own for modes baseline, stale and adaptive.",
 )
-@options.sampling
+@options.work
 @click.option(
     "--duration",
     type=options.Number(min=0, min_open=True, max=600),

@@ -43,7 +43,7 @@ class Ending:
 def one_of(kind: str, name: str, known: Iterable[str]) -> str:
     """Say that `name` is no known `kind`, and what would be: 'no joint 'hip'; ...'."""
     names = sorted(set(known))
-    close = get_close_matches(name, names, n=1)
+    close = get_close_matches(str(name), names, n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
     listed = ", ".join(names) if names else f"no {kind} at all"
     return f"no {kind} {name!r}{hint}; there is: {listed}"

@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 import mujoco
 import numpy as np
 
-from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
@@ -41,14 +41,23 @@ def open_engine(
     Raises:
         ConfigError: There is no such kind of engine.
     """
-    if kind not in KINDS:
-        raise ConfigError(one_of("engine", kind, KINDS))
+    check_kind(kind)
     senses = system.senses if sensors is None else sensors
     edits = system.edits if model is None else system.edits.upon(model)
     about = (model or system.model, edits, system.input_spec)
     if executor is not None:
         return SpreadEngine(executor, *about, senses)
     return CpuEngine(*about, threads, senses)
+
+
+def check_kind(kind: str) -> None:
+    """Refuse a kind of engine that does not exist.
+
+    Raises:
+        ConfigError: There is no such kind of engine; the text lists all.
+    """
+    if kind not in KINDS:
+        raise ConfigError(f"no engine {kind!r}; there is: {', '.join(KINDS)}")
 
 
 def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]:

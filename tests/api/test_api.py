@@ -167,8 +167,45 @@ def test_wrong_arguments_are_named(system: amhe.System, log: amhe.Log) -> None:
         amhe.identify(system, ["swing.mcap"])  # type: ignore[list-item]
     with pytest.raises(ConfigError, match="`held_out`: .* is fitted too"):
         amhe.identify(system, log, held_out=log)
-    with pytest.raises(ConfigError, match="no engine 'gpy'"):
-        amhe.identify(system, log, engine="gpy")
+    for wrong, said in (
+        ({"engine": "auto"}, "no engine 'auto'; there is: cpu"),
+        ({"engine": "gpu"}, "no engine 'gpu'; there is: cpu"),
+        ({"method": "foo"}, "`method`: no method 'foo'; there is: cmaes, linearised"),
+        ({"threads": 0}, "`threads`: 0 is no whole number of 1 or more"),
+        ({"threads": -1}, "`threads`: -1 is no whole number"),
+        ({"seed": -1}, "`seed`: -1 is no whole number of 0 or more"),
+        ({"seed": 0.5}, "`seed`: 0.5 is no whole number"),
+        ({"max_time": 0}, "`max_time`: 0 is no positive number of seconds"),
+        ({"max_time": -1.0}, "`max_time`: -1.0 is no positive number"),
+        ({"max_time": np.nan}, "`max_time`: nan is no positive number"),
+        ({"checkpoint": "nowhere/search.json"}, "`checkpoint`: there is no folder 'nowhere'"),
+        ({"checkpoint": ROOT}, "`checkpoint`: .* is a folder"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            amhe.identify(system, log, **wrong)  # type: ignore[arg-type]
+    for wrong, said in (
+        ({"duration": 0}, "`duration`: 0 is no positive number of seconds"),
+        ({"duration": -1}, "`duration`: -1 is no positive number"),
+        ({"threads": 0}, "`threads`: 0 is no whole number"),
+        ({"seed": -1}, "`seed`: -1 is no whole number"),
+        ({"log": "nowhere/x.mcap"}, "`log`: there is no folder 'nowhere'"),
+        ({"task": None}, "no task None; there is: "),
+        ({"mode": "adaptiv"}, "did you mean 'adaptive'"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            amhe.run(**wrong)  # type: ignore[arg-type]
+    for wrong, said in (
+        ({"seconds": np.nan}, "`seconds`: nan is no positive number"),
+        ({"threads": 0}, "`threads`: 0 is no whole number"),
+        ({"seed": -1}, "`seed`: -1 is no whole number"),
+        ({"log": "nowhere/x.mcap"}, "`log`: there is no folder 'nowhere'"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            amhe.probe(system, **wrong)  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match="`seed`: -1 is no whole number"):
+        amhe.Estimator(system, seed=-1)
+    with pytest.raises(ConfigError, match="`threads`: 0 is no whole number"):
+        amhe.Estimator(system, threads=0)
     with pytest.raises(LogError, match="was not read for the system 'cube_toss': it has no "):
         amhe.identify(amhe.System.load("cube_toss"), log)
     with pytest.raises(ConfigError, match="`end`: 1 is not after `start` 2"):

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from amhe_cli.core.errors import EstimationError
+from amhe_cli.core.errors import ConfigError, EstimationError, one_of
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.open import open_engine
@@ -29,13 +29,15 @@ from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
+METHODS = ("linearised", "cmaes")
+
 
 @dataclass(frozen=True, slots=True)
 class IdentifyOptions:
     """How to search.
 
     Args:
-        method: 'linearised' or 'cmaes'.
+        method: One of `METHODS`.
         seed: Seed of every random draw.
         threads: CPU threads; results do not depend on them.
         max_time: Stop after this many seconds with the best so far; None: no limit.
@@ -76,8 +78,11 @@ def identify(
         The result; `interrupted` where Ctrl-C or the time limit cut the search short.
 
     Raises:
+        ConfigError: There is no such method or kind of engine.
         EstimationError: No clip of the logs can be used.
     """
+    if options.method not in METHODS:
+        raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
     if options.prior is not None:
         system = replace(system, space=system.space.with_prior(options.prior))
     problem, validation = _pose(system, training, held_out, options)
