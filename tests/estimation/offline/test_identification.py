@@ -123,7 +123,7 @@ def test_ctrl_c_keeps_the_best_so_far(pendulum, swing, caplog):
 def test_max_time_stops_and_says_so_once(pendulum, swing, caplog):
     result = identify(pendulum, [swing(3.0)], None, IdentifyOptions(max_time=1e-3))
     assert len(result.iterations) <= 1
-    assert caplog.text.count("--max-time") == 1
+    assert caplog.text.count("`max_time`") == 1
 
 
 def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):

@@ -51,7 +51,7 @@ def test_the_log_has_gaps_everywhere(model) -> None:
     position[np.arange(position.size) % 100 > 2] = np.nan
     text = refused(system(model, position=0.001), TIMES, position)
     assert "joints.position has values in" in text
-    assert "check its times, or `logs.max_gap`" in text
+    assert "check its times, or loosen `logs.max_gap`" in text
 
 
 def test_nothing_moves(model) -> None:
