@@ -81,8 +81,8 @@ def identify(
 ) -> None:
     """Find the parameters that make the simulation follow LOG...
 
-    A LOG is an MCAP file, a rosbag2 folder or a ROS 1 bag. Writes belief.yaml, identified.xml,
-    result.json and report.html.
+    A LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog
+    or a LeRobot dataset: see docs/logs.md. Writes belief.yaml, identified.xml, result.json and report.html.
     """
     from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress

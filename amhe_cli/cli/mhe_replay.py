@@ -50,9 +50,10 @@ def mhe_replay(
 ) -> None:
     """Estimate parameters over the time of LOG, with the newest window at each update.
 
-    LOG is an MCAP file, a rosbag2 folder or a ROS 1 bag; none: a bundled one, of a Go1 that pushes a box
-    onto another floor. Writes estimates.mcap, estimates.csv, result.json and report.html. With a longer
-    --window, updates are further apart in proportion, unless their period is given, too.
+    LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog or
+    an episode of a LeRobot dataset: see docs/logs.md. Without LOG a bundled one is replayed, of a Go1 that
+    pushes a box onto another floor. Writes estimates.mcap, estimates.csv, result.json and report.html. With
+    a longer --window, updates are further apart in proportion, unless their period is given, too.
     """
     from amhe_cli.cli.inputs import bundled_log
     from amhe_cli.cli.progress import progress

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 LOG = "probe.mcap"
 
 
-@click.command(cls=options.Command, short_help="Design and record the motion that tells most.")
+@click.command(cls=options.Command, short_help="Design and record the most informative motion.")
 @options.system_or("go1_push")
 @click.option(
     "--target", type=click.Choice(["sim", "go1"]), default="sim", show_default=True, help="What is probed."
@@ -71,7 +71,7 @@ def probe(
     out: options.Output,
     **wire: Any,
 ) -> None:
-    """Find the motion that tells most about the parameters, say how well they will be known, and record it.
+    """Find the most informative motion, predict the accuracy of the parameters, and record the motion.
 
     Writes plan.json, probe.mcap and result.json; the log goes into `amhe identify` as it is. On a real robot
     (--target go1: read docs/go1.md first) it is all planned before anything is sent.
@@ -117,7 +117,7 @@ def probe(
             session.interrupted, error = ending.interrupted, ending.error
             known: dict[str, Accuracy | None] = {"expected": plan.expected, "plain": plan.plain}
             if not session.interrupted and error is None:
-                say("asking the log what it tells")
+                say("computing the achieved accuracy")
                 try:
                     known["achieved"] = achieved(opened.system, scratch / LOG, asked)
                 except KeyboardInterrupt:  # it must not cost the log

@@ -30,7 +30,7 @@ class SettingsGroup(BaseModel):
 
 
 class LogSettings(SettingsGroup):
-    """How topics become a trajectory."""
+    """How the topics of a recording become a log on the clock of the model."""
 
     stamp: Literal["auto", "header", "publish", "log"] = "auto"
     """Which clock to trust; auto takes header stamps where they are set and monotone, and the recorder's for
@@ -145,20 +145,25 @@ class MheSettings(SettingsGroup):
     start_sd: Positive = 0.2
     """Floor under the sd of a belief that is loaded for live use, as a share of each value."""
     excitation: Annotated[float, Field(ge=0)] = 0.1
-    """A window in which the samples move the predictions by fewer noise sd (rms) than this says nothing, but
-    for one that shows a jump: a light box that turns out to be a heavy one hardly answers to samples."""
+    """Least excitation of a window: how far its samples move the predictions, in noise sd (rms). A window
+    below it is skipped, unless it indicates a jump: samples around a light box hardly move the predictions
+    while the true box is heavy."""
     jump: Positive = 3.0
-    """A window whose own estimate is this many sd from the belief indicates a jump."""
+    """Distance between the estimate of one window alone and the belief that indicates a jump of the
+    parameters, in sd."""
     jump_windows: Annotated[int, Field(ge=1)] = 1
-    """Number of such windows in a row that count as a jump: a single one may be a contact that was missed."""
+    """Number of such windows in a row that are needed for a jump. A single one may come from a contact that
+    the model missed."""
     jump_sd: Positive = 0.6
-    """Sd that a jump adds to each parameter, in sd of the system's prior, before the update by its window."""
+    """Sd that is added to each parameter at a jump, before its window updates the belief, in sd of the
+    system's prior."""
     information: Annotated[float, Field(gt=0, le=1)] = 1.0
     """Share of a window's information that linearised counts; less than all where first states are taken as
     recorded: their errors bend a whole window one way, which no residual's noise shows."""
     systematic: dict[str, Annotated[float, Field(allow_inf_nan=False)]] = {}
-    """A direction in which the model itself is wrong, and by how much (sd, as a share of each parameter; of a
-    linear one in prior sd). No window averages it away; it widens what is reported, and moves no estimate."""
+    """Error of the model itself along one direction of the parameters: sd of each of them, as a share of its
+    value (of a linear one, in prior sd); signs give the direction. More windows do not reduce this error. It
+    widens the reported intervals and changes no estimate."""
     budget: Positive | None = None
     """Most time that one live update may take [s]; None: the update period."""
     latency: Annotated[float, Field(ge=0)] = 0.1

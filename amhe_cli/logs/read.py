@@ -1,4 +1,4 @@
-"""From a log to a trajectory: decode the requested signals, choose clocks, convert to SI, resample."""
+"""From a recording to a `Log`: decode the requested signals, choose clocks, convert to SI, resample."""
 
 from __future__ import annotations
 
@@ -66,7 +66,8 @@ def read_log(
     """Read what a system needs from one log or several, onto the clock of its model.
 
     Args:
-        paths: A log, or a sequence of them; in a sequence, a LeRobot dataset stands for all its episodes.
+        paths: A log of any format that docs/logs.md lists, or a sequence of them; in a sequence, a LeRobot
+            dataset stands for all its episodes.
         system: Says which topics are read, and the time step.
         topics: Name of a signal -> topic to read it from instead.
         start, end: Part of each log, in seconds from its start.

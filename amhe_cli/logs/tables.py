@@ -13,7 +13,7 @@ from amhe_cli.core.signals import DERIVED, Signal
 from amhe_cli.logs.containers.raw import Connection
 from amhe_cli.logs.containers.table_file import ENCODING
 
-#: Names that `amhe convert` gives to the numbers of a quantity that has no entries of its own.
+#: Last part of a column's name, for the numbers of a quantity that has no entries of its own.
 _PARTS = {"orientation": ("w", "x", "y", "z")}
 _XYZ = ("x", "y", "z")
 
@@ -83,7 +83,7 @@ def _columns(signal: Signal, quantity: str, columns: Mapping[str, int | None]) -
 
 
 def _usual(signal: Signal, quantity: str, columns: Mapping[str, int | None]) -> tuple[str, ...]:
-    """Columns as `amhe convert` names them: topic or signal, quantity, entry."""
+    """Columns that are named after what they hold: `topic.quantity.entry` or `signal.quantity.entry`."""
     for head in (signal.topic.strip("/"), signal.name):
         stem = f"{head}.{quantity}"
         if stem in columns:

@@ -106,8 +106,9 @@ def read_result(path: Path | zipfile.Path) -> CellResult:
         record = json.loads(path.read_text(encoding="utf-8"))
         return result_of(record)
     except (ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error):
+        remedy = "restore the archive" if isinstance(path, zipfile.Path) else "delete the file"
         raise AmheError(
-            f"{path}: is no result of a cell; delete it, and run it again with `resume=True`"
+            f"{path}: is no result of a cell; {remedy}, and run the study again with `resume=True`"
         ) from None
 
 

@@ -53,7 +53,7 @@ class Study:
 
 
 class Store:
-    """CellResult files in a folder; each appears whole or not at all.
+    """Result files in a folder; each appears whole or not at all.
 
     Args:
         folder: Folder of the study.
@@ -93,7 +93,7 @@ class Store:
         shutil.rmtree(self.folder / CELLS, ignore_errors=True)
 
     def _files(self) -> list[Path | zipfile.Path]:
-        """CellResult files, packed or not, sorted by name; a packed one that was run again does not count."""
+        """Result files, packed or not, sorted by name; a packed one that was run again does not count."""
         path = self.folder / PACKED
         try:
             packed = zipfile.Path(path).iterdir() if path.is_file() else ()

@@ -1,4 +1,5 @@
 import json
+import zipfile
 
 import numpy as np
 import pytest
@@ -72,5 +73,13 @@ def test_a_number_that_does_not_exist_is_nan_but_a_key_of_other_code_is_an_error
 def test_a_file_that_is_none_is_refused_by_its_name(tmp_path) -> None:
     path = tmp_path / "t1-true-00-0.json"
     path.write_text('{"cell": ')
-    with pytest.raises(AmheError, match="t1-true-00-0.json: is no result.*resume=True"):
+    with pytest.raises(AmheError, match="t1-true-00-0.json: is no result.*delete the file.*resume=True"):
         read_result(path)
+
+
+def test_a_packed_file_that_is_none_is_not_to_be_deleted(tmp_path) -> None:
+    with zipfile.ZipFile(tmp_path / "cells.zip", "w") as archive:
+        archive.writestr("t1-true-00-0.json", '{"cell": ')
+    (packed,) = zipfile.Path(tmp_path / "cells.zip").iterdir()
+    with pytest.raises(AmheError, match="cells.zip/t1-true-00-0.json: is no result.*; restore the archive"):
+        read_result(packed)

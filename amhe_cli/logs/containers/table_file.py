@@ -155,7 +155,7 @@ def is_time(name: str) -> bool:
 
 
 def _metadata(comments: Sequence[str]) -> dict[str, str]:
-    """Comments of the form `amhe: {...}`, as `amhe convert` writes them."""
+    """Metadata of a log, from comments of the form `amhe: {...}`."""
     for comment in comments:
         if comment.startswith("amhe:"):
             try:

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.logs.messages.layout import KEPT, Layout, Leaf, MalformedMessageError
+from amhe_cli.logs.messages.descriptors import MalformedMessageError
+from amhe_cli.logs.messages.layout import KEPT, Layout, Leaf
 
 #: Names of the parts of a time -> those of ROS 2.
 _TIMES = {"nsec": "nanosec", "nsecs": "nanosec", "nanos": "nanosec", "secs": "sec", "seconds": "sec"}

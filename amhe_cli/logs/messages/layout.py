@@ -18,7 +18,7 @@ from rosbags.interfaces import Nodetype
 
 from amhe_cli.core.arrays import BoolArray, IntArray
 from amhe_cli.logs.messages.definitions import Types
-from amhe_cli.logs.messages.descriptors import MalformedMessageError as MalformedMessageError
+from amhe_cli.logs.messages.descriptors import MalformedMessageError
 
 #: Strings whose content matters; of all others only the length is part of a layout.
 KEPT = {"name", "joint_names", "frame_id", "child_frame_id"}

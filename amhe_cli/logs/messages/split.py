@@ -15,8 +15,9 @@ from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages import protobuf
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.descriptors import ENCODING as PROTOBUF
+from amhe_cli.logs.messages.descriptors import MalformedMessageError
 from amhe_cli.logs.messages.json_rows import JsonRows
-from amhe_cli.logs.messages.layout import Layout, MalformedMessageError, table_layout, walk
+from amhe_cli.logs.messages.layout import Layout, table_layout, walk
 
 _Bytes = NDArray[np.uint8]
 #: Layouts remembered for each message length, the latest ones.
