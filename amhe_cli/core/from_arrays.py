@@ -64,9 +64,23 @@ def _stamps(given: Any, signal: Signal, name: str) -> np.ndarray:
     where = f"{name}: signal {signal.name!r}"
     if not isinstance(given, Mapping) or "time" not in given:
         raise LogError(f"{where}: give a dictionary with `time` and {', '.join(signal.quantities)}")
-    times = _floats(given["time"], f"{where}: time")
+    times = floats(given["time"], f"{where}: time")
     if times.ndim != 1 or times.size < (1 if signal.is_input else 2):
         raise LogError(f"{where}: time has the shape {times.shape}; it must be (n,), of two samples or more")
+    check_times(times, where)
+    return np.round((times + signal.offset) * 1e9).astype(np.int64)
+
+
+def check_times(times: FloatArray, where: str) -> None:
+    """Refuse times that are not finite or do not increase.
+
+    Args:
+        times: Times [s], shape (n,).
+        where: What they are times of; begins the error.
+
+    Raises:
+        LogError: A time is wrong; the text names its row.
+    """
     if not np.isfinite(times).all():
         raise LogError(f"{where}: time is not finite at row {int(np.argmin(np.isfinite(times)))}")
     backwards = np.flatnonzero(np.diff(times) <= 0.0)
@@ -74,7 +88,6 @@ def _stamps(given: Any, signal: Signal, name: str) -> np.ndarray:
         row = int(backwards[0]) + 1
         step = f"from {times[row - 1]:g} to {times[row]:g} s"
         raise LogError(f"{where}: time must increase; at row {row} it goes {step}")
-    return np.round((times + signal.offset) * 1e9).astype(np.int64)
 
 
 def _samples(
@@ -89,7 +102,7 @@ def _samples(
             continue
         if quantity not in known:
             raise LogError(f"{where}: {one_of('quantity', quantity, ('time', *known))}")
-        values = _floats(array, f"{where}: {quantity}")
+        values = floats(array, f"{where}: {quantity}")
         values = values[:, None] if values.ndim == 1 else values
         width = widths.get(signal.key(quantity)) or (4 if quantity == "orientation" else values.shape[-1])
         if values.shape != (count, width):
@@ -97,7 +110,7 @@ def _samples(
             text = f"{quantity} has the shape {np.shape(array)}; it must be {wanted}"
             raise LogError(f"{where}: {text}, with a row for each time")
         if quantity == "orientation":
-            values = _unit(values, where)
+            values = unit_quaternions(values, where)
         samples[quantity] = values
     for quantity in signal.quantities:
         if quantity not in samples and DERIVED.get(quantity) not in samples:
@@ -105,7 +118,12 @@ def _samples(
     return samples
 
 
-def _unit(quaternions: FloatArray, where: str) -> FloatArray:
+def unit_quaternions(quaternions: FloatArray, where: str) -> FloatArray:
+    """Quaternions, shape (n, 4), with the last deviations from the unit norm removed.
+
+    Raises:
+        LogError: One is far from the unit norm; the text begins with `where`.
+    """
     norms = np.linalg.norm(quaternions, axis=1)
     wrong = np.flatnonzero(np.abs(norms - 1.0) > _NORM)
     if wrong.size:
@@ -114,7 +132,12 @@ def _unit(quaternions: FloatArray, where: str) -> FloatArray:
     return rotations.normalised(quaternions)
 
 
-def _floats(array: ArrayLike, what: str) -> FloatArray:
+def floats(array: ArrayLike, what: str) -> FloatArray:
+    """An array of numbers; NaN stands for a value that was not measured.
+
+    Raises:
+        LogError: It is no array of numbers, or infinite somewhere; the text begins with `what`.
+    """
     try:
         values = np.asarray(array, dtype=np.float64)
     except (TypeError, ValueError):

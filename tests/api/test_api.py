@@ -224,17 +224,57 @@ def test_an_estimator_follows_a_log(system: amhe.System, log: amhe.Log) -> None:
             for key, series in log.series.items()
         }
         estimates.append(estimator.update(samples))
+        for times, values in samples.values():  # the loop's own arrays, to be filled again
+            times[:] = values[:] = np.nan
     found = [one for one in estimates if one is not None]
     assert estimates[0] is None and len(found) > 15
     assert all(b.time > a.time for a, b in pairwise(found))
     truth = json.loads(log.metadata["truth"])
     assert found[-1].values["load_mass"] == pytest.approx(truth["load_mass"], rel=0.1)
-    with pytest.raises(
-        LogError, match=r"samples: no series 'joints.positon' \(did you mean 'joints.position'"
-    ):
-        estimator.update({"joints.positon": (9.0, 0.0)})
-    with pytest.raises(LogError, match="values of shape"):
-        estimator.update({"joints.position": ([9.0, 9.1], [0.0, 0.1, 0.2])})
+
+
+@pytest.mark.parametrize(
+    ("samples", "said"),
+    [
+        ({"joints.positon": (2.0, 0.0)}, r"no series 'joints.positon' \(did you mean 'joints.position'"),
+        ({"joints.position": ([2.0, 2.1], [0.0, 0.1, 0.2])}, "joints.position: values of shape"),
+        ({"joints.position": ([2.0, 2.1], [0.0, 0.1, 0.2, 0.3])}, "joints.position: values of shape"),
+        ({"joints.position": ([2.0, 2.1], np.zeros((2, 2)))}, r"joints.position: .*, shape \(n, 1\)"),
+        ({"joints.position": 2.0}, "joints.position: give a pair of times and values"),
+        ({"joints.position": (["now"], [0.0])}, "joints.position: time is no array of numbers"),
+        ({"joints.position": ([2.0], [np.inf])}, "joints.position: values is infinite somewhere"),
+        ({"joints.position": ([2.0, np.nan], [0.0, 0.1])}, "joints.position: time is not finite at row 1"),
+        ({"joints.position": ([2.1, 2.0], [0.0, 0.1])}, "at row 1 it goes from 2.1 to 2 s"),
+        ({"joints.position": ([2.0, 2.0], [0.0, 0.1])}, "at row 1 it goes from 2 to 2 s"),
+        (
+            {"joints.position": ([0.0, 0.1], [0.0, 0.1])},
+            "joints.position: time goes from 1 to 0 s; .*new Est",
+        ),
+        ({"joints.position": (1.0, 0.0)}, "joints.position: time goes from 1 to 1 s"),
+        ({"joints.position": (2.0, 0.0)}, "joints.velocity is missing; give joints.position and joints.velo"),
+        (
+            {"joints.position": (2.0, 0.0), "joints.velocity": (2.1, 0.0)},
+            "joints.velocity: its times differ from those of joints.position",
+        ),
+    ],
+)
+def test_wrong_samples_are_named_and_not_taken_in(system: amhe.System, samples, said: str) -> None:
+    estimator, empty = amhe.Estimator(system), ([], [])
+    first = {"joints.position": (1.0, 0.0), "joints.velocity": (1.0, 0.0), "command.position": empty}
+    assert estimator.update(first) is None
+    with pytest.raises(LogError, match=f"^samples: .*{said}"):
+        estimator.update({"command.position": (2.0, 0.0), **samples})
+    estimator.update({"command.position": (2.0, 0.0)})  # it was not taken in before
+    estimator.update({"joints.position": ([1.5], [[0.0]]), "joints.velocity": (1.5, [0.0])})
+
+
+def test_quaternions_and_widths_of_samples_are_checked() -> None:
+    estimator = amhe.Estimator(amhe.System.load("cube_toss"))
+    key = next(key for key in estimator._widths if key.endswith(".orientation"))
+    with pytest.raises(LogError, match="orientation is no unit quaternion at row 0"):
+        estimator.update({key: (0.0, [2.0, 0.0, 0.0, 0.0])})
+    with pytest.raises(LogError, match=r"shape \(n, 4\)"):
+        estimator.update({key: (0.0, [1.0, 0.0, 0.0])})
 
 
 def test_a_probe_says_what_it_will_reveal(system: amhe.System, tmp_path: Path) -> None:
