@@ -2,7 +2,7 @@
 
 A plan is a vector: K knots of a cubic spline for each of the joints, then a few channels that are held over
 the horizon. Its distribution is a diagonal Gaussian about a mean that moves with time. One step samples,
-rolls out, and moves the mean by MPPI's weights; after a switch of the gait's contacts it also refines the
+rolls out, and moves the mean by MPPI's weights; after a switch of the contact mode it also refines the
 Gaussian, one loop a step. The caller computes the costs of rollouts.
 """
 

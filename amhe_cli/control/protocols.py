@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.arrays import FloatArray, IntArray
 
 
 class Robot(Protocol):
@@ -84,20 +84,12 @@ class Behaviour(Protocol):
         ...
 
     def switches(self, start: float, end: float) -> bool:
-        """Whether a foot lifts off or touches down in (start, end] [s]."""
-        ...
-
-    def standing(self, times: FloatArray) -> BoolArray:
-        """Which feet should stand at times [s] (...), shape (..., feet)."""
+        """Whether a contact mode switches in (start, end] [s]: which contacts the behaviour plans."""
         ...
 
     def move(self, state: Any, belief: Mapping[str, float]) -> Move:
         """The move from a state on, under believed parameters by name.
 
-        Call it once a cycle, in order: a behaviour remembers where feet and their targets were.
+        Call it once a cycle, in order: a behaviour may remember what it has done.
         """
-        ...
-
-    def running_cost(self, state: Any) -> dict[str, float]:
-        """Terms of the running cost of a realised state, measured against the task's fixed path."""
         ...

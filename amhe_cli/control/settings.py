@@ -26,7 +26,7 @@ class ControlSettings(SettingsGroup):
     loops: Annotated[int, Field(ge=1)] = 3
     """Refinement loops L (the paper's L_MPOPI), one in each cycle from the switch on."""
     refine: Literal["switch", "always", "never"] = "switch"
-    """When to refine: L loops from each switch of the gait's contacts on (the paper, Algorithm 1), in every
+    """When to refine: L loops from each switch of the contact mode on (the paper, Algorithm 1), in every
     cycle, never."""
     elites: Share = 0.3
     """Share of the samples that refine the distribution."""

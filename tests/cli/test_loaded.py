@@ -36,7 +36,7 @@ def loaded(*arguments: str) -> set[str]:
 )
 def test_a_pendulum_needs_no_robot_and_no_controller(command: tuple[str, ...], tmp_path: Path) -> None:
     modules = loaded(*command, "--out", str(tmp_path / "out"))
-    assert "amhe_cli.report.words" in modules or "amhe_cli.report.page" in modules
+    assert "amhe_cli.report.page" in modules
     assert not {name for name in modules if name.startswith(FOREIGN)}
 
 

@@ -12,7 +12,7 @@ import pytest
 from amhe_cli.control.controller import Controller, Plan
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.control.settings import ControlSettings
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.engine.rollout import Rollouts
 
 #: Six rollouts in each cycle, refined or not.
@@ -97,7 +97,7 @@ class Still:
 
 
 class Standing:
-    """A behaviour whose feet switch where it is told so."""
+    """A behaviour whose contact mode switches at a given time; it has what the controller needs, no more."""
 
     channel_sigma = np.array([0.1, 0.01])
     knot_weight = 0.0
@@ -110,16 +110,10 @@ class Standing:
     def switches(self, start: float, end: float) -> bool:
         return start < self.switch <= end
 
-    def standing(self, times: FloatArray) -> BoolArray:
-        return np.ones((*times.shape, 2), dtype=bool)
-
     def move(self, state: Pose, belief: Mapping[str, float]) -> Still:
         self.started.append((state, belief))
         self.made.append(Still(state.time, np.array([0.3, self.side])))
         return self.made[-1]
-
-    def running_cost(self, state: Pose) -> dict[str, float]:
-        raise AssertionError("the planner has no business with it")
 
 
 def controller(behaviour: Behaviour, engine: Gliding, **changes: object) -> Controller:
@@ -195,7 +189,7 @@ def cycles(refine: str, switch: float) -> list[FloatArray]:
         ("switch", 1.03, False),
     ],
 )
-def test_it_refines_always_never_or_where_a_foot_switches(refine: str, switch: float, refined: bool) -> None:
+def test_it_refines_always_never_or_where_contacts_switch(refine: str, switch: float, refined: bool) -> None:
     """Within the period before the plan's start at 1.02 s; seen by what the next plan samples."""
     (first, second), (plain_first, plain_second) = cycles(refine, switch), cycles("never", np.inf)
     np.testing.assert_array_equal(first, plain_first)

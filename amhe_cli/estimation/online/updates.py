@@ -1,4 +1,4 @@
-"""The moving-horizon updates: from a window and a prior to a belief.
+"""The moving-horizon updates: from a window and a prior to a belief, given random numbers and a time limit.
 
 `linearised_update`, the default, takes Gauss-Newton steps of the matching cost plus the arrival cost, with
 slopes from samples; docs/estimation.md derives it. Unlike offline identification it has one window, its noise

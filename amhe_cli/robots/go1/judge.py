@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.control.protocols import Behaviour
 from amhe_cli.logs.messages.writer import ERROR, OK, WARN
 from amhe_cli.robots.go1.state import State, heading_velocity
 from amhe_cli.robots.go1.tasks import LONGEST, TAPER, Task
@@ -56,7 +56,7 @@ class Judge:
 
     Args:
         task: The task that the robot performs.
-        behaviour: The behaviour whose running cost counts.
+        running_cost: Terms of the running cost of a state, from a behaviour that performs the task.
         period: Time between two states [s].
         longest: Longest duration of the episode [s].
 
@@ -65,8 +65,14 @@ class Judge:
         fell, arrived: How the episode ended, if it has ended.
     """
 
-    def __init__(self, task: Task, behaviour: Behaviour, period: float, longest: float = LONGEST) -> None:
-        self._task, self._behaviour, self._period, self._longest = task, behaviour, period, longest
+    def __init__(
+        self,
+        task: Task,
+        running_cost: Callable[[State], dict[str, float]],
+        period: float,
+        longest: float = LONGEST,
+    ) -> None:
+        self._task, self._running_cost, self._period, self._longest = task, running_cost, period, longest
         self._terms: dict[str, float] = {}
         self._speed_errors: list[float] = []
         self._left: list[float] = []
@@ -124,7 +130,7 @@ class Judge:
         )
 
     def _charge(self, state: State, periods: int) -> None:
-        terms = self._behaviour.running_cost(state)
+        terms = self._running_cost(state)
         self.last_cost = sum(terms.values())
         for name, value in terms.items():
             self._terms[name] = self._terms.get(name, 0.0) + periods * value

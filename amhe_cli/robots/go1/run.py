@@ -128,7 +128,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     target = SimTarget(plant, settings.period, HOME, options.realtime)
     behaviour = task.behaviour()
     controller = controller_for(task, behaviour, system, options.threads, samples)
-    judge = Judge(task, behaviour, settings.period, options.duration)
+    judge = Judge(task, behaviour.running_cost, settings.period, options.duration)
     belief = belief_source(options, task, system, plant)
     episode = Episode(
         target, StateEstimator(behaviour.standing), controller, belief, Sampler(settings.period), judge

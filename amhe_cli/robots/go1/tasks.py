@@ -9,7 +9,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.floor import Floor
 from amhe_cli.robots.go1.behaviours.course import Course
@@ -66,7 +65,7 @@ class Task:
     one_leg: bool = False
     corridor: float = np.inf
 
-    def behaviour(self) -> Behaviour:
+    def behaviour(self) -> Walking | Sweeping:
         """A new behaviour that performs the task; each episode needs its own."""
         depth, width, _ = self.box.size
         if self.one_leg:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.robots.go1.judge import Judge, has_fallen
@@ -22,15 +21,13 @@ GOAL = np.array([3.0, 0.0])
 STILL = np.zeros(3)
 
 
-class Priced:
-    """A behaviour of which the judge asks only for the running cost: one, and the trunk's height."""
-
-    def running_cost(self, state: State) -> dict[str, float]:
-        return {"one": 1.0, "height": float(state.trunk.position[2])}
+def price(state: State) -> dict[str, float]:
+    """A running cost: one, and the trunk's height."""
+    return {"one": 1.0, "height": float(state.trunk.position[2])}
 
 
-def judge(task=T1, longest: float = 40.0, behaviour: Behaviour | None = None) -> Judge:
-    return Judge(task, behaviour or Priced(), PERIOD, longest)  # type: ignore[arg-type]
+def judge(task=T1, longest: float = 40.0) -> Judge:
+    return Judge(task, price, PERIOD, longest)
 
 
 def state(
@@ -263,6 +260,6 @@ def test_the_real_running_cost_is_by_the_fixed_path(name: str) -> None:
     assert off["box_left"] > on["box_left"] == pytest.approx(0.0, abs=1e-12)
     for term in ("box_speed", "box_yaw", "robot_speed", "height", "tilt"):
         assert off[term] == pytest.approx(on[term], abs=1e-9), term
-    by = Judge(task, behaviour, PERIOD, 40.0)
+    by = Judge(task, behaviour.running_cost, PERIOD, 40.0)
     by.watch(replace(state(0.02, np.array([x, y])), time=0.02))
     assert set(by.measures().terms) == set(on)

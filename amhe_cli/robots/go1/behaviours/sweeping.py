@@ -183,7 +183,7 @@ class Sweeping:
         return int(end / half) > int(start / half)
 
     def standing(self, times: FloatArray) -> BoolArray:
-        """See `Behaviour`."""
+        """Which feet should stand at times [s] (...), shape (..., 4)."""
         stands = np.ones((*np.shape(times), 4), dtype=np.bool_)
         stands[..., self.tripod.index] = times < self.tripod.shift_time
         return stands
@@ -264,7 +264,7 @@ class Sweeping:
         return s.kick if self._kicks(y) else commanded, friction
 
     def running_cost(self, state: State) -> dict[str, float]:
-        """See `Behaviour`."""
+        """Terms of the running cost of a realised state, measured against the task's fixed path."""
         at = self._reference(state)
         terms = sweep_terms(self.weights, state.trunk, state.box, self.trunk_height, at)
         return {name: float(term) for name, term in terms.items()}

@@ -149,7 +149,7 @@ class Walking:
         return mode_switches(self.gait, start, end).size > 0
 
     def standing(self, times: FloatArray) -> BoolArray:
-        """See `Behaviour`."""
+        """Which feet should stand at times [s] (...), shape (..., 4)."""
         return contacts(self.gait, times)
 
     def move(self, state: State, belief: Mapping[str, float]) -> WalkMove:
@@ -162,7 +162,7 @@ class Walking:
         return WalkMove(self.gait, self.weights, self.height, at, command, left)
 
     def running_cost(self, state: State) -> dict[str, float]:
-        """See `Behaviour`."""
+        """Terms of the running cost of a realised state, measured against the task's fixed path."""
         at, now = self.helm.on_path(state), np.array(0.0)
         terms = push_terms(self.weights, state.trunk, state.box, self.height, at, now)
         return {name: float(term) for name, term in terms.items()}
