@@ -134,7 +134,8 @@ def _hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
         elif log.file is not None and log.file.exists():
             files |= dict.fromkeys(_log_files(log.file))
         else:
-            hashes[log.source] = log.digest()
+            again = sum(name.partition(" #")[0] == log.source for name in hashes)
+            hashes[f"{log.source} #{again + 1}" if again else log.source] = log.digest()
     return hashes | {str(file): sha256(file) for file in files}
 
 

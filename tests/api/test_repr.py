@@ -20,3 +20,18 @@ def test_system_and_log_are_one_line() -> None:
     assert repr(log).startswith("Log('arrays', 0.99 s at ")
     assert "joints.position (1)" in repr(log)
     assert "\n" not in repr(system) + repr(log)
+
+
+def test_logs_of_one_name_are_told_apart_in_the_provenance() -> None:
+    from amhe_cli.system.provenance import _hashes
+
+    system = amhe.System.load("pendulum")
+    times = np.arange(0.0, 1.0, 0.01)
+    logs = []
+    for scale in (1.0, 2.0, 3.0):
+        wave = scale * np.sin(times)[:, None]
+        arrays = {"joints": {"time": times, "position": wave, "velocity": wave}}
+        logs.append(amhe.Log.from_arrays(arrays | {"command": {"time": times, "position": wave}}, system))
+    hashes = _hashes(logs)
+    assert list(hashes) == ["arrays", "arrays #2", "arrays #3"]
+    assert len(set(hashes.values())) == 3

@@ -94,8 +94,8 @@ def _both(side: BoolArray) -> bool:
 
 def _later_logs(clips: Sequence[Window]) -> BoolArray:
     """Which clips are of the second half of the logs; none where there is one log."""
-    order = {source: i for i, source in enumerate(dict.fromkeys(w.log.source for w in clips))}
-    return np.array([2 * order[w.log.source] >= len(order) > 1 for w in clips])
+    order = {log: i for i, log in enumerate(dict.fromkeys(id(w.log) for w in clips))}
+    return np.array([2 * order[id(w.log)] >= len(order) > 1 for w in clips])
 
 
 def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> dict[str, FloatArray]:
