@@ -1,4 +1,4 @@
-"""What a notebook or a terminal shows of the main objects: one line."""
+"""The main objects in a notebook: one line each, and logs of one name told apart."""
 
 import numpy as np
 
