@@ -63,7 +63,7 @@ class Inputs:
         return System.load(folder, settings, schema=schema).reading(self.topics)
 
     def read(self, system: System, logs: Sequence[Path]) -> list[Log]:
-        """Read logs for a system; where that fails, the error also tells what they may be about instead.
+        """Read logs for a system; where that fails, the error also names what they may be about instead.
 
         Raises:
             LogError: A log cannot be read, or lacks what the system needs.

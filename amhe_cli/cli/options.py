@@ -96,7 +96,9 @@ def in_existing_folder(ctx: click.Context, param: click.Parameter, value: Path |
 
 def _cores() -> int:
     """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    from amhe_cli.api.arguments import cores
+
+    return cores()
 
 
 def _known_engine(ctx: click.Context, param: click.Parameter, value: str) -> None:

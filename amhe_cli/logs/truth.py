@@ -34,12 +34,12 @@ def read_truth(path: Path, stamps_ns: IntArray, settings: LogSettings) -> dict[s
     """
     lasting = settings.model_copy(update={"max_gap": _FOREVER})
     try:
-        told = read_signals(path, [Signal("truth", TOPIC, ("position",), is_input=True)], _STEP, lasting)
+        log = read_signals(path, [Signal("truth", TOPIC, ("position",), is_input=True)], _STEP, lasting)
     except LogError:
         return {}
-    series = told["truth.position"]
-    row = np.floor((stamps_ns - told.start_ns) / (1e9 * _STEP) + 1e-6).astype(int)
-    held = np.clip(row, 0, told.steps - 1)
+    series = log["truth.position"]
+    row = np.floor((stamps_ns - log.start_ns) / (1e9 * _STEP) + 1e-6).astype(int)
+    held = np.clip(row, 0, log.steps - 1)
     known = (row >= 0) & series.valid[held]
     return {
         name: np.where(known, series.values[held, column], np.nan)

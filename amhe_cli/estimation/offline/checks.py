@@ -117,8 +117,8 @@ def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> dict[str, Fl
         there = posterior(finding.z, moved, fit.weight * both, prior)
         rise = _misfit(fit, cost, moved, there.step) - least
         share = allowed(rise)
-        told = name if share == 1.0 else f"{name}, as far as the log allows it,"
-        shifts[told] = share * (there.step - fit.posterior.step)
+        label = name if share == 1.0 else f"{name}, as far as the log allows it,"
+        shifts[label] = share * (there.step - fit.posterior.step)
     return shifts
 
 

@@ -66,6 +66,11 @@ class ClipPool:
     _usable: dict[int, BoolArray] = field(default_factory=dict)
     _noise: dict[str, float] = field(default_factory=dict)
 
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Series that every clip needs: what the channels measure, and the inputs."""
+        return tuple(one.key for one in (*self.system.channels, *self.system.inputs))
+
     def draw(self, rng: np.random.Generator, count: int) -> list[Window]:
         """At most `count` clips of random start and length; unusable ones are drawn again."""
         steps = np.array([part.length for part in self.parts], dtype=float)
@@ -112,8 +117,7 @@ class ClipPool:
 
     def _usable_rows(self, log: Log) -> BoolArray:
         if id(log) not in self._usable:
-            keys = [c.key for c in self.system.channels] + [i.key for i in self.system.inputs]
-            self._usable[id(log)] = log.usable(tuple(keys))
+            self._usable[id(log)] = log.usable(self.keys)
         return self._usable[id(log)]
 
     def _is_still(self, clip: Window) -> bool:

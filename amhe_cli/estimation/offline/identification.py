@@ -135,9 +135,8 @@ def _no_clips(pool: ClipPool) -> str:
             "for instance noise: {position: 0.002}"
         )
     log = max((part.log for part in pool.parts), key=lambda log: log.duration)
-    keys = [c.key for c in system.channels] + [i.key for i in system.inputs]
-    rarest = min(keys, key=lambda key: int(log[key].sampled.sum()))
-    emptiest = min(keys, key=lambda key: float(log.usable((key,)).mean()))
+    rarest = min(pool.keys, key=lambda key: int(log[key].sampled.sum()))
+    emptiest = min(pool.keys, key=lambda key: float(log.usable((key,)).mean()))
     spacing = log.duration / max(int(log[rarest].sampled.sum()), 1)
     counted = f"{pool.motionless} are motionless, {pool.across_gaps} cross gaps"
     if spacing > pool.settings.length[0]:

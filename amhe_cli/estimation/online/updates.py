@@ -199,7 +199,7 @@ def _nuisances(problem: WindowProblem, slopes: Linearisation) -> FloatArray:
 
     Each has an unknown factor ~ N(0, 1), which is marginalised: the errors of the first state, and the even
     (nonlinear) response to each pair of samples. Taken as white noise, the nonlinear response would average
-    out over a window, and estimates that were made far from the truth would be trusted for good.
+    out over a window, and estimates that were made far from the truth would be trusted permanently.
 
     For z ~ N(0, P), z^2 / 2 has a mean square of 3 P^2 / 4. At z = +-sqrt(P), where the samples are, it has a
     third of that: hence the factor of 3. Where the prior is wider than the samples, the ratio of the

@@ -72,7 +72,7 @@ class _Several(Leaf):
 class _TimePart(Leaf):
     """Seconds, or the nanoseconds beyond them, of a time that is one number.
 
-    Its size tells the unit: seconds, or milli-, micro- or nanoseconds since 1970.
+    Its size gives the unit: seconds, or milli-, micro- or nanoseconds since 1970.
     """
 
     whole: Leaf

@@ -45,8 +45,10 @@ def _pose(at: str) -> TypeInfo:
     return _plain(position=f"{at}.position", orientation=f"{at}.orientation")
 
 
-def _transform(at: str, elements: str | None = None) -> TypeInfo:
-    info = _plain(position=f"{at}.translation", orientation=f"{at}.rotation")
+def _transform(at: str = "", elements: str | None = None) -> TypeInfo:
+    """A translation and a rotation at a path; of each of `elements` where there are several."""
+    head = f"{at}." if at else ""
+    info = _plain(position=f"{head}translation", orientation=f"{head}rotation")
     return TypeInfo(info.fields, info.columns, elements=elements)
 
 
@@ -64,8 +66,6 @@ _JOINT_TRAJECTORY = TypeInfo(
     names="joint_names",
     elements="points",
 )
-
-_MOVED = _plain(position="translation", orientation="rotation")
 
 TYPES: Mapping[str, TypeInfo] = {
     "sensor_msgs/msg/JointState": _JOINT_STATE,
@@ -105,8 +105,8 @@ TYPES: Mapping[str, TypeInfo] = {
         for name, info in {
             "Pose": _plain(position="position", orientation="orientation"),
             "PoseInFrame": _pose("pose"),
-            "FrameTransform": _MOVED,
-            "FrameTransforms": TypeInfo(_MOVED.fields, _MOVED.columns, elements="transforms"),
+            "FrameTransform": _transform(),
+            "FrameTransforms": _transform(elements="transforms"),
             "JointState": _JOINT_STATE,
             "JointStates": _JOINT_STATE,
             "Odometry": _plain(

@@ -144,8 +144,8 @@ class PoseFeed:
     def publish(self, names: Sequence[str], values: FloatArray, sd: FloatArray) -> None:
         """Send estimates of parameters to those behind the source, where it can; values, sd (d,)."""
         if self._child is not None:
-            told = {"names": list(names), "values": values.tolist(), "sd": sd.tolist()}
-            self._child.pipe.send(json.dumps(told).encode())
+            estimates = {"names": list(names), "values": values.tolist(), "sd": sd.tolist()}
+            self._child.pipe.send(json.dumps(estimates).encode())
 
     def _messages(self) -> list[dict[str, Any]]:
         if self._child is None:

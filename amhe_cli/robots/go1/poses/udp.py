@@ -22,8 +22,8 @@ _LARGEST = 2048
 
 def datagram(body: str, time: float, position: FloatArray, orientation: FloatArray) -> bytes:
     """The datagram that a sender sends."""
-    told = {"body": body, "time": time, "position": list(position), "orientation": list(orientation)}
-    return json.dumps(told).encode()
+    content = {"body": body, "time": time, "position": list(position), "orientation": list(orientation)}
+    return json.dumps(content).encode()
 
 
 def read(message: bytes) -> Sighting | None:
