@@ -28,7 +28,7 @@ from amhe_cli.estimation.offline.posterior import (
 )
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
-from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, share, size
+from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, Shift, share, size
 from amhe_cli.matching.cost import MatchingCost
 
 logger = logging.getLogger(__name__)
@@ -98,7 +98,7 @@ def _later_logs(clips: Sequence[Window]) -> BoolArray:
     return np.array([2 * order[id(w.log)] >= len(order) > 1 for w in clips])
 
 
-def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> dict[str, FloatArray]:
+def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> list[Shift]:
     """Where the estimate would move if unmeasured details of contact were others.
 
     A detail that the log itself contradicts, even with another estimate and other first states, is changed
@@ -106,7 +106,7 @@ def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> dict[str, Fl
     """
     system, prior = problem.system, problem.system.space.prior_precision
     least = _misfit(fit, fit.slopes.cost, fit.found, fit.posterior.step)
-    shifts = {}
+    shifts = []
     for name, engine in contact_variants(problem.engine, system.model).items():
         cost = MatchingCost(system, problem.clips, engine, problem.settings.cost, fit.scale)
         slopes, first = fit.slopes, fit.slopes.first.mean[None]
@@ -118,7 +118,9 @@ def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> dict[str, Fl
         rise = _misfit(fit, cost, moved, there.step) - least
         share = allowed(rise)
         label = name if share == 1.0 else f"{name}, as far as the log allows it,"
-        shifts[label] = share * (there.step - fit.posterior.step)
+        move = share * (there.step - fit.posterior.step)
+        beyond = np.sqrt(np.maximum(move**2 - (SURPRISE * fit.posterior.sd) ** 2, 0.0))
+        shifts.append(Shift(f"{label} would move it by {{}}", move, 0.5 * np.sign(move) * beyond))
     return shifts
 
 
@@ -140,7 +142,7 @@ def _misfit(fit: FinalFit, cost: MatchingCost, found: Information, step: FloatAr
 def systematic(
     found: Posterior,
     disagreements: Mapping[str, tuple[FloatArray, FloatArray]],
-    shifts: Mapping[str, FloatArray],
+    shifts: Sequence[Shift],
 ) -> FloatArray:
     """Variance of z beyond what noise explains, shape (d,).
 
@@ -149,9 +151,11 @@ def systematic(
     as random-effects models do. So is the step that an unfinished search has left to go.
     """
     contradicted = np.zeros(len(found.step))
-    for difference, chance in (*disagreements.values(), *((shift, found.sd) for shift in shifts.values())):
+    for difference, chance in disagreements.values():
         beyond = np.maximum(difference**2 - (SURPRISE * chance) ** 2, 0.0)
         contradicted = np.maximum(contradicted, 0.25 * beyond)
+    for shift in shifts:
+        contradicted = np.maximum(contradicted, shift.spread**2)
     return contradicted + found.step**2
 
 

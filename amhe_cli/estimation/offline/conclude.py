@@ -71,7 +71,7 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     report_misfit(fit)
     report_unsettled(problem, finding, fit)
     report_drift(space, compared)
-    shifts = {} if hurried else shifts_of(problem, finding, fit)
+    shifts = [] if hurried else shifts_of(problem, finding, fit)
     ratio = step_ratio(problem, finding, fit)
     own = fit.posterior.covariance
     rough = np.diag(own) * (np.nan_to_num(np.maximum(1.0 / ratio, 1.0), nan=1.0) ** 2 - 1.0)

@@ -26,6 +26,21 @@ TOGETHER = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Shift:
+    """Where the estimate would move if something that the model takes as exact were otherwise.
+
+    Args:
+        text: What moves it, in words; `{}` is the size of the move.
+        z: The move, shape (d,) in z.
+        spread: What of it counts as one standard deviation, shape (d,); 0 where chance explains the move.
+    """
+
+    text: str
+    z: FloatArray
+    spread: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """All that was measured about an estimate; vectors are (d,) in z unless said otherwise.
 
@@ -36,7 +51,7 @@ class Evidence:
         step_ratio: Posterior sd over that at a doubled step.
         bootstrap: Spread over resampled clips.
         disagreements: Name of a comparison -> (difference, its sd).
-        shifts: Name of a change of the model -> what it would do to the estimate.
+        shifts: What changes of the model would do to the estimate.
         profiles: Column -> (theta values (K,), costs (K,)).
         noise_scale: Channel -> residual sd over declared noise sd.
     """
@@ -47,7 +62,7 @@ class Evidence:
     step_ratio: FloatArray
     bootstrap: FloatArray
     disagreements: Mapping[str, tuple[FloatArray, FloatArray]]
-    shifts: Mapping[str, FloatArray]
+    shifts: Sequence[Shift]
     profiles: Mapping[int, tuple[FloatArray, FloatArray]]
     noise_scale: Mapping[str, float]
 
@@ -155,13 +170,14 @@ def _contradictions(
 ) -> tuple[str, ...]:
     """Differences beyond chance between parts of the data, or models, of a size in [least, most)."""
     found = []
-    own_sd = float(np.sqrt(evidence.covariance[i, i]))
     for name, (difference, sd) in evidence.disagreements.items():
         if abs(difference[i]) > SURPRISE * sd[i] and least <= share(space, i, difference[i]) < most:
             found.append(f"{name} disagree by {size(space, i, difference[i])}")
-    for name, shift in evidence.shifts.items():
-        if abs(shift[i]) > SURPRISE * own_sd and least <= share(space, i, shift[i]) < most:
-            found.append(f"{name} would move it by {size(space, i, shift[i])}")
+    found += [
+        shift.text.format(size(space, i, shift.z[i]))
+        for shift in evidence.shifts
+        if shift.spread[i] and least <= share(space, i, shift.z[i]) < most
+    ]
     return tuple(found)
 
 

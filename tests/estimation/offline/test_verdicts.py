@@ -10,7 +10,7 @@ import pytest
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90
 from amhe_cli.estimation.offline.result import ParameterResult
-from amhe_cli.estimation.offline.verdicts import Evidence, combinations, profiles, verdicts
+from amhe_cli.estimation.offline.verdicts import Evidence, Shift, combinations, profiles, verdicts
 
 #: Two log-scaled parameters and a linear one; z = 1 is a factor of exp(0.5), or 0.2 m.
 SPACE = ParameterSpace(
@@ -31,7 +31,7 @@ def evidence(sd: float = 0.05, **changes: Any) -> Evidence:
         "step_ratio": np.ones(3),
         "bootstrap": np.full(3, 0.04),
         "disagreements": {},
-        "shifts": {},
+        "shifts": [],
         "profiles": {},
         "noise_scale": {"box.position": 1.1},
     }
@@ -125,13 +125,14 @@ def test_parts_of_the_data_that_disagree(relative: float, sd: float, verdict: st
     ("relative", "verdict"), [(-0.4, "model-sensitive"), (-0.15, "identified"), (-0.02, "identified")]
 )
 def test_details_of_contact_that_would_move_the_estimate(relative: float, verdict: str) -> None:
-    shift = np.array([np.log1p(relative) / 0.5, 0.0, 0.0])
-    result = mass(evidence(0.01, shifts={"softer contacts": shift}))
+    move = np.array([np.log1p(relative) / 0.5, 0.0, 0.0])
+    shift = Shift("softer contacts would move it by {}", move, 0.5 * move)
+    result = mass(evidence(shifts=[shift]))
     assert result.verdict == verdict
     told = any("softer contacts would move it by" in reason for reason in result.reasons)
     assert told == (abs(relative) > 0.05)
-    wide = mass(evidence(0.5, shifts={"softer contacts": shift}))
-    assert wide.verdict == "weak" and len(wide.reasons) == 1, "such a shift is within 3 sd"
+    chance = mass(evidence(shifts=[Shift(shift.text, move, np.zeros(3))]))
+    assert (chance.verdict, chance.reasons) == ("identified", ())
 
 
 @pytest.mark.parametrize(
