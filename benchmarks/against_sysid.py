@@ -283,7 +283,7 @@ def main() -> None:
     parser.add_argument("--case", nargs="+", choices=tuple(CASES), default=list(CASES))
     parser.add_argument("--repetitions", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="one repetition")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     try:
         import mujoco.sysid as sysid
 
@@ -293,12 +293,12 @@ def main() -> None:
         return
     logging.disable(logging.WARNING)
     lines = []
-    for name in asked.case:
+    for name in arguments.case:
         case = CASES[name]()
         if case is None:
             print(f"{name} skipped: its logs are not here")
             continue
-        lines += compare(name, case, 1 if asked.quick else asked.repetitions)
+        lines += compare(name, case, 1 if arguments.quick else arguments.repetitions)
     show(
         f"Time to the held-out error that the better one reaches (goal {GOAL:g}x; "
         "cube_toss in mm, pendulum matching cost)",

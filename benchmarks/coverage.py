@@ -146,12 +146,14 @@ def main() -> None:
     parser.add_argument("--online", action="store_true", help="of the sampling MHE, not of amhe identify")
     parser.add_argument("--quick", action="store_true", help="10 seeds")
     parser.add_argument("--processes", type=int, default=2)
-    asked = parser.parse_args()
-    seeds = 10 if asked.quick else asked.seeds
-    one, name = (online_trial, "coverage-online") if asked.online else (trial, "coverage")
+    arguments = parser.parse_args()
+    seeds = 10 if arguments.quick else arguments.seeds
+    one, name = (online_trial, "coverage-online") if arguments.online else (trial, "coverage")
     lines = []
-    for case in asked.case:
-        results = over_seeds(f"{name}-{case}", functools.partial(one, case), range(seeds), asked.processes)
+    for case in arguments.case:
+        results = over_seeds(
+            f"{name}-{case}", functools.partial(one, case), range(seeds), arguments.processes
+        )
         lines += rows(case, results)
     show(
         f"Coverage of 90 % intervals over {seeds} logs (goal {GOAL[0]:.0%} to {GOAL[1]:.0%})",

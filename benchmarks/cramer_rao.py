@@ -70,9 +70,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=400)
     parser.add_argument("--quick", action="store_true", help="10 seeds")
     parser.add_argument("--processes", type=int, default=2)
-    asked = parser.parse_args()
-    seeds = 10 if asked.quick else asked.seeds
-    results = over_seeds("cramer_rao", functools.partial(trial), range(seeds), asked.processes)
+    arguments = parser.parse_args()
+    seeds = 10 if arguments.quick else arguments.seeds
+    results = over_seeds("cramer_rao", functools.partial(trial), range(seeds), arguments.processes)
     error = np.array([r["error"] for r in results])
     rms, least = np.sqrt((error**2).mean(axis=0)), bound()
     space = System.load("pendulum").space

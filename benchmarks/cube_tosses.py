@@ -73,12 +73,15 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--quick", action="store_true", help="one seed")
     parser.add_argument("--processes", type=int, default=2)
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     if not FOLDER.is_dir():
         print("skipped: the cube tosses are not here")
         return
     results = over_seeds(
-        "cube_tosses", functools.partial(trial), range(1 if asked.quick else asked.seeds), asked.processes
+        "cube_tosses",
+        functools.partial(trial),
+        range(1 if arguments.quick else arguments.seeds),
+        arguments.processes,
     )
     show(
         f"Cube tosses: {FITTED} fitted, {results[0]['clips']} held out "

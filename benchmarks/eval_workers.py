@@ -73,10 +73,10 @@ def _arguments() -> argparse.Namespace:
 def _eval(workers: int, cells: int, duration: float) -> None:
     options = EvalOptions(["t1"], ["true"], workers * cells, duration=duration)
     study = study_of(options, "", "", {})
-    asked: list[Cell] = planned(options, study)
+    planned_cells: list[Cell] = planned(options, study)
     with TemporaryDirectory() as folder:
         store = start(Path(folder), study, resume=False, force=False)
-        conduct(store, asked, run_cell, pool_of(workers, None), lambda: False, lambda result: None)
+        conduct(store, planned_cells, run_cell, pool_of(workers, None), lambda: False, lambda result: None)
 
 
 def _bare(workers: int, cells: int, duration: float) -> None:

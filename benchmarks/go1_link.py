@@ -75,11 +75,11 @@ def main() -> None:
 
 def codec() -> Table:
     """Time of one packet."""
-    told, read = _a_command(), _a_state()
-    packets = command.encode(told), state.encode(read)
+    sent, read = _a_command(), _a_state()
+    packets = command.encode(sent), state.encode(read)
     table = Table("packet", "median us", "99 % us")
     for name, code in {
-        "encode a command": lambda: command.encode(told),
+        "encode a command": lambda: command.encode(sent),
         "decode a state": lambda: state.decode(packets[1]),
         "decode a command (emulator)": lambda: command.decode(packets[0]),
         "encode a state (emulator)": lambda: state.encode(read),
@@ -155,9 +155,9 @@ class Robot:
     """An emulated robot in a thread, and a program that plays swaying plans to it."""
 
     def __init__(self, plan: bool = False) -> None:
-        self.heard: list[tuple[float, MotorCommand]] = []
+        self.received: list[tuple[float, MotorCommand]] = []
         options = EmulatorOptions(find_task("t1"), port=0, mocap="none")
-        self.emulator = Emulator(options, lambda when, told: self.heard.append((when, told)))
+        self.emulator = Emulator(options, lambda when, sent: self.received.append((when, sent)))
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._serve, daemon=True)
         self._thread.start()
@@ -203,33 +203,33 @@ def _reaction(fault: Callable[[Robot], None], test: Callable[[list[MotorCommand]
     """From a fault to the first packet that passes a test [s]; the test looks at all packets and an index."""
     with a_robot() as robot:
         time.sleep(0.5)
-        while _rests([one for _, one in robot.heard[-_AT_REST - 1 :]]):  # no plan has come yet
+        while _rests([one for _, one in robot.received[-_AT_REST - 1 :]]):  # no plan has come yet
             time.sleep(0.01)
-        first = len(robot.heard)
+        first = len(robot.received)
         begun = Clock().now()
         fault(robot)
         while Clock().now() - begun < 10.0:
-            told = [one for _, one in robot.heard]
-            for index in range(first, len(told)):
-                if test(told, index):
-                    return robot.heard[index][0] - begun
+            commands = [one for _, one in robot.received]
+            for index in range(first, len(commands)):
+                if test(commands, index):
+                    return robot.received[index][0] - begun
             time.sleep(0.05)
     raise RuntimeError("no reaction")
 
 
-def damps(told: list[MotorCommand], index: int) -> bool:
+def damps(commands: list[MotorCommand], index: int) -> bool:
     """A packet only damps."""
-    return told[index].kp.max() == 0.0 and told[index].kd.min() > 0.0
+    return commands[index].kp.max() == 0.0 and commands[index].kd.min() > 0.0
 
 
-def holds(told: list[MotorCommand], index: int) -> bool:
+def holds(commands: list[MotorCommand], index: int) -> bool:
     """Targets, which sway while plans are played, rest: a packet repeats the one before, and the next do."""
-    rest = told[index - 1 : index + _AT_REST]
+    rest = commands[index - 1 : index + _AT_REST]
     return len(rest) > _AT_REST and _rests(rest)
 
 
-def _rests(told: list[MotorCommand]) -> bool:
-    return all(np.array_equal(one.position, told[0].position) for one in told)
+def _rests(commands: list[MotorCommand]) -> bool:
+    return all(np.array_equal(one.position, commands[0].position) for one in commands)
 
 
 def program(port: int, plan: bool) -> None:
@@ -269,10 +269,10 @@ def _plan(stop: threading.Event, work: Counter[str]) -> None:
     from amhe_cli.robots.go1.run import RunOptions, belief_source, open_run
 
     # by the clock, so that the estimator has a process; on a busy computer it is slow, and does not hang
-    asked = RunOptions("t1", "adaptive", threads=1, realtime=True)
+    chosen = RunOptions("t1", "adaptive", threads=1, realtime=True)
     while not stop.is_set():
         run = open_run(RunOptions("t1", threads=1))
-        believed = belief_source(asked, run.task, run.system, None, slow=10.0)
+        believed = belief_source(chosen, run.task, run.system, None, slow=10.0)
         episode = replace(run.episode, belief=believed)
         with contextlib.closing(episode.belief):
             for cycle in episode.cycles():
@@ -290,7 +290,7 @@ def jitter(seconds: float) -> Table:
     assert robot.runs
     time.sleep(seconds)
     words = robot.close().strip().splitlines()[-1]
-    arrivals = np.diff([when for when, _ in robot.heard])
+    arrivals = np.diff([when for when, _ in robot.received])
     sent = eval(words)  # a dictionary of numbers that we printed ourselves
     title = (
         f"{len(arrivals)} packets, {sent['plans']} plans, {sent['updates']} updates of the belief; "
@@ -351,11 +351,11 @@ def _is_right(datagram: bytes, good: bytes, layout: np.dtype) -> bool:
     crc = 0xFFFFFFFF
     for byte in np.frombuffer(datagram[: 4 * (len(datagram) // 4 - 1)], "<u4").byteswap().tobytes():
         crc = (crc << 8) & 0xFFFFFFFF ^ _TABLE[crc >> 24 ^ byte]
-    told = int.from_bytes(datagram[-4:], "little")
-    if told == crc:
+    sent = int.from_bytes(datagram[-4:], "little")
+    if sent == crc:
         return True
     mixed = crc ^ 0xEDCAB9DE
-    return len(datagram) == 614 and told == (mixed >> 8) | ((mixed & 0xFF) << 24)
+    return len(datagram) == 614 and sent == (mixed >> 8) | ((mixed & 0xFF) << 24)
 
 
 def _divided(byte: int) -> int:

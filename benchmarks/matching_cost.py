@@ -106,7 +106,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repetitions", type=int, default=15)
     parser.add_argument("--quick", action="store_true", help="5 repetitions")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     lines = []
     for name, case in (("pendulum", pendulum), ("cube_toss", cube_toss)):
         system, logs = case()
@@ -116,7 +116,7 @@ def main() -> None:
             alone, full, ratio = paired(
                 bare(cost, z, threads),
                 lambda c=cost, v=z: c.costs(v),
-                5 if asked.quick else asked.repetitions,
+                5 if arguments.quick else arguments.repetitions,
             )
             lines.append(
                 (

@@ -42,9 +42,9 @@ def main() -> None:
         held = [(np.abs(off) < Z90 * np.sqrt(own + part**2)).mean(axis=0) for part in PARTS]
         shares.append(held)
         table.add_row(
-            task, when, *(f"{100 * value:+.0f}" for value in np.expm1(off.mean(axis=0))), *map(_told, held)
+            task, when, *(f"{100 * value:+.0f}" for value in np.expm1(off.mean(axis=0))), *map(_percent, held)
         )
-    table.add_row("all alike", "", "", "", *map(_told, np.mean(shares, axis=0)))
+    table.add_row("all alike", "", "", "", *map(_percent, np.mean(shares, axis=0)))
     Console(width=110).print(table)
 
 
@@ -71,7 +71,7 @@ def _parts(result: CellResult):
             yield when, (off[rows], sd[rows])
 
 
-def _told(held: np.ndarray) -> str:
+def _percent(held: np.ndarray) -> str:
     return ", ".join(f"{100 * share:.0f}" for share in held)
 
 

@@ -74,7 +74,7 @@ def run(which: str, seed: int, arguments: argparse.Namespace, belief: Path) -> N
     motion, mode = STEADY, "baseline" if which == "held" else "adaptive"
     if which == "probe":
         motion = named_motion(kept(arguments.out / f"{seed}.plan.json", lambda: designed(probe))["motion"])
-    kept(log.with_suffix(".told.json"), lambda: told(probe, motion, mode, log, options))
+    kept(log.with_suffix(".pushed.json"), lambda: pushed(probe, motion, mode, log, options))
     kept(log.with_suffix(".truth.json"), lambda: {"known": at_the_truth(probe.system, log, options)})
     kept(log.with_suffix(".found.json"), lambda: identified(log, belief, seed, threads))
 
@@ -99,7 +99,9 @@ def designed(probe: PushProbe) -> dict[str, object]:
     }
 
 
-def told(probe: PushProbe, motion: Motion, mode: str, log: Path, options: ProbeOptions) -> dict[str, object]:
+def pushed(
+    probe: PushProbe, motion: Motion, mode: str, log: Path, options: ProbeOptions
+) -> dict[str, object]:
     """Push; the posterior covariance from the log, at the parameters to which it leads."""
     ending = probe.push(motion, options.seconds, log, mode=mode)
     known = achieved(probe.system, log, options)
@@ -148,9 +150,9 @@ def table(out: Path) -> str:
     ]
     plans = _all(out, "*.plan.json")
     for which, planned in PUSHES.items():
-        told, true, found = (_all(out, f"*-{which}.{end}.json") for end in ("told", "truth", "found"))
+        pushed, true, found = (_all(out, f"*-{which}.{end}.json") for end in ("pushed", "truth", "found"))
         for name, powers in POWERS.items():
-            columns = (plans, planned), (told, "achieved"), (true, "known"), (found, "covariance")
+            columns = (plans, planned), (pushed, "achieved"), (true, "known"), (found, "covariance")
             sds = [_sd([one[key] for one in many], powers) for many, key in columns]
             lines.append(f"| {which} | {len(found)} | {name} | {' | '.join(sds)} | {_errors(found, name)} |")
     motions = [plan["motion"] for plan in plans]
@@ -165,12 +167,12 @@ def table(out: Path) -> str:
 
 
 def _gains(out: Path, which: str) -> str:
-    asked = {
-        "achieved": ("told", "achieved"),
+    compared = {
+        "achieved": ("pushed", "achieved"),
         "at the truth": ("truth", "known"),
         "identify": ("found", "covariance"),
     }
-    return ", ".join(f"{what} {_gain(out, which, *where):.2f}" for what, where in asked.items())
+    return ", ".join(f"{what} {_gain(out, which, *where):.2f}" for what, where in compared.items())
 
 
 def _gain(out: Path, which: str, end: str, key: str) -> float:

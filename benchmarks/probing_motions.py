@@ -65,11 +65,11 @@ def main() -> None:
                 ProbeOptions(belief=belief, seed=seed, threads=arguments.threads)
                 for seed in range(arguments.seeds)
             ]
-            cells.append(cell([told(title, believes, one, arguments.out) for one in options]))
+            cells.append(cell([known_after(title, believes, one, arguments.out) for one in options]))
         print(f"| {title} | {' | '.join(cells)} |", flush=True)
 
 
-def told(title: str, believes: str, options: ProbeOptions, out: Path) -> list:
+def known_after(title: str, believes: str, options: ProbeOptions, out: Path) -> list:
     """Push once; the posterior covariance from the log."""
     name = f"{list(MOTIONS).index(title)}-{believes}-{options.seed}"
 

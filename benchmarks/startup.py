@@ -23,11 +23,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--repetitions", type=int, default=15)
     parser.add_argument("--quick", action="store_true", help="5 repetitions")
-    asked = parser.parse_args()
+    arguments = parser.parse_args()
     click, amhe, ratio = paired(
         lambda: started("-c", "import click"),
         lambda: started("-m", "amhe_cli", "--help"),
-        5 if asked.quick else asked.repetitions,
+        5 if arguments.quick else arguments.repetitions,
     )
     met = ratio <= RATIO_GOAL and amhe <= SECONDS_GOAL
     show(

@@ -77,8 +77,8 @@ def _missed(goals: str) -> str:
     """How many goals are reached, and the table's rows of those that are not."""
     _, _, head, rule, *rows = goals.splitlines()
     missed = [row for row in rows if row.endswith("| NO |")]
-    told = f"{len(rows) - len(missed)} of {len(rows)} goals are reached"
-    return "\n".join((f"{told}; missed are", "", head, rule, *missed)) if missed else f"{told}."
+    reached = f"{len(rows) - len(missed)} of {len(rows)} goals are reached"
+    return "\n".join((f"{reached}; missed are", "", head, rule, *missed)) if missed else f"{reached}."
 
 
 def _made(store: Store) -> str:

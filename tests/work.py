@@ -39,8 +39,8 @@ def slow(seconds: float) -> float:
     return seconds
 
 
-def told_where(request: tuple[str, float]) -> int:
-    """Say where it is being done, then take so long."""
+def process_id_after(request: tuple[str, float]) -> int:
+    """Write down the process that does it, then take so long [s]."""
     place, seconds = request
     with Path(place).open("a", encoding="utf-8") as file:
         file.write(f"{os.getpid()}\n")

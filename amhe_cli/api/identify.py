@@ -22,7 +22,7 @@ from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.offline import identification
 from amhe_cli.estimation.offline.result import Fit, Identification, Iteration, ParameterResult
-from amhe_cli.logs.truth import told_truth
+from amhe_cli.logs.truth import truth_in_metadata
 from amhe_cli.system.provenance import provenance
 from amhe_cli.system.system import System
 
@@ -82,7 +82,7 @@ class Result:
         """The keys of an identification in result.json."""
         from amhe_cli.report.identification import identification_record
 
-        return identification_record(self.found, told_truth(self.logs)) | {"seed": self.seed}
+        return identification_record(self.found, truth_in_metadata(self.logs)) | {"seed": self.seed}
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html.
@@ -145,7 +145,7 @@ class Result:
         from amhe_cli.report.identification import print_identification
 
         console = Console(record=True, file=io.StringIO(), width=_WIDTH, highlight=False, force_jupyter=False)
-        print_identification(self.found, None, console, told_truth(self.logs))
+        print_identification(self.found, None, console, truth_in_metadata(self.logs))
         return console
 
 

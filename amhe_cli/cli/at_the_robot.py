@@ -50,18 +50,18 @@ wire_options = options.stacked(
 )
 
 
-def opened(asked: RunOptions, wire: Mapping[str, Any]) -> Run | None:
+def opened(chosen: RunOptions, wire: Mapping[str, Any]) -> Run | None:
     """The run on a real robot; None: it is to be simulated.
 
     Raises:
         ConfigError: Options that do not go together.
     """
-    reached = wire_of(asked.target, wire)
+    reached = wire_of(chosen.target, wire)
     if reached is None:
         return None
     from amhe_cli.robots.go1.link.open import open_go1_run
 
-    return open_go1_run(asked, reached)
+    return open_go1_run(chosen, reached)
 
 
 def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:

@@ -50,8 +50,8 @@ def calibrate(
     session.hush_mujoco()
     reached = at_the_robot.wire_of("go1", wire)
     assert reached is not None
-    asked = RunOptions(task, target="go1", settings=overrides.all)
-    calibration = open_calibration(asked, reached)
+    chosen = RunOptions(task, target="go1", settings=overrides.all)
+    calibration = open_calibration(chosen, reached)
     folder = out.reserve("calibrate")
     with calibration:
         found = calibration.offsets(_asking(session, yes), seconds)

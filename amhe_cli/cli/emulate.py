@@ -117,8 +117,8 @@ def emulate(
     from amhe_cli.robots.go1.settings import settings_of
 
     session.hush_mujoco()
-    asked = RunOptions(task, target="go1", settings=overrides.all)
-    measured, system = task_and_system(asked)
+    chosen = RunOptions(task, target="go1", settings=overrides.all)
+    measured, system = task_and_system(chosen)
     s = settings_of(system).go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)
     emulated = EmulatorOptions(

@@ -83,13 +83,13 @@ def estimator(function: options.F) -> options.F:
         for name in _ESTIMATOR:
             value = values.pop(name)
             if isinstance(value, dict):
-                told = [f"mhe.{name}.{key}={number!r}" for key, number in value.items()]
+                given = [f"mhe.{name}.{key}={number!r}" for key, number in value.items()]
             else:
-                told = [] if value is None else [f"mhe.{name}={value}"]
-            if told and values.get("mode", "adaptive") != "adaptive":
+                given = [] if value is None else [f"mhe.{name}={value}"]
+            if given and values.get("mode", "adaptive") != "adaptive":
                 flag = f"--{name.replace('_', '-')}"
                 raise click.UsageError(f"{flag} is for the online estimator, which only --mode adaptive runs")
-            chosen += told
+            chosen += given
         return function(*args, assignments=(*assignments, *chosen), **values)
 
     for option in reversed(_ESTIMATOR.values()):

@@ -159,8 +159,8 @@ def _tell(session: Session, store: Store, left: int) -> None:
 
     report = write_study(store, ALL, MODES)
     if session.json:
-        told: dict[str, Any] = {"cells": report.cells, "failed": report.failures, "missing": left}
-        session.print_json(session.record(**told, summary=report.summary, out=str(store.folder)))
+        counts: dict[str, Any] = {"cells": report.cells, "failed": report.failures, "missing": left}
+        session.print_json(session.record(**counts, summary=report.summary, out=str(store.folder)))
     else:
         print(report.text)
         print(f"report: {store.folder / 'report.html'}")

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
     help="Save the search here as it goes; resume from it, to the bit, if it exists.",
 )
 @options.work
-@options.spread_if_asked
+@options.spread_if_chosen
 @options.tuning
 @options.out
 @options.common
@@ -89,7 +89,7 @@ def identify(
     from amhe_cli.core.executors import executor_of
     from amhe_cli.core.parameters import Belief
     from amhe_cli.logs import read_log
-    from amhe_cli.logs.truth import told_truth
+    from amhe_cli.logs.truth import truth_in_metadata
     from amhe_cli.report.identification import print_identification
 
     session.hush_mujoco()
@@ -111,7 +111,7 @@ def identify(
     if session.json:
         session.print_json(record)
     else:
-        print_identification(result.found, folder, session.console(), told_truth(training))
+        print_identification(result.found, folder, session.console(), truth_in_metadata(training))
 
 
 def _check_apart(logs: Sequence[Path], held_out: Sequence[Path]) -> None:

@@ -41,7 +41,7 @@ for _command in (init, inspect, probe, identify, mhe_replay, run_task, evaluate,
 def main() -> None:
     """Entry point of the command `amhe`."""
     code = run(sys.argv[1:])
-    # all is written and said: a signal during Python's own clearing up must not turn a success into a failure
+    # the work is done: a signal during Python's own clearing up must not turn a success into a failure
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     sys.exit(code)

@@ -283,7 +283,7 @@ def _spread(default: Callable[[], int] | None, shown: str) -> Callable[[F], F]:
 
 
 spread = _spread(_cores, "all cores")
-spread_if_asked = _spread(None, "none: threads of this one")
+spread_if_chosen = _spread(None, "none: threads of this one")
 
 force = click.option("--force", is_flag=True, help="Write into an existing OUT that is not empty.")
 

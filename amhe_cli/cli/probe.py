@@ -89,14 +89,14 @@ def probe(
 
     session.hush_mujoco()
     settings, schema = overrides.suited(find_system(system or "go1_push"))
-    asked = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, settings, schema)
+    chosen = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, settings, schema)
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)
     robot = Go1OnLink(reached, attend) if reached else None
     if robot and wire["dry_run"]:
-        return at_the_robot.dry_run(session, robot_to_probe(asked, robot))
-    opened = open_probe(asked, robot)
+        return at_the_robot.dry_run(session, robot_to_probe(chosen, robot))
+    opened = open_probe(chosen, robot)
     folder = out.reserve("probe")
     say = click.get_current_context().with_resource(progress(session, "probe", _shown))
     plan = opened.design(say)
@@ -119,7 +119,7 @@ def probe(
             if not session.interrupted and error is None:
                 say("computing the achieved accuracy")
                 try:
-                    known["achieved"] = achieved(opened.system, scratch / LOG, asked)
+                    known["achieved"] = achieved(opened.system, scratch / LOG, chosen)
                 except KeyboardInterrupt:  # it must not cost the log
                     session.interrupted = True
             record = plain(session.record(**about, **(plan_record(plan) | known_record(known)), **link))

@@ -113,8 +113,8 @@ def run(
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration
-    asked = RunOptions(task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all)
-    opened = at_the_robot.opened(asked, wire) or open_run(asked)
+    chosen = RunOptions(task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all)
+    opened = at_the_robot.opened(chosen, wire) or open_run(chosen)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
     click.get_current_context().with_resource(closing(opened.episode.belief))
     if wire["dry_run"]:
@@ -140,7 +140,7 @@ def run(
             link = at_the_robot.link_record(opened.target, recorder, history)
         session.interrupted = ending.interrupted
         record = session.record(
-            task=task, mode=mode, target=target, seed=seed, lock_step=not asked.live,
+            task=task, mode=mode, target=target, seed=seed, lock_step=not chosen.live,
             **run_record(opened.judge.measures(), history, ending),
             duration=longest, cut_short=longest < LONGEST, out=str(folder), **link,
         )  # fmt: skip

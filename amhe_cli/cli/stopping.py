@@ -16,19 +16,19 @@ def stopping(session: Session) -> Iterator[Callable[[], bool]]:
 
     What is being written stays whole: nothing is torn apart in the middle of a message.
     """
-    asked = False
+    requested = False
 
     def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
+        nonlocal requested
         session.terminated |= number == signal.SIGTERM
-        if asked:
+        if requested:
             raise Terminated if session.terminated else KeyboardInterrupt
-        asked = True
+        requested = True
 
     numbers = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
     before = {number: signal.signal(number, note) for number in numbers}
     try:
-        yield lambda: asked
+        yield lambda: requested
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)

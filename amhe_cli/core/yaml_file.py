@@ -51,7 +51,7 @@ def scalar(text: str) -> Any:
     try:
         return yaml.load(text, _Loader)
     except yaml.YAMLError as error:
-        raise ConfigError(f"{text!r} is not a value: {_said(error)}") from None
+        raise ConfigError(f"{text!r} is not a value: {_message_of(error)}") from None
 
 
 class YamlFile:
@@ -104,7 +104,7 @@ class YamlFile:
         except yaml.YAMLError as error:
             mark = getattr(error, "problem_mark", None)
             where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
-            raise ConfigError(f"{self.path}{where}: not valid YAML: {_said(error)}") from None
+            raise ConfigError(f"{self.path}{where}: not valid YAML: {_message_of(error)}") from None
         if node is not None:
             self._drop_duplicates(node)
         return node
@@ -116,7 +116,7 @@ class YamlFile:
         except (yaml.YAMLError, ValueError, TypeError) as error:
             mark = getattr(error, "problem_mark", None) or node.start_mark
             where = f"{self.path}:{mark.line + 1}:{mark.column + 1}"
-            raise ConfigError(f"{where}: not valid YAML: {_said(error)}") from None
+            raise ConfigError(f"{where}: not valid YAML: {_message_of(error)}") from None
         finally:
             loader.dispose()
 
@@ -206,7 +206,7 @@ def at_place(data: Any, place: Sequence[str | int]) -> Any:
     return data
 
 
-def _said(error: Exception) -> str:
+def _message_of(error: Exception) -> str:
     """The message of a PyYAML error, on one line."""
     problem = getattr(error, "problem", None)
     context = getattr(error, "context", None)

@@ -37,7 +37,7 @@ from amhe_cli.system.system import System
 from amhe_cli.system.targets import names_of
 
 #: Seconds of log that the noise is estimated from.
-_LISTEN = 60.0
+_NOISE_SECONDS = 60.0
 
 
 def init_system(
@@ -83,15 +83,15 @@ def init_system(
         name = copy_model(spec, model_path, folder, rewrite=urdf)
         head = (name, model_path.name, [str(log) for log in logs])
         (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
-        heard = _listen(folder, logs[0], guesses, topics, msg_path)
+        unread = _estimate_noise(folder, logs[0], guesses, topics, msg_path)
         (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
         System.load(folder, warn=False)  # what is written is valid, or it is not written
         for file in sorted(path for path in folder.rglob("*") if path.is_file()):
             place = out / file.relative_to(folder)
             place.parent.mkdir(parents=True, exist_ok=True)
             file.replace(place)
-    said = [f"{guess.name}: {guess.why}" for guess in (*guesses, *parameters)]
-    return [*said, *heard, *notes]
+    reasons = [f"{guess.name}: {guess.why}" for guess in (*guesses, *parameters)]
+    return [*reasons, *unread, *notes]
 
 
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
@@ -170,12 +170,12 @@ def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence
     return [fields_example(model, topic) for topic in foreign(topics)]
 
 
-def _listen(
+def _estimate_noise(
     folder: Path, log: Path, guesses: Sequence[Guess], topics: Sequence[Topic], msg_path: Path | None
 ) -> list[str]:
     """Set each signal's noise to an estimate from the log; a signal that cannot be read keeps the guess."""
     rates = {topic.table or topic.name: topic.rate for topic in topics}
-    said: list[str] = []
+    unread: list[str] = []
     signals = {signal.name: signal for signal in System.load(folder, warn=False).signals}
     for guess in guesses:
         signal = signals[guess.name]
@@ -185,14 +185,14 @@ def _listen(
         try:
             dt = 1.0 / rates[signal.topic or next(iter(rates))]
             wanted = replace(signal, quantities=compared)
-            sample = read_signals(log, [wanted], dt, LogSettings(), end=_LISTEN, msg_path=msg_path)
+            sample = read_signals(log, [wanted], dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path)
         except AmheError as error:
-            said.append(f"{guess.name}: its noise is a guess, because {error}")
+            unread.append(f"{guess.name}: its noise is a guess, because {error}")
             continue
         for key in compared:
             series = sample[signal.key(key)]
             guess.noise[key] = _noise(key, np.asarray(series.values), np.asarray(series.valid))
-    return said
+    return unread
 
 
 def _noise(quantity: str, values: np.ndarray, valid: np.ndarray) -> float:

@@ -101,9 +101,11 @@ def _meaning(table: str, column: str) -> _Meaning | None:
     rest = [word for word in found if word not in _QUANTITIES]
     command = bool(_COMMANDED & set(rest)) or bool(COMMANDS & set(words(table)))
     rest = [word for word in rest if word not in _COMMANDED]
-    said = [word for word in rest if word in _MEASURED]
+    measured = [word for word in rest if word in _MEASURED]
     entry = "_".join(word for word in rest if word not in _MEASURED and word not in KINDS)
-    return _Meaning(name, quantity, command, _MEASURED.index(said[0] if said else ""), entry, int(count or 0))
+    return _Meaning(
+        name, quantity, command, _MEASURED.index(measured[0] if measured else ""), entry, int(count or 0)
+    )
 
 
 def _topic(name: str, table: Topic, meanings: Sequence[_Meaning], joints: Sequence[str]) -> Topic | None:

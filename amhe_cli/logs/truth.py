@@ -47,7 +47,7 @@ def read_truth(path: Path, stamps_ns: IntArray, settings: LogSettings) -> dict[s
     }
 
 
-def told_truth(logs: Sequence[Log]) -> dict[str, float]:
+def truth_in_metadata(logs: Sequence[Log]) -> dict[str, float]:
     """True parameters in the logs' metadata, as simulations write them; {} if they differ or are none."""
     texts = {log.metadata.get("truth") for log in logs}
     try:

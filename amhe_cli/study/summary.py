@@ -114,13 +114,13 @@ def summary(groups: Iterable[Group]) -> list[dict[str, Any]]:
             "setting": dict(group.setting),
             "n": group.n,
             "failed": group.failed,
-            "measures": {name: _told(group.spread(name)) for name in (*RATES, *MEASURES)},
+            "measures": {name: _numbers(group.spread(name)) for name in (*RATES, *MEASURES)},
         }
         for group in groups
     ]
 
 
-def _told(spread: Spread) -> dict[str, float]:
+def _numbers(spread: Spread) -> dict[str, float]:
     return {name: value for name, value in asdict(spread).items() if name != "n"}
 
 

@@ -90,11 +90,11 @@ def compiled(spec: mujoco.MjSpec, name: str = "the model") -> mujoco.MjModel:
 @contextmanager
 def _in_our_words(what: str) -> Iterator[None]:
     """Turn errors into ConfigErrors, and warnings into log lines."""
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
             yield
         except (ValueError, mujoco.FatalError) as error:
             raise ConfigError(f"{what}: {' '.join(str(error).split())}") from None
-    for text in dict.fromkeys(" ".join(str(warning.message).split()) for warning in said):
+    for text in dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught):
         logger.warning("MuJoCo: %s", text)

@@ -285,8 +285,8 @@ def _in_words(mistakes: list[Any], place: Place, data: Any, schema: type[Setting
     if kind == "missing":
         return f"{'.'.join(map(str, place[:-1])) or 'this file'} lacks the key {str(place[-1])!r}"
     if kind == "value_error":
-        said = str(mistakes[0]["ctx"]["error"])
-        return said if isinstance(value, Mapping) else f"{label} {said}"
+        message = str(mistakes[0]["ctx"]["error"])
+        return message if isinstance(value, Mapping) else f"{label} {message}"
     if kind in ("float_type", "float_parsing", "int_type", "int_parsing"):
         quoted = " (without quotes)" if isinstance(value, str) else ""
         return f"{label} is {value!r}; a number{quoted} would be valid"

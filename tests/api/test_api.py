@@ -167,7 +167,7 @@ def test_wrong_arguments_are_named(system: amhe.System, log: amhe.Log) -> None:
         amhe.identify(system, ["swing.mcap"])  # type: ignore[list-item]
     with pytest.raises(ConfigError, match="`held_out`: .* is fitted too"):
         amhe.identify(system, log, held_out=log)
-    for wrong, said in (
+    for wrong, message in (
         ({"engine": "auto"}, "no engine 'auto'; there is: cpu"),
         ({"engine": "gpu"}, "no engine 'gpu'; there is: cpu"),
         ({"method": "foo"}, "`method`: no method 'foo'; there is: cmaes, linearised"),
@@ -181,9 +181,9 @@ def test_wrong_arguments_are_named(system: amhe.System, log: amhe.Log) -> None:
         ({"checkpoint": "nowhere/search.json"}, "`checkpoint`: there is no folder 'nowhere'"),
         ({"checkpoint": ROOT}, "`checkpoint`: .* is a folder"),
     ):
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             amhe.identify(system, log, **wrong)  # type: ignore[arg-type]
-    for wrong, said in (
+    for wrong, message in (
         ({"duration": 0}, "`duration`: 0 is no positive number of seconds"),
         ({"duration": -1}, "`duration`: -1 is no positive number"),
         ({"threads": 0}, "`threads`: 0 is no whole number"),
@@ -192,15 +192,15 @@ def test_wrong_arguments_are_named(system: amhe.System, log: amhe.Log) -> None:
         ({"task": None}, "no task None; there is: "),
         ({"mode": "adaptiv"}, "did you mean 'adaptive'"),
     ):
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             amhe.run(**wrong)  # type: ignore[arg-type]
-    for wrong, said in (
+    for wrong, message in (
         ({"seconds": np.nan}, "`seconds`: nan is no positive number"),
         ({"threads": 0}, "`threads`: 0 is no whole number"),
         ({"seed": -1}, "`seed`: -1 is no whole number"),
         ({"log": "nowhere/x.mcap"}, "`log`: there is no folder 'nowhere'"),
     ):
-        with pytest.raises(ConfigError, match=said):
+        with pytest.raises(ConfigError, match=message):
             amhe.probe(system, **wrong)  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match="`seed`: -1 is no whole number"):
         amhe.Estimator(system, seed=-1)
@@ -234,7 +234,7 @@ def test_an_estimator_follows_a_log(system: amhe.System, log: amhe.Log) -> None:
 
 
 @pytest.mark.parametrize(
-    ("samples", "said"),
+    ("samples", "message"),
     [
         ({"joints.positon": (2.0, 0.0)}, r"no series 'joints.positon' \(did you mean 'joints.position'"),
         ({"joints.position": ([2.0, 2.1], [0.0, 0.1, 0.2])}, "joints.position: values of shape"),
@@ -258,11 +258,11 @@ def test_an_estimator_follows_a_log(system: amhe.System, log: amhe.Log) -> None:
         ),
     ],
 )
-def test_wrong_samples_are_named_and_not_taken_in(system: amhe.System, samples, said: str) -> None:
+def test_wrong_samples_are_named_and_not_taken_in(system: amhe.System, samples, message: str) -> None:
     estimator, empty = amhe.Estimator(system), ([], [])
     first = {"joints.position": (1.0, 0.0), "joints.velocity": (1.0, 0.0), "command.position": empty}
     assert estimator.update(first) is None
-    with pytest.raises(LogError, match=f"^samples: .*{said}"):
+    with pytest.raises(LogError, match=f"^samples: .*{message}"):
         estimator.update({"command.position": (2.0, 0.0), **samples})
     estimator.update({"command.position": (2.0, 0.0)})  # it was not taken in before
     estimator.update({"joints.position": ([1.5], [[0.0]]), "joints.velocity": (1.5, [0.0])})

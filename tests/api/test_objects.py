@@ -22,7 +22,7 @@ def test_system_and_log_are_one_line() -> None:
     assert "\n" not in repr(system) + repr(log)
 
 
-def test_logs_of_one_name_are_told_apart_in_the_provenance() -> None:
+def test_logs_of_one_name_are_distinguished_in_the_provenance() -> None:
     from amhe_cli.system.provenance import _hashes
 
     system = amhe.System.load("pendulum")

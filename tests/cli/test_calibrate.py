@@ -40,12 +40,12 @@ def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
     pytest.importorskip("natnet")
     with emulating("--slow", "2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
         assert run(["calibrate", "--yes", "-o", "out", *at(emulated)]) == 0, capsys.readouterr().err
-        said = capsys.readouterr()
+        output = capsys.readouterr()
         check = ["run", "--task", "t1", "--target", "go1", "--dry-run", *at(emulated)]
         assert run(check) == 1, "without the offsets it is refused"
         assert run([*check, "--config", "out/offsets.yaml"]) == 0
-    assert "its head along the x axis" in said.err
-    assert said.out.startswith(Path("out/offsets.yaml").read_text())
+    assert "its head along the x axis" in output.err
+    assert output.out.startswith(Path("out/offsets.yaml").read_text())
     found = json.loads(Path("out/result.json").read_text())
     for name, true in (("trunk_offset", TRUNK), ("box_offset", BOX)):
         np.testing.assert_allclose(found[name][:3], true[:3], atol=0.001, err_msg=name)
@@ -56,19 +56,19 @@ def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         (["--fault", "yup=1"], "up axis z"),
         (["--fault", "swap=1"], "check its name"),
         (["--fault", "high=1"], "high-level mode"),
     ],
 )
-def test_what_cannot_be_is_refused(capfd, more: list[str], said: str) -> None:
+def test_what_cannot_be_is_refused(capfd, more: list[str], message: str) -> None:
     pytest.importorskip("natnet")
     with emulating("--slow", "2", *more) as emulated:
         assert run(["calibrate", "--yes", *at(emulated)]) == 1
     err = capfd.readouterr().err
-    assert said in err
+    assert message in err
     assert sum("error:" in line for line in err.splitlines()) == 1
     assert list(Path().glob("*/*/*")) == []
 

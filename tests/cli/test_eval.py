@@ -114,9 +114,9 @@ def test_the_report_is_made_again_of_the_cells_alone(done: Path, capsys) -> None
     shutil.copytree(done / "cells", "out/cells")
     shutil.copy(done / "study.json", "out/study.json")
     assert run(["eval", "--report", "out", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["command"], told["cells"], told["failed"]) == ("eval", 4, {})
-    assert told["summary"] == json.loads((done / "summary.json").read_text())
+    printed = json.loads(capsys.readouterr().out)
+    assert (printed["command"], printed["cells"], printed["failed"]) == ("eval", 4, {})
+    assert printed["summary"] == json.loads((done / "summary.json").read_text())
     for path in ("report.html", "summary.json", "tables/measures.csv", "tables/table2.tex"):
         assert (Path("out") / path).read_bytes() == (done / path).read_bytes()
 
@@ -170,7 +170,7 @@ def breaking(request):
 
 
 @pytest.mark.parametrize(
-    ("options", "said"),
+    ("options", "message"),
     [
         (["--ablate", "sampels=8,16"], "no parameter 'sampels' (did you mean 'samples'?); there is: "),
         (["--ablate", "control.sampels=8"], "no key 'sampels' (did you mean 'samples'?); there is: elites"),
@@ -186,10 +186,10 @@ def breaking(request):
         (["--engine", "auto"], "no engine 'auto'; there is: cpu"),
     ],
 )
-def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, options, said: str) -> None:
+def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, options, message: str) -> None:
     pytest.importorskip("distributed")
     assert run(["eval", "-q", "-o", "out", *options]) == 2
-    assert said in the_line(capsys)
+    assert message in the_line(capsys)
     assert not list(Path().rglob("*.json")) or "--cluster" in options
 
 

@@ -223,16 +223,16 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
             os.write(keys, b"\n")
             read_until(process, "from the goal")
             os.write(keys, b" ")
-            said = process.communicate(timeout=60)[1]
+            stderr = process.communicate(timeout=60)[1]
     assert process.returncode == 1
-    assert "stopped, damp: key" in said
+    assert "stopped, damp: key" in stderr
     record = json.loads(Path("out/result.json").read_text())
     assert (record["link"]["trip"], record["link"]["reason"]) == ("order", "key")
     assert not survey(Path("out/log.mcap")).problems
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ([*ROBOT[:-1], "true"], "adaptive or baseline"),
         ([*ROBOT, "--plant", "robot.xml"], "--plant is the robot of a simulation"),
@@ -256,11 +256,11 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
         (["emulate", "--fault", "los=1"], "did you mean 'loss'"),
     ],
 )
-def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments: list[str], said: str) -> None:
+def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments: list[str], message: str) -> None:
     Path("robot.xml").write_text("<mujoco/>")
     assert run(arguments) == 2
     err = capsys.readouterr().err
-    assert said in err
+    assert message in err
     assert len(err.splitlines()) == 1
     assert [path.name for path in Path().iterdir()] == ["robot.xml"]
 
@@ -271,8 +271,8 @@ def test_a_robot_that_is_not_there_is_one_line_and_leaves_no_process(capfd, mode
         deaf.bind(("127.0.0.1", 0))
         port = str(deaf.getsockname()[1])
         where = ["--host", "127.0.0.1", "--port", port, "--pose", "udp", "--pose-port", port]
-        asked = [*ROBOT[:-1], mode, *where, "--set", "go1.connect_time=0.3", *QUICK]
-        assert run(asked) == 1
+        arguments = [*ROBOT[:-1], mode, *where, "--set", "go1.connect_time=0.3", *QUICK]
+        assert run(arguments) == 1
     assert multiprocessing.active_children() == []  # the estimator's, that is
     err = capfd.readouterr().err
     assert f"nothing answers from 127.0.0.1:{port}" in err
@@ -295,9 +295,9 @@ def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys) -> None:
     record = json.loads(Path("out/result.json").read_text())
     assert (record["target"], record["error"], record["link"]["trip"]) == ("go1", None, "")
     assert record["link"]["packets"]["packets"] > 500
-    said = read_metadata(Path("out/probe.mcap"))
-    assert said["target"] == "go1"
-    assert "truth" not in said
+    metadata = read_metadata(Path("out/probe.mcap"))
+    assert metadata["target"] == "go1"
+    assert "truth" not in metadata
     log = survey(Path("out/probe.mcap"))
     assert not log.problems
     assert log.duration == pytest.approx(2.0, abs=0.3)

@@ -109,7 +109,7 @@ def test_a_folder_that_holds_something_is_refused_before_any_work(pendulum_log: 
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "said"),
+    ("arguments", "code", "message"),
     [
         (["--engine", "gpu"], 2, "no engine 'gpu'; there is: cpu"),
         (["--engine", "auto"], 2, "no engine 'auto'; there is: cpu"),
@@ -126,10 +126,10 @@ def test_a_folder_that_holds_something_is_refused_before_any_work(pendulum_log: 
         (["--checkpoint", "nowhere/search.npz"], 2, "no folder 'nowhere'"),
     ],
 )
-def test_a_mistake_in_an_option_is_one_line(pendulum_log: Path, capsys, arguments, code, said) -> None:
+def test_a_mistake_in_an_option_is_one_line(pendulum_log: Path, capsys, arguments, code, message) -> None:
     assert run(["identify", str(pendulum_log), *arguments]) == code
     err = capsys.readouterr().err
-    assert said in err
+    assert message in err
     assert len(err.splitlines()) == 1
     assert names(".") == []
 

@@ -39,7 +39,7 @@ def test_a_part_of_the_log(pendulum_log: Path, capsys) -> None:
     assert "usable: 2 s" in capsys.readouterr().out
 
 
-def test_a_truncated_log_is_shown_and_its_damage_said(pendulum_log: Path, tmp_path: Path, capsys) -> None:
+def test_a_truncated_log_is_shown_and_its_damage_reported(pendulum_log: Path, tmp_path: Path, capsys) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(pendulum_log.read_bytes()[: pendulum_log.stat().st_size * 2 // 3])
     assert run(["inspect", str(cut), "--strict"]) == 3

@@ -189,6 +189,6 @@ def test_a_signal_after_the_end_changes_nothing(number: signal.Signals) -> None:
 @pytest.mark.parametrize(
     ("option", "kind"), [("--from", "number"), ("--max-time", "number"), ("--seed", "whole number")]
 )
-def test_what_is_no_number_is_said_in_plain_words(option, kind, capsys, tmp_path) -> None:
+def test_what_is_no_number_is_reported_in_plain_words(option, kind, capsys, tmp_path) -> None:
     assert entry.run(["identify", str(tmp_path), option, "abc"]) == 2
     assert f"'abc' is not a valid {kind}" in capsys.readouterr().err

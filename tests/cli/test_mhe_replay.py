@@ -60,16 +60,16 @@ def test_it_writes_its_four_files(pushed: Path) -> None:
 
 
 def test_result_json_has_the_keys_of_every_command_and_its_own(pushed: Path) -> None:
-    said = record(pushed)
-    assert {"schema_version", "command", "version", "seconds", "warnings"} <= set(said)
-    assert (said["command"], said["system"], said["method"]) == ("mhe-replay", "go1_push", "linearised")
-    assert [p["name"] for p in said["parameters"]] == list(NAMES)
-    assert {"estimate", "sd", "lower", "upper", "unit", "truth"} <= set(said["parameters"][0])
-    assert said["windows"] == len(table(pushed)) == 26
-    assert said["updated"] + said["still"] + said["gaps"] + said["lost"] == said["windows"]
-    assert said["rollouts"] == {"count": 9 * 26, "diverged": 0}
-    assert 0.0 < said["update_ms"]["p50"] <= said["update_ms"]["p99"]
-    assert said["real_time_factor"] > 0.0
+    result = record(pushed)
+    assert {"schema_version", "command", "version", "seconds", "warnings"} <= set(result)
+    assert (result["command"], result["system"], result["method"]) == ("mhe-replay", "go1_push", "linearised")
+    assert [p["name"] for p in result["parameters"]] == list(NAMES)
+    assert {"estimate", "sd", "lower", "upper", "unit", "truth"} <= set(result["parameters"][0])
+    assert result["windows"] == len(table(pushed)) == 26
+    assert result["updated"] + result["still"] + result["gaps"] + result["lost"] == result["windows"]
+    assert result["rollouts"] == {"count": 9 * 26, "diverged": 0}
+    assert 0.0 < result["update_ms"]["p50"] <= result["update_ms"]["p99"]
+    assert result["real_time_factor"] > 0.0
 
 
 def test_the_table_has_a_row_for_each_window(pushed: Path) -> None:
@@ -115,8 +115,8 @@ def test_the_log_predicts_the_measured_topics(pushed: Path) -> None:
         ("/odom", "linear_velocity", 0.4),
         ("/joint_states", "position", 0.06),
     ):
-        said = Signal("it", f"/amhe/pred{topic}", (quantity,))
-        predicted = read_signals(pushed / "estimates.mcap", [said], 0.01, LogSettings())
+        wanted = Signal("it", f"/amhe/pred{topic}", (quantity,))
+        predicted = read_signals(pushed / "estimates.mcap", [wanted], 0.01, LogSettings())
         measured = read_signals(
             LOGS / "t4.mcap", [Signal("it", topic, (quantity,))], 0.01, LogSettings(), end=2.9
         )
@@ -145,13 +145,13 @@ def test_the_report_is_one_page_that_needs_no_network(pushed: Path) -> None:
 
 def test_the_options_tell_the_defaults_of_the_library_and_of_go1_push() -> None:
     options = {p.name: p for p in amhe.commands["mhe-replay"].params}
-    told, go1 = MheSettings(), System.load("go1_push").settings.mhe
+    general, go1 = MheSettings(), System.load("go1_push").settings.mhe
     methods = get_args(MheSettings.model_fields["method"].annotation)
     assert tuple(options["method"].type.choices) == methods  # type: ignore[attr-defined]
     for name in ("method", "learning_rate"):
-        assert f"[default: {getattr(told, name)}]" in options[name].help  # type: ignore[attr-defined]
+        assert f"[default: {getattr(general, name)}]" in options[name].help  # type: ignore[attr-defined]
     for name in ("window", "update_period"):
-        text = f"[default: {getattr(told, name)}; of go1_push {getattr(go1, name)}]"
+        text = f"[default: {getattr(general, name)}; of go1_push {getattr(go1, name)}]"
         assert text in options[name].help  # type: ignore[attr-defined]
     for name, count in (("samples", "sample_count"), ("iterations", "iteration_count")):
         ours, papers = (getattr(MheSettings(method=m), count) for m in ("linearised", "logrank"))
@@ -165,17 +165,17 @@ def test_options_become_settings_and_overrule_set(capsys) -> None:
     options += ["--learning-rate", "0.3", "--prior-weight", "damping=2", "--prior-weight", "load_mass=0"]
     options += ["--method", "logrank", "--update-period", "0.5", "--to", "1.5"]
     assert run(["mhe-replay", PENDULUM, "-o", "out", "--json", "-q", *options]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said == record("out")
-    assert said["method"] == "logrank"
-    assert said["settings"] == {
+    result = json.loads(capsys.readouterr().out)
+    assert result == record("out")
+    assert result["method"] == "logrank"
+    assert result["settings"] == {
         "window": 0.4, "update_period": 0.5, "learning_rate": 0.3, "samples": 12, "iterations": 2,
         "prior_weight": {"damping": 2.0, "load_mass": 0.0},
     }  # fmt: skip
-    assert said["windows"] == 3
+    assert result["windows"] == 3
 
 
-def test_an_option_that_does_nothing_is_told(capsys) -> None:
+def test_an_option_that_does_nothing_is_reported(capsys) -> None:
     assert run(["mhe-replay", PENDULUM, "--to", "1", "-o", "out", "--learning-rate", "0.3", "--strict"]) == 3
     assert "mhe.learning_rate does nothing with the method linearised" in capsys.readouterr().err
 
@@ -189,7 +189,7 @@ def test_a_seed_gives_the_same_estimates_whatever_the_threads() -> None:
     assert tables[0] == tables[1]
 
 
-def test_times_count_from_the_logs_start_and_truth_may_be_told_once() -> None:
+def test_times_count_from_the_logs_start_and_truth_may_be_stated_once() -> None:
     assert run(["mhe-replay", PENDULUM, "--from", "4", "--to", "5", "-q", "-o", "out"]) == 0
     np.testing.assert_allclose(column("out", "time"), [4.5, 4.7, 4.9], atol=1e-9)
     np.testing.assert_array_equal(column("out", "load_mass_true"), 0.55)  # of the log's metadata
@@ -214,7 +214,7 @@ def test_a_belief_is_started_from() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "code", "said"),
+    ("arguments", "code", "message"),
     [
         (["--prior-weight", "mass=1"], 2, "did you mean 'load_mass'?"),
         (["--prior-weight", "load_mass"], 2, "NAME=W"),
@@ -225,15 +225,15 @@ def test_a_belief_is_started_from() -> None:
         (["--to", "0.004"], 1, "no window"),
     ],
 )
-def test_what_cannot_be_replayed_is_said_in_one_line(capsys, arguments, code: int, said: str) -> None:
+def test_what_cannot_be_replayed_is_reported_in_one_line(capsys, arguments, code: int, message: str) -> None:
     assert run(["mhe-replay", PENDULUM, "-o", "out", *arguments]) == code
     err = capsys.readouterr().err
-    assert said in err
+    assert message in err
     assert len(err.splitlines()) == 1
     assert not Path("out").exists()
 
 
-def test_of_a_log_shorter_than_the_window_all_is_used_and_that_is_said(capsys) -> None:
+def test_of_a_log_shorter_than_the_window_all_is_used_and_that_is_reported(capsys) -> None:
     arguments = ["mhe-replay", PENDULUM, "--window", "20", "--to", "1", "-q", "-o", "out", "--strict"]
     assert run(arguments) == 3
     assert "hold no window of 20 s" in capsys.readouterr().err
@@ -262,7 +262,7 @@ def test_a_log_of_gaps_alone_is_replayed_to_its_end(capsys, tmp_path: Path) -> N
     assert "no window was used" in capsys.readouterr().err
 
 
-def test_an_update_that_takes_longer_than_its_period_is_told_with_the_number(capsys) -> None:
+def test_an_update_that_takes_longer_than_its_period_is_reported_with_the_number(capsys) -> None:
     arguments = ["mhe-replay", PENDULUM, "--update-period", "0.002", "--to", "0.52", "-q", "-o", "out"]
     assert run([*arguments, "--strict"]) == 3
     took = record("out")["update_ms"]["p50"]

@@ -86,9 +86,9 @@ def test_the_probes_log_identifies_another_pendulum() -> None:
     found = {row["name"]: row for row in json.loads(Path("found/result.json").read_text())["parameters"]}
     for name, truth in PENDULUM_TRUTH.items():
         assert found[name]["estimate"] == pytest.approx(truth, rel=0.1)
-    told = {r["name"]: r for r in json.loads(Path("probe/result.json").read_text())["parameters"]}
+    achieved = {r["name"]: r for r in json.loads(Path("probe/result.json").read_text())["parameters"]}
     for name, row in found.items():
-        assert 0.4 < told[name]["achieved_sd"] / (row["sd"] / row["estimate"]) < 2.5, "as identify has it"
+        assert 0.4 < achieved[name]["achieved_sd"] / (row["sd"] / row["estimate"]) < 2.5, "as identify has it"
 
 
 def test_a_plants_step_need_not_divide_the_commands_period() -> None:
@@ -118,10 +118,10 @@ def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
 
 
 def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> None:
-    told = ActuatorProbe._information
+    information = ActuatorProbe._information
 
     def only_quick(self: ActuatorProbe, one: Multisine, draws: FloatArray) -> FloatArray | None:
-        return None if one.name == "slow sine" else told(self, one, draws)
+        return None if one.name == "slow sine" else information(self, one, draws)
 
     monkeypatch.setattr(ActuatorProbe, "_information", only_quick)
     assert run([*PENDULUM, "--plan-only", "-o", "plan"]) == 0
@@ -139,15 +139,15 @@ def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:
     assert result["sequence"][0]["name"] == "approach"
     assert result["probe_seconds"] == 2.0
     assert {row["name"] for row in result["parameters"]} >= {"box_mass", "floor_friction"}
-    said = read_metadata(Path("probe/probe.mcap"))
-    assert (said["system"], said["task"]) == ("go1_push", "t1")
-    truth = json.loads(said["truth"])
+    metadata = read_metadata(Path("probe/probe.mcap"))
+    assert (metadata["system"], metadata["task"]) == ("go1_push", "t1")
+    truth = json.loads(metadata["truth"])
     assert (truth["box_mass"], truth["floor_friction"]) == pytest.approx((3.5, 0.5)), "not those of t1"
     topics = {topic.name for topic in survey(Path("probe/probe.mcap")).topics}
     assert {"/joint_states", "/joint_commands", "/odom", "/box/odom", "/amhe/plan"} <= topics
 
 
-def test_what_cannot_be_probed_is_said_in_one_line(capsys) -> None:
+def test_what_cannot_be_probed_is_reported_in_one_line(capsys) -> None:
     assert "2 s" in refused(capsys, "--for", "1.5")
     assert "t9" in refused(capsys, "--task", "t9")
     assert "nothing to drive" in refused(capsys, "--system", "cube_toss")
@@ -196,8 +196,8 @@ def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
     assert (truth["box_mass"], truth["floor_friction"]) == pytest.approx((5.0, 0.5)), "that of --box"
 
 
-def test_falls_in_every_rehearsal_are_said_before_anything_moves(monkeypatch, capsys) -> None:
+def test_falls_in_every_rehearsal_are_reported_before_anything_moves(monkeypatch, capsys) -> None:
     Path("quick.yaml").write_text(QUICK_SETTINGS)
     monkeypatch.setattr("amhe_cli.robots.go1.judge.FALLEN_HEIGHT", 10.0)
     assert run(["probe", "--for", "2", "-o", "probe", *QUICK]) == 1
-    assert "no rehearsal told anything" in capsys.readouterr().err
+    assert "no rehearsal reveals anything" in capsys.readouterr().err

@@ -93,9 +93,14 @@ def test_an_adaptive_run_tells_of_its_estimator(tmp_path: Path, monkeypatch: pyt
 
 
 def test_the_log_says_what_it_is_of(done: Path) -> None:
-    said = read_metadata(done / "log.mcap")
-    assert (said["system"], said["task"], said["mode"], said["seed"]) == ("go1_push", "t1", "true", "3")
-    assert json.loads(said["truth"])["floor_friction"] == pytest.approx(0.6)
+    metadata = read_metadata(done / "log.mcap")
+    assert (metadata["system"], metadata["task"], metadata["mode"], metadata["seed"]) == (
+        "go1_push",
+        "t1",
+        "true",
+        "3",
+    )
+    assert json.loads(metadata["truth"])["floor_friction"] == pytest.approx(0.6)
 
 
 def test_the_report_is_one_page_that_needs_no_network(done: Path) -> None:
@@ -125,13 +130,13 @@ def test_a_belief_of_a_file_is_believed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("system", "mass", "said"), [("pendulum", 5.5, "pendulum"), ("go1_push", 50.0, "50")]
+    ("system", "mass", "message"), [("pendulum", 5.5, "pendulum"), ("go1_push", 50.0, "50")]
 )
-def test_a_belief_that_does_not_suit_is_refused(capsys, system: str, mass: float, said: str) -> None:
+def test_a_belief_that_does_not_suit_is_refused(capsys, system: str, mass: float, message: str) -> None:
     Path("belief.yaml").write_text(BELIEF.format(system=system, mass=mass))
     assert run(["run", "--task", "t1", "--mode", "baseline", "--belief", "belief.yaml"]) == 2
     err = capsys.readouterr().err
-    assert said in err
+    assert message in err
     assert len(err.splitlines()) == 1
     assert names(".") == ["belief.yaml"]
 
@@ -219,7 +224,7 @@ def test_the_table_is_on_stdout_and_progress_on_stderr(capsys) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         (["--task", "t9"], "t9"),
         ([], "--task"),
@@ -236,12 +241,12 @@ def test_the_table_is_on_stdout_and_progress_on_stderr(capsys) -> None:
         (["--task", "t1", "--set", "control.samples=1"], "control.samples"),
     ],
 )
-def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments, said) -> None:
+def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments, message) -> None:
     Path("rubbish").write_text("{]")
     Path("pendulum.xml").write_text((ROOT / "models/pendulum/scene.xml").read_text())
     assert run(["run", *arguments]) == 2
     err = capsys.readouterr().err
-    assert said in err
+    assert message in err
     assert len(err.splitlines()) == 1
     assert names(".") == ["pendulum.xml", "rubbish"]
 

@@ -7,7 +7,7 @@ from amhe_cli.cli.wording import _ALIKE, _OTHERS, in_options
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "shown"),
     [
         ("`held_out`: a.mcap is fitted too", "--held-out: a.mcap is fitted too"),
         ("`end`: 1 is not after `start` 2", "--to: 1 is not after --from 2"),
@@ -22,8 +22,8 @@ from amhe_cli.cli.wording import _ALIKE, _OTHERS, in_options
         ("`motors.q` is a field", "`motors.q` is a field"),
     ],
 )
-def test_arguments_become_options(text: str, said: str) -> None:
-    assert in_options(text) == said
+def test_arguments_become_options(text: str, shown: str) -> None:
+    assert in_options(text) == shown
 
 
 def test_every_option_that_is_named_exists() -> None:

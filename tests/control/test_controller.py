@@ -51,7 +51,7 @@ class Cart:
 STATE, LATER = Pose(1.0, 0.0, HOME), Pose(1.02, 0.0, HOME)
 
 
-class Asked(NamedTuple):
+class Call(NamedTuple):
     theta: FloatArray
     qpos: FloatArray
     inputs: FloatArray
@@ -63,12 +63,12 @@ class Gliding:
     """An engine in which the cart glides a centimetre a step, and what starts beyond `wall` diverges."""
 
     wall: float = np.inf
-    asked: list[Asked] = field(default_factory=list)
+    calls: list[Call] = field(default_factory=list)
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
-        self.asked.append(Asked(theta.copy(), np.array(qpos), inputs.copy(), lengths))
+        self.calls.append(Call(theta.copy(), np.array(qpos), inputs.copy(), lengths))
         count, steps = inputs.shape[:2]
         out = np.tile(qpos, (count, steps, 1))
         out[..., 0] += 0.01 * np.arange(1, steps + 1)
@@ -128,7 +128,7 @@ def planned(by: Controller) -> Plan:
 def test_it_plans_from_where_the_targets_in_force_will_have_led() -> None:
     behaviour, engine = Standing(), Gliding()
     plan = planned(controller(behaviour, engine, refine="never"))
-    ahead, planning = engine.asked
+    ahead, planning = engine.calls
     assert ahead.inputs.shape == (1, 3, 2)
     np.testing.assert_array_equal(ahead.inputs[..., Cart.servos], np.tile(HOME + 0.1, (1, 3, 1)))
     (start, belief) = behaviour.started[0]
@@ -142,12 +142,12 @@ def test_it_plans_from_where_the_targets_in_force_will_have_led() -> None:
 def test_rollouts_hold_each_target_for_a_period_under_the_belief() -> None:
     behaviour, engine = Standing(side=0.02), Gliding()
     planned(controller(behaviour, engine, refine="never"))
-    asked = engine.asked[1]
-    np.testing.assert_array_equal(asked.theta, np.tile([3.0, 0.4], (6, 1)))
-    np.testing.assert_array_equal(asked.lengths, np.full(6, 15))
-    periods = asked.inputs.reshape(6, 5, 3, 2)
+    call = engine.calls[1]
+    np.testing.assert_array_equal(call.theta, np.tile([3.0, 0.4], (6, 1)))
+    np.testing.assert_array_equal(call.lengths, np.full(6, 15))
+    periods = call.inputs.reshape(6, 5, 3, 2)
     np.testing.assert_array_equal(periods, periods[:, :, :1].repeat(3, axis=2))
-    bare = asked.inputs[2][:, Cart.servos]  # the plan without noise and channels
+    bare = call.inputs[2][:, Cart.servos]  # the plan without noise and channels
     np.testing.assert_allclose(bare, np.tile(HOME + 0.02, (15, 1)))
     assert behaviour.made[0].times is not None
     np.testing.assert_allclose(behaviour.made[0].times, 1.02 + 0.02 * np.arange(1, 6))
@@ -159,7 +159,7 @@ def test_targets_stay_within_the_joints_limits() -> None:
     for side in (-9.0, 9.0):
         engine = Gliding()
         plan = planned(controller(Standing(side=side), engine, refine="never"))
-        inputs = engine.asked[1].inputs[..., Cart.servos]
+        inputs = engine.calls[1].inputs[..., Cart.servos]
         np.testing.assert_array_equal(inputs, np.broadcast_to(LOWER if side < 0 else UPPER, inputs.shape))
         expected = np.tile(LOWER if side < 0 else UPPER, (5, 1))
         np.testing.assert_allclose(
@@ -174,8 +174,8 @@ def cycles(refine: str, switch: float) -> list[FloatArray]:
     for state in (STATE, LATER):
         plan = by.plan(state, HOME + 0.1, BELIEF)
         assert plan.step is not None and plan.step.rollouts == 6
-    assert [len(asked.inputs) for asked in engine.asked] == [1, 6, 1, 6]
-    return [asked.inputs for asked in engine.asked[1::2]]
+    assert [len(call.inputs) for call in engine.calls] == [1, 6, 1, 6]
+    return [call.inputs for call in engine.calls[1::2]]
 
 
 @pytest.mark.parametrize(

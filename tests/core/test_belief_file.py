@@ -53,7 +53,7 @@ def changed(file: Path, **changes: object) -> Path:
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"system": "go1_push"}, "about 'go1_push', not about 'pendulum'"),
         ({"parameters__0__name": "load_mas"}, "did you mean 'load_mass'"),
@@ -68,10 +68,10 @@ def changed(file: Path, **changes: object) -> Path:
         ({"schema_version": 2}, "schema_version"),
     ],
 )
-def test_a_mistake_is_named_with_its_place(file: Path, changes, said) -> None:
+def test_a_mistake_is_named_with_its_place(file: Path, changes, message) -> None:
     with pytest.raises(ConfigError) as error:
         read_belief(changed(file, **changes), SYSTEM)
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert str(error.value).startswith(f"{file}:")
 
 

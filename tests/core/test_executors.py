@@ -19,11 +19,11 @@ from tests.clusters import Cluster
 from tests.work import (
     deadly,
     forgetful,
+    process_id_after,
     reciprocal,
     slow,
     square,
     threads_and_parent,
-    told_where,
 )
 
 
@@ -92,7 +92,7 @@ def test_an_address_that_is_none_is_refused_in_one_line(address: str) -> None:
     assert threading.active_count() == begun, "a client that was begun ends in a traceback"
 
 
-def test_where_nobody_answers_it_is_said_soon_and_how_to_start_one(monkeypatch) -> None:
+def test_where_nobody_answers_it_is_reported_soon_and_how_to_start_one(monkeypatch) -> None:
     pytest.importorskip("distributed")
     monkeypatch.setattr("amhe_cli.core.executors.PATIENCE", 1.0)
     begun = time.monotonic()
@@ -101,7 +101,7 @@ def test_where_nobody_answers_it_is_said_soon_and_how_to_start_one(monkeypatch) 
     assert time.monotonic() - begun < 8.0
 
 
-def test_without_the_extra_its_name_is_told(monkeypatch) -> None:
+def test_without_the_extra_its_name_is_reported(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ConfigError, match=re.escape("amhe[cluster]")), remote("tcp://127.0.0.1:8786"):
         pass
@@ -128,7 +128,7 @@ def test_cells_of_a_killed_worker_are_run_by_another(cluster: Cluster, tmp_path:
             killed = True
         return False
 
-    done = dict(gathered(told_where, items, pool_of(1, cluster.address), stopped))
+    done = dict(gathered(process_id_after, items, pool_of(1, cluster.address), stopped))
     assert killed
     assert done == dict.fromkeys(range(4), workers[1].pid)
     assert str(workers[0].pid) in started.read_text().split()
@@ -142,7 +142,7 @@ def test_a_scheduler_that_goes_away_stops_the_work_with_one_line(cluster: Cluste
             cluster.close()
 
 
-def test_a_scheduler_without_workers_is_told_of_and_can_be_left(cluster: Cluster, caplog) -> None:
+def test_a_scheduler_without_workers_is_reported_and_can_be_left(cluster: Cluster, caplog) -> None:
     begun = time.monotonic()
 
     def stopped() -> bool:

@@ -69,7 +69,7 @@ def joints(**changes: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         (arrays(joint={}), "arrays: no signal 'joint' (did you mean 'joints'?); there is: command, joints"),
         ({"command": arrays()["command"]}, "the system 'pendulum' needs the signal joints too"),
@@ -92,10 +92,10 @@ def joints(**changes: Any) -> dict[str, Any]:
         (arrays(command={"time": 9 + TIME, "position": TIME}), "do not overlap in time: joints 0 to 1.99 s"),
     ],
 )
-def test_mistakes_are_named(given: dict[str, Any], said: str) -> None:
+def test_mistakes_are_named(given: dict[str, Any], message: str) -> None:
     with pytest.raises(LogError) as error:
         Log.from_arrays(given, PENDULUM)
-    assert said in str(error.value)
+    assert message in str(error.value)
     assert "\n" not in str(error.value)
 
 

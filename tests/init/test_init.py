@@ -101,7 +101,7 @@ def test_a_zero_in_the_model_becomes_a_positive_guess(tmp_path: Path, walker_log
     assert "the model has none: a guess from the joint's inertia" in text
 
 
-def test_noise_is_heard_in_the_log(tmp_path: Path, walker_log: Path) -> None:
+def test_noise_is_estimated_from_the_log(tmp_path: Path, walker_log: Path) -> None:
     system, _, _ = made(tmp_path, walker(), [walker_log])
     noise = {channel.key: channel.noise for channel in system.channels}
     assert noise["joints.position"] == pytest.approx(0.01, rel=0.3)
@@ -319,12 +319,12 @@ def test_states_in_a_foreign_type_are_named_with_an_example(
 
     monkeypatch.setattr("amhe_cli.init.folder._topics", topics)
     (tmp_path / "robot.xml").write_text(walker())
-    said = r"no topic gives joint positions; /low_state \(unitree_legged_msgs/msg/LowState\) needs fields:"
-    with pytest.raises(ConfigError, match=said):
+    message = r"no topic gives joint positions; /low_state \(unitree_legged_msgs/msg/LowState\) needs fields:"
+    with pytest.raises(ConfigError, match=message):
         init_system(tmp_path / "robot.xml", [walker_log], tmp_path / "out")
 
 
-def test_a_log_of_another_robot_is_told_by_its_joints_not_by_foreign_types_beside_them(
+def test_a_log_of_another_robot_is_recognised_by_its_joints_not_by_foreign_types_beside_them(
     tmp_path: Path, walker_log: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     other = Topic("/joint_states", "sensor_msgs/msg/JointState", 100.0, ("wheel",), ("position",))

@@ -203,8 +203,8 @@ def test_a_box_of_another_size_is_so_for_plant_estimator_and_log() -> None:
 
 
 def with_box(name: str, edges: Sequence[float]) -> Task:
-    asked = RunOptions(name, settings={"boxes": {"box": list(edges)}})
-    return task_and_system(asked)[0]
+    options = RunOptions(name, settings={"boxes": {"box": list(edges)}})
+    return task_and_system(options)[0]
 
 
 @pytest.mark.parametrize("name", ["t1", "t5"])

@@ -80,9 +80,14 @@ def test_stamps_are_the_time_of_the_run(log) -> None:
 
 
 def test_the_log_says_what_it_is_of_and_carries_its_settings(log) -> None:
-    said = read_metadata(log[0])
-    assert (said["system"], said["task"], said["mode"], said["seed"]) == ("go1_push", "t1", "true", "0")
-    assert json.loads(said["truth"]) == pytest.approx(
+    metadata = read_metadata(log[0])
+    assert (metadata["system"], metadata["task"], metadata["mode"], metadata["seed"]) == (
+        "go1_push",
+        "t1",
+        "true",
+        "0",
+    )
+    assert json.loads(metadata["truth"]) == pytest.approx(
         {"box_mass": 4.0, "box_inertia_scale": 1.0, "floor_friction": 0.6}
     )
     from mcap.reader import make_reader

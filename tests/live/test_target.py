@@ -86,9 +86,9 @@ def test_what_is_in_force_while_a_plan_is_made_is_played_meanwhile() -> None:
     target = SimTarget(plant, PERIOD, STAND)
     now, _ = target.measure()
     for value in (10.0, 20.0, 30.0):
-        said = float(target.in_force(now)[0])
+        expected = float(target.in_force(now)[0])
         now, _ = exchange(target, plan_from(now, value))
-        assert plant.played[-1] == (pytest.approx(now - PERIOD), said)
+        assert plant.played[-1] == (pytest.approx(now - PERIOD), expected)
 
 
 def test_without_a_new_plan_the_old_one_goes_on_and_its_end_is_held() -> None:

@@ -133,7 +133,7 @@ def test_addresses(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
-def test_degrees_are_converted_and_said_once(
+def test_degrees_are_converted_and_reported_once(
     version: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = dataset(tmp_path, version, size=170.0)
@@ -146,7 +146,7 @@ def test_degrees_are_converted_and_said_once(
     assert "observation.state.gripper.pos" in topic.entries
 
 
-def test_normalised_units_are_told_and_not_converted(
+def test_normalised_units_are_reported_and_not_converted(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = dataset(tmp_path, "v3.0", size=90.0)
@@ -174,7 +174,7 @@ def test_what_is_missing_or_of_another_version_is_named(tmp_path: Path) -> None:
         survey(Path(f"{path}#0"))
 
 
-def test_damage_is_told_in_one_line(tmp_path: Path) -> None:
+def test_damage_is_reported_in_one_line(tmp_path: Path) -> None:
     path = dataset(tmp_path, "v3.0")
     rng = np.random.default_rng(3)
     files = sorted(file for file in path.rglob("*") if file.is_file())

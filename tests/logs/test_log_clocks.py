@@ -72,7 +72,7 @@ def test_unset_headers_fall_back_and_say_so(tmp_path: Path, caplog: pytest.LogCa
     assert "publish stamps are used" in warnings(caplog)
 
 
-def test_clocks_that_disagree_are_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_clocks_that_disagree_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     read(log_of(tmp_path / "a", [t - 20 * S for t in times(50)], times(50)))
     assert "its header stamps are 20 s behind the recorder's clock" in warnings(caplog)
 
@@ -223,8 +223,10 @@ def test_clock_offsets_are_put_in_words_and_corrected_on_request(tmp_path: Path)
     together = read(path, *signals, settings=LogSettings(align=True))
     gap = together["e.position"].values - together["l.position"].values
     np.testing.assert_allclose(gap[5:-5], 0.0, atol=1e-9)
-    told = read(path, signals[0], Signal("l", "/late", ("position",), offset=-0.012))
-    np.testing.assert_allclose((told["e.position"].values - told["l.position"].values)[5:-5], 0.0, atol=1e-9)
+    logged = read(path, signals[0], Signal("l", "/late", ("position",), offset=-0.012))
+    np.testing.assert_allclose(
+        (logged["e.position"].values - logged["l.position"].values)[5:-5], 0.0, atol=1e-9
+    )
 
 
 def test_only_offsets_that_no_transport_explains_are_warned_of(
@@ -276,7 +278,7 @@ def test_the_grid_starts_when_all_have_begun_in_phase_with_the_slowest_state(tmp
         read(path, a, b, start=30.0)
 
 
-def test_topics_that_do_not_overlap_are_told_with_their_spans(tmp_path: Path) -> None:
+def test_topics_that_do_not_overlap_are_reported_with_their_spans(tmp_path: Path) -> None:
     messages = [Message("/a", JS, t, joint_state(ROS2, t, ("a",), [0.0])) for t in times(10)]
     late = T0 + 60 * S
     messages += [Message("/u", JS, late, joint_state(ROS2, late, ("a",), [0.0]))]
@@ -303,7 +305,7 @@ def test_gaps_are_not_bridged_and_commands_are_held() -> None:
     assert command.sampled.sum() == state.sampled.sum() == 20
 
 
-def test_the_time_that_gaps_cost_is_told(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_the_time_that_gaps_cost_is_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     stamps = times(1000)
     short = [t for i, t in enumerate(stamps) if not 400 < i < 440]
     read(log_of(tmp_path / "a", short, short))

@@ -97,7 +97,7 @@ def test_big_endian_cdr() -> None:
 @pytest.mark.parametrize(
     "damage", [lambda d: d[:-1], lambda d: d + b"12345678", lambda d: b"\0\7" + d[2:], lambda d: d[:3]]
 )
-def test_malformed_messages_are_told_apart(damage: Any) -> None:
+def test_malformed_messages_are_distinguished(damage: Any) -> None:
     name = "sensor_msgs/msg/Imu"
     data = damage(bytes(ROS2.serialize_cdr(random_message(ROS2, name, np.random.default_rng(0)), name)))
     types = Definitions().of(Connection("/t", name, "cdr", "", ""))

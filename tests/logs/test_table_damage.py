@@ -64,7 +64,7 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
 
 
 @pytest.mark.parametrize("suffix", ["csv", "npz", "h5", "parquet", "feather", "ulg"])
-def test_damage_is_told_in_one_line(suffix: str, tmp_path: Path) -> None:
+def test_damage_is_reported_in_one_line(suffix: str, tmp_path: Path) -> None:
     content = written(tmp_path, suffix).read_bytes()
     rng = np.random.default_rng(7)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

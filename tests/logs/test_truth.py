@@ -34,7 +34,7 @@ def test_nothing_is_true_before_the_first_value_and_the_last_holds(log: Path) ->
     np.testing.assert_array_equal(truth["mass"], [np.nan, 3.0])
 
 
-def test_a_truth_that_is_told_seldom_holds_and_is_no_loss(tmp_path: Path, caplog) -> None:
+def test_a_truth_that_is_stated_seldom_holds_and_is_no_loss(tmp_path: Path, caplog) -> None:
     with LogWriter(tmp_path / "log.mcap", {}) as writer:
         for tenth in [*range(100, 110), *range(150, 160)]:
             writer.joint_state("/amhe/truth", tenth * SECOND // 10, ["mass"], [2.0])

@@ -62,7 +62,7 @@ def test_goals_that_are_missed_are_picked(pages, tmp_path: Path) -> None:
     assert [row for row in shown.splitlines() if row.startswith("| t4")] == missed
 
 
-def test_a_block_that_cannot_be_filled_is_told(pages, tmp_path: Path) -> None:
+def test_a_block_that_cannot_be_filled_is_reported(pages, tmp_path: Path) -> None:
     stored(tmp_path / "results" / "main")
     (tmp_path / "page.md").write_text("<!-- results main/ablations -->\n<!-- end -->\n")
     with pytest.raises(SystemExit, match="makes no table 'ablations'"):

@@ -134,7 +134,7 @@ def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("other", "said"),
+    ("other", "message"),
     [
         (
             replace(STUDY, code=CODE | {"sources": "ffffffffffff"}),
@@ -145,10 +145,10 @@ def test_a_folder_that_holds_something_is_refused(tmp_path: Path) -> None:
         (replace(STUDY, duration=10.0), "`duration`"),
     ],
 )
-def test_cells_that_cannot_be_compared_are_not_mixed(tmp_path: Path, other: Study, said: str) -> None:
+def test_cells_that_cannot_be_compared_are_not_mixed(tmp_path: Path, other: Study, message: str) -> None:
     store = start(tmp_path, STUDY, resume=False, force=False)
     run(store, cells(0))
-    with pytest.raises(ConfigError, match=f"{said}.*`report`") as caught:
+    with pytest.raises(ConfigError, match=f"{message}.*`report`") as caught:
         start(tmp_path, other, resume=True, force=False)
     assert "\n" not in str(caught.value)
     assert len(store.results()) == 1

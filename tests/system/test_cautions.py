@@ -1,4 +1,4 @@
-"""Contact traps that make a parameter look unidentifiable are said when a system is loaded."""
+"""Contact traps that make a parameter look unidentifiable are reported when a system is loaded."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SIGNALS = "signals: {b: {topic: /b, body: box, noise: {position: 0.01}}}\n"
 
 
 @pytest.fixture
-def said(written: Callable[..., Path], caplog) -> Callable[..., str]:
+def warnings_of(written: Callable[..., Path], caplog) -> Callable[..., str]:
     """What is warned of one target."""
 
     def load(target: str, keys: str = "", box: str = "", pair: str = "", option: str = "") -> str:
@@ -41,44 +41,46 @@ PAIR = '<contact><pair name="slide" geom1="box" geom2="floor" condim="{}"/></con
 FRICTION = "{geom: box, set: sliding_friction}"
 
 
-def test_the_larger_friction_of_two_geoms_hides_the_smaller(said) -> None:
-    assert "below 1 it changes nothing against geom 'floor'" in said(FRICTION)
+def test_the_larger_friction_of_two_geoms_hides_the_smaller(warnings_of) -> None:
+    assert "below 1 it changes nothing against geom 'floor'" in warnings_of(FRICTION)
 
 
-def test_not_when_both_are_set_together(said) -> None:
+def test_not_when_both_are_set_together(warnings_of) -> None:
     both = f"{FRICTION}, {{geom: floor, set: sliding_friction}}"
-    assert said(both, ", nominal: 0.5") == ""
+    assert warnings_of(both, ", nominal: 0.5") == ""
 
 
-def test_not_when_the_geom_has_priority(said) -> None:
-    assert said(FRICTION, box='priority="1"') == ""
+def test_not_when_the_geom_has_priority(warnings_of) -> None:
+    assert warnings_of(FRICTION, box='priority="1"') == ""
 
 
-def test_priority_of_the_other_geom_decides(said) -> None:
-    assert "whose higher priority decides" in said("{geom: floor, set: sliding_friction}", box='priority="1"')
+def test_priority_of_the_other_geom_decides(warnings_of) -> None:
+    assert "whose higher priority decides" in warnings_of(
+        "{geom: floor, set: sliding_friction}", box='priority="1"'
+    )
 
 
-def test_not_when_the_bounds_stay_above_the_other_geom(said) -> None:
-    assert said(FRICTION, ", nominal: 2, bounds: [1.5, 3]") == ""
+def test_not_when_the_bounds_stay_above_the_other_geom(warnings_of) -> None:
+    assert warnings_of(FRICTION, ", nominal: 2, bounds: [1.5, 3]") == ""
 
 
-def test_a_geom_that_only_collides_in_pairs_ignores_its_own_friction(said) -> None:
-    text = said(FRICTION, box='contype="0" conaffinity="0"', pair=PAIR.format(3))
+def test_a_geom_that_only_collides_in_pairs_ignores_its_own_friction(warnings_of) -> None:
+    text = warnings_of(FRICTION, box='contype="0" conaffinity="0"', pair=PAIR.format(3))
     assert "target the pair" in text
 
 
-def test_torsional_friction_needs_a_larger_contact_dimension(said) -> None:
-    text = said("{pair: slide, set: torsional_friction}", pair=PAIR.format(3))
+def test_torsional_friction_needs_a_larger_contact_dimension(warnings_of) -> None:
+    text = warnings_of("{pair: slide, set: torsional_friction}", pair=PAIR.format(3))
     assert "pair 'slide' has condim 3; torsional friction acts from condim 4" in text
-    assert "rolling friction acts from condim 6" in said("{geom: box, set: rolling_friction}")
+    assert "rolling friction acts from condim 6" in warnings_of("{geom: box, set: rolling_friction}")
 
 
-def test_enough_contact_dimension_is_quiet(said) -> None:
-    assert said("{pair: slide, set: torsional_friction}", pair=PAIR.format(4)) == ""
+def test_enough_contact_dimension_is_quiet(warnings_of) -> None:
+    assert warnings_of("{pair: slide, set: torsional_friction}", pair=PAIR.format(4)) == ""
 
 
-def test_a_time_constant_below_two_steps_is_not_what_is_simulated(said) -> None:
-    text = said("{geom: box, set: contact_time_constant}", ", bounds: [0.001, 0.1]")
+def test_a_time_constant_below_two_steps_is_not_what_is_simulated(warnings_of) -> None:
+    text = warnings_of("{geom: box, set: contact_time_constant}", ", bounds: [0.001, 0.1]")
     assert "below two time steps, 0.004 s, acts as 0.004 s" in text
 
 
@@ -95,9 +97,9 @@ SPARSE = '<option jacobian="sparse" {}/>'
     ],
 )
 def test_the_sparse_newton_solver_of_mujoco_4_0_0_is_warned_of(
-    said, monkeypatch, version: str, option: str, warned: bool
+    warnings_of, monkeypatch, version: str, option: str, warned: bool
 ) -> None:
     monkeypatch.setattr("mujoco.__version__", version)
-    text = said(FRICTION, ", nominal: 2, bounds: [1.5, 3]", option=option)
+    text = warnings_of(FRICTION, ", nominal: 2, bounds: [1.5, 3]", option=option)
     assert ('<option jacobian="dense"/>' in text) == warned
     assert warned or text == ""

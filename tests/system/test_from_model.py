@@ -111,7 +111,7 @@ def test_every_mistake_names_the_path_of_its_key() -> None:
     ]
 
 
-def test_a_path_that_does_not_exist_is_said() -> None:
+def test_a_path_that_does_not_exist_is_reported() -> None:
     with pytest.raises(ConfigError, match="`model`: there is no file 'nowhere.xml'"):
         made("nowhere.xml")
 

@@ -177,7 +177,7 @@ def test_wrong_overrides_are_named_as_settings(written: Write) -> None:
 
 
 @pytest.mark.parametrize(
-    ("overrides", "said"),
+    ("overrides", "message"),
     [
         ({"clips": {"length": [2, 0.3]}}, "length [2, 0.3] is the wrong way round; write the lower number"),
         ({"clips": {"held_out": float("nan")}}, "setting clips.held_out: "),
@@ -190,10 +190,10 @@ def test_wrong_overrides_are_named_as_settings(written: Write) -> None:
         ({"mhe": {"prior_weight": {"q": 1.0}}}, "setting mhe.prior_weight.q: no parameter 'q'"),
     ],
 )
-def test_settings_that_make_no_sense_are_one_line(written: Write, overrides: dict, said: str) -> None:
+def test_settings_that_make_no_sense_are_one_line(written: Write, overrides: dict, message: str) -> None:
     folder = written("  p: {targets: [{body: box, set: mass}]}\n")
     (line,) = problems(folder, **overrides)
-    assert said in line
+    assert message in line
 
 
 def test_a_wrong_pair_in_the_file_has_its_place(written: Write) -> None:
@@ -221,7 +221,7 @@ def test_a_wrong_only_signal_does_not_hide_wrong_names(written: Write) -> None:
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "message"),
     [
         ("clips: {length: 2}", "length is 2; [shortest, longest] would be valid"),
         ("clips: {length: [2]}", "length is [2]; [shortest, longest] would be valid"),
@@ -234,13 +234,13 @@ def test_a_wrong_only_signal_does_not_hide_wrong_names(written: Write) -> None:
         ("clips: 3", "clips is 3; a mapping of keys to values would be valid"),
     ],
 )
-def test_what_would_be_valid_is_said_in_plain_words(written: Write, more: str, said: str) -> None:
+def test_what_would_be_valid_is_reported_in_plain_words(written: Write, more: str, message: str) -> None:
     folder = written("  p: {targets: [{body: box, set: mass}]}\n", more=f"settings: {{{more}}}\n")
-    assert problems(folder)[0].endswith(said)
+    assert problems(folder)[0].endswith(message)
 
 
 @pytest.mark.parametrize(
-    ("parameters", "signals", "said"),
+    ("parameters", "signals", "message"),
     [
         ("  {}\n", "signals: {}\n", "parameters is empty; at least 1 of them would be valid"),
         ("  p: {targets: []}\n", "signals: {}\n", "targets is empty; at least 1 of them would be valid"),
@@ -266,5 +266,5 @@ def test_what_would_be_valid_is_said_in_plain_words(written: Write, more: str, s
         ),
     ],
 )
-def test_empty_groups_and_wrong_shapes(written: Write, parameters: str, signals: str, said: str) -> None:
-    assert any(line.endswith(said) for line in problems(written(parameters, signals=signals)))
+def test_empty_groups_and_wrong_shapes(written: Write, parameters: str, signals: str, message: str) -> None:
+    assert any(line.endswith(message) for line in problems(written(parameters, signals=signals)))

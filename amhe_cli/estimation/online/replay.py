@@ -20,7 +20,7 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.online.horizon import LEAST, Estimate, MovingHorizon, check_window
 from amhe_cli.estimation.online.prior import Gaussian, prior_of
-from amhe_cli.logs.truth import read_truth, told_truth
+from amhe_cli.logs.truth import read_truth, truth_in_metadata
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -165,7 +165,7 @@ def _truth(system: System, log: Log, steps: Sequence[Window]) -> dict[str, Float
     ends = np.array([step.stop for step in steps])
     stamps_ns = log.start_ns + np.round(ends * log.dt * 1e9).astype(np.int64)
     over_time = read_truth(log.file, stamps_ns, system.settings.logs) if log.file else {}
-    once = {name: np.full(ends.size, value) for name, value in told_truth([log]).items()}
+    once = {name: np.full(ends.size, value) for name, value in truth_in_metadata([log]).items()}
     return {name: values for name, values in (once | over_time).items() if name in system.space.names}
 
 

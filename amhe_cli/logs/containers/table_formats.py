@@ -136,10 +136,10 @@ def _ulog(path: Path) -> list[NumberTable]:
     needed(path, "pyulog", "a ULog of PX4", "ulog")
     import pyulog
 
-    said = io.StringIO()  # pyulog prints what it finds damaged
-    with redirect_stdout(said):
+    printed = io.StringIO()  # pyulog prints what it finds damaged
+    with redirect_stdout(printed):
         log = pyulog.ULog(str(path))
-    problems = ["parts of it are damaged and skipped"] if log.file_corruption or said.getvalue() else []
+    problems = ["parts of it are damaged and skipped"] if log.file_corruption or printed.getvalue() else []
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
         problems.append(f"the recorder dropped messages {len(log.dropouts)} times, {lost:.2f} s in all")

@@ -104,8 +104,8 @@ def dialect_of(path: Path) -> Dialect:
     columns = tuple(_column(name, [row[i] for row in full], comma) for i, name in enumerate(names))
     if not any(column.kind in ("number", "array") for column in columns):
         raise LogError(f"{path}: a text file without a column of numbers")
-    said = tuple(line.lstrip(b"#% /").decode("utf-8", "replace").strip() for _, line in comments)
-    return Dialect(delimiter, comma, columns, mark + start, said)
+    remarks = tuple(line.lstrip(b"#% /").decode("utf-8", "replace").strip() for _, line in comments)
+    return Dialect(delimiter, comma, columns, mark + start, remarks)
 
 
 def number_of(cell: bytes) -> float:

@@ -50,16 +50,16 @@ def write_study(store: Store, tasks: Mapping[str, StudyTask], modes: Sequence[st
     tried = ablations(groups, store.study.defaults)
     judged = [] if store.study.cut_short else goals(groups)  # goals are for whole runs
     made = tables(groups, tried, judged)
-    told = plain(summary(groups))
+    content = plain(summary(groups))
     failures = {r.cell.title: r.reason for r in results if r.reason is not None}
-    _write(store.folder / "summary.json", json.dumps(told, indent=1, allow_nan=False) + "\n")
+    _write(store.folder / "summary.json", json.dumps(content, indent=1, allow_nan=False) + "\n")
     for table in made:
         for suffix, form in FORMATS.items():
             _write(store.folder / "tables" / f"{table.name}.{suffix}", form(table))
     pictures = drawn(drawings(groups, tried, tasks), store.folder / "figures")
     page = study_page(store.study, groups, failures, made, pictures)
     _write(store.folder / "report.html", page)
-    return Report(len(results) - len(failures), failures, told, "\n".join(map(text, made)))
+    return Report(len(results) - len(failures), failures, content, "\n".join(map(text, made)))
 
 
 def _write(path: Path, content: str) -> None:

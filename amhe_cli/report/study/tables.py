@@ -60,8 +60,8 @@ def table_1(groups: Groups) -> StudyTable:
     ours = groups.of(task)
     rows, records = [], []
     for name, theirs in paper.TABLE_1.items() if ours else ():
-        told = [_with_sd(name, *theirs[mode]) for mode in paper.MODES]
-        rows.append((label(name), *(mean_sd(name, group.spread(name)) for group in ours), *told))
+        published = [_with_sd(name, *theirs[mode]) for mode in paper.MODES]
+        rows.append((label(name), *(mean_sd(name, group.spread(name)) for group in ours), *published))
         records += [_record(g, name) | _theirs(theirs.get(g.mode)) for g in ours]
     head = ("", *(_mode(group) for group in ours), *(f"paper: {mode}" for mode in paper.MODES.values()))
     note = "Our cost J is not the paper's: compare costs among our modes, or among the paper's."
@@ -82,9 +82,9 @@ def table_2(groups: Groups) -> StudyTable:
     for (task, name), theirs in paper.TABLE_2.items():
         ours = {mode: group for mode in modes if (group := groups.get(task, mode)) and group.n}
         if ours:
-            told = [_value(name, theirs[mode]) for mode in paper.MODES]
+            published = [_value(name, theirs[mode]) for mode in paper.MODES]
             mine = [mean_sd(name, ours[m].spread(name)) if m in ours else MISSING for m in modes]
-            rows.append((f"{task.upper()} {label(name)}", *mine, *told))
+            rows.append((f"{task.upper()} {label(name)}", *mine, *published))
             records += [_record(g, name) | {"paper_mean": theirs.get(m)} for m, g in ours.items()]
     head = ("", *modes, *(f"paper: {mode}" for mode in paper.MODES.values()))
     return StudyTable(
@@ -161,7 +161,7 @@ def goal_table(judged: list[Goal]) -> StudyTable:
 
 def estimate_table(groups: Groups) -> StudyTable:
     """Accuracy of the online estimates."""
-    found = [told for group in groups.at_base() if (told := estimates(group))]
+    found = [accuracy for group in groups.at_base() if (accuracy := estimates(group))]
     rows = [
         (
             f"{e.task} {e.mode}", str(e.n),
@@ -247,7 +247,7 @@ def _interval(value: float, low: float, high: float, digits: int, percent: bool,
     factor, sign = 100.0 if percent else 1.0, "+" if signed else ""
     if not math.isfinite(value):
         return MISSING
-    told = f"{factor * value:{sign}.{digits}f}"
+    shown = f"{factor * value:{sign}.{digits}f}"
     if not math.isfinite(low):
-        return told
-    return f"{told} [{factor * low:{sign}.{digits}f}, {factor * high:{sign}.{digits}f}]"
+        return shown
+    return f"{shown} [{factor * low:{sign}.{digits}f}, {factor * high:{sign}.{digits}f}]"

@@ -225,9 +225,9 @@ def _writer(path: Path, size: tuple[int, int]) -> Any:
 def _gl_context(width: int, height: int) -> Any:
     """An off-screen OpenGL context of the first kind that works here."""
     kinds = ("egl", "osmesa") if sys.platform.startswith("linux") else ("cgl", "glfw")
-    asked = os.environ.get("MUJOCO_GL", "").strip().lower()
+    preferred = os.environ.get("MUJOCO_GL", "").strip().lower()
     failures = []
-    for kind in sorted(kinds, key=lambda kind: kind != asked):
+    for kind in sorted(kinds, key=lambda kind: kind != preferred):
         try:
             return _context_of(kind, width, height)
         except Exception as error:  # missing libraries fail in as many ways as there are drivers

@@ -18,13 +18,13 @@ def space(correlation: float = 0.0, names: str = "ab") -> ParameterSpace:
     return ParameterSpace(parameters, tuple(map(tuple, rows.tolist())))
 
 
-def told(*matrices: list[list[float]]) -> np.ndarray:
+def information(*matrices: list[list[float]]) -> np.ndarray:
     """One draw of the information of several excitations."""
     return np.array([matrices], dtype=float)
 
 
 def test_what_only_the_sum_tells_loses_to_what_tells_them_apart() -> None:
-    ridge, apart = told([[50.0, 50.0], [50.0, 50.0]]), told([[20.0, 0.0], [0.0, 20.0]])
+    ridge, apart = information([[50.0, 50.0], [50.0, 50.0]]), information([[20.0, 0.0], [0.0, 20.0]])
     assert criterion(ridge[:, 0], PRIOR) == pytest.approx(np.log(101.0))
     assert criterion(apart[:, 0], PRIOR) == pytest.approx(2.0 * np.log(21.0))
 
@@ -45,13 +45,13 @@ def test_the_ensemble_has_the_priors_spread() -> None:
 
 
 def test_accuracy_is_prior_and_data_together_in_shares_of_the_parameter() -> None:
-    known = accuracy(space(), told([[3.0, 0.0], [0.0, 0.0]])[:, 0])
+    known = accuracy(space(), information([[3.0, 0.0], [0.0, 0.0]])[:, 0])
     np.testing.assert_allclose(known.sd, [0.25, 0.5])  # 0.5 / sqrt(1 + 3), and the prior's
 
 
 def test_what_is_known_together_is_the_product_along_the_ridge() -> None:
     ridge = accuracy(
-        space(names="abc"), told([[900.0, 900.0, 0.0], [900.0, 900.0, 0.0], [0.0, 0.0, 1.0]])[:, 0]
+        space(names="abc"), information([[900.0, 900.0, 0.0], [900.0, 900.0, 0.0], [0.0, 0.0, 1.0]])[:, 0]
     )
     powers = best_product(ridge)
     assert powers is not None
@@ -60,4 +60,4 @@ def test_what_is_known_together_is_the_product_along_the_ridge() -> None:
 
 
 def test_independent_parameters_are_not_known_together() -> None:
-    assert best_product(accuracy(space(), told([[3.0, 0.0], [0.0, 3.0]])[:, 0])) is None
+    assert best_product(accuracy(space(), information([[3.0, 0.0], [0.0, 3.0]])[:, 0])) is None

@@ -19,26 +19,26 @@ from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 from tests.conftest import PENDULUM_TRUTH
 
-Asked = tuple[System, list[Window], Engine, FloatArray]
+Case = tuple[System, list[Window], Engine, FloatArray]
 
 
 @pytest.fixture(scope="module")
-def asked(pendulum_log: Path) -> Asked:
+def case(pendulum_log: Path) -> Case:
     """System, windows, engine and truth of a log whose first states are noisy."""
     system = System.load("pendulum", {"identify": {"first_state": "polish"}})
     truth = system.space.z_of(np.array([PENDULUM_TRUTH[name] for name in system.space.names]))
     return system, clips_of(system, read_log(pendulum_log, system)), open_engine(system), truth
 
 
-def test_errors_of_first_states_are_no_noise_of_the_motion(asked: Asked) -> None:
+def test_errors_of_first_states_are_no_noise_of_the_motion(case: Case) -> None:
     rng = np.random.default_rng
-    fitted = information_at(*asked, rng=rng(0)).matrix.sum(axis=0)
-    recorded = information_at(*asked, rng=rng(0), recorded=True).matrix.sum(axis=0)
+    fitted = information_at(*case, rng=rng(0)).matrix.sum(axis=0)
+    recorded = information_at(*case, rng=rng(0), recorded=True).matrix.sum(axis=0)
     assert np.linalg.slogdet(fitted)[1] > np.linalg.slogdet(recorded)[1]
 
 
-def test_twice_the_noise_is_a_quarter_of_the_information(asked: Asked) -> None:
-    system, windows, engine, z = asked
+def test_twice_the_noise_is_a_quarter_of_the_information(case: Case) -> None:
+    system, windows, engine, z = case
     cost = MatchingCost(system, windows, engine, system.settings.cost)
     first, shape = FirstStates.recorded(len(windows), 0), 0.01 * np.eye(z.size)
     found = linearise(cost, z, first, shape, 0, np.random.default_rng(0))

@@ -233,7 +233,7 @@ def test_ctrl_c_while_concluding_still_gives_a_result(pendulum, swing, monkeypat
     assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.05)
 
 
-def test_a_model_that_does_not_explain_the_log_is_told(pendulum, swing, caplog):
+def test_a_model_that_does_not_explain_the_log_is_reported(pendulum, swing, caplog):
     """Commands that act 40 ms late, which the model does not know of: no number is called identified."""
     log = swing(5.0)
     command = log["command.position"]

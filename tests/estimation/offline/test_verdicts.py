@@ -103,21 +103,21 @@ def test_residuals_of_many_times_their_noise_make_every_number_model_sensitive()
 
 
 @pytest.mark.parametrize(
-    ("relative", "sd", "verdict", "told"),
+    ("relative", "sd", "verdict", "noted"),
     [
         (0.30, 0.01, "model-sensitive", True),
         (0.30, 0.30, "identified", False),  # within chance: 3 sd are 0.9
-        (0.10, 0.01, "identified", True),  # told, and allowed for
+        (0.10, 0.01, "identified", True),  # noted, and allowed for
         (0.03, 0.01, "identified", False),  # too small to tell
     ],
 )
-def test_parts_of_the_data_that_disagree(relative: float, sd: float, verdict: str, told: bool) -> None:
+def test_parts_of_the_data_that_disagree(relative: float, sd: float, verdict: str, noted: bool) -> None:
     difference = np.array([np.log1p(relative) / 0.5, 0.0, 0.0])
     result = mass(evidence(disagreements={"the two halves": (difference, np.full(3, sd))}))
     assert result.verdict == verdict
     reasons = [reason for reason in result.reasons if f"the two halves disagree by +{relative:.0%}" in reason]
-    assert bool(reasons) == told
-    if told and verdict == "identified":
+    assert bool(reasons) == noted
+    if noted and verdict == "identified":
         assert reasons[0].endswith("which the sd allows for")
 
 
@@ -129,8 +129,8 @@ def test_details_of_contact_that_would_move_the_estimate(relative: float, verdic
     shift = Shift("softer contacts would move it by {}", move, 0.5 * move)
     result = mass(evidence(shifts=[shift]))
     assert result.verdict == verdict
-    told = any("softer contacts would move it by" in reason for reason in result.reasons)
-    assert told == (abs(relative) > 0.05)
+    noted = any("softer contacts would move it by" in reason for reason in result.reasons)
+    assert noted == (abs(relative) > 0.05)
     chance = mass(evidence(shifts=[Shift(shift.text, move, np.zeros(3))]))
     assert (chance.verdict, chance.reasons) == ("identified", ())
 

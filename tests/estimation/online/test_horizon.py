@@ -49,8 +49,8 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say(constant, drive) -> N
     held = np.array([(e.lower < truth) & (truth < e.upper) for e in ends]).mean(axis=0)
     assert (held > 0.8).all(), held  # 90 %, less 2.5 sd of the count
     spread = np.log([e.theta for e in ends]).std(axis=0)
-    said = np.mean([e.sd / e.theta for e in ends], axis=0)
-    assert (said < 3.0 * spread).all(), said / spread
+    reported = np.mean([e.sd / e.theta for e in ends], axis=0)
+    assert (reported < 3.0 * spread).all(), reported / spread
 
 
 def test_intervals_hold_a_truth_that_is_far_from_the_prior(folder, drive) -> None:
@@ -79,7 +79,7 @@ def test_a_jump_is_seen_and_followed(cart, drive) -> None:
     assert np.mean([e.theta[0] for e in late]) == pytest.approx(3.5, rel=0.04)
 
 
-def test_a_jump_may_have_to_be_told_by_windows_in_a_row(cart, drive) -> None:
+def test_a_jump_may_have_to_be_found_by_windows_in_a_row(cart, drive) -> None:
     log = drive(6.0, mass=lambda t: 2.0 if t < 4.0 else 3.5)
     marks = [[e.mark for e in estimates(with_mhe(cart, jump_windows=count), log)] for count in (1, 2)]
     one, two = (of.index("jump") for of in marks)
@@ -194,16 +194,16 @@ def test_a_budget_is_kept_to_by_the_updates_after_it() -> None:
     assert pace.affordable(None, most=16) == Pace().affordable(0.1, most=16) == 16
 
 
-def test_what_the_model_has_wrong_widens_what_is_told_and_moves_nothing(cart, drive) -> None:
+def test_what_the_model_has_wrong_widens_what_is_reported_and_moves_nothing(cart, drive) -> None:
     log, off = drive(3.0), 0.2
-    plain, told = (
+    plain, widened = (
         estimates(cart, log)[-1],
         estimates(with_mhe(cart, systematic={"mass": off, "damping": -off}), log)[-1],
     )
-    np.testing.assert_array_equal(plain.theta, told.theta)
-    assert told.sd / told.theta == pytest.approx(np.hypot(plain.sd / plain.theta, off), rel=1e-6)
+    np.testing.assert_array_equal(plain.theta, widened.theta)
+    assert widened.sd / widened.theta == pytest.approx(np.hypot(plain.sd / plain.theta, off), rel=1e-6)
     product = np.array([1.0, 1.0])
-    alike = [product @ e.belief.covariance @ product for e in (plain, told)]
+    alike = [product @ e.belief.covariance @ product for e in (plain, widened)]
     assert alike[1] == pytest.approx(alike[0], rel=1e-6), "the product is known as well as before"
 
 

@@ -137,13 +137,13 @@ def test_a_late_estimator_is_reported_once_until_it_is_ready_again(cart: System,
     period = cart.settings.mhe.update_period
     worker = Slow(polls=round(3.5 * period / 0.01))
     tracker = Tracker(cart, worker)
-    told = [
+    troubles = [
         (now, one)
         for now, part in portions(sampled(drive(3.0)), 0.01, 3.0)
         for one in tracker.feed(part, now)
     ]
-    assert all(isinstance(one, Trouble) and "late" in one.text for _, one in told)
-    assert len(told) in (len(worker.windows), len(worker.windows) - 1), "once for each update"
-    assert [now for now, _ in told] == [pytest.approx(one.time) for _, one in told]
+    assert all(isinstance(one, Trouble) and "late" in one.text for _, one in troubles)
+    assert len(troubles) in (len(worker.windows), len(worker.windows) - 1), "once for each update"
+    assert [now for now, _ in troubles] == [pytest.approx(one.time) for _, one in troubles]
     ends = np.array([at for _, at in worker.windows])
     assert np.diff(ends).min() > 3.0 * period, "no window waits in a queue: the newest is taken"

@@ -58,10 +58,10 @@ def ready(worker: InProcess) -> None:
 
 
 @pytest.mark.parametrize(
-    ("order", "said"),
+    ("order", "message"),
     [("fail", "ValueError: no such window"), ("die", "died (exit code 7)"), ("hang", "hung for 0.3 s")],
 )
-def test_whatever_becomes_of_the_estimator_the_controller_goes_on(order: str, said: str) -> None:
+def test_whatever_becomes_of_the_estimator_the_controller_goes_on(order: str, message: str) -> None:
     worker = InProcess(Puppet, budget=0.2, patience=0.3)
     try:
         ready(worker)
@@ -73,7 +73,7 @@ def test_whatever_becomes_of_the_estimator_the_controller_goes_on(order: str, sa
         at_once = worker.poll(4.0)
         assert time.monotonic() - begun < 0.1, "nobody waits for it"
         (two,) = at_once or wait(worker)
-        assert isinstance(two, Trouble) and said in two.text
+        assert isinstance(two, Trouble) and message in two.text
         ready(worker)  # a new one, or the same
         worker.submit("fine", 5.0)  # type: ignore[arg-type]
         (three,) = wait(worker)
@@ -90,9 +90,9 @@ def dies(belief: Belief | None) -> MovingHorizon:
 def test_an_estimator_that_dies_again_and_again_is_given_up() -> None:
     worker = InProcess(dies, budget=0.2)
     try:
-        told = [wait(worker)[0].text for _ in range(5)]
-        assert all("died (exit code 3)" in text for text in told)
-        assert [("no other estimator" in text) for text in told] == [False] * 4 + [True]
+        texts = [wait(worker)[0].text for _ in range(5)]
+        assert all("died (exit code 3)" in text for text in texts)
+        assert [("no other estimator" in text) for text in texts] == [False] * 4 + [True]
         assert worker.ready, "it is not late: nobody is asked"
         worker.submit("fine", 3.0)  # type: ignore[arg-type]
         assert worker.ready and worker.poll(3.1) == ()
@@ -104,12 +104,12 @@ def breaks(belief: Belief | None) -> MovingHorizon:
     raise ValueError("no such model")
 
 
-def test_why_an_estimator_cannot_begin_is_told() -> None:
+def test_why_an_estimator_cannot_begin_is_reported() -> None:
     worker = InProcess(breaks, budget=0.2)
     try:
-        told = [one.text for _ in range(2) for one in wait(worker)]
-        assert "ValueError: no such model" in told[0]
-        assert "the estimator died" in told[1]
+        texts = [one.text for _ in range(2) for one in wait(worker)]
+        assert "ValueError: no such model" in texts[0]
+        assert "the estimator died" in texts[1]
     finally:
         worker.close()
 
@@ -143,7 +143,7 @@ def test_a_window_that_fills_the_pipe_of_a_hung_estimator_holds_nobody_up() -> N
         worker.close()
 
 
-def test_in_lock_step_a_window_that_breaks_the_estimator_is_told_and_passed_over() -> None:
+def test_in_lock_step_a_window_that_breaks_the_estimator_is_reported_and_passed_over() -> None:
     worker = InStep(Puppet, latency=0.08)  # type: ignore[arg-type]
     worker.submit("fail", 1.0)  # type: ignore[arg-type]
     assert not worker.ready and worker.poll(1.07) == ()

@@ -45,13 +45,13 @@ def errors() -> dict[str, FloatArray]:
         found.setdefault(name, []).append(error)
 
     for _ in range(1000):
-        seen, told = noisy.advance(HOME, 0.002), quiet.advance(HOME, 0.002)
+        seen, true = noisy.advance(HOME, 0.002), quiet.advance(HOME, 0.002)
         truth = noisy.state
         note("joint", seen["joints.position"][1][0] - truth.joints)
         note("joint_rate", seen["joints.velocity"][1][0] - truth.joint_rates)
         note("gyro", seen["imu.angular_velocity"][1][0] - truth.trunk.rate)
         force = "imu.linear_acceleration"
-        note("accelerometer", seen[force][1][0] - told[force][1][0])
+        note("accelerometer", seen[force][1][0] - true[force][1][0])
         for name, body in (("trunk", truth.trunk), ("box", truth.box)):
             for position, orientation in zip(
                 seen[f"{name}.position"][1], seen[f"{name}.orientation"][1], strict=True
@@ -200,7 +200,7 @@ def test_a_change_of_place_waits_for_the_box() -> None:
         assert there.parameters["floor_friction"] == pytest.approx(friction)
 
 
-def test_a_load_set_elsewhere_in_the_box_is_told() -> None:
+def test_a_load_set_elsewhere_in_the_box_is_reported() -> None:
     model = plant_model()
     loaded = Plant(model, [], np.random.default_rng(0))
     model.body("box").inertia[:] *= 1.3

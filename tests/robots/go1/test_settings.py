@@ -42,7 +42,7 @@ def test_the_robot_reads_its_own_settings() -> None:
         ("  go2: {kp: 1}", 3, "no key 'go2'"),
     ],
 )
-def test_mistakes_in_the_file_are_told_with_their_place(
+def test_mistakes_in_the_file_are_reported_with_their_place(
     tmp_path: Path, line: str, column: int, text: str
 ) -> None:
     folder = tmp_path / "mine"

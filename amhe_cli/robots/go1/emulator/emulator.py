@@ -136,10 +136,10 @@ class Emulator:
 
     def _millisecond(self) -> None:
         now = self._clock.now()
-        for told in self._port.receive(now):
+        for received in self._port.receive(now):
             if self._on_command:
-                self._on_command(now, told)
-            if self._driven_since is None and told.kp.max() > 0.0:
+                self._on_command(now, received)
+            if self._driven_since is None and received.kp.max() > 0.0:
                 self._driven_since = self._body.time
         state, measured = self._body.advance(self._port.command)
         driven = -1.0 if self._driven_since is None else self._body.time - self._driven_since
@@ -148,7 +148,7 @@ class Emulator:
         if driven >= faults.stale:
             state = replace(state, tick=1)
         if driven < faults.silence:
-            self._port.send(faults.told(state, driven), now)
+            self._port.send(faults.reported(state, driven), now)
         self._cameras.serve(now)
         if len(measured["trunk.position"][0]) and driven < faults.mocap:
             self._cameras.show(_seen(measured, faults, self._offsets), now)

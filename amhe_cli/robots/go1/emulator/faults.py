@@ -51,7 +51,7 @@ class Faults:
     yup: float = 0.0
     high: float = 0.0
 
-    def told(self, state: RobotState, driven: float) -> RobotState:
+    def reported(self, state: RobotState, driven: float) -> RobotState:
         """The state that the robot reports, so long after its motors were first driven [s]."""
         for name, change in _TELLING.items():
             if driven >= getattr(self, name):
@@ -85,14 +85,14 @@ def _one(values: FloatArray, value: float) -> FloatArray:
 
 
 _TELLING: dict[str, Callable[[RobotState], RobotState]] = {
-    "remote": lambda told: replace(told, remote=Remote(frozenset({"L2", "B"})).raw()),
-    "hot": lambda told: replace(told, temperatures=_one(told.temperatures, 95.0)),
-    "mode": lambda told: replace(told, modes=_one(told.modes.astype(float), 8.0).astype(int)),
-    "battery": lambda told: replace(told, charge=4),
-    "tilt": lambda told: replace(told, quaternion=np.array([np.cos(0.6), np.sin(0.6), 0.0, 0.0])),
-    "speed": lambda told: replace(told, joint_rates=_one(told.joint_rates, 40.0)),
-    "power": lambda told: replace(told, joint_rates=np.full(12, 7.0), torques=np.full(12, 12.0)),
-    "nan": lambda told: replace(told, joints=_one(told.joints, np.nan)),
+    "remote": lambda state: replace(state, remote=Remote(frozenset({"L2", "B"})).raw()),
+    "hot": lambda state: replace(state, temperatures=_one(state.temperatures, 95.0)),
+    "mode": lambda state: replace(state, modes=_one(state.modes.astype(float), 8.0).astype(int)),
+    "battery": lambda state: replace(state, charge=4),
+    "tilt": lambda state: replace(state, quaternion=np.array([np.cos(0.6), np.sin(0.6), 0.0, 0.0])),
+    "speed": lambda state: replace(state, joint_rates=_one(state.joint_rates, 40.0)),
+    "power": lambda state: replace(state, joint_rates=np.full(12, 7.0), torques=np.full(12, 12.0)),
+    "nan": lambda state: replace(state, joints=_one(state.joints, np.nan)),
 }
 
 

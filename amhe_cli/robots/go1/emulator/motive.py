@@ -95,8 +95,8 @@ class Motive:
 
     def _transmit(self, frame: bytes, now: float) -> None:
         """Send to all clients that have sent a request lately."""
-        for client, asked in list(self._clients.items()):
-            if now - asked > _FORGOTTEN:
+        for client, requested in list(self._clients.items()):
+            if now - requested > _FORGOTTEN:
                 del self._clients[client]
             else:
                 self._send(frame, client)

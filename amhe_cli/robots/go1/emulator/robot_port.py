@@ -57,7 +57,7 @@ class RobotPort:
         self.cause(faults)
         self._waiting: list[tuple[float, int, bool, bytes]] = []
         self._order = itertools.count()
-        self._heard: list[MotorCommand] = []
+        self._received: list[MotorCommand] = []
         self.command = MotorCommand(wire.DAMPED)
         self.accepted = self.rejected = 0
         self.undisturbed = faults.after > -np.inf
@@ -82,14 +82,14 @@ class RobotPort:
             self.peer = peer
             self._delay(now, True, datagram)
         self._deliver(now)
-        heard, self._heard = self._heard, []
-        return heard
+        received, self._received = self._received, []
+        return received
 
-    def send(self, told: RobotState, now: float) -> None:
+    def send(self, reported: RobotState, now: float) -> None:
         """Send a state to the last sender."""
         if self.peer is None:
             return
-        self._delay(now, False, _HIGH_LEVEL if self._faults.high else state.encode(told))
+        self._delay(now, False, _HIGH_LEVEL if self._faults.high else state.encode(reported))
         self._deliver(now)
 
     def close(self) -> None:
@@ -121,4 +121,4 @@ class RobotPort:
             self.rejected += 1
             return
         self.accepted += 1
-        self._heard.append(self.command)
+        self._received.append(self.command)

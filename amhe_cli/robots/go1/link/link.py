@@ -185,12 +185,12 @@ class Link:
         if self._child is None:
             raise LinkError("the link is not open")
         for message in self._child.pipe.received():
-            said = mail.read(message)
-            if isinstance(said, dict):
-                said["phase"] = Phase(said["phase"])
-                self.report = SenderReport(**said)
-            elif said is not None:
-                self._samples.append(said)
+            content = mail.read(message)
+            if isinstance(content, dict):
+                content["phase"] = Phase(content["phase"])
+                self.report = SenderReport(**content)
+            elif content is not None:
+                self._samples.append(content)
         if not self._child.pipe.open and self.report.phase != Phase.OVER:
             self._stand_in()
             if not quiet:

@@ -112,8 +112,8 @@ def opened(datagram: bytes, layout: Any, either_form: bool = False) -> Any:
         raise PacketError(f"begins with {datagram[:2].hex()}, not {HEAD.hex()}")
     if datagram[2] != LOW_LEVEL:
         raise PacketError(f"of level {datagram[2]:#04x}, not {LOW_LEVEL:#04x}")
-    told, crc = int.from_bytes(datagram[-4:], "little"), _checksum(datagram)
-    if told != crc and not (either_form and told == encrypted(crc)):
+    sent, crc = int.from_bytes(datagram[-4:], "little"), _checksum(datagram)
+    if sent != crc and not (either_form and sent == encrypted(crc)):
         raise PacketError("its checksum is wrong")
     return np.frombuffer(datagram, dtype=layout)[0]
 

@@ -179,15 +179,15 @@ class _Sender:
 
     def __init__(self, pipe: Pipe, clock: Clock) -> None:
         self._pipe, self._clock, self._map = pipe, clock, ClockMap()
-        self._told: dict[str, bytes] = {}
+        self._last: dict[str, bytes] = {}
 
     def say(self, message: dict[str, Any]) -> None:
         self._pipe.send(json.dumps(message).encode())
 
     def pass_on(self, seen: Sighting) -> None:
-        told, before = seen.position.tobytes() + seen.orientation.tobytes(), self._told.get(seen.body)
-        self._told[seen.body] = told
-        if seen.stamp is None and told == before:  # a camera is never so still: the source has frozen
+        pose, before = seen.position.tobytes() + seen.orientation.tobytes(), self._last.get(seen.body)
+        self._last[seen.body] = pose
+        if seen.stamp is None and pose == before:  # a camera is never so still: the source has frozen
             return
         arrival = self._clock.now()
         # the least delay from a stamp to us is at least the age that the source gives

@@ -115,7 +115,7 @@ def check_place(box: FloatArray, wanted: FloatArray, tolerance: float) -> None:
 
 def tilt_offset(trunk: Pose, imu: FloatArray) -> FloatArray:
     """Rotation vector [rad] that would make motion capture agree with the IMU about up, shape (3,)."""
-    seen, told = up(trunk[1]), up(imu)
-    axis, sine = np.cross(told, seen), float(np.linalg.norm(np.cross(told, seen)))
-    angle = float(np.arctan2(sine, seen @ told))
+    seen, sensed = up(trunk[1]), up(imu)
+    axis, sine = np.cross(sensed, seen), float(np.linalg.norm(np.cross(sensed, seen)))
+    angle = float(np.arctan2(sine, seen @ sensed))
     return axis / sine * angle if sine > 1e-9 else np.zeros(3)

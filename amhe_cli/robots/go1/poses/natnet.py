@@ -91,16 +91,16 @@ class NatNet:
                 self._seen.append(seen)
 
 
-class _Ear(socket.socket):
+class _PeerSocket(socket.socket):
     """A UDP socket that receives from one address only; `bind` first."""
 
-    heard: str = ""
+    peer: str = ""
 
     def recvfrom(self, bufsize: int, flags: int = 0) -> tuple[bytes, Any]:  # type: ignore[override]
         """Receive a datagram of that address; those of others are dropped."""
         while True:
             datagram, sender = super().recvfrom(bufsize, flags)
-            if sender[0] == self.heard:
+            if sender[0] == self.peer:
                 return datagram, sender
 
 
@@ -117,11 +117,11 @@ def _listening_to(motive: str, client: type) -> type:
 
     class Client(client):
         def _NatNetClient__create_socket(self, address: str = "", port: int = 0) -> socket.socket:  # noqa: N802
-            ear = _Ear(socket.AF_INET, socket.SOCK_DGRAM)
-            ear.heard = motive
-            ear.setblocking(False)
-            ear.bind((address or self.local_ip_address, port))
-            return ear
+            made = _PeerSocket(socket.AF_INET, socket.SOCK_DGRAM)
+            made.peer = motive
+            made.setblocking(False)
+            made.bind((address or self.local_ip_address, port))
+            return made
 
     return Client
 

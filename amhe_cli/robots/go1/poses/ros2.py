@@ -63,8 +63,8 @@ class Ros2:
             seen = [
                 one
                 for name, reader in self._readers
-                for told in reader.take(10)
-                if (one := _read(name, told))
+                for message in reader.take(10)
+                if (one := _read(name, message))
             ]
             if seen:
                 return seen
@@ -82,9 +82,9 @@ class Ros2:
         self._writer = None
 
 
-def _read(name: str, told: Any) -> Sighting | None:
-    pose = getattr(told.pose, "pose", told.pose)
-    at, turn, stamp = pose.position, pose.orientation, told.header.stamp
+def _read(name: str, message: Any) -> Sighting | None:
+    pose = getattr(message.pose, "pose", message.pose)
+    at, turn, stamp = pose.position, pose.orientation, message.header.stamp
     return sighting(
         name, (at.x, at.y, at.z), (turn.w, turn.x, turn.y, turn.z), stamp.sec + 1e-9 * stamp.nanosec
     )

@@ -29,10 +29,13 @@ def datagram(body: str, time: float, position: FloatArray, orientation: FloatArr
 def read(message: bytes) -> Sighting | None:
     """The sighting in a datagram; None: it holds none."""
     try:
-        told = json.loads(message)
-        stamp = told.get("time")
+        content = json.loads(message)
+        stamp = content.get("time")
         return sighting(
-            str(told["body"]), told["position"], told["orientation"], None if stamp is None else float(stamp)
+            str(content["body"]),
+            content["position"],
+            content["orientation"],
+            None if stamp is None else float(stamp),
         )
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         return None

@@ -100,12 +100,12 @@ class PushProbe:
         for number, motion in enumerate(MOTIONS):
             say(f"rehearsing {motion.name}, {number + 1} of {len(MOTIONS)}")
             found.append(np.stack([self._information(motion, i, z) for i, z in enumerate(draws)]) * room)
-        if not any(told.any() for told in found):
+        if not any(information.any() for information in found):
             raise SimulationError(
-                "no rehearsal told anything: under this belief the robot falls, or the box never moves; "
-                "give another one with `belief`"
+                "no rehearsal reveals anything about the parameters: under this belief the robot falls, or "
+                "the box never moves; give another one with `belief`"
             )
-        best = int(np.argmax([criterion(told, space.prior_precision) for told in found]))
+        best = int(np.argmax([criterion(information, space.prior_precision) for information in found]))
         chosen, plain = MOTIONS[best], found[MOTIONS.index(STEADY)]
         return ProbePlan(
             parts_of([(m.name, m.title, s) for m, s in ((APPROACH, APPROACH.seconds), (chosen, room))]),
@@ -172,8 +172,8 @@ class PushProbe:
             return np.zeros((z.size, z.size))
         truth = system.space.z_of(np.array([run.first_truth[name] for name in system.space.names]))
         engine, rng = open_engine(system, threads=options.threads), options.rng(2, number)
-        told = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
-        return told / sum(window.duration for window in windows)
+        information = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
+        return information / sum(window.duration for window in windows)
 
     def _probe(self, motion: Motion, seconds: float, box: Believed) -> ProbeTask:
         prior = self._own.space.named(self._own.space.nominal)

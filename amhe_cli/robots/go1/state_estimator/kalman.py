@@ -58,8 +58,8 @@ class ValueFilter:
         """Correct by a value (k,), measured now or a little while ago."""
         age = max(self.time - time, 0.0)
         with_value, with_rate = self.vv - age * self.vr, self.vr - age * self.rr
-        surprise = value - (self.value if age == 0.0 else self.at(time))
-        self._correct(surprise, with_value, with_rate, with_value - age * with_rate + sd**2)
+        innovation = value - (self.value if age == 0.0 else self.at(time))
+        self._correct(innovation, with_value, with_rate, with_value - age * with_rate + sd**2)
 
     def see_rate(self, rate: FloatArray, sd: float) -> None:
         """Correct by a rate (k,), measured now."""
@@ -69,11 +69,11 @@ class ValueFilter:
         """Values at a time [s] near the estimate's."""
         return self.value + (time - self.time) * self.rate
 
-    def _correct(self, surprise: FloatArray, with_value: float, with_rate: float, variance: float) -> None:
+    def _correct(self, innovation: FloatArray, with_value: float, with_rate: float, variance: float) -> None:
         """Correct by a measurement of this variance and of these covariances with value and rate."""
         to_value, to_rate = with_value / variance, with_rate / variance
-        self.value = self.value + to_value * surprise
-        self.rate = self.rate + to_rate * surprise
+        self.value = self.value + to_value * innovation
+        self.rate = self.rate + to_rate * innovation
         self.vv -= to_value * with_value
         self.vr -= to_value * with_rate
         self.rr -= to_rate * with_rate
@@ -108,8 +108,8 @@ class Turn:
     def see(self, orientation: FloatArray, sd: float, time: float, rate: FloatArray | float = 0.0) -> None:
         """Correct by a unit quaternion (4,); `rate` is the gyro's [rad/s], for those that come late."""
         age = max(self.time - time, 0.0)
-        surprise = _between(self.orientation, orientation)
-        self.error.see_value(surprise + age * rate, sd, time)
+        innovation = _between(self.orientation, orientation)
+        self.error.see_value(innovation + age * rate, sd, time)
         self._fold(0.0)
 
     def at(self, time: float, rate: FloatArray) -> FloatArray:

@@ -22,12 +22,12 @@ class Emulated:
     port: int
     mocap_port: int
     process: subprocess.Popen[str]
-    said: str = ""
+    stderr: str = ""
 
 
 @contextmanager
 def emulating(*arguments: str) -> Iterator[Emulated]:
-    """Run `amhe emulate` until the end of the block; what it said last is in `said` then."""
+    """Run `amhe emulate` until the end of the block; its stderr is in `stderr` then."""
     command = [sys.executable, "-m", "amhe_cli", "emulate", "--port", "0"]
     if "--mocap-port" not in arguments:
         command += ["--mocap-port", "0"]
@@ -42,7 +42,7 @@ def emulating(*arguments: str) -> Iterator[Emulated]:
             emulated = Emulated(ports[0], ports[-1], process)
             yield emulated
             process.send_signal(signal.SIGINT)
-            emulated.said = process.stderr.read()
+            emulated.stderr = process.stderr.read()
             process.wait(10)
         finally:
             process.kill()

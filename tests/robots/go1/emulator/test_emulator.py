@@ -42,47 +42,47 @@ def servo(position: np.ndarray, kp: float = 60.0, kd: float = 3.0) -> MotorComma
 
 
 def stands_up(body: EmulatedBody) -> None:
-    told, _ = body.advance(MotorCommand())
-    for start, end, seconds in ((told.joints, FOLDED, 0.5), (FOLDED, HOME, 1.0), (HOME, HOME, 0.5)):
+    state, _ = body.advance(MotorCommand())
+    for start, end, seconds in ((state.joints, FOLDED, 0.5), (FOLDED, HOME, 1.0), (HOME, HOME, 0.5)):
         for share in np.linspace(0.0, 1.0, round(seconds * 1000)):
             body.advance(servo(start + share * (end - start)))
 
 
 def test_it_lies_with_folded_calves_stands_up_and_sinks_when_damped(lying: EmulatedBody) -> None:
-    told, _ = lying.advance(MotorCommand(wire.DAMPED))
+    state, _ = lying.advance(MotorCommand(wire.DAMPED))
     assert 0.05 < lying.trunk_height < 0.12
-    assert (told.joints[2::3] < -2.6).all()
+    assert (state.joints[2::3] < -2.6).all()
     stands_up(lying)
     assert 0.24 < lying.trunk_height < 0.3
-    told, _ = lying.advance(servo(HOME))
-    assert told.accelerometer[2] == pytest.approx(9.81, abs=1.5)
-    weight = (told.foot_force - [12, -7, 20, 3]).sum() / 1.2
+    state, _ = lying.advance(servo(HOME))
+    assert state.accelerometer[2] == pytest.approx(9.81, abs=1.5)
+    weight = (state.foot_force - [12, -7, 20, 3]).sum() / 1.2
     assert weight == pytest.approx(12.7 * 9.81, rel=0.25)
-    assert (told.modes == wire.SERVO).all()
+    assert (state.modes == wire.SERVO).all()
     for _ in range(1500):
-        told, _ = lying.advance(MotorCommand(velocity=np.zeros(12), kd=np.full(12, 3.0)))
+        state, _ = lying.advance(MotorCommand(velocity=np.zeros(12), kd=np.full(12, 3.0)))
     assert lying.trunk_height < 0.16
 
 
 def test_torques_are_clipped_and_stopped_loops_are_off() -> None:
     body = EmulatedBody(T1, np.random.default_rng(0))
-    told, _ = body.advance(servo(HOME + 3.0, kp=200.0))
-    assert (np.abs(told.torques) <= TORQUE_LIMIT + 1e-6).all()
-    assert np.abs(told.torques).max() > 20.0
-    told, _ = body.advance(replace(MotorCommand(), kp=np.full(12, 60.0), kd=np.full(12, 3.0)))
-    np.testing.assert_allclose(told.torques, 0.0, atol=1e-9)
-    told, _ = body.advance(replace(MotorCommand(), torque=np.full(12, 2.0)))
-    np.testing.assert_allclose(told.torques, 2.0, atol=1e-9)
+    state, _ = body.advance(servo(HOME + 3.0, kp=200.0))
+    assert (np.abs(state.torques) <= TORQUE_LIMIT + 1e-6).all()
+    assert np.abs(state.torques).max() > 20.0
+    state, _ = body.advance(replace(MotorCommand(), kp=np.full(12, 60.0), kd=np.full(12, 3.0)))
+    np.testing.assert_allclose(state.torques, 0.0, atol=1e-9)
+    state, _ = body.advance(replace(MotorCommand(), torque=np.full(12, 2.0)))
+    np.testing.assert_allclose(state.torques, 2.0, atol=1e-9)
 
 
 def test_a_motor_that_works_hard_gets_hot_and_switches_itself_off() -> None:
     body = EmulatedBody(T1, np.random.default_rng(0))
     body._temperatures[:] = 89.99
     for _ in range(2000):
-        told, _ = body.advance(servo(HOME + 3.0, kp=200.0))
-        if (told.modes == wire.OVERHEATED).any():
+        state, _ = body.advance(servo(HOME + 3.0, kp=200.0))
+        if (state.modes == wire.OVERHEATED).any():
             break
-    assert (told.modes == wire.OVERHEATED).any()
+    assert (state.modes == wire.OVERHEATED).any()
 
 
 def test_standing_takes_from_the_battery_what_an_hour_or_so_would_empty() -> None:
@@ -90,14 +90,14 @@ def test_standing_takes_from_the_battery_what_an_hour_or_so_would_empty() -> Non
     stands_up(body)
     before = body._charge
     for _ in range(1000):
-        told, _ = body.advance(servo(HOME))
+        state, _ = body.advance(servo(HOME))
     left = body._charge
     assert 0.5 < 100.0 / (before - left) / 3600.0 < 2.5
-    assert told.charge == round(left) < 86
+    assert state.charge == round(left) < 86
     body._charge = 1e-4
     for _ in range(10):
-        told, _ = body.advance(servo(HOME))
-    assert told.charge == 0
+        state, _ = body.advance(servo(HOME))
+    assert state.charge == 0
 
 
 def test_time_based_changes_count_from_the_first_push() -> None:
@@ -293,16 +293,16 @@ def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
             probe.bind(("127.0.0.1", 0))
             local = probe.getsockname()[1]
         udp = sdk.UDP(0xFF, local, *emulator.address)
-        told, read = sdk.LowCmd(), sdk.LowState()
-        udp.InitCmdData(told)
+        sent, read = sdk.LowCmd(), sdk.LowState()
+        udp.InitCmdData(sent)
         safe = sdk.Safety(sdk.LeggedType.Go1)
 
         def turn(target: np.ndarray | None, kp: float) -> np.ndarray:
             if target is not None:
-                for motor, q in zip(told.motorCmd[:12], target, strict=False):
+                for motor, q in zip(sent.motorCmd[:12], target, strict=False):
                     motor.q, motor.dq, motor.Kp, motor.Kd, motor.tau = q, 0.0, kp, 3.0, 0.0
-                safe.PowerProtect(told, read, 7)
-            udp.SetSend(told)
+                safe.PowerProtect(sent, read, 7)
+            udp.SetSend(sent)
             udp.Send()
             for _ in range(2):
                 emulator._millisecond()
@@ -329,5 +329,5 @@ def test_the_command_serves_says_where_and_ends_in_order() -> None:
             client.send(command.encode(MotorCommand()))
             ticks = [state.decode(client.recv(2000)).tick for _ in range(50)]
         assert (np.diff(ticks) == 1).all()
-    assert "1 commands, 0 damaged" in emulated.said
+    assert "1 commands, 0 damaged" in emulated.stderr
     assert emulated.process.returncode == 0

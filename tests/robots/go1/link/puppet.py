@@ -1,4 +1,4 @@
-"""A robot without physics: its joints are where they are told to be. It keeps what it was told, and when."""
+"""A robot without physics: its joints follow at once. It keeps the commands it received, and when."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Puppet:
     """Answers the last sender with 1000 states a second; use it as a context manager.
 
     Attributes:
-        heard: (time [s], command), in order.
+        received: (time [s], command), in order.
         change: Applied to every state that is sent.
         mangle: Applied to every datagram; None keeps it back.
     """
@@ -31,7 +31,7 @@ class Puppet:
         self._socket.bind(("127.0.0.1", 0))
         self._socket.setblocking(False)
         self.port = self._socket.getsockname()[1]
-        self.heard: list[tuple[float, MotorCommand]] = []
+        self.received: list[tuple[float, MotorCommand]] = []
         self.change: Callable[[RobotState], RobotState] = lambda sent: sent
         self.mangle: Callable[[bytes], bytes | None] = lambda packet: packet
         self._stop = threading.Event()
@@ -48,11 +48,11 @@ class Puppet:
 
     def wait(self, test: Callable[[MotorCommand], bool], patience: float = 15.0) -> float:
         """When the first command of a kind came [s], from those that come from now on."""
-        seen, end = len(self.heard), time.monotonic() + patience
+        seen, end = len(self.received), time.monotonic() + patience
         while time.monotonic() < end:
-            for when, told in self.heard[seen:]:
+            for when, got in self.received[seen:]:
                 seen += 1
-                if test(told):
+                if test(got):
                     return when
             time.sleep(0.001)
         raise AssertionError("the command never came")
@@ -65,11 +65,11 @@ class Puppet:
                     datagram, peer = self._socket.recvfrom(2048)
                 except OSError:
                     break
-                told = command.decode(datagram)
-                self.heard.append((time.monotonic(), told))
-                mode = told.mode
-                if told.kp.max() > 0:
-                    joints = np.array(told.position)
+                got = command.decode(datagram)
+                self.received.append((time.monotonic(), got))
+                mode = got.mode
+                if got.kp.max() > 0:
+                    joints = np.array(got.position)
             done = int(1e3 * (time.monotonic() - begun))
             for tick in range(ticks, done):
                 sent = self.change(replace(a_state(tick=tick, joints=joints), modes=np.full(12, mode)))
@@ -79,6 +79,6 @@ class Puppet:
             ticks = max(ticks, done)
 
 
-def damps(told: MotorCommand) -> bool:
+def damps(got: MotorCommand) -> bool:
     """Whether a command only damps."""
-    return told.kp.max() == 0.0 and told.kd.min() > 0.0
+    return got.kp.max() == 0.0 and got.kd.min() > 0.0

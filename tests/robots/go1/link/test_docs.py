@@ -24,5 +24,5 @@ def test_every_trip_and_every_threshold_is_explained() -> None:
 
 def test_every_fault_is_explained() -> None:
     section = PAGE.split("## What can go wrong on the emulator")[1].split("\n## ")[0]
-    told = set(re.findall(r"`(\w+)`", section.split("| sort |")[1]))
-    assert told == {fault.name for fault in fields(Faults)}
+    documented = set(re.findall(r"`(\w+)`", section.split("| sort |")[1]))
+    assert documented == {fault.name for fault in fields(Faults)}

@@ -84,7 +84,7 @@ def test_the_height_is_that_of_the_mean_joints() -> None:
     assert found.tilt == pytest.approx(0.03)
 
 
-def test_a_robot_that_falls_silent_is_told() -> None:
+def test_a_robot_that_falls_silent_is_reported() -> None:
     cameras: Any = Cameras(rate=200.0)
     calibration = Calibration(NOTHING, cameras, Go1Settings(), Clock(), Box())
     with pytest.raises(PoseError, match="0 states of the robot came in 0.5 s"):

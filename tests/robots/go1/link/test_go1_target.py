@@ -60,47 +60,47 @@ def test_a_check_says_what_it_found_and_moves_nothing(puppet: Puppet) -> None:
         found = target.check()
     assert found["battery"] == "80 %"
     assert found["box"] == "at (0.60, 0.00, 0.15) m of the task's frame"
-    assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
+    assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
 
 
-def test_what_is_not_by_default_is_told_before_arming(puppet: Puppet) -> None:
+def test_what_is_not_by_default_is_reported_before_arming(puppet: Puppet) -> None:
     assert deviations(Go1Settings()) == ""
     settings = Go1Settings.model_validate({"kd": (2, 3, 4), "trips": {"tilt": 1.2}})
     assert deviations(settings) == "go1.kd [2, 3, 4] ([2, 3, 3]), go1.trips.tilt 1.2 (0.9)"
-    told: list[str] = []
+    texts: list[str] = []
 
     def hear(text: str) -> None:
-        told.append(text)
+        texts.append(text)
         if "Enter" in text:
             puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"R2"})).raw())
 
     with a_target(puppet, SETTINGS.model_copy(update={"arm": "operator"})) as (target, _):
         found = target.check()
         target.begin(hear)
-    for text in (found["not by default"], told[-1]):
+    for text in (found["not by default"], texts[-1]):
         assert "go1.stand_speed 3 (0.5)" in text
         assert "go1.trips.pose_age 1 (0.19)" in text
 
 
 @pytest.mark.parametrize(
-    ("stage", "said"),
+    ("stage", "message"),
     [
         ({"names": ("box", "go1")}, "each other's name"),
         ({"turn": exp(np.array([-np.pi / 2, 0.0, 0.0]))}, "Up Axis: Z"),
         ({"box": (1.2, 0.0, 0.15)}, "the task wants it"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_moves(puppet: Puppet, stage: dict, said: str) -> None:
-    with a_target(puppet, **stage) as (target, _), pytest.raises(PoseError, match=said):
+def test_what_cannot_be_is_refused_before_anything_moves(puppet: Puppet, stage: dict, message: str) -> None:
+    with a_target(puppet, **stage) as (target, _), pytest.raises(PoseError, match=message):
         target.check()
-    assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
+    assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
 
 
 def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> None:
     with a_target(puppet) as (target, cameras):
         target.check()
-        told: list[str] = []
-        target.begin(told.append)
+        texts: list[str] = []
+        target.begin(texts.append)
         seen = [target.measure()]
         waited = target.misses  # until poses came; a plan was not asked for yet
         for _ in range(30):
@@ -122,7 +122,7 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
     np.testing.assert_allclose(places[:, :2], 0.0, atol=1e-6)  # the frame is the trunk's own
     np.testing.assert_allclose(boxes, np.tile(BOX, (len(boxes), 1)), atol=1e-6)
     assert abs(poses[-1] - times[-1]) < 0.3
-    assert any(np.allclose(command.position, HOME + 0.05, atol=1e-4) for _, command in puppet.heard)
+    assert any(np.allclose(command.position, HOME + 0.05, atol=1e-4) for _, command in puppet.received)
     assert target.report.trip == ""
     assert cameras.trunk is TRUNK
 
@@ -138,8 +138,8 @@ def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: py
     assert handed[0] - target._start == pytest.approx(measured["trunk.position"][0][-1], abs=0.1)
 
 
-@pytest.mark.parametrize(("gone", "said"), [("box", "the task wants it"), ("poses", "does not begin")])
-def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone: str, said: str) -> None:
+@pytest.mark.parametrize(("gone", "message"), [("box", "the task wants it"), ("poses", "does not begin")])
+def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone: str, message: str) -> None:
     trips = PATIENT.model_copy(update={"pose_age": 0.5 if gone == "poses" else 1.0})
     with a_target(puppet, SETTINGS.model_copy(update={"trips": trips, "gain_time": 1.0})) as (
         target,
@@ -152,9 +152,9 @@ def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone
                 cameras.move_box((0.5, 0.0, 0.0))
             cameras.silent = gone == "poses"
 
-        with pytest.raises(PoseError, match=said):
+        with pytest.raises(PoseError, match=message):
             target.begin(change)
-    driven = [told.position for _, told in puppet.heard if told.kp[0] > 0]
+    driven = [got.position for _, got in puppet.received if got.kp[0] > 0]
     np.testing.assert_allclose(driven[-1], np.tile([0.0, 1.2, -2.6], 4), atol=0.05)  # it has sat down again
 
 
@@ -166,11 +166,11 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
         time, _ = target.measure()
         if lost == "poses":
             cameras.silent = True
-            said = "no pose of trunk or box"
+            message = "no pose of trunk or box"
         else:
             puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"select"})).raw())
-            said = "remote control"
-        with pytest.raises(StoppedError, match=said):
+            message = "remote control"
+        with pytest.raises(StoppedError, match=message):
             for _ in range(200):
                 plan = Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
                 time, _ = exchange(target, plan)

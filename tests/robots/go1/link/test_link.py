@@ -85,18 +85,18 @@ def test_a_whole_day_of_a_robot(puppet: Puppet) -> None:
     with a_link(puppet) as link:
         running(link)
         player = Player(link)
-        puppet.wait(lambda told: bool(np.allclose(told.position, HOME + 0.1, atol=1e-3)))
+        puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
         samples = link.samples()
         player.stop.set()
-    told = [command for _, command in puppet.heard]
-    gains = np.array([command.kp[0] for command in told])
+    commands = [command for _, command in puppet.received]
+    gains = np.array([command.kp[0] for command in commands])
     assert gains[0] == 0.0
     assert gains.max() == QUICK.kp
     assert gains[-1] == 0.0
     assert link.report.phase == Phase.OVER
     assert link.report.trip == ""
-    assert link.report.intervals["packets"] == pytest.approx(len(told), abs=5)
-    driven = np.array([command.position for command in told if command.kp[0] > 0])
+    assert link.report.intervals["packets"] == pytest.approx(len(commands), abs=5)
+    driven = np.array([command.position for command in commands if command.kp[0] > 0])
     assert np.abs(np.diff(driven, axis=0)).max() < 0.05
     # the offset of the robot's clock has been found by the time it stands
     stamps = np.array([sample["time"] for sample in samples if sample["phase"] >= Phase.READY])
@@ -110,8 +110,8 @@ def test_nothing_but_idle_packets_before_the_order_to_stand(puppet: Puppet) -> N
         link.connect()
         assert link.report.contact["round_trip_ms"] < 50.0
         assert link.report.contact["share"] > 0.9
-    for _, told in puppet.heard:
-        assert told.kp.max() == told.kd.max() == np.abs(told.torque).max() == 0.0
+    for _, got in puppet.received:
+        assert got.kp.max() == got.kd.max() == np.abs(got.torque).max() == 0.0
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip:
     with a_link(puppet) as link:
         link.connect()
         link.stand()
-        puppet.wait(lambda told: told.kp[0] > 10.0)
+        puppet.wait(lambda got: got.kp[0] > 10.0)
         if fault == "silence":
             puppet.mangle = lambda packet: None
         elif fault == "crc":
@@ -148,9 +148,9 @@ def test_a_lost_plan_or_pose_holds_then_sits_then_damps(puppet: Puppet, lost: st
     with a_link(puppet) as link:
         running(link)
         player = Player(link)
-        puppet.wait(lambda told: bool(np.allclose(told.position, HOME + 0.1, atol=1e-3)))
+        puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
         setattr(player, lost, False)
-        sits = puppet.wait(lambda told: told.kp[0] > 0 and told.position[2] < -2.0)
+        sits = puppet.wait(lambda got: got.kp[0] > 0 and got.position[2] < -2.0)
         assert puppet.wait(damps) > sits
         player.stop.set()
     assert link.report.trip == trip
@@ -205,7 +205,7 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
     with a_link(puppet) as link:
         link.connect()
         link.stand()
-        puppet.wait(lambda told: told.kp[0] > 10.0)
+        puppet.wait(lambda got: got.kp[0] > 10.0)
         assert link._child is not None
         sender = link._child.process.pid
         assert os.getsid(sender) == sender  # keys of our terminal do not reach it as signals
@@ -219,20 +219,20 @@ def test_a_sender_that_dies_is_stood_in_for(puppet: Puppet) -> None:
     with a_link(puppet) as link:
         link.connect()
         link.stand()
-        puppet.wait(lambda told: told.kp[0] > 10.0)
+        puppet.wait(lambda got: got.kp[0] > 10.0)
         assert link._child is not None
         link._child.process.kill()
         link._child.process.wait()
         with pytest.raises(LinkError, match="has died"):
             wait_for(link, Phase.READY)
     end = time.monotonic() + 10.0
-    while puppet.heard[-1][1].kd.max() > 0.0 and time.monotonic() < end:
+    while puppet.received[-1][1].kd.max() > 0.0 and time.monotonic() < end:
         time.sleep(0.01)
-    told = [command for _, command in puppet.heard]
-    last_driven = max(number for number, command in enumerate(told) if command.kp[0] > 0)
-    assert all(map(damps, told[last_driven + 1 : -1]))
-    assert len(told) - last_driven > 20
-    assert told[-1].kp.max() == told[-1].kd.max() == 0.0
+    commands = [command for _, command in puppet.received]
+    last_driven = max(number for number, command in enumerate(commands) if command.kp[0] > 0)
+    assert all(map(damps, commands[last_driven + 1 : -1]))
+    assert len(commands) - last_driven > 20
+    assert commands[-1].kp.max() == commands[-1].kd.max() == 0.0
 
 
 def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
@@ -278,31 +278,31 @@ def test_a_program_that_is_killed_leaves_motors_damped_and_no_process(puppet: Pu
         program.send_signal(number)
         puppet.wait(damps)
         # at last packets that do nothing at all, then silence
-        puppet.wait(lambda told: told.kp.max() == told.kd.max() == 0.0)
+        puppet.wait(lambda got: got.kp.max() == got.kd.max() == 0.0)
         program.kill()
-    heard = len(puppet.heard)
+    count = len(puppet.received)
     time.sleep(0.2)
-    assert len(puppet.heard) <= heard + 1
+    assert len(puppet.received) <= count + 1
 
 
 def test_nobody_there() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
         deaf.bind(("127.0.0.1", 0))
         port = deaf.getsockname()[1]
-        said = f"nothing answers from 127.0.0.1:{port}"
-        with Link("127.0.0.1", port, HASTY, CLOCK) as link, pytest.raises(LinkError, match=said):
+        message = f"nothing answers from 127.0.0.1:{port}"
+        with Link("127.0.0.1", port, HASTY, CLOCK) as link, pytest.raises(LinkError, match=message):
             link.connect()
     with Link("127.0.0.1", port, HASTY, CLOCK) as link, pytest.raises(LinkError, match="nobody listens"):
         link.connect()
 
 
 @pytest.mark.parametrize(
-    ("answer", "said"),
+    ("answer", "message"),
     [(bytes(1087), "high-level mode"), (b"hello", "no Go1: datagrams of 5 bytes")],
 )
-def test_another_program_on_the_port(puppet: Puppet, answer: bytes, said: str) -> None:
+def test_another_program_on_the_port(puppet: Puppet, answer: bytes, message: str) -> None:
     puppet.mangle = lambda packet: answer
-    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=said):
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=message):
         link.connect()
 
 
@@ -318,18 +318,18 @@ def test_a_robot_that_another_program_drives_is_left_alone(puppet: Puppet) -> No
     with a_link(puppet) as link:
         with pytest.raises(LinkError, match="driven already"):
             link.connect()
-        heard = len(puppet.heard)
+        count = len(puppet.received)
         time.sleep(0.3)
-        assert len(puppet.heard) <= heard + 1
-    assert all(told.kp.max() == told.kd.max() == 0.0 for _, told in puppet.heard)
-    assert len(puppet.heard) < 0.5 * QUICK.connect_time * QUICK.rate
+        assert len(puppet.received) <= count + 1
+    assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
+    assert len(puppet.received) < 0.5 * QUICK.connect_time * QUICK.rate
 
 
 def test_a_second_sender_that_comes_later_damps(puppet: Puppet) -> None:
     with a_link(puppet) as link:
         link.connect()
         link.stand()
-        puppet.wait(lambda told: told.kp[0] > 10.0)
+        puppet.wait(lambda got: got.kp[0] > 10.0)
         puppet.mangle = lambda packet: packet if state.decode(packet).tick % 2 else None
         puppet.wait(damps)
     assert link.report.trip == "share"
@@ -360,7 +360,7 @@ def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: 
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"charge": 3}, "battery"),
         ({"temperatures": np.full(12, 88.0)}, "hot"),
@@ -369,9 +369,9 @@ def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: 
         ({"remote": Remote(frozenset({"select"})).raw()}, "remote"),
     ],
 )
-def test_a_robot_in_no_condition_is_refused(puppet: Puppet, change: dict, said: str) -> None:
+def test_a_robot_in_no_condition_is_refused(puppet: Puppet, change: dict, message: str) -> None:
     puppet.change = lambda sent: replace(sent, **change)
-    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=said):
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=message):
         link.connect()
 
 

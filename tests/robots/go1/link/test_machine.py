@@ -35,7 +35,7 @@ class Robot:
         self.silent = self.no_plans = self.no_poses = False
         self.plan: Targets | None = None
         self.offset = 0.1
-        self.told: list[MotorCommand] = []
+        self.commands: list[MotorCommand] = []
 
     def step(self) -> MotorCommand:
         self.now += TICK
@@ -51,19 +51,19 @@ class Robot:
                 box.plan, box.plan_time = self.plan or standing, self.now
             if not self.no_poses:
                 box.pose_time = self.now
-        told = self.machine.step(self.now, box)
-        if told.kp[0] > 0:
-            self.joints = np.array(told.position)
-        self.told.append(told)
-        return told
+        got = self.machine.step(self.now, box)
+        if got.kp[0] > 0:
+            self.joints = np.array(got.position)
+        self.commands.append(got)
+        return got
 
     def until(self, phase: Phase, longest: float = 60.0) -> list[MotorCommand]:
-        first = len(self.told)
+        first = len(self.commands)
         end = self.now + longest
         while self.machine.phase != phase:
             assert self.now < end, f"still in {self.machine.phase.name}"
             self.step()
-        return self.told[first:]
+        return self.commands[first:]
 
     def for_a_while(self, seconds: float) -> list[MotorCommand]:
         return [self.step() for _ in range(round(seconds / TICK))]
@@ -78,14 +78,14 @@ def running(**settings) -> Robot:
     return robot
 
 
-def is_damping(told: MotorCommand) -> bool:
-    return told.mode == wire.SERVO and told.kp.max() == 0.0 and told.kd.min() == 3.0
+def is_damping(got: MotorCommand) -> bool:
+    return got.mode == wire.SERVO and got.kp.max() == 0.0 and got.kd.min() == 3.0
 
 
 def test_standing_up_is_slow_and_smooth_from_where_the_robot_lies() -> None:
     robot = Robot()
-    told = robot.until(Phase.READY)
-    driven = [command for command in told if command.kp[0] > 0]
+    commands = robot.until(Phase.READY)
+    driven = [command for command in commands if command.kp[0] > 0]
     gains = np.array([command.kp[0] for command in driven])
     assert gains[0] < 0.2
     assert (np.diff(gains) >= 0).all()
@@ -105,8 +105,8 @@ def test_it_waits_for_the_operator_and_then_for_the_first_plan() -> None:
     robot.no_plans = robot.no_poses = True
     robot.until(Phase.RUN, 0.1)
     robot.change = {}
-    for told in robot.for_a_while(1.5):
-        np.testing.assert_allclose(told.position, HOME)
+    for got in robot.for_a_while(1.5):
+        np.testing.assert_allclose(got.position, HOME)
     robot.no_plans = robot.no_poses = False
     np.testing.assert_allclose(robot.for_a_while(0.5)[-1].position, HOME + 0.1, atol=1e-3)
     assert robot.machine.phase == Phase.RUN
@@ -128,10 +128,10 @@ def test_a_key_of_the_remote_that_is_held_all_the_time_does_not_arm() -> None:
 def test_an_end_as_planned_sits_down_and_damps() -> None:
     robot = running()
     robot.inbox.finish = True
-    told = robot.until(Phase.OVER)
-    np.testing.assert_allclose(told[1200].position, np.tile([0.0, 1.2, -2.6], 4), atol=0.01)
-    assert sum(map(is_damping, told)) == pytest.approx(1.5 / TICK, abs=3)
-    assert told[-1].kd.max() == 0.0
+    commands = robot.until(Phase.OVER)
+    np.testing.assert_allclose(commands[1200].position, np.tile([0.0, 1.2, -2.6], 4), atol=0.01)
+    assert sum(map(is_damping, commands)) == pytest.approx(1.5 / TICK, abs=3)
+    assert commands[-1].kd.max() == 0.0
     assert robot.machine.trip == ""
 
 
@@ -143,7 +143,7 @@ def test_an_end_before_it_stands_damps_and_throws_nothing_up(phase: Phase) -> No
     robot.for_a_while(0.1)
     robot.inbox.finish = True
     assert is_damping(robot.step())
-    assert all(told.kp.max() == 0.0 for told in robot.until(Phase.OVER))
+    assert all(got.kp.max() == 0.0 for got in robot.until(Phase.OVER))
     assert robot.machine.trip == ""
 
 
@@ -178,11 +178,11 @@ def test_every_trip_ends_in_damped_motors_in_time(trip: str) -> None:
     robot = running()
     CHANGES[trip](robot)
     since = robot.now
-    told = robot.until(Phase.DAMP, 5.0)
+    commands = robot.until(Phase.DAMP, 5.0)
     assert robot.machine.trip == trip
     assert robot.machine.reason
     assert robot.now - since <= LATEST.get(trip, TICK) + 5 * TICK
-    assert is_damping(told[-1])
+    assert is_damping(commands[-1])
     # whatever it was, it is over: even a robot that is well again is not driven any more
     robot.change, robot.silent, robot.no_plans, robot.no_poses, robot.inbox.stop = {}, False, False, False, ""
     robot.inbox.arm = robot.inbox.stand = True
@@ -197,8 +197,8 @@ def test_lost_plans_or_poses_hold_then_sit(trip: str) -> None:
     held = robot.until(Phase.SIT)
     assert len(held) * TICK == pytest.approx(0.1, abs=0.01)
     np.testing.assert_allclose([command.position for command in held[:-1]], [HOME + 0.1] * (len(held) - 1))
-    told = robot.until(Phase.DAMP)
-    assert np.abs(np.diff([command.position for command in told[:-1]], axis=0)).max() < 0.003
+    commands = robot.until(Phase.DAMP)
+    assert np.abs(np.diff([command.position for command in commands[:-1]], axis=0)).max() < 0.003
 
 
 @pytest.mark.parametrize(("trip", "age"), [("plan_lost", 0.09), ("pose_lost", 0.19)])
@@ -209,9 +209,9 @@ def test_the_first_packet_after_the_threshold_holds_the_targets_of_the_one_befor
     sway = np.linspace(0.0, 0.5, 101)[:, None]  # it moves all the time: what rests is held
     robot.inbox.plan = robot.plan = Targets(robot.now, 0.02, HOME + 0.1 + sway)
     CHANGES[trip](robot)
-    since, told = robot.now, robot.until(Phase.PAUSE)
+    since, commands = robot.now, robot.until(Phase.PAUSE)
     assert age < robot.now - since <= age + TICK + 1e-9
-    targets = [command.position for command in told]
+    targets = [command.position for command in commands]
     assert (np.abs(targets[-2] - targets[-3]) > 1e-5).all()
     np.testing.assert_array_equal(targets[-1], targets[-2])
 
@@ -272,8 +272,8 @@ def test_nothing_moves_before_it_is_to_stand() -> None:
     robot = Robot()
     robot.inbox.stand = False
     robot.inbox.arm = True
-    for told in robot.for_a_while(0.5):
-        assert told.kp.max() == told.kd.max() == np.abs(told.torque).max() == 0.0
+    for got in robot.for_a_while(0.5):
+        assert got.kp.max() == got.kd.max() == np.abs(got.torque).max() == 0.0
     robot.inbox.finish = True
     robot.step()
     assert robot.machine.phase == Phase.OVER
@@ -282,10 +282,10 @@ def test_nothing_moves_before_it_is_to_stand() -> None:
 def test_a_plan_that_begins_with_a_step_is_blended_into() -> None:
     robot = running()
     robot.offset = 0.5
-    told = np.array([command.position for command in robot.for_a_while(0.5)])
+    targets = np.array([command.position for command in robot.for_a_while(0.5)])
     assert robot.machine.phase == Phase.RUN
-    assert np.abs(np.diff(told, axis=0)).max() <= 0.05
-    np.testing.assert_allclose(told[-1], allowed(HOME + 0.5, told[-2], 60.0, 0.7), atol=1e-3)
+    assert np.abs(np.diff(targets, axis=0)).max() <= 0.05
+    np.testing.assert_allclose(targets[-1], allowed(HOME + 0.5, targets[-2], 60.0, 0.7), atol=1e-3)
 
 
 def test_targets_stay_within_joints_and_torques() -> None:
@@ -307,11 +307,11 @@ def test_a_joint_outside_of_its_limits_is_led_back_by_no_more_torque() -> None:
 
 def test_the_gains_are_those_of_the_planners_model() -> None:
     """Of other gains an identification makes another box, and the planner another motion."""
-    model, told = planner_model(), running().step()
+    model, got = planner_model(), running().step()
     at = layout(model)
-    np.testing.assert_allclose(told.kp, model.actuator_gainprm[at.servos, 0])
+    np.testing.assert_allclose(got.kp, model.actuator_gainprm[at.servos, 0])
     servos = -model.actuator_biasprm[at.servos, 2]
-    np.testing.assert_allclose(told.kd, servos + model.dof_damping[at.joints_v])
+    np.testing.assert_allclose(got.kd, servos + model.dof_damping[at.joints_v])
 
 
 @pytest.mark.parametrize(

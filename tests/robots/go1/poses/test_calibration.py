@@ -45,11 +45,11 @@ def test_what_moves_is_refused(step: tuple[np.ndarray, float]) -> None:
 
 
 @pytest.mark.parametrize(
-    ("place", "said"), [([0.6, 0.15, -0.1], "up axis z"), ([0.0, 0.0, 0.3], "check its name"),
+    ("place", "message"), [([0.6, 0.15, -0.1], "up axis z"), ([0.0, 0.0, 0.3], "check its name"),
                         ([600.0, 100.0, 150.0], "metres")],
 )  # fmt: skip
-def test_a_pivot_that_is_elsewhere_is_refused(place: list[float], said: str) -> None:
-    with pytest.raises(PoseError, match=said):
+def test_a_pivot_that_is_elsewhere_is_refused(place: list[float], message: str) -> None:
+    with pytest.raises(PoseError, match=message):
         check_pivot((np.array(place), TRUE[1]), TRUE, SIZE, "box")
 
 

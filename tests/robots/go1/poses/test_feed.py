@@ -1,4 +1,4 @@
-"""Pose sources in their process: what comes through, and what is said when nothing does."""
+"""Pose sources in their process: what comes through, and what is reported when nothing does."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_poses_come_through_on_our_clock() -> None:
 
 def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
     port, seen, places = free_port(), [], iter((0.1, 0.1, 0.1, 0.2, 0.2, 0.1))
-    told = '{"body": "%s", "position": [1, 2, %s], "orientation": [1, 0, 0, 0]}'
+    message = '{"body": "%s", "position": [1, 2, %s], "orientation": [1, 0, 0, 0]}'
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client,
         PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 20.0)) as feed,
@@ -82,12 +82,12 @@ def test_a_pose_that_tells_no_time_and_stays_the_same_is_not_new() -> None:
         end = time.monotonic() + 10.0
         while not seen and time.monotonic() < end:  # until it listens
             with suppress(ConnectionRefusedError):
-                client.send((told % ("other", time.monotonic())).encode())
+                client.send((message % ("other", time.monotonic())).encode())
             seen = feed.poses()
             time.sleep(0.01)
         for place in places:
-            client.send((told % ("go1", place)).encode())
-        client.send((told % ("last", 0.0)).encode())
+            client.send((message % ("go1", place)).encode())
+        client.send((message % ("last", 0.0)).encode())
         while seen[-1].body != "last" and time.monotonic() < end:
             seen += feed.poses()
     assert [pose.position[2] for pose in seen if pose.body == "go1"] == [0.1, 0.2, 0.1]
@@ -130,7 +130,7 @@ with PoseFeed(FeedOptions("udp", "127.0.0.1", int(sys.argv[1]), ("go1", "box"), 
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere no child is told of it")
+@pytest.mark.skipif(sys.platform != "linux", reason="no child is notified elsewhere")
 def test_a_source_that_blocks_for_ever_ends_with_a_program_that_is_killed() -> None:
     command = [sys.executable, "-c", _PROGRAM, str(free_port())]
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[4])}
@@ -218,16 +218,16 @@ def test_estimates_go_back_to_ros2_even_to_who_comes_late() -> None:
         listener = DomainParticipant(78)
         kept = Qos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
         reader = DataReader(listener, Topic(listener, f"rt{ESTIMATES}", joint_state_type(), qos=kept), kept)
-        told, end = [], time.monotonic() + 15.0
-        while not (told and told[-1].position[0] == 3.9) and time.monotonic() < end:
-            told += reader.take(10)
+        received, end = [], time.monotonic() + 15.0
+        while not (received and received[-1].position[0] == 3.9) and time.monotonic() < end:
+            received += reader.take(10)
             time.sleep(0.01)
-    assert told, "nothing came"
-    assert list(told[-1].name) == names
-    np.testing.assert_array_equal(told[-1].position, values)
-    np.testing.assert_array_equal(told[-1].effort, sd)
-    assert not told[-1].velocity
-    stamp = told[-1].header.stamp
+    assert received, "nothing came"
+    assert list(received[-1].name) == names
+    np.testing.assert_array_equal(received[-1].position, values)
+    np.testing.assert_array_equal(received[-1].effort, sd)
+    assert not received[-1].velocity
+    stamp = received[-1].header.stamp
     assert begun - 1.0 < stamp.sec + 1e-9 * stamp.nanosec < time.time() + 1.0
 
 
@@ -245,12 +245,12 @@ def test_rubbish_is_no_pose(message: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    "told", ['{"body": "a", "position": [1, 2], "orientation": [1, 0, 0, 0]}',
+    "message", ['{"body": "a", "position": [1, 2], "orientation": [1, 0, 0, 0]}',
              '{"body": "a", "position": [1, 2, NaN], "orientation": [1, 0, 0, 0]}',
              '{"body": "a", "position": [1, 2, 3], "orientation": [0, 0, 0, 0]}', "[]", '"x"', "7"],
 )  # fmt: skip
-def test_what_is_no_pose_is_left_out(told: str) -> None:
-    assert udp.read(told.encode()) is None
+def test_what_is_no_pose_is_left_out(message: str) -> None:
+    assert udp.read(message.encode()) is None
 
 
 def test_the_offset_of_a_clock_is_found_under_jitter_and_drift() -> None:

@@ -53,7 +53,7 @@ def test_a_frame_that_is_right_is_taken() -> None:
 
 
 @pytest.mark.parametrize(
-    ("position", "orientation", "said"),
+    ("position", "orientation", "message"),
     [
         ([0.0, 0.09, 0.0], turned(-np.pi / 2, 0.0, 0.0), "Up Axis: Z"),
         ([0.0, 0.0, 90.0], LEVEL, "stream metres"),
@@ -61,19 +61,19 @@ def test_a_frame_that_is_right_is_taken() -> None:
         ([0.0, 0.0, 0.09], turned(0.4, 0.0, 0.0), "disagree by 23 degrees"),
     ],
 )
-def test_a_frame_that_cannot_be_is_refused(position, orientation, said: str) -> None:
-    with pytest.raises(PoseError, match=said):
+def test_a_frame_that_cannot_be_is_refused(position, orientation, message: str) -> None:
+    with pytest.raises(PoseError, match=message):
         check_axes((np.array(position), orientation), LEVEL)
 
 
 @pytest.mark.parametrize(
-    ("box", "said"),
+    ("box", "message"),
     [
         ([-0.6, 0.0, 0.09], "each other's name"),
         ([0.9, 0.0, 0.15], "wants it at"),
         ([0.6, 0.0, 0.5], "wants it at"),
     ],
 )
-def test_a_box_that_is_elsewhere_is_refused(box, said: str) -> None:
-    with pytest.raises(PoseError, match=said):
+def test_a_box_that_is_elsewhere_is_refused(box, message: str) -> None:
+    with pytest.raises(PoseError, match=message):
         check_place(np.array(box), WANTED, 0.15)
