@@ -18,9 +18,9 @@ from amhe_cli.engine.open import contact_variants
 from amhe_cli.estimation.core.information import Information, information, objective
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.posterior import (
+    Disagreement,
     FinalFit,
     Finding,
-    Posterior,
     by_kind,
     disagreement,
     final_fit,
@@ -29,6 +29,7 @@ from amhe_cli.estimation.offline.posterior import (
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, Shift, share, size
+from amhe_cli.estimation.offline.widening import beyond_chance
 from amhe_cli.matching.cost import MatchingCost
 
 logger = logging.getLogger(__name__)
@@ -42,12 +43,8 @@ REFITS, FEWEST_CLIPS = 2, 3
 
 def disagreements(
     problem: Problem, finding: Finding, fit: FinalFit, *, with_halves: bool
-) -> dict[str, tuple[FloatArray, FloatArray]]:
-    """Estimates from one part of the data against another: under a right model they agree.
-
-    Returns:
-        What is compared -> (difference, its sd), each (d,) in z.
-    """
+) -> dict[str, Disagreement]:
+    """Estimates from one part of the data against another: under a right model they agree."""
     prior = problem.system.space.prior_precision
     kinds = [_kind(o.channel.key) for o in fit.slopes.cost.clips.observed]
     alone = by_kind(finding.z, fit.slopes, fit.weight, prior, kinds)
@@ -66,8 +63,8 @@ def disagreements(
     return compared
 
 
-def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray] | None:
-    """What the second half of the logs wants more than the first, and the sd of that, each (d,).
+def _halves(problem: Problem, finding: Finding) -> Disagreement | None:
+    """What the second half of the logs wants more than the first.
 
     Each half is searched by itself, from the recorded first states: where they differ much, the misfit of
     their compromise looks like noise, and would hide that they do. So would first states fitted to it.
@@ -75,7 +72,7 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
     late = np.array([w.start + 0.5 * w.length > 0.5 * (w.log.steps - 1) for w in problem.clips])
     if not _both(late):
         return None
-    means, variances = [], []
+    means, covariances = [], []
     for rows in (np.flatnonzero(late), np.flatnonzero(~late)):
         part = replace(problem, only=tuple(problem.clips[i] for i in rows))
         state = search.restart(part, finding.z)
@@ -83,8 +80,8 @@ def _halves(problem: Problem, finding: Finding) -> tuple[FloatArray, FloatArray]
             state = search.advance(part, state)
         found = final_fit(part, state).posterior
         means.append(state.z + found.step)
-        variances.append(np.diag(found.data_covariance))
-    return means[0] - means[1], np.sqrt(variances[0] + variances[1])
+        covariances.append(found.data_covariance)
+    return Disagreement(means[0] - means[1], covariances[0] + covariances[1])
 
 
 def _both(side: BoolArray) -> bool:
@@ -119,8 +116,8 @@ def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> list[Shift]:
         share = allowed(rise)
         label = name if share == 1.0 else f"{name}, as far as the log allows it,"
         move = share * (there.step - fit.posterior.step)
-        beyond = np.sqrt(np.maximum(move**2 - (SURPRISE * fit.posterior.sd) ** 2, 0.0))
-        shifts.append(Shift(f"{label} would move it by {{}}", move, 0.5 * np.sign(move) * beyond))
+        spread = 0.5 * beyond_chance(fit.posterior.covariance, move)
+        shifts.append(Shift(f"{label} would move it by {{}}", move, spread))
     return shifts
 
 
@@ -137,26 +134,6 @@ def _misfit(fit: FinalFit, cost: MatchingCost, found: Information, step: FloatAr
     z, first = cost.system.space.clip(fit.z + step)[None], found.first(step[None])
     residuals = cost.residuals(z, first if first.shape[2] else None)
     return float(objective(cost, residuals, first, fit.times, fit.weight)[0])
-
-
-def systematic(
-    found: Posterior,
-    disagreements: Mapping[str, tuple[FloatArray, FloatArray]],
-    shifts: Sequence[Shift],
-) -> FloatArray:
-    """Variance of z beyond what noise explains, shape (d,).
-
-    Where parts of the data disagree by more than chance, or details of contact that nobody measured move
-    the estimate, no part is known to be right: half the largest difference is added as a standard deviation,
-    as random-effects models do. So is the step that an unfinished search has left to go.
-    """
-    contradicted = np.zeros(len(found.step))
-    for difference, chance in disagreements.values():
-        beyond = np.maximum(difference**2 - (SURPRISE * chance) ** 2, 0.0)
-        contradicted = np.maximum(contradicted, 0.25 * beyond)
-    for shift in shifts:
-        contradicted = np.maximum(contradicted, shift.spread**2)
-    return contradicted + found.step**2
 
 
 def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
@@ -181,11 +158,11 @@ def report_misfit(fit: FinalFit) -> None:
             )
 
 
-def report_drift(space: ParameterSpace, disagreements: Mapping[str, tuple[FloatArray, FloatArray]]) -> None:
+def report_drift(space: ParameterSpace, disagreements: Mapping[str, Disagreement]) -> None:
     """Warn where the logs' first and second half want different parameters."""
     if HALVES not in disagreements:
         return
-    difference, sd = disagreements[HALVES]
+    difference, sd = disagreements[HALVES].value, disagreements[HALVES].sd
     for i in map(int, np.flatnonzero(np.abs(difference) > SURPRISE * sd)):
         if share(space, i, difference[i]) >= NOTED:
             logger.warning(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
@@ -14,14 +16,27 @@ from amhe_cli.estimation.offline.checks import (
     report_misfit,
     report_unsettled,
     shifts_of,
-    systematic,
 )
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.fits import fits
-from amhe_cli.estimation.offline.posterior import Finding, bootstrap_sd, final_fit, step_ratio
+from amhe_cli.estimation.offline.posterior import (
+    Disagreement,
+    FinalFit,
+    Finding,
+    bootstrap_sd,
+    doubled_step,
+    final_fit,
+)
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import ClipCount, HeldOut, Identification
-from amhe_cli.estimation.offline.verdicts import Evidence, combinations, profiles, verdicts
+from amhe_cli.estimation.offline.verdicts import Evidence, Shift, combinations, profiles, verdicts
+from amhe_cli.estimation.offline.widening import (
+    along_vectors,
+    contradicted,
+    directions,
+    in_directions,
+    variances,
+)
 from amhe_cli.matching.cost import MatchingCost
 
 
@@ -72,19 +87,14 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     report_unsettled(problem, finding, fit)
     report_drift(space, compared)
     shifts = [] if hurried else shifts_of(problem, finding, fit)
-    ratio = step_ratio(problem, finding, fit)
-    own = fit.posterior.covariance
-    rough = np.diag(own) * (np.nan_to_num(np.maximum(1.0 / ratio, 1.0), nan=1.0) ** 2 - 1.0)
-    wrong = space.in_z([setting.model_error.get(name, 0.0) for name in space.names])
-    extra = systematic(fit.posterior, compared, shifts) + rough + wrong**2
-    wider = np.sqrt(1.0 + extra * problem.active / np.diag(own))
-    covariance = own * np.outer(wider, wider)  # widening changes no correlation
+    own, doubled = fit.posterior.covariance, doubled_step(problem, finding, fit).covariance
+    covariance = own + _systematic(problem, fit, compared, shifts, doubled)
     points = 0 if hurried else setting.profile_points
     return Evidence(
         z=finding.z,
         covariance=covariance,
         active=problem.active,
-        step_ratio=ratio,
+        step_ratio=np.where(problem.active, np.sqrt(np.diag(own) / np.diag(doubled)), np.nan),
         bootstrap=bootstrap_sd(
             finding.z, fit.found, fit.weight, space.prior_precision, setting.bootstrap, problem.rng(4)
         ),
@@ -95,6 +105,32 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
         ),
         noise_scale=fit.scale,
     )
+
+
+def _systematic(
+    problem: Problem,
+    fit: FinalFit,
+    compared: Mapping[str, Disagreement],
+    shifts: Sequence[Shift],
+    doubled: FloatArray,
+) -> FloatArray:
+    """Covariance of z beyond what noise explains, shape (d, d).
+
+    Args:
+        problem: The problem that was searched.
+        fit: Its final linearisation.
+        compared: Differences between parts of the data.
+        shifts: What changes of the model would do to the estimate.
+        doubled: Posterior covariance from samples twice as wide, shape (d, d).
+    """
+    space, own = problem.system.space, fit.posterior.covariance
+    found = directions(own, problem.active)
+    declared = space.in_z([problem.settings.identify.model_error.get(name, 0.0) for name in space.names])
+    curved = np.maximum(variances(found.rows, doubled - own), 0.0)
+    wanted = contradicted(found.rows, compared.values()) + curved
+    wanted[: problem.active.sum()] += declared[problem.active] ** 2
+    errors = [*(shift.spread for shift in shifts), fit.posterior.step]
+    return in_directions(found, wanted) + along_vectors(own, errors)
 
 
 def validate(problem: Problem, windows: list[Window], finding: Finding) -> HeldOut | None:

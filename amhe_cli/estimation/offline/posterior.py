@@ -60,7 +60,7 @@ class Posterior:
     @property
     def sd(self) -> FloatArray:
         """Posterior sd of each z, shape (d,)."""
-        return np.sqrt(np.diag(self.covariance))
+        return np.sqrt(self.covariance.diagonal())
 
     @property
     def data_covariance(self) -> FloatArray:
@@ -114,10 +114,27 @@ def bootstrap_sd(
     return np.linalg.solve(hessian, gradient[..., None])[..., 0].std(axis=0, ddof=1)
 
 
-def disagreement(one: Posterior, other: Posterior) -> tuple[FloatArray, FloatArray]:
-    """Difference between two estimates from different data, and its sd, each (d,) in z."""
-    difference = one.step - other.step
-    return difference, np.sqrt(np.diag(one.data_covariance + other.data_covariance))
+@dataclass(frozen=True, slots=True, eq=False)
+class Disagreement:
+    """What separates two estimates from different data.
+
+    Args:
+        value: Disagreement of the estimates in z, shape (d,).
+        covariance: Covariance that noise alone gives it, shape (d, d).
+    """
+
+    value: FloatArray
+    covariance: FloatArray
+
+    @property
+    def sd(self) -> FloatArray:
+        """Sd of the difference that noise alone gives, shape (d,)."""
+        return np.sqrt(self.covariance.diagonal())
+
+
+def disagreement(one: Posterior, other: Posterior) -> Disagreement:
+    """Disagreement between two estimates from different data, taken from the same place."""
+    return Disagreement(one.step - other.step, one.data_covariance + other.data_covariance)
 
 
 def by_kind(
@@ -204,15 +221,11 @@ def final_fit(problem: Problem, finding: Finding) -> FinalFit:
     return fit
 
 
-def step_ratio(problem: Problem, finding: Finding, fit: FinalFit) -> FloatArray:
-    """Ratio of the posterior sd to that from samples twice as wide, shape (d,); 1 where the model is linear.
-
-    It is NaN for parameters that no measurement depends on.
-    """
+def doubled_step(problem: Problem, finding: Finding, fit: FinalFit) -> Posterior:
+    """Posterior from samples twice as wide: the same where the model is linear."""
     first = fit.slopes.first
     found = information(_linearised(problem, finding, fit.scale, 2.0 * fit.shape, first, TURNS))
-    doubled = posterior(finding.z, found, fit.weight, problem.system.space.prior_precision)
-    return np.where(problem.active, fit.posterior.sd / doubled.sd, np.nan)
+    return posterior(finding.z, found, fit.weight, problem.system.space.prior_precision)
 
 
 def _linearised(

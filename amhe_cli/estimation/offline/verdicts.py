@@ -10,6 +10,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import Z90, correlation
+from amhe_cli.estimation.offline.posterior import Disagreement
 from amhe_cli.estimation.offline.result import Combination, ParameterResult
 
 #: Shrinkage below which the data say nothing, and from which they determine.
@@ -23,6 +24,10 @@ LINEAR = (0.7, 1.4)
 SURPRISE, NOTED, NOTABLE = 3.0, 0.05, 0.25
 #: Correlation from which two parameters are known only together.
 TOGETHER = 0.9
+#: A shift is given as a reason where it is more than this share of the sd.
+COUNTS = 0.5
+#: Smallest exponent of a combination: a smaller one rounds to 0.
+EXPONENT = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +37,8 @@ class Shift:
     Args:
         text: What moves it, in words; `{}` is the size of the move.
         z: The move, shape (d,) in z.
-        spread: What of it counts as one standard deviation, shape (d,); 0 where chance explains the move.
+        spread: What of it counts as one standard deviation: a vector along which it adds its own covariance,
+            shape (d,); 0 where chance explains the move.
     """
 
     text: str
@@ -50,7 +56,7 @@ class Evidence:
         active: Parameters that the logs depend on.
         step_ratio: Posterior sd over that at a doubled step.
         bootstrap: Spread over resampled clips.
-        disagreements: Name of a comparison -> (difference, its sd).
+        disagreements: Name of a comparison -> difference between two parts of the data.
         shifts: What changes of the model would do to the estimate.
         profiles: Column -> (theta values (K,), costs (K,)).
         noise_scale: Channel -> residual sd over declared noise sd.
@@ -61,7 +67,7 @@ class Evidence:
     active: np.ndarray
     step_ratio: FloatArray
     bootstrap: FloatArray
-    disagreements: Mapping[str, tuple[FloatArray, FloatArray]]
+    disagreements: Mapping[str, Disagreement]
     shifts: Sequence[Shift]
     profiles: Mapping[int, tuple[FloatArray, FloatArray]]
     noise_scale: Mapping[str, float]
@@ -170,13 +176,15 @@ def _contradictions(
 ) -> tuple[str, ...]:
     """Differences beyond chance between parts of the data, or models, of a size in [least, most)."""
     found = []
-    for name, (difference, sd) in evidence.disagreements.items():
-        if abs(difference[i]) > SURPRISE * sd[i] and least <= share(space, i, difference[i]) < most:
-            found.append(f"{name} disagree by {size(space, i, difference[i])}")
+    sd = float(np.sqrt(evidence.covariance[i, i]))
+    for name, difference in evidence.disagreements.items():
+        value = difference.value[i]
+        if abs(value) > SURPRISE * difference.sd[i] and least <= share(space, i, value) < most:
+            found.append(f"{name} disagree by {size(space, i, value)}")
     found += [
         shift.text.format(size(space, i, shift.z[i]))
         for shift in evidence.shifts
-        if shift.spread[i] and least <= share(space, i, shift.z[i]) < most
+        if abs(shift.spread[i]) > COUNTS * sd and least <= share(space, i, shift.z[i]) < most
     ]
     return tuple(found)
 
@@ -228,8 +236,9 @@ def _pair(space: ParameterSpace, phi: FloatArray, pair: tuple[int, int]) -> list
         powers = vector / vector[np.argmax(np.abs(vector))]
         prior = np.sqrt(((powers * space.prior_sd[list(pair)]) ** 2).sum())
         sd = float(np.sqrt(value) * np.linalg.norm(powers))
-        text = _product([space.names[i] for i in pair], powers)
-        result.append(Combination(text, sd, 1.0 - sd / float(prior)))
+        if np.abs(powers).min() >= EXPONENT:
+            text = _product([space.names[i] for i in pair], powers)
+            result.append(Combination(text, sd, 1.0 - sd / float(prior)))
     return result
 
 

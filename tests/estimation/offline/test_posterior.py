@@ -87,6 +87,6 @@ def test_independent_data_disagree_by_no_more_than_their_sd_says() -> None:
             posterior(np.zeros(2), linear(60, seed=s), np.ones(60), np.eye(2))
             for s in (2 * seed, 2 * seed + 1)
         )
-        difference, sd = disagreement(one, other)
-        ratios.append(difference / sd)
+        difference = disagreement(one, other)
+        ratios.append(difference.value / difference.sd)
     assert np.std(ratios, axis=0) == pytest.approx(1.0, abs=0.15)

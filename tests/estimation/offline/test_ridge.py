@@ -1,5 +1,6 @@
 """What is known only as a product or a ratio: the width along the ridge is the prior's, whatever the data."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -83,6 +84,18 @@ def test_only_the_ratio_of_gain_and_mass_is_known(system):
     sharp = min(result.combinations, key=lambda c: c.sd)
     assert sharp.text in ("gain / mass", "mass / gain")
     assert sharp.sd < 0.01
+
+
+def test_an_error_of_the_mass_alone_leaves_the_ratio_known(system):
+    """The model's error of the mass was a factor on its sd once, and bent gain / mass to gain / mass^0.3."""
+    log = drive(system, [3.0, 1.0])
+    wrong = system.settings.identify.model_copy(update={"model_error": {"mass": 1.0}})
+    doubted = replace(system, settings=system.settings.model_copy(update={"identify": wrong}))
+    plain, wide = (identify(one, [log], None, IdentifyOptions()) for one in (system, doubted))
+    best, kept = (min(result.combinations, key=lambda c: c.sd) for result in (plain, wide))
+    assert kept.text in ("gain / mass", "mass / gain") and kept.sd == pytest.approx(best.sd, rel=0.01)
+    before, after = (np.sqrt(np.diag(result.belief.covariance)) for result in (plain, wide))
+    assert after == pytest.approx(np.hypot(before, 1.0), rel=0.02), "the gain with the mass"
 
 
 def test_a_belief_hands_the_ratio_on(system):

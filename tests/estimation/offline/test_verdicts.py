@@ -9,6 +9,7 @@ import pytest
 
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90
+from amhe_cli.estimation.offline.posterior import Disagreement
 from amhe_cli.estimation.offline.result import ParameterResult
 from amhe_cli.estimation.offline.verdicts import Evidence, Shift, combinations, profiles, verdicts
 
@@ -113,7 +114,7 @@ def test_residuals_of_many_times_their_noise_make_every_number_model_sensitive()
 )
 def test_parts_of_the_data_that_disagree(relative: float, sd: float, verdict: str, noted: bool) -> None:
     difference = np.array([np.log1p(relative) / 0.5, 0.0, 0.0])
-    result = mass(evidence(disagreements={"the two halves": (difference, np.full(3, sd))}))
+    result = mass(evidence(disagreements={"the two halves": Disagreement(difference, sd**2 * np.eye(3))}))
     assert result.verdict == verdict
     reasons = [reason for reason in result.reasons if f"the two halves disagree by +{relative:.0%}" in reason]
     assert bool(reasons) == noted
@@ -154,6 +155,11 @@ def test_parameters_that_are_known_only_together_name_each_other_and_their_produ
     assert sharp.text == "mass * friction"
     assert sharp.sd == pytest.approx(0.5 * 0.05 * np.sqrt(2.0 * 0.02))
     assert combinations(SPACE, covariance, np.array([True, False, True])) == ()
+
+
+def test_a_combination_names_no_factor_with_an_exponent_of_zero() -> None:
+    unequal = np.array([[0.5**2, 0.95 * 0.5 * 0.01, 0.0], [0.95 * 0.5 * 0.01, 0.01**2, 0.0], [0.0, 0.0, 1.0]])
+    assert combinations(SPACE, unequal, np.ones(3, dtype=bool)) == ()
 
 
 def test_a_profile_passes_through_the_estimate_within_the_bounds() -> None:

@@ -1,0 +1,115 @@
+"""What is added to the posterior's covariance beyond noise, without bending what is known together.
+
+Every widening is a covariance of its own. An error of the model whose effect is known moves the whole
+estimate along one vector v, and adds v v'. Of other errors only the size is known, in some directions: each
+parameter, and each combination that the logs determine much better than its factors. Such a direction gets
+the variance that it lacks, and the rest of the estimate follows as the posterior says: a mass that is known
+to be proportional to a thrust stays so, however uncertain both become.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.statistics import correlation
+from amhe_cli.estimation.offline.posterior import Disagreement
+from amhe_cli.estimation.offline.verdicts import SURPRISE, TOGETHER
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Directions:
+    """Linear functions n'z whose variances are judged: each parameter, then what is known only together.
+
+    Args:
+        rows: One n in each row, shape (m, d); none for parameters that the logs do not depend on.
+        known: Variance of each n'z under the posterior, shape (m,).
+        follow: Column i is the vector along which an error of direction i moves the estimate, 1 along the
+            direction itself, shape (d, m).
+    """
+
+    rows: FloatArray
+    known: FloatArray
+    follow: FloatArray
+
+
+def directions(covariance: FloatArray, active: BoolArray) -> Directions:
+    """Parameters, and the eigenvectors of the correlation matrix with eigenvalues below 1 - TOGETHER.
+
+    An error of a parameter takes no step along these eigenvectors (a partial one where the eigenvalue is in
+    the upper half of that range, so that nothing jumps): other parameters follow it as far as that demands.
+
+    Args:
+        covariance: Posterior covariance of z, shape (d, d).
+        active: Parameters that the logs depend on, shape (d,).
+    """
+    scale = np.sqrt(covariance.diagonal())
+    matrix = np.where(np.outer(active, active), correlation(covariance), np.eye(active.size))
+    values, vectors = np.linalg.eigh(matrix)
+    together = vectors[:, values < 1.0 - TOGETHER]
+    free = (vectors * np.clip(2.0 * values / (1.0 - TOGETHER) - 1.0, 0.0, 1.0)) @ vectors.T
+    alone = (free / free.diagonal() / scale)[:, active]
+    rows = np.concatenate((np.eye(active.size)[active], together.T / scale))
+    return Directions(
+        rows, variances(rows, covariance), scale[:, None] * np.concatenate((alone, together), 1)
+    )
+
+
+def variances(rows: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Variance of n'z for each of m directions n, shape (m,)."""
+    return np.einsum("mi,ij,mj->m", rows, covariance, rows)
+
+
+def contradicted(rows: FloatArray, differences: Iterable[Disagreement]) -> FloatArray:
+    """Variance of n'z that contradictions between parts of the data show, shape (m,).
+
+    Where parts disagree by more than chance, none is known to be right: half the largest difference is added
+    as a standard deviation, as random-effects models do.
+    """
+    most = np.zeros(len(rows))
+    for difference in differences:
+        chance = SURPRISE**2 * variances(rows, difference.covariance)
+        most = np.maximum(most, 0.25 * ((rows @ difference.value) ** 2 - chance))
+    return most
+
+
+def beyond_chance(covariance: FloatArray, shift: FloatArray) -> FloatArray:
+    """A shift of the estimate (d,) as far as it leaves the posterior: 0 within SURPRISE sd."""
+    square = max(float(shift @ np.linalg.solve(covariance, shift)), SURPRISE**2)
+    return np.sqrt(1.0 - SURPRISE**2 / square) * shift
+
+
+def in_directions(found: Directions, wanted: FloatArray) -> FloatArray:
+    """The covariance that adds a variance (m,), or more, to each direction; shape (d, d).
+
+    Directions whose variance grows most come first, since they widen others as well.
+    """
+    added = np.zeros((len(found.follow), len(found.follow)))
+    for i in np.argsort(-wanted / found.known):
+        lacking = float(wanted[i] - found.rows[i] @ added @ found.rows[i])
+        added += max(lacking, 0.0) * np.outer(found.follow[:, i], found.follow[:, i])
+    return added
+
+
+def along_vectors(covariance: FloatArray, errors: Iterable[FloatArray]) -> FloatArray:
+    """The covariance of errors of the estimate along known vectors v (d,), shape (d, d).
+
+    The longest, in sd of the posterior, adds v v'. Others add what those before them do not cover: of two
+    changes that move the estimate to and fro on one line, the larger counts.
+
+    Args:
+        covariance: Posterior covariance of z, shape (d, d).
+        errors: The vectors, one sd long each.
+    """
+    added = np.zeros_like(covariance)
+
+    def square(v: FloatArray) -> float:
+        return float(v @ np.linalg.solve(covariance + added, v))
+
+    for v in sorted((v for v in errors if v.any()), key=square, reverse=True):
+        own, left = float(v @ np.linalg.solve(covariance, v)), square(v)
+        added = added + max(1.0 + 1.0 / own - 1.0 / left, 0.0) * np.outer(v, v)
+    return added
