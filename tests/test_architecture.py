@@ -47,11 +47,13 @@ WALLS = {
     "mcap": ("logs",),
     "motioncapture": ("robots/go1",),
     "mujoco": ("system", "init", "engine", "robots/go1", "api/identify.py"),
+    "mujoco_menagerie": ("init",),
     "natnet": ("robots/go1",),
     "pyarrow": ("logs",),
     "pyulog": ("logs",),
     "rich": ("report", "api", "cli"),
     "rosbags": ("logs",),
+    "xacro": ("system",),
     "yaml": ("logs", "system", "init", "core/belief_file.py", "core/yaml_file.py"),
     "zstandard": ("logs",),
 }

@@ -2,16 +2,41 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from amhe_cli.cli import log_path, options
 from amhe_cli.cli.session import Session
 
+_MENAGERIE = "menagerie:"
+
+
+class _ModelPath(click.Path):
+    """An existing file, or `menagerie:NAME`."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Leave the names of menagerie models as they are; any other value is a path."""
+        named = str(value).startswith(_MENAGERIE)
+        return str(value) if named else super().convert(value, param, ctx)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Complete the names of menagerie models; any other path is completed by the shell."""
+        if incomplete and incomplete.startswith(_MENAGERIE[: len(incomplete)]):
+            from amhe_cli.init.menagerie import menagerie_names
+
+            names = (_MENAGERIE + name for name in menagerie_names())
+            return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+        return super().shell_complete(ctx, param, incomplete)
+
 
 @click.command(cls=options.Command, short_help="A model and logs to a first system folder.")
-@click.argument("model", type=options.EXISTING_FILE)
+@click.argument("model", type=_ModelPath(exists=True, dir_okay=False, readable=False, path_type=Path))
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
@@ -26,27 +51,62 @@ from amhe_cli.cli.session import Session
 )
 @options.force
 @options.msg_path
+@click.option(
+    "--package",
+    "packages",
+    metavar="NAME=DIR",
+    multiple=True,
+    callback=options.pairs,
+    help="Folder of a ROS package that a URDF's meshes lie in; repeat for more.  "
+    "[default: ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, and the folders above the URDF]",
+)
+@click.option(
+    "--no-meshes",
+    is_flag=True,
+    help="Leave out the meshes of a URDF; boxes of the same mass and inertia take their place.",
+)
+@click.option(
+    "--xacro-arg",
+    "xacro_args",
+    metavar="NAME:=VALUE",
+    multiple=True,
+    callback=options.pairs,
+    help="Argument of a xacro file; repeat for more.",
+)
 @options.common
 @click.pass_obj
 def init(
     session: Session,
-    model: Path,
+    model: Path | str,
     logs: tuple[Path, ...],
     out: Path | None,
     force: bool,
     msg_path: Path | None,
+    packages: dict[str, str],
+    no_meshes: bool,
+    xacro_args: dict[str, str],
 ) -> None:
-    """Write a system folder for MODEL (MJCF or URDF) whose signals are found in LOG...
+    """Write a system folder for MODEL whose signals are found in LOG...
+
+    MODEL is an MJCF, URDF or xacro file, or menagerie:NAME for a model of the package mujoco-menagerie.
 
     Its system.yaml is commented: the signals matched to joints by name, candidate parameters, and what
     was guessed. Read it, correct it, then: amhe identify LOG --system DIR.
     """
+    from amhe_cli.cli.ros_packages import packages_in
     from amhe_cli.init.folder import init_system
+    from amhe_cli.init.menagerie import menagerie_model
     from amhe_cli.report.folder import reserve
+    from amhe_cli.system.urdf import UrdfOptions, is_urdf
 
     session.hush_mujoco()
+    path = menagerie_model(model.removeprefix(_MENAGERIE)) if isinstance(model, str) else model
+    known = packages_in(os.environ) if is_urdf(path) else {}
+    urdf = UrdfOptions(
+        {**known, **{name: Path(folder) for name, folder in packages.items()}}, not no_meshes, xacro_args
+    )
     folder = reserve(out, "init", force)
-    guessed = init_system(model, logs, folder, msg_path=msg_path, force=force)
+    guessed = init_system(path, logs, folder, msg_path=msg_path, force=force, urdf=urdf)
     if session.json:
         session.print_json(session.record(system=str(folder), guessed=guessed))
         return

@@ -76,15 +76,17 @@ def _flag(*names: str, help: str, **more: Any) -> Callable[[F], F]:
     return click.option(*names, help=help, **(options | more))
 
 
-def _pairs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> dict[str, str]:
-    """SIGNAL=/name, repeated, as a dictionary."""
-    pairs = {}
-    for text in value:
-        key, equals, topic = text.partition("=")
-        if not (key and equals and topic):
-            raise click.BadParameter(f"{text!r} is not of the form SIGNAL=/name", ctx, param)
-        pairs[key] = topic
-    return pairs
+def pairs(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, str]:
+    """SIGNAL=/name or the like, repeated, as a dictionary; the option's metavar shows the form."""
+    form = str(param.metavar)  # pyright: ignore[reportAttributeAccessIssue]
+    sign = ":=" if ":=" in form else "="
+    values = {}
+    for text in given:
+        key, found, value = text.partition(sign)
+        if not (key and found and value):
+            raise click.BadParameter(f"{text!r} is not of the form {form}", ctx, param)
+        values[key] = value
+    return values
 
 
 def in_existing_folder(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
@@ -209,7 +211,7 @@ where = bundled(
         "topics",
         metavar="SIGNAL=/name",
         multiple=True,
-        callback=_pairs,
+        callback=pairs,
         help="Read a signal of the system from another topic; repeat for more.",
     ),
     msg_path,

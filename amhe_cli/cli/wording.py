@@ -12,12 +12,14 @@ _OTHERS = {
     "seconds": "--for",
     "out": "-o",
     "logs": "LOG",
+    "meshes": "--no-meshes",
+    "packages": "--package",
 }
 _ALIKE = {
     "belief", "box", "checkpoint", "cluster", "config", "duration", "fault", "force", "held_out", "host",
-    "max_time", "method", "mode", "msg_path", "plant", "pose", "pose_host", "pose_port", "port", "report",
-    "resume", "seed", "slow", "system", "target", "task", "threads", "update_period", "video", "window",
-    "workers",
+    "max_time", "method", "mode", "msg_path", "plant", "pose", "pose_host", "pose_port", "port",
+    "report", "resume", "seed", "slow", "system", "target", "task", "threads", "update_period", "video",
+    "window", "workers",
 }  # fmt: skip
 #: Groups of settings: `logs.align=true` is --set logs.align=true.
 _GROUPS = {"boxes", "clips", "control", "cost", "go1", "identify", "logs", "mhe", "probe"}
@@ -37,4 +39,4 @@ def _option(match: re.Match[str]) -> str:
     if name not in _ALIKE and name not in _OTHERS:
         return match.group()
     option = _OTHERS.get(name) or "--" + name.replace("_", "-")
-    return option if value in (None, "True") else f"{option} {value}"
+    return option if value in (None, "True", "False") else f"{option} {value}"

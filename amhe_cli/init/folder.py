@@ -13,7 +13,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.settings import LogSettings
-from amhe_cli.init.model import add_servos, copy_model
+from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf
 from amhe_cli.init.parameters import guess_parameters
 from amhe_cli.init.signals import (
     NOISE,
@@ -35,22 +35,29 @@ from amhe_cli.system.load import FILE_NAME
 from amhe_cli.system.model_file import compiled, read_spec
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import names_of
+from amhe_cli.system.urdf import UrdfOptions, is_urdf
 
 #: Seconds of log that the noise is estimated from.
 _NOISE_SECONDS = 60.0
 
 
 def init_system(
-    model_path: Path, logs: Sequence[Path], out: Path, msg_path: Path | None = None, force: bool = False
+    model_path: Path,
+    logs: Sequence[Path],
+    out: Path,
+    msg_path: Path | None = None,
+    force: bool = False,
+    urdf: UrdfOptions | None = None,
 ) -> list[str]:
     """Write a system folder that `amhe identify` can use at once.
 
     Args:
-        model_path: MJCF or URDF; it is copied with its files.
+        model_path: MJCF, URDF or xacro; it is copied with its files.
         logs: Logs of the robot; the noise is estimated from the first one.
         out: Folder to write; it appears whole or not at all.
         msg_path: Folder of `.msg` files for types that the logs do not define.
         force: Write into a folder that is not empty.
+        urdf: How to read a URDF or xacro.
 
     Returns:
         The guesses, in sentences.
@@ -61,15 +68,16 @@ def init_system(
     """
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
-    spec = read_spec(model_path)
+    spec = read_spec(model_path, urdf)
     model = compiled(spec)
     topics = _with_tables(_topics(logs, msg_path), model)
-    urdf = model_path.suffix.lower() == ".urdf"
-    notes: list[str] = []
-    added = urdf and not model.nactuator
+    rewrite, notes = is_urdf(model_path), list[str]()
+    if rewrite:
+        notes += notes_on_urdf(spec, model) + free_root(spec, topics)
+    added = rewrite and not model.nactuator
     if added:
         notes += add_servos(spec, model, topics)
-        model = compiled(spec)
+    model = compiled(spec)
     guesses = guess_signals(model, topics)
     parameters = guess_parameters(model, guesses, guessed_gains=added)
     _refuse_nothing(model, topics, guesses, parameters)
@@ -80,7 +88,7 @@ def init_system(
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         folder = Path(scratch)
-        name = copy_model(spec, model_path, folder, rewrite=urdf)
+        name = copy_model(spec, model_path, folder, rewrite=rewrite)
         head = (name, model_path.name, [str(log) for log in logs])
         (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
         unread = _estimate_noise(folder, logs[0], guesses, topics, msg_path)

@@ -9,38 +9,80 @@ from pathlib import Path
 import mujoco
 
 from amhe_cli.init.names import is_command, matched, words
-from amhe_cli.init.signals import Topic, single_joints
+from amhe_cli.init.signals import Topic, gives_pose, guess_signals, single_joints
+from amhe_cli.system.coupled import followers
 from amhe_cli.system.export import portable
+from amhe_cli.system.model_file import compiled
 
 #: Servo that a URDF's joint gets: natural frequency [rad/s] against the joint's inertia, damping ratio.
 _SERVO = (30.0, 0.7)
 
+#: What a command topic carries -> the actuators that it needs, and what is to be corrected in them.
+_KINDS = {
+    "position": ("position servos of guessed gain", "put the data sheet's gains in their place"),
+    "velocity": ("velocity servos of guessed gain", "put the data sheet's gains in their place"),
+    "effort": ("torque motors", "correct their gains in the model"),
+}
+#: Name of the floor that a free URDF gets.
+_FLOOR = "floor"
+
+
+def notes_on_urdf(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
+    """Sentences about what MuJoCo makes of a URDF."""
+    notes = [
+        f"joint {joint} follows {leader}: it is no unknown" for joint, leader in followers(model).items()
+    ]
+    apart = len(spec.excludes)
+    if apart:
+        notes.append(f"{apart} pairs of links that are joined, or overlap at the zero pose, do not collide")
+    return notes
+
+
+def free_root(spec: mujoco.MjSpec, topics: Sequence[Topic]) -> list[str]:
+    """Let the root of a URDF move freely, above a floor, if a topic gives its pose; sentences about it."""
+    root = spec.worldbody.bodies[0] if len(spec.worldbody.bodies) == 1 else None
+    if root is None or len(root.joints):
+        return []
+    sources = [topic for topic in topics if gives_pose(topic, root.name)]
+    moving = spec.copy()
+    moving.body(root.name).add_freejoint(name=root.name)
+    guesses = guess_signals(compiled(moving), topics) if sources else []
+    source = next((guess.entry["topic"] for guess in guesses if guess.entry.get("body") == root.name), None)
+    unsaid = f"a URDF does not say whether its root moves: {root.name}"
+    if source is None:
+        return [f"{unsaid} is fixed to the world, because no topic gives its pose"]
+    root.add_freejoint(name=root.name)
+    spec.worldbody.add_geom(name=_FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+    return [f"{unsaid} is free, because {source} gives its pose; a floor at z = 0 was added"]
+
 
 def add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, topics: Sequence[Topic]) -> list[str]:
     """Give a URDF, which has no actuators, one for each joint that a command topic names."""
-    notes = ["a URDF has no actuators, and MuJoCo fixes its root to the world"]
+    notes = ["a URDF has no actuators"]
+    led = followers(model)
+    own = [name for name in single_joints(model) if name not in led]
     for topic in topics:
         if not is_command(topic.name, topic.type):
             continue
-        joints = matched({name: (name,) for name in single_joints(model)}, topic.entries)
-        if topic.type.endswith("MultiArray") and f"[{len(single_joints(model))}]" in topic.entries:
-            joints = {name: name for name in single_joints(model)}
-        torque = bool({"effort", "torque", "torques", "efforts"} & set(words(topic.name)))
+        joints = matched({name: (name,) for name in own}, topic.entries)
+        if topic.type.endswith("MultiArray") and f"[{len(own)}]" in topic.entries:
+            joints = {name: name for name in own}
+        effort = bool({"effort", "torque", "torques", "efforts"} & set(words(topic.name)))
+        kind = "effort" if effort else next((key for key in _KINDS if key in topic.quantities), "position")
         for joint in joints:
             actuator = spec.add_actuator(name=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, target=joint)
-            if torque:
-                actuator.set_to_motor()
-                continue
             frequency, ratio = _SERVO
             inertia = float(model.dof_M0[int(model.joint(joint).dofadr[0])])
             kp, kv = frequency**2 * inertia, 2.0 * ratio * frequency * inertia
-            actuator.set_to_position(kp=float(f"{kp:.3g}"), kv=float(f"{kv:.3g}"))
+            if kind == "effort":
+                actuator.set_to_motor()
+            elif kind == "velocity":
+                actuator.set_to_velocity(kv=float(f"{kv:.3g}"))
+            else:
+                actuator.set_to_position(kp=float(f"{kp:.3g}"), kv=float(f"{kv:.3g}"))
         if joints:
-            kind = "torque motors" if torque else "position servos of guessed gain"
-            better = (
-                "correct their gains in the model" if torque else "put the data sheet's gains in their place"
-            )
-            notes.append(f"{len(joints)} {kind} were added for {topic.name}: {better}")
+            added, cure = _KINDS[kind]
+            notes.append(f"{len(joints)} {added} were added for {topic.name}: {cure}")
             return notes
     return notes
 
@@ -49,11 +91,11 @@ def copy_model(spec: mujoco.MjSpec, path: Path, folder: Path, rewrite: bool) -> 
     """Copy an MJCF with its files; a URDF, or files spread over folders, are written as a new MJCF."""
     home = path.resolve().parent
     text, assets = portable(spec, path.parent)
-    named = (Path(name) for name in mujoco.mju_getXMLDependencies(str(path.resolve())))
+    named = () if rewrite else map(Path, mujoco.mju_getXMLDependencies(str(path.resolve())))
     included = [(home / name).resolve() for name in named if name.suffix == ".xml"]
     files = list(dict.fromkeys((path.resolve(), *included, *assets.values())))
     if rewrite or not all(file.is_relative_to(home) and file.is_file() for file in files):
-        (folder / "model.xml").write_text(text)
+        (folder / "model.xml").write_text(text, encoding="utf-8")
         copies = {folder / name: source for name, source in assets.items()}
     else:
         copies = {folder / file.relative_to(home): file for file in files}

@@ -10,6 +10,7 @@ import numpy as np
 
 from amhe_cli.init.names import words
 from amhe_cli.init.signals import Guess, free_bodies, joint_of
+from amhe_cli.system.coupled import followers
 from amhe_cli.system.driven import commanded
 from amhe_cli.system.targets import names_of
 
@@ -44,6 +45,7 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
     """
     moved = [name for guess in signals for name in guess.entry.get("actuators", ())]
     measured = {name for guess in signals for name in guess.entry.get("joints", ())}
+    measured -= followers(model).keys()  # what they do is decided by the joints that they follow
     joints = [j for j in dict.fromkeys(joint_of(model, name) for name in moved) if j and j in measured]
     joints = joints or sorted(measured)
     gains = [*_guessed_gains(model, moved)] if guessed_gains else []
@@ -166,6 +168,7 @@ def _guessed_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[
                 f"the servo's kv, {note}; the log shows only the sum of it and the joint's damping",
             ),
         )
+        gains = gains[:1] if commanded(model, row) == "velocity" else gains
         for kind, nominal, why in gains:
             entry = _entry(nominal, True, [{"actuator": name, "set": kind}], _GUESSED_GAIN)
             yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why)

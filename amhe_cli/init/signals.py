@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 
 from amhe_cli.init.names import is_command, matched, names_the_same, words
+from amhe_cli.system.coupled import followers
 from amhe_cli.system.driven import commanded
 from amhe_cli.system.targets import names_of
 
@@ -101,7 +102,8 @@ def guess_signals(model: mujoco.MjModel, topics: Sequence[Topic]) -> list[Guess]
 def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess]) -> list[str]:
     """Sentences about what was not found, and which topics were not used."""
     measured = {name for guess in guesses for name in guess.entry.get("joints", ())}
-    lost = [name for name in single_joints(model) if name not in measured]
+    led = {follower for follower, leader in followers(model).items() if leader in measured}
+    lost = [name for name in single_joints(model) if name not in measured | led]
     notes = [f"no topic measures joint {', '.join(lost)}: each clip starts it at zero"] if lost else []
     if not any("actuators" in guess.entry for guess in guesses):
         idle = "the actuators hold the control 0" if model.nactuator else "nothing drives the joints"
@@ -233,6 +235,14 @@ def _bodies(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
         topic, frame = chosen[0]
         poses = [pose for pose in poses if pose not in ((topic, frame), (topic, None))]
         yield _pose_guess(model, body, body in free, topic, frame, bool(named))
+
+
+def gives_pose(topic: Topic, body: str) -> bool:
+    """Whether a topic gives the pose of a body that may move: by name, or as the robot's odometry."""
+    if topic.kind not in _POSES or is_command(topic.name, topic.type) or "static" in words(topic.name):
+        return False
+    frames = topic.entries if topic.kind == "TFMessage" else (None,)
+    return topic.kind == "Odometry" or any(names_the_same(body, _pose_words(topic, one)) for one in frames)
 
 
 def _pose_words(topic: Topic, frame: str | None) -> list[str]:

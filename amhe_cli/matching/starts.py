@@ -15,6 +15,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.statistics import white_noise_sd
+from amhe_cli.system.coupled import set_followers
 from amhe_cli.system.system import Channel, System
 
 #: Smoothing fits parabolas: motion between two contacts bends, and hardly more.
@@ -43,15 +44,18 @@ def first_states(
     """
     qpos = np.tile(home, (len(windows), 1))
     qvel = np.zeros((len(windows), system.model.nv))
+    measured: set[int] = set()
     for channel in system.channels:
         if not channel.sets_state:
             continue
         columns = list(channel.columns)
         for i, window in enumerate(windows):
             if channel.source == "qpos":
+                measured.update(columns)
                 qpos[i, columns] = _position(channel, window, smoothing)
             else:
                 qvel[i, columns] = _velocity(channel, window)
+    set_followers(system.model, qpos, qvel, measured)
     return qpos, qvel
 
 

@@ -22,6 +22,7 @@ from amhe_cli.system.schema import Description, SystemEntry, robot_groups, valid
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import id_of
 from amhe_cli.system.unknowns import generalise, unknowns_of
+from amhe_cli.system.urdf import UrdfOptions, is_urdf
 
 logger = logging.getLogger(__name__)
 
@@ -90,9 +91,10 @@ def from_model(
     keyframe: str | None = None,
     name: str | None = None,
     warn: bool = True,
+    urdf: UrdfOptions | None = None,
 ) -> System:
     """See `System.from_model`."""
-    spec = spec_of(model)
+    spec = spec_of(model, urdf)
     own = Path(model).stem if isinstance(model, str | Path) else spec.modelname
     arguments = Arguments(
         {
@@ -269,7 +271,8 @@ def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | Non
     try:
         spec = read_spec(path)
     except ConfigError as error:
-        file.problem(("model",), str(error))
+        elsewhere = " (options of `amhe init`, which copies a model with its meshes)" if is_urdf(path) else ""
+        file.problem(("model",), f"{error}{elsewhere}")
         return None
     try:
         resize_boxes(spec, entry.boxes)

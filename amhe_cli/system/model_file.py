@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -14,24 +14,74 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.system.urdf import UrdfOptions, is_urdf, urdf_text
 
 logger = logging.getLogger(__name__)
 
+#: Least half edge of a box in place of a mesh [m].
+_THIN = 1e-3
 
-def read_spec(path: Path) -> mujoco.MjSpec:
+
+def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
     """Read a model file; the fixed links of a URDF stay bodies that parameters can name.
 
+    Args:
+        path: MJCF, URDF or xacro.
+        urdf: How to read a URDF; None: with its meshes, and packages in the folders above it.
+
     Raises:
-        ConfigError: MuJoCo cannot read it.
+        ConfigError: MuJoCo cannot read it, or a mesh of a URDF is missing.
     """
-    with _in_our_words(f"MuJoCo cannot read {path.name!r}"):
-        spec = mujoco.MjSpec.from_file(str(path.absolute()))  # its meshes are found from any folder
-    if path.suffix.lower() == ".urdf":
-        spec.compiler.fusestatic = False
+    reading = _in_our_words(f"MuJoCo cannot read {path.name!r}")
+    if not is_urdf(path):
+        with reading:
+            return mujoco.MjSpec.from_file(str(path.absolute()))  # its meshes are found from any folder
+    text, bare = urdf_text(path, urdf or UrdfOptions())
+    with reading:
+        spec = mujoco.MjSpec.from_string(text)
+    spec.compiler.fusestatic = False
+    for mesh in spec.meshes:
+        mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX  # meshes of ROS are seldom closed
+    if bare:
+        _add_boxes(spec, bare)
+    _exclude_overlaps(spec, path.name)
     return spec
 
 
-def spec_of(model: mujoco.MjModel | mujoco.MjSpec | str | Path) -> mujoco.MjSpec:
+def _add_boxes(spec: mujoco.MjSpec, links: Sequence[str]) -> None:
+    """Give links without a shape boxes of their mass and inertia, which do not collide with each other."""
+    model = compiled(spec.copy())
+    for body in (body for body in spec.bodies if body.name in links):
+        row = model.body(body.name)
+        mass, inertia = float(row.mass[0]), np.asarray(row.inertia)
+        if mass > 0.0:
+            # a solid cuboid with half edges h has the moments m / 3 (|h|^2 - h_i^2)
+            half = np.sqrt(np.maximum(1.5 / mass * (inertia.sum() - 2.0 * inertia), _THIN**2))
+            box = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, contype=1, conaffinity=0)
+            box.pos, box.quat = row.ipos, row.iquat
+
+
+def _exclude_overlaps(spec: mujoco.MjSpec, name: str) -> None:
+    """Let links of a URDF that are joined, or that overlap at its zero pose, not collide.
+
+    Shapes in a URDF are rough, and ROS keeps such pairs in a file of its own (SRDF). MuJoCo itself leaves out
+    joined links only where neither of them is fixed to the world.
+    """
+    model = compiled(spec, repr(name))
+    data = mujoco.MjData(model)
+    mujoco.mj_fwdPosition(model, data)
+    pairs = {tuple(sorted(map(int, model.geom_bodyid[contact.geom]))) for contact in data.contact}
+    weld = model.body_weldid
+    bodies = [int(row) for row in np.unique(model.geom_bodyid[model.geom_contype != 0])]
+    fixed = [row for row in bodies if row and not weld[row]]
+    joined = [row for row in bodies if weld[row] and not weld[model.body_parentid[weld[row]]]]
+    for one, other in sorted(pairs | {(a, b) for a in fixed for b in joined}):
+        spec.add_exclude(bodyname1=model.body(one).name, bodyname2=model.body(other).name)
+
+
+def spec_of(
+    model: mujoco.MjModel | mujoco.MjSpec | str | Path, urdf: UrdfOptions | None = None
+) -> mujoco.MjSpec:
     """A spec of a model that the caller may change: read from its MJCF or URDF file, or copied.
 
     MuJoCo keeps the source of a compiled model only of the XML that was loaded last; the numbers of such a
@@ -46,7 +96,7 @@ def spec_of(model: mujoco.MjModel | mujoco.MjSpec | str | Path) -> mujoco.MjSpec
         return model.copy()
     if not Path(model).is_file():
         raise ConfigError(f"`model`: there is no file {str(model)!r}; give an MJCF or a URDF")
-    return read_spec(Path(model))
+    return read_spec(Path(model), urdf)
 
 
 #: Sources of compiled models that were given before: MuJoCo has lost them as soon as it loads another model.

@@ -139,26 +139,33 @@ class System:
         settings: Mapping[str, Any] | Settings | None = None,
         keyframe: str | None = None,
         name: str | None = None,
+        packages: Mapping[str, str | Path] | None = None,
+        meshes: bool = True,
         warn: bool = True,
     ) -> System:
         """Make a system from a MuJoCo model and plain dictionaries; no folder and no YAML is needed.
 
         Args:
-            model: Path of an MJCF or URDF file, or an MjSpec, which is copied. An MjModel is taken while
-                MuJoCo still has its source: it must be the last that was loaded from XML.
+            model: Path of an MJCF, URDF or xacro file, or an MjSpec, which is copied. An MjModel is taken
+                while MuJoCo still has its source: it must be the last that was loaded from XML.
             parameters: Name -> entry with the keys that `parameters` has in `system.yaml`.
             signals: Name -> entry likewise; `topic` may be left out.
             settings: Nested settings over the defaults.
             keyframe: Name of the keyframe that holds the state of everything that no signal gives.
             name: Name of the system; None: that of the model.
+            packages: Folders of the ROS packages that a URDF's meshes lie in, by name; others are looked for
+                in the folders above the URDF.
+            meshes: Use the meshes of a URDF; else boxes of the same mass and inertia take their place.
             warn: Log what is allowed but will not do what it seems to.
 
         Raises:
             ConfigError: One line for each mistake, `path.of.the.key: what, what would be valid`.
         """
         from amhe_cli.system.load import from_model
+        from amhe_cli.system.urdf import UrdfOptions
 
-        return from_model(model, parameters, signals, settings, keyframe, name, warn)
+        urdf = UrdfOptions(packages or {}, meshes)
+        return from_model(model, parameters, signals, settings, keyframe, name, warn, urdf)
 
     def __repr__(self) -> str:
         signals = ", ".join(signal.name for signal in self.signals)

@@ -15,6 +15,7 @@ import mujoco
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES, Signal
+from amhe_cli.system.coupled import couplings
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import Channel, Input
 from amhe_cli.system.targets import id_of
@@ -71,11 +72,12 @@ class WiringDraft:
         return any(delayed for _, _, _, delayed in self.driven)
 
     def unset_joints(self) -> list[str]:
-        """Joints whose state no signal gives."""
+        """Joints whose state no signal gives, neither directly nor by a joint that they follow."""
+        led = {c.follower for c in couplings(self.model) if c.leader in self.joints_set}
         return [
             self.model.joint(row).name or f"number {row}"
             for row in range(self.model.njnt)
-            if row not in self.joints_set
+            if row not in self.joints_set | led
         ]
 
     def site_on(self, body: str) -> str:

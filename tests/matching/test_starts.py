@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
@@ -69,5 +70,27 @@ def test_the_slope_of_an_orientation_is_the_rate_in_the_bodys_own_frame(cart, dr
     assert first_states(wide, [window], HOME, 0.0)[1][0] == pytest.approx(rate, abs=1e-4)
 
 
+def test_a_joint_that_follows_another_starts_where_that_one_demands_it() -> None:
+    finger = "<body><joint name='{0}' type='slide'/><geom size='0.1'/></body>"
+    system = System.from_model(
+        mujoco.MjSpec.from_string(
+            f"<mujoco><worldbody>{finger.format('left')}{finger.format('right')}</worldbody><equality>"
+            "<joint joint1='right' joint2='left' polycoef='0.01 -0.5 0 0 0'/></equality></mujoco>"
+        ),
+        parameters={"damping": {"nominal": 1.0, "targets": [{"joint": "left", "set": "damping"}]}},
+        signals={"hand": {"joints": ["left"], "noise": {"position": 0.001, "velocity": 0.1}}},
+    )
+    ones = np.ones(2, dtype=bool)
+    series = {
+        "hand.position": Series(np.full((2, 1), 0.04), ones, ones, ("left",)),
+        "hand.velocity": Series(np.full((2, 1), 0.2), ones, ones, ("left",)),
+    }
+    window = Window(Log(system.dt, series, "a gripper"), 0, 1)
+    qpos, qvel = first_states(system, [window], np.zeros(2), 0.0)
+    np.testing.assert_allclose(qpos, [[0.04, 0.01 - 0.5 * 0.04]])
+    np.testing.assert_allclose(qvel, [[0.2, -0.1]])
+
+
 class _WithThree:
     nv = 3
+    eq_type = eq_active0 = eq_obj2id = np.empty(0)

@@ -1,0 +1,242 @@
+"""URDF as ROS writes it, xacro included, as text that MuJoCo reads.
+
+MuJoCo reads links, joints, limits, `<dynamics>` and `<mimic>` by itself, but it knows no packages: it looks
+for a mesh by its base name only, beside the file. Here each mesh gets its absolute path.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stderr
+from dataclasses import dataclass, field
+from io import StringIO
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+from urllib.parse import unquote
+from xml.etree import ElementTree
+
+import numpy as np
+
+from amhe_cli.core.errors import ConfigError
+
+logger = logging.getLogger(__name__)
+
+#: Formats of meshes that MuJoCo reads.
+_FORMATS = (".stl", ".obj", ".msh")
+#: Attributes of <inertia>, and their places in the matrix.
+_INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+#: The module that xacro asks for the folder of a package; it comes with ROS.
+_AMENT = "ament_index_python"
+
+
+@dataclass(frozen=True, slots=True)
+class UrdfOptions:
+    """How to read a URDF.
+
+    Args:
+        packages: Folders of ROS packages by name. Others are looked for above the URDF: folders of that
+            name, or whose package.xml has it.
+        meshes: Whether links keep their meshes.
+        xacro_args: Arguments of a xacro file.
+    """
+
+    packages: Mapping[str, str | Path] = field(default_factory=dict)
+    meshes: bool = True
+    xacro_args: Mapping[str, str] = field(default_factory=dict)
+
+
+def is_urdf(path: Path) -> bool:
+    """Whether a model file is a URDF, or a xacro file of one."""
+    return path.suffix.lower() in (".urdf", ".xacro")
+
+
+def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
+    """Text of a URDF that MuJoCo reads, and the links whose shapes were all left out with the meshes.
+
+    Raises:
+        ConfigError: It is no XML, xacro fails, or a mesh is missing or of a kind that MuJoCo cannot read.
+    """
+    source = _expanded(path, options) if path.suffix.lower() == ".xacro" else path.read_bytes()
+    try:
+        parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
+        root = ElementTree.fromstring(source, parser)
+    except ElementTree.ParseError as error:
+        raise ConfigError(f"{path}: not a URDF: {error}") from None
+    compiler = _compiler(root)
+    folder = path.absolute().parent
+    places = _Places(folder, folder / compiler.pop("meshdir", ""), options.packages)
+    compiler["strippath"] = "false"
+    bare: list[str] = []
+    for link in root.iter("link"):
+        before = link.find("collision")
+        # MuJoCo leaves visual shapes out, unless the file demands them
+        shapes = link.findall("collision") + link.findall("visual") * (
+            compiler.get("discardvisual") == "false"
+        )
+        for shape in shapes:
+            mesh = shape.find("geometry/mesh")
+            if mesh is not None and options.meshes:
+                mesh.set("filename", str(places.mesh(mesh.get("filename", ""), path)))
+            elif mesh is not None:
+                link.remove(shape)
+        if before is not None and link.find("collision") is None:
+            bare.append(link.get("name", ""))
+    mended = [link.get("name", "") for link in root.iter("link") if _mended(link)]
+    if mended:
+        logger.warning(
+            "%s: no body has the inertia of link %s; the nearest possible one is used",
+            path,
+            ", ".join(mended),
+        )
+    return ElementTree.tostring(root, encoding="unicode"), bare
+
+
+def _mended(link: ElementTree.Element) -> bool:
+    """Replace an inertia that no body can have, which MuJoCo refuses; whether that matters.
+
+    The second moments of a body's mass along its principal axes are not negative: those of tr(I) / 2 - I.
+    They are raised to those of a small cube.
+    """
+    element, weight = link.find("inertial/inertia"), link.find("inertial/mass")
+    if element is None or weight is None:
+        return False
+    mass, inertia = float(weight.get("value", 0.0)), np.zeros((3, 3))
+    for name, (row, column) in _INERTIA.items():
+        inertia[row, column] = inertia[column, row] = float(element.get(name, 0.0))
+    moments, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    if moments[0] > 1e-9 * moments[2]:
+        return False
+    raised = np.maximum(moments, max(1e-6 * mass, 1e-12)) if mass > 0.0 else np.zeros(3)
+    inertia = raised.sum() * np.eye(3) - (axes * raised) @ axes.T
+    for name, place in _INERTIA.items():
+        element.set(name, repr(float(inertia[place])))
+    return mass > 1e-3 and bool(moments[0] < -1e-3 * np.abs(moments).max())
+
+
+def _compiler(root: ElementTree.Element) -> dict[str, str]:
+    """Attributes of MuJoCo's compiler in a URDF: <mujoco><compiler/></mujoco>, added if missing."""
+    for tag in ("mujoco", "compiler"):
+        inner = root.find(tag)
+        root = ElementTree.SubElement(root, tag) if inner is None else inner
+    return root.attrib
+
+
+@dataclass(frozen=True, slots=True)
+class _Places:
+    """Where a URDF's files may lie.
+
+    Args:
+        folder: Folder of the URDF.
+        meshdir: Folder that the URDF names for MuJoCo.
+        packages: See `UrdfOptions`.
+    """
+
+    folder: Path
+    meshdir: Path
+    packages: Mapping[str, str | Path]
+
+    def mesh(self, uri: str, urdf: Path) -> Path:
+        """Path of a mesh file that exists and that MuJoCo can read."""
+        scheme, _, rest = uri.replace("\\", "/").rpartition("://")
+        rest = unquote(rest) if scheme else rest
+        candidates, cure = [self.folder / rest, self.meshdir / rest], "correct its path"
+        if scheme in ("package", "model"):
+            package, _, inner = rest.lstrip("/").partition("/")
+            candidates = [home / inner for home in self.homes(package)]
+            cure = f"give the folder of package {package!r} in `packages`"
+        candidates.append(self.meshdir / Path(rest).name)  # the only place where MuJoCo would look
+        found = next((place for place in candidates if place.is_file()), None)
+        problem = f"mesh {uri!r} is not there"
+        if found is not None:
+            problem, cure = _unreadable(found), "convert it"
+            if not problem:
+                return found.resolve()
+            problem = f"mesh {uri!r} is {problem}, which MuJoCo cannot read"
+        raise ConfigError(f"{urdf}: {problem}; {cure}, or give `meshes=False` to do without meshes")
+
+    def homes(self, package: str) -> list[Path]:
+        """Folders that may be a package, the likeliest first."""
+        if package in self.packages:
+            return [Path(self.packages[package])]
+        above = (self.folder, *self.folder.parents)
+        around = (place for home in above for place in (home, home / package))
+        return [place for place in around if _is_package(place, package)]
+
+
+def _unreadable(mesh: Path) -> str:
+    """What a mesh file is, if MuJoCo cannot read it; else nothing."""
+    kind = mesh.suffix.lower()
+    if kind not in _FORMATS:
+        return f"a {kind or 'nameless'} file"
+    if kind == ".stl":
+        with mesh.open("rb") as file:
+            head = file.read(1024)
+        if head.lstrip().startswith(b"solid") and b"facet" in head:  # binary ones may begin with "solid" too
+            return "an STL file of text"
+    return ""
+
+
+def _is_package(folder: Path, name: str) -> bool:
+    manifest = folder / "package.xml"
+    if not manifest.is_file():
+        return folder.name == name and folder.is_dir()
+    try:
+        return ElementTree.parse(manifest).findtext("name", "").strip() == name or folder.name == name
+    except ElementTree.ParseError:
+        return folder.name == name
+
+
+def _expanded(path: Path, options: UrdfOptions) -> str:
+    """A xacro file with its macros expanded.
+
+    Raises:
+        ConfigError: xacro is not installed, or it refuses the file.
+    """
+    try:
+        import xacro
+    except ImportError:
+        raise ConfigError(
+            f"{path}: a xacro file needs the package xacro: pip install 'amhe[robots]'; or write the URDF "
+            "with ROS's own: xacro FILE > robot.urdf"
+        ) from None
+    folder, said = path.absolute().parent, StringIO()
+    places = _Places(folder, folder, options.packages)
+    with _packages_of(places), redirect_stderr(said):
+        try:
+            document: Any = xacro.process_file(str(path.absolute()), mappings=dict(options.xacro_args))
+        except Exception as error:  # xacro evaluates Python of the file, which raises anything
+            cause: Any = error
+            while getattr(cause, "exc", None):  # xacro's own, with macros and files about the cause
+                cause = cause.exc
+            raise ConfigError(f"{path}: xacro: {' '.join(str(cause).split()) or repr(cause)}") from None
+    for line in said.getvalue().splitlines():
+        logger.warning("xacro: %s", line)
+    return document.toxml()
+
+
+@contextmanager
+def _packages_of(places: _Places) -> Iterator[None]:
+    """Answer xacro's $(find NAME) by our own search: it imports a module of ROS for that."""
+
+    def share(name: str) -> str:
+        homes = places.homes(name)
+        if not homes:
+            raise ConfigError(f"no package {name!r} is known: give its folder in `packages`")
+        return str(homes[0])
+
+    ours, packages = ModuleType(_AMENT), ModuleType(f"{_AMENT}.packages")
+    packages.get_package_share_directory = share  # type: ignore[attr-defined]
+    names = {_AMENT: ours, f"{_AMENT}.packages": packages}
+    before = {name: sys.modules.get(name) for name in names}
+    sys.modules.update(names)
+    try:
+        yield
+    finally:
+        for name, module in before.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
