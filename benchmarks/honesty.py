@@ -1,0 +1,124 @@
+"""Can the word "identified" be believed where the model is wrong?
+
+    python benchmarks/honesty.py [--seeds 20] [--problems gain,limit] [--workers 2] [--quick]
+
+Each problem of `plants.py` is identified twice for each seed: as a twin, whose plant is the model at other
+parameters, and wrong, where the plant has what the model lacks. Every parameter is one that the twin's logs
+determine. Of the parameters called identified in the wrong ones, at most 12 % may lie outside their 90 %
+interval; in the twins at least 90 % must be called identified, and 86 to 94 % of the intervals must hold.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import re
+import time
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+from common import over_seeds, show
+from plants import PROBLEMS
+
+import amhe_cli as amhe
+
+OUTSIDE_GOAL, IDENTIFIED_GOAL, COVERAGE_GOAL = 0.12, 0.90, (0.86, 0.94)
+TWIN, WRONG = "twin", "wrong"
+NAMES = tuple(PROBLEMS)
+
+
+def place(name: str, kind: str, seed: int) -> int:
+    """The number of a trial, by which its result is found again."""
+    return (seed * len(NAMES) + NAMES.index(name)) * 2 + (kind == WRONG)
+
+
+def trial(number: int) -> dict[str, Any]:
+    """Identify one log, as a user would."""
+    logging.disable(logging.WARNING)
+    number, wrong = divmod(number, 2)
+    seed, index = divmod(number, len(NAMES))
+    made = PROBLEMS[NAMES[index]].case(NAMES[index], seed, bool(wrong))
+    began = time.process_time()
+    result = amhe.identify(made.system, made.logs, seed=seed, threads=1)
+    return {
+        "problem": NAMES[index],
+        "kind": WRONG if wrong else TWIN,
+        "cpu_seconds": time.process_time() - began,
+        "parameters": [
+            {
+                "name": p.name, "truth": made.truth[p.name], "estimate": p.estimate, "sd": p.sd,
+                "held": bool(p.lower <= made.truth[p.name] <= p.upper),
+                "verdict": p.verdict, "reasons": p.reasons,
+            }
+            for p in result.parameters.values()
+        ],
+        "noise_scale": dict(result.found.noise_scale),
+        "warnings": result.warnings,
+    }  # fmt: skip
+
+
+def row(label: str, kind: str, trials: Sequence[dict[str, Any]]) -> tuple[str, ...]:
+    """One line of the table, over the parameters of some trials."""
+    parameters = [p for one in trials for p in one["parameters"]]
+    identified = [p for p in parameters if p["verdict"] == "identified"]
+    outside = [p for p in identified if not p["held"]]
+    held = [p for p in parameters if p["held"]]
+    others = Counter(p["verdict"] for p in parameters if p["verdict"] != "identified")
+    seconds = sorted(one["cpu_seconds"] for one in trials)
+    return (
+        label,
+        kind,
+        f"{len(identified) / len(parameters):.0%}",
+        f"{len(outside)} of {len(identified)}"
+        + (f", {len(outside) / len(identified):.0%}" if identified else ""),
+        f"{len(held) / len(parameters):.0%}",
+        ", ".join(f"{verdict} {count}" for verdict, count in others.most_common()),
+        f"{seconds[len(seconds) // 2]:.1f} s",
+    )
+
+
+def reasons(trials: Sequence[dict[str, Any]]) -> str:
+    """The most frequent reasons of verdicts other than identified, without their numbers."""
+    texts = (r for t in trials for p in t["parameters"] if p["verdict"] != "identified" for r in p["reasons"])
+    counted = Counter(re.sub(r"[-+]?\d+(\.\d+)?(e-?\d+)?", "..", text) for text in texts)
+    return "; ".join(f"{count} x {text}" for text, count in counted.most_common(3))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--problems", default=",".join(NAMES), help="names, with commas between")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--quick", action="store_true", help="one seed")
+    given = parser.parse_args()
+    problems = given.problems.split(",")
+    if unknown := set(problems) - set(NAMES):
+        parser.error(f"no problem {', '.join(sorted(unknown))}; there is: {', '.join(NAMES)}")
+    numbers = [
+        place(name, kind, seed)
+        for seed in range(1 if given.quick else given.seeds)
+        for name in problems
+        for kind in (TWIN, WRONG)
+    ]
+    done = over_seeds("honesty", trial, numbers, given.workers)
+    lines = []
+    for kind in (TWIN, WRONG):
+        lines += [row(n, kind, [t for t in done if (t["problem"], t["kind"]) == (n, kind)]) for n in problems]
+        lines.append(row("all", kind, [t for t in done if t["kind"] == kind]))
+    goals = (
+        f"goals: outside at most {OUTSIDE_GOAL:.0%} in wrong ones; twins {IDENTIFIED_GOAL:.0%} identified, "
+        f"{COVERAGE_GOAL[0]:.0%} to {COVERAGE_GOAL[1]:.0%} of their intervals hold"
+    )
+    show(
+        f"Verdicts over {len(done) // len(problems) // 2} seeds ({goals})",
+        ("problem", "", "identified", "of these outside", "intervals hold", "other verdicts", "CPU"),
+        lines,
+    )
+    for name in problems:
+        found = reasons([t for t in done if (t["problem"], t["kind"]) == (name, WRONG)])
+        print(f"{name} ({PROBLEMS[name].lacks}): {found or 'no reasons'}")
+
+
+if __name__ == "__main__":
+    main()

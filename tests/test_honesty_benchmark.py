@@ -1,0 +1,51 @@
+"""The benchmark of the verdicts, end to end: one twin, and one wrong model."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def honesty(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script as a module."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
+    monkeypatch.delitem(sys.modules, "honesty", raising=False)
+    import honesty  # pyright: ignore[reportMissingImports]
+
+    return honesty
+
+
+def test_twin_is_identified_and_counted(honesty: ModuleType) -> None:
+    found = honesty.trial(honesty.place("rotors", "twin", 0))
+    assert (found["problem"], found["kind"]) == ("rotors", "twin")
+    assert {p["verdict"] for p in found["parameters"]} == {"identified"}
+    held = sum(p["held"] for p in found["parameters"])
+    assert all(p["held"] == (abs(p["estimate"] - p["truth"]) < 1.8 * p["sd"]) for p in found["parameters"])
+    line = honesty.row("rotors", "twin", [found])
+    assert line[2:5] == ("100%", f"{3 - held} of 3, {(3 - held) / 3:.0%}", f"{held / 3:.0%}")
+
+
+def test_wrong_model_is_not_identified_and_gives_reasons(honesty: ModuleType) -> None:
+    found = honesty.trial(honesty.place("servo_off", "wrong", 0))
+    assert (found["problem"], found["kind"]) == ("servo_off", "wrong")
+    line = honesty.row("servo_off", "wrong", [found])
+    assert line[2] == "0%"
+    assert "model-sensitive" in line[5]
+    assert "times its noise" in honesty.reasons([found])
+
+
+def test_twins_and_wrong_plants_differ_in_what_the_model_lacks(honesty: ModuleType) -> None:
+    from plants import PROBLEMS  # pyright: ignore[reportMissingImports]
+
+    problem = PROBLEMS["gain"]
+    twin, again, wrong = (
+        problem.robot(np.random.default_rng(1), name).logs[0]["joints.position"].values
+        for name in (None, None, "gain")
+    )
+    assert np.array_equal(twin, again)
+    assert np.abs(twin - wrong).max() > 0.05
