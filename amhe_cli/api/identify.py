@@ -16,12 +16,14 @@ from typing import TYPE_CHECKING, Any
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.belief_file import belief_for
+from amhe_cli.core.each_log import check_logs
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.offline import identification
 from amhe_cli.estimation.offline.result import Fit, Identification, Iteration, ParameterResult
+from amhe_cli.estimation.offline.shared import about
 from amhe_cli.logs.truth import truth_in_metadata
 from amhe_cli.system.provenance import provenance
 from amhe_cli.system.system import System
@@ -61,8 +63,12 @@ class Result:
 
     @property
     def belief(self) -> Belief:
-        """Estimate and covariance; it can be saved, sampled, and given to `identify` as a prior."""
-        return self.found.belief
+        """Estimate and covariance; it can be saved, sampled, and given to `identify` as a prior.
+
+        Where logs had values of their own, it is about the value of the next log: their common mean, with
+        their spread in its sd. A parameter that every log knew is not in it.
+        """
+        return about(self.found.belief, self.system.space.names)
 
     @property
     def fits(self) -> tuple[Fit, ...]:
@@ -76,7 +82,7 @@ class Result:
 
     def model(self) -> mujoco.MjModel:
         """A MuJoCo model with the identified values; sensors that amhe needed are in it too."""
-        return self.system.edits.apply(self.system.model, self.belief.estimate)
+        return self.system.edits.apply(self.system.model, self.system.space.with_prior(self.belief).nominal)
 
     def record(self) -> dict[str, Any]:
         """The keys of an identification in result.json."""
@@ -126,7 +132,7 @@ class Result:
         from amhe_cli.report.identification import write_identification
 
         origin = provenance(command, self.seed, self.found.method, self.system, logs, held_out)
-        write_identification(folder, self.system, self.found, record, origin)
+        write_identification(folder, self.system, self.found, self.belief, record, origin)
 
     def __repr__(self) -> str:
         verdicts = ", ".join(f"{p.name} {p.estimate:.4g} ({p.verdict})" for p in self.parameters.values())
@@ -168,8 +174,9 @@ def identify(
 
     Args:
         system: Model, parameters, signals and settings.
-        logs: The logs to fit, read for this system.
-        held_out: Logs that are only used to validate; None: a share of the fitted logs' time is held out.
+        logs: The logs to fit, read for this system; those that are `held_out` validate.
+        held_out: More logs that are only used to validate. Where there are none, a share of the fitted
+            logs' time is held out.
         prior: A belief, or the path of a belief.yaml, to start from in place of the system's own prior.
         method: 'linearised', or 'cmaes'.
         seed: Seed of the random numbers.
@@ -187,13 +194,16 @@ def identify(
     """
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"max_time": max_time}, files={"checkpoint": checkpoint})
-    fitted = _logs(system, logs, "logs")
-    validation = () if held_out is None else _logs(system, held_out, "held_out")
+    given = _logs(system, logs, "logs")
+    fitted = tuple(log for log in given if not log.held_out)
+    validation = tuple(log for log in given if log.held_out)
+    validation += () if held_out is None else _logs(system, held_out, "held_out")
     if not fitted:
         raise ConfigError("`logs`: there is none; give a log or several")
     for log in validation:
-        if any(log is other or _same_file(log, other) for other in fitted):
+        if any(log is other or _same_data(log, other) for other in fitted):
             raise ConfigError(f"`held_out`: {log.source} is fitted too; validation needs a log of its own")
+    check_logs(fitted, validation, system.space)
     options = identification.IdentifyOptions(
         method=method,
         seed=seed,
@@ -225,10 +235,12 @@ def _logs(system: System, given: Log | Sequence[Log], argument: str) -> tuple[Lo
     return logs
 
 
-def _same_file(one: Log, other: Log) -> bool:
-    if one.file is None or other.file is None:
+def _same_data(one: Log, other: Log) -> bool:
+    """Whether two logs are of one file, and overlap in time."""
+    if one.file is None or other.file is None or one.file.resolve() != other.file.resolve():
         return False
-    return one.file.resolve() == other.file.resolve()
+    ends = (log.start_ns + 1e9 * log.duration for log in (one, other))
+    return max(one.start_ns, other.start_ns) < min(ends)
 
 
 @contextmanager

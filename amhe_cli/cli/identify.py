@@ -81,14 +81,15 @@ def identify(
 ) -> None:
     """Find the parameters that make the simulation follow LOG...
 
-    A LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog
-    or a LeRobot dataset: see docs/logs.md. Writes belief.yaml, identified.xml, result.json and report.html.
+    A LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog,
+    a LeRobot dataset, or a YAML file that lists logs and what is known of each: see docs/logs.md. Writes
+    belief.yaml, identified.xml, result.json and report.html.
     """
     from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress
     from amhe_cli.core.executors import executor_of
     from amhe_cli.core.parameters import Belief
-    from amhe_cli.logs import read_log
+    from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
     from amhe_cli.report.identification import print_identification
 
@@ -107,7 +108,8 @@ def identify(
         )  # fmt: skip
     session.interrupted = result.found.interrupted
     record = session.record(**result.record(), out=str(folder))
-    result.write(folder, record, session.command_line, logs, held_out)
+    read = [*logs, *(one.path for path in logs for one in members(path))]
+    result.write(folder, record, session.command_line, read, held_out)
     if session.json:
         session.print_json(record)
     else:

@@ -57,7 +57,7 @@ class Inputs:
             folder = find_system(self.system)
         else:
             folder = _folder_named_by(logs)
-            for path in logs:
+            for path in _files(logs):
                 own = merged(own, _own_settings(path))
         settings, schema = (overrides or Overrides({}, {})).suited(folder, own)
         return System.load(folder, settings, schema=schema).reading(self.topics)
@@ -94,7 +94,14 @@ def _systems_of(logs: Sequence[Path]) -> dict[Path, str]:
     """The system that each log names, if it names one."""
     from amhe_cli.logs import read_metadata
 
-    return {path: str(name) for path in logs if (name := read_metadata(path).get("system"))}
+    return {path: str(name) for path in _files(logs) if (name := read_metadata(path).get("system"))}
+
+
+def _files(logs: Sequence[Path]) -> list[Path]:
+    """The logs, each data set file replaced by its logs."""
+    from amhe_cli.logs import members
+
+    return [one.path for path in logs for one in members(path)]
 
 
 def _own_settings(path: Path) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.logs import Inspection
+    from amhe_cli.logs.data_set import Member
 
 
 @click.command(cls=options.Command, short_help="What is in a log, and what a system lacks in it.")
@@ -31,10 +32,11 @@ def inspect(
 
     With a system, named by --system or by the log itself, also what it needs and what is missing.
     """
+    from amhe_cli.logs import members
     from amhe_cli.report.inspection import inspection_record, losses, print_inspection
 
     session.hush_mujoco()
-    found = [_inspection(path, inputs) for path in logs]
+    found = [_inspection(one, inputs) for path in logs for one in members(path)]
     session.warnings += [text for one in found for text in losses(one)]
     if session.json:
         session.print_json(session.record(logs=[inspection_record(one) for one in found]))
@@ -43,14 +45,16 @@ def inspect(
         print_inspection(one, session.console())
 
 
-def _inspection(path: Path, inputs: Inputs) -> Inspection:
+def _inspection(log: Member, inputs: Inputs) -> Inspection:
     """Look through a log, and check it for the system that the user or the log names, if any."""
     from amhe_cli.core.errors import ConfigError
     from amhe_cli.logs import inspect_log, read_metadata
 
+    path = log.path
     if inputs.system or read_metadata(path).get("system"):
-        system = inputs.open([path])
-        return inspect_log(path, system, start=inputs.start, end=inputs.end, msg_path=inputs.msg_path)
+        system = inputs.open([path]).reading(log.topics)
+        start, end = log.start or inputs.start, log.end or inputs.end
+        return inspect_log(path, system, start=start, end=end, msg_path=inputs.msg_path)
     if inputs.topics or inputs.start is not None or inputs.end is not None:
         raise ConfigError("--topic, --from and --to are about a system's signals: name it with --system")
     return inspect_log(path, msg_path=inputs.msg_path)

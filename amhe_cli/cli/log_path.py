@@ -57,10 +57,14 @@ def episodes(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...]
 
 
 def one_episode(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
-    """A single log: of a LeRobot dataset, one episode."""
+    """A single log: of a LeRobot dataset, one episode; a data set file of one log."""
     found = () if path is None else episodes(ctx, param, (path,))
     if len(found) > 1:
         raise click.BadParameter(f"{path} holds several episodes; name one, such as {found[0]}", ctx, param)
+    if found and found[0].suffix in (".yaml", ".yml"):
+        from amhe_cli.logs import only_member
+
+        only_member(found[0])
     return found[0] if found else None
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -55,6 +55,10 @@ class Log:
         start_ns: Stamp of row 0 [ns].
         metadata: Metadata of the log (its `amhe` metadata record): system, truth, seed.
         file: File or folder that the log was read from; None: it was made in memory.
+        known: Values of parameters [SI] that are known for this log, and not searched in it.
+        own: Parameters of which this log has a value of its own -> whose it is: logs that name the same
+            owner share one value; '' stands for the log itself.
+        held_out: The log is only used to validate.
     """
 
     dt: float
@@ -63,10 +67,13 @@ class Log:
     start_ns: int = 0
     metadata: Mapping[str, str] = field(default_factory=dict)
     file: Path | None = None
+    known: Mapping[str, float] = field(default_factory=dict)
+    own: Mapping[str, str] = field(default_factory=dict)
+    held_out: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "series", MappingProxyType(dict(self.series)))
-        object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
+        for name in ("series", "metadata", "known", "own"):
+            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:
         columns = ", ".join(f"{key} ({one.values.shape[1]})" for key, one in self.series.items())
@@ -74,7 +81,10 @@ class Log:
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle as plain values: windows go to an estimator's process, and mapping proxies cannot."""
-        return Log, (self.dt, dict(self.series), self.source, self.start_ns, dict(self.metadata), self.file)
+        plain = (
+            dict(v) if isinstance(v := getattr(self, f), MappingProxyType) else v for f in self.__slots__
+        )
+        return Log, tuple(plain)
 
     @classmethod
     def from_arrays(
@@ -102,6 +112,27 @@ class Log:
 
         return log_from_arrays(arrays, system, name)
 
+    def with_(
+        self,
+        *,
+        known: Mapping[str, float] | None = None,
+        own: Iterable[str] | Mapping[str, str] | None = None,
+        held_out: bool | None = None,
+    ) -> Log:
+        """The same log with more said about it; what is not given stays.
+
+        Args:
+            known: Parameter -> its value [SI] in this log, where that is known.
+            own: Parameters of which this log has a value of its own, around a common mean. With a mapping
+                from parameters to owners, such as `{"friction": "robot A"}`, the logs of one owner share
+                one value.
+            held_out: Use the log only to validate.
+        """
+        if own is not None and not isinstance(own, Mapping):
+            own = dict.fromkeys(own, "")
+        given = {"known": known, "own": own, "held_out": held_out}
+        return replace(self, **{name: value for name, value in given.items() if value is not None})
+
     @property
     def steps(self) -> int:
         """Number of rows T."""
@@ -122,6 +153,8 @@ class Log:
     def digest(self) -> str:
         """Hash (SHA-256) of all that was measured."""
         content = hashlib.sha256(f"{self.dt} {self.start_ns}".encode())
+        if self.known or self.own:
+            content.update(repr((sorted(self.known.items()), sorted(self.own.items()))).encode())
         for key, one in sorted(self.series.items()):
             content.update(key.encode())
             for array in (one.values, one.valid, one.sampled):

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.parameters import Described
 
 if TYPE_CHECKING:
     from amhe_cli.core.settings import Settings
@@ -69,13 +70,8 @@ class Signal:
         return f"{self.name}.{quantity}"
 
 
-class Measured(Protocol):
+class Measured(Described, Protocol):
     """What a log is read for: a system."""
-
-    @property
-    def name(self) -> str:
-        """Name of the system."""
-        ...
 
     @property
     def signals(self) -> tuple[Signal, ...]:

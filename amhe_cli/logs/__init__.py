@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from amhe_cli.logs.containers.lerobot import episode_paths
+from amhe_cli.logs.data_set import is_data_set, members, only_member
 from amhe_cli.logs.messages.writer import LogWriter
 from amhe_cli.logs.read import inspect_log, read_log, read_signals
 from amhe_cli.logs.survey import Inspection, SignalCheck, Survey, TopicSurvey, read_metadata, survey
@@ -16,6 +17,9 @@ __all__ = [
     "TopicSurvey",
     "episode_paths",
     "inspect_log",
+    "is_data_set",
+    "members",
+    "only_member",
     "read_log",
     "read_metadata",
     "read_signals",

@@ -19,8 +19,8 @@ from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import DERIVED, Measured, Signal, remapped
 from amhe_cli.logs.collect import collect
 from amhe_cli.logs.containers.folder import open_log
-from amhe_cli.logs.containers.lerobot import episode_paths
 from amhe_cli.logs.containers.raw import readable
+from amhe_cli.logs.data_set import is_data_set, members, only_member
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.physics import twist_looks_global
 from amhe_cli.logs.survey import Inspection, SignalCheck, survey
@@ -67,7 +67,7 @@ def read_log(
 
     Args:
         paths: A log of any format that docs/logs.md lists, or a sequence of them; in a sequence, a LeRobot
-            dataset stands for all its episodes.
+            dataset stands for all its episodes, and a data set file for all its logs.
         system: Says which topics are read, and the time step.
         topics: Name of a signal -> topic to read it from instead.
         start, end: Part of each log, in seconds from its start.
@@ -82,17 +82,20 @@ def read_log(
     """
     if start is not None and end is not None and end <= start:
         raise ConfigError(f"`end`: {end:g} is not after `start` {start:g}")
-    if not isinstance(paths, str | Path):
-        return [
-            read_log(one, system, topics=topics, start=start, end=end, msg_path=msg_path)
-            for path in paths
-            for one in episode_paths(Path(path))
-        ]
-    signals = remapped(system.signals, topics or {})
-    folder = None if msg_path is None else Path(msg_path)
-    return read_signals(
-        Path(paths), signals, system.dt, system.settings.logs, start=start, end=end, msg_path=folder
-    )
+    given = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    found = [one for path in given for one in members(path, system)]
+    if any(is_data_set(path) for path in given) and (start is not None or end is not None):
+        raise ConfigError("`start` and `end`: a data set file says which part of each log counts: from, to")
+    if isinstance(paths, str | Path) and len(found) > 1:
+        only_member(Path(paths))
+    folder, settings = None if msg_path is None else Path(msg_path), system.settings.logs
+    logs = []
+    for one in found:
+        first, last = (start, end) if one.start is None and one.end is None else (one.start, one.end)
+        signals = remapped(system.signals, {**(topics or {}), **one.topics})
+        log = read_signals(one.path, signals, system.dt, settings, start=first, end=last, msg_path=folder)
+        logs.append(log.with_(known=one.known, own=one.own, held_out=one.held_out))
+    return logs[0] if isinstance(paths, str | Path) else logs
 
 
 def inspect_log(

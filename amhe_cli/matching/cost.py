@@ -17,8 +17,9 @@ from functools import cached_property
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, namespace_of, to_host
-from amhe_cli.core.log import Window
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, namespace_of, to_host
+from amhe_cli.core.each_log import same_values, values_on
+from amhe_cli.core.log import Log, Window
 from amhe_cli.core.settings import CostSettings
 from amhe_cli.core.statistics import pseudo_huber, trimmed_mean
 from amhe_cli.engine.rollout import Engine, Predicted
@@ -73,6 +74,7 @@ class MatchingCost:
     ) -> None:
         self.system, self.engine, self.settings = system, engine, settings
         self.clips: Clips = prepare(system, windows, noise_scale or {}, settings.smoothing)
+        self._alike = _alike([window.log for window in windows])
 
     @property
     def nx(self) -> int:
@@ -91,7 +93,16 @@ class MatchingCost:
             One array for each channel, shape (p, c, samples, columns), and the completed mask (p, c).
         """
         theta = self.system.space.theta_of(self.system.space.clip(z))
-        return self.engine.predict(theta, self.clips.starts, first, [o.wanted for o in self.clips.observed])
+        wanted = [o.wanted for o in self.clips.observed]
+        parts = []
+        for log, clips in self._alike:
+            values = values_on(log, self.system.edits.space, self.system.space, theta)
+            if len(self._alike) == 1:
+                return self.engine.predict(values, self.clips.starts, first, wanted)
+            own_first = None if first is None else first[:, clips]
+            own_wanted = [one.of(clips) for one in wanted]
+            parts.append(self.engine.predict(values, self.clips.starts.of(clips), own_first, own_wanted))
+        return _in_order(parts, np.argsort(np.concatenate([clips for _, clips in self._alike])))
 
     def residuals(self, z: FloatArray, first: FloatArray | None = None) -> Residuals:
         """Whitened residuals of candidates z (p, d); see `predict` for `first`."""
@@ -141,6 +152,21 @@ class MatchingCost:
                 count += observed.mask.sum(axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(residuals.completed, total / count, np.inf)
+
+
+def _alike(logs: Sequence[Log]) -> list[tuple[Log, IntArray]]:
+    """The clips by their logs, those together on which the parameters have the same values."""
+    groups: dict[object, list[int]] = {}
+    for i, log in enumerate(logs):
+        groups.setdefault(same_values(log), []).append(i)
+    return [(logs[clips[0]], np.array(clips)) for clips in groups.values()]
+
+
+def _in_order(parts: Sequence[Predicted], order: IntArray) -> Predicted:
+    """Predictions of some clips each as one of all clips, in their order."""
+    columns = zip(*(part.values for part in parts), strict=True)
+    values = tuple(namespace_of(one[0]).concatenate(one, axis=1)[:, order] for one in columns)
+    return Predicted(values, np.concatenate([part.completed for part in parts], axis=1)[:, order])
 
 
 def measures(channel: Channel, quantity: str) -> bool:

@@ -110,7 +110,7 @@ def _history(system: System) -> int:
     column = system.edits.delay_column
     if column is None:
         return 0
-    return int(np.ceil(system.space.parameters[column].upper / system.model.opt.timestep)) + 1
+    return int(np.ceil(system.edits.space.parameters[column].upper / system.model.opt.timestep)) + 1
 
 
 def _inputs(

@@ -13,7 +13,8 @@ from rich.text import Text
 
 from amhe_cli.core.belief_file import belief_text
 from amhe_cli.core.files import json_text, plain
-from amhe_cli.estimation.offline.result import HeldOut, Identification, known_together
+from amhe_cli.core.parameters import Belief
+from amhe_cli.estimation.offline.result import HeldOut, Identification, OwnSpread, known_together
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import filling
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, error_rows, identification_page
@@ -47,6 +48,7 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
             "correlations": result.correlations,
             "combinations": [asdict(c) for c in result.combinations],
+            "spreads": [asdict(spread) for spread in result.spreads],
             "held_out": result.held_out and asdict(result.held_out),
             "rollouts": {"count": result.rollouts, "diverged": result.diverged},
             "clips": asdict(result.clips),
@@ -61,6 +63,7 @@ def write_identification(
     folder: Path,
     system: System,
     result: Identification,
+    belief: Belief,
     record: Mapping[str, Any],
     provenance: dict[str, object],
 ) -> None:
@@ -70,13 +73,13 @@ def write_identification(
         folder: Folder of the files; made if it does not exist.
         system: The system that was identified.
         result: The identification.
+        belief: What is believed of the system's parameters.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command; goes into belief.yaml too.
     """
-    belief = replace(result.belief, provenance=provenance)
     contents = {
-        "belief.yaml": belief_text(belief),
-        "identified.xml": identified_xml(system, belief.estimate),
+        "belief.yaml": belief_text(replace(belief, provenance=provenance)),
+        "identified.xml": identified_xml(system, system.space.with_prior(belief).nominal),
         "result.json": json_text(record),
         "report.html": identification_page(result, record, provenance),
     }
@@ -97,6 +100,8 @@ def print_identification(
     for parameter in result.parameters:
         if parameter.verdict != "identified" and parameter.reasons:
             console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
+    for spread in result.spreads:
+        console.print(spread_line(spread))
     for c in known_together(result)[:MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
     console.print(f"held-out: {held_out_line(result.held_out)}")
@@ -138,6 +143,15 @@ def parameter_table(result: Identification) -> Table:
             for p in result.parameters
         ],
     )
+
+
+def spread_line(spread: OwnSpread) -> str:
+    """The spread in words: 'friction: spread of its 4 values: 12 % (5 to 31 %) of their common mean'."""
+    count = f"{spread.name}: spread of its {len(spread.values)} values about the common mean"
+    if spread.log:
+        low, high = numbers.percent(spread.lower), numbers.percent(spread.upper)
+        return f"{count}: {numbers.percent(spread.estimate)} ({low} to {high})"
+    return f"{count}: {spread.estimate:.2g} ({spread.lower:.2g} to {spread.upper:.2g})"
 
 
 def truth_line(result: Identification, truth: Mapping[str, float]) -> str:

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from amhe_cli.core.each_log import same_values
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import write_whole
 from amhe_cli.estimation.core.linearise import FirstStates
@@ -84,7 +85,7 @@ def _fingerprint(problem: Problem, method: str) -> str:
     ):
         digest.update(text.encode())
     for part in problem.pool.parts:
-        digest.update(f"{part.start} {part.stop} {part.log.dt}".encode())
+        digest.update(f"{part.start} {part.stop} {part.log.dt} {same_values(part.log)}".encode())
         for key, series in sorted(part.log.series.items()):
             digest.update(key.encode())
             digest.update(series.values.tobytes())

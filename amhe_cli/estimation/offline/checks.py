@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.each_log import acting
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.open import contact_variants
@@ -59,8 +60,17 @@ def disagreements(
     logs = _later_logs(problem.clips)
     if _both(logs):
         earlier, later = (posterior(finding.z, fit.found, fit.weight * side, prior) for side in (~logs, logs))
-        compared["the earlier and the later logs"] = disagreement(later, earlier)
+        found = disagreement(later, earlier)
+        on_both = _acting(problem, ~logs) & _acting(problem, logs)
+        compared["the earlier and the later logs"] = replace(found, value=found.value * on_both)
     return compared
+
+
+def _acting(problem: Problem, side: BoolArray) -> BoolArray:
+    """Which unknowns have an effect on some of the clips, shape (d,)."""
+    space, model = problem.system.space, problem.system.edits.space
+    logs = {id(clip.log): clip.log for clip, on in zip(problem.clips, side, strict=True) if on}
+    return np.any([acting(log, model, space) for log in logs.values()], axis=0)
 
 
 def _halves(problem: Problem, finding: Finding) -> Disagreement | None:

@@ -25,7 +25,8 @@ def whole(log: Log) -> Window:
 def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Window], list[Window]]:
     """Divide logs into parts to fit and parts to validate on.
 
-    With many logs every n-th is held out whole; with few, the last part of each.
+    With many logs every n-th is held out whole; with few, and where logs have values of their own, which no
+    other log knows, the last part of each.
 
     Args:
         logs: The logs.
@@ -33,7 +34,7 @@ def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Window], lis
     """
     if share <= 0.0:
         return [whole(log) for log in logs], []
-    if len(logs) >= WHOLE_LOGS:
+    if len(logs) >= WHOLE_LOGS and not any(log.own for log in logs):
         every = max(2, round(1.0 / share))
         held = [i % every == every - 1 for i in range(len(logs))]
         return (

@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import ConfigError, EstimationError, one_of
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.parameters import Belief
@@ -25,6 +26,7 @@ from amhe_cli.estimation.offline.posterior import Finding
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Identification, Iteration
 from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.shared import with_common_means
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -69,7 +71,7 @@ def identify(
 
     Args:
         system: Model, parameters, signals, settings.
-        training: The logs to fit.
+        training: The logs to fit. Values that they know or have of their own: see `core.each_log`.
         held_out: Logs used only to validate; None holds out a share of the training logs.
         options: How to search.
         on_iteration: Called after each iteration with its record and the expected total.
@@ -85,15 +87,18 @@ def identify(
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
     if options.prior is not None:
         system = replace(system, space=system.space.with_prior(options.prior))
+    training, model = named(training), system.space
+    system = replace(system, space=searched(model, training))
     problem, validation = _pose(system, training, held_out, options)
     watch = _Watch(on_iteration, options.max_time)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     finding = _search(problem, validation, options.method, watch, kept)
     try:
-        return conclude(problem, finding, validation, interrupted=watch.interrupted, hurried=watch.stopped)
+        found = conclude(problem, finding, validation, interrupted=watch.interrupted, hurried=watch.stopped)
     except KeyboardInterrupt:
         logger.warning("interrupted while the result was examined: its checks are not complete")
-        return conclude(problem, finding, validation, interrupted=True, hurried=True)
+        found = conclude(problem, finding, validation, interrupted=True, hurried=True)
+    return with_common_means(found, model, system.space)
 
 
 def _pose(

@@ -78,6 +78,25 @@ def sharper(combinations: Sequence[Combination], relative: Mapping[str, float]) 
 
 
 @dataclass(frozen=True, slots=True)
+class OwnSpread:
+    """How far the logs' own values of a parameter lie from their common mean.
+
+    Args:
+        name: The parameter; its line is the common mean.
+        values: Names of the lines with the values.
+        estimate, lower, upper: Median and 90 % interval of their standard deviation.
+        log: Whether that is of the logarithm (0.1 is 10 %) or in the parameter's unit.
+    """
+
+    name: str
+    values: tuple[str, ...]
+    estimate: float
+    lower: float
+    upper: float
+    log: bool
+
+
+@dataclass(frozen=True, slots=True)
 class HeldOut:
     """Costs and errors on clips that were not fitted, after and before identification.
 
@@ -165,6 +184,7 @@ class Identification:
     fits: tuple[Fit, ...]
     interrupted: bool = False
     logs: tuple[str, ...] = field(default=())
+    spreads: tuple[OwnSpread, ...] = ()
 
 
 def known_together(result: Identification) -> list[Combination]:

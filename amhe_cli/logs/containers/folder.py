@@ -89,6 +89,8 @@ def open_log(path: Path) -> StoredLog:
         return StoredLog(path, (episode,))
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
+    if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
+        raise LogError(f"{path}: a YAML file is no log; as a data set it lists logs: name one of them")
     if not path.is_dir():
         return StoredLog(path, tuple(_open_tables(path)) or (_open_file(path),))
     metadata = path / "metadata.yaml"

@@ -1,0 +1,167 @@
+"""What differs from log to log: values that are known for one log, and values of a log's own.
+
+A system has the parameters of its model. A search over several logs has others: a parameter that is known in
+every log is not searched, and one of which each log has a value of its own becomes one unknown for each log,
+`friction[run1]`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.log import Log
+from amhe_cli.core.parameters import ParameterSpace
+
+
+def owned(name: str, owner: str) -> str:
+    """Name of the unknown that is an owner's value of a parameter."""
+    return f"{name}[{owner}]"
+
+
+def named(logs: Sequence[Log]) -> list[Log]:
+    """The logs, with names for the values of their own: those of their files, numbered if need be."""
+    taken = {owner for log in logs for owner in log.own.values() if owner}
+    done = []
+    for log in logs:
+        if "" in log.own.values():
+            plain = log.source if log.file is None else log.file.stem
+            count = 1
+            while (label := plain if count == 1 else f"{plain} {count}") in taken:
+                count += 1
+            taken.add(label)
+            log = log.with_(own={name: owner or label for name, owner in log.own.items()})
+        done.append(log)
+    return done
+
+
+def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
+    """The unknowns of a search over logs.
+
+    Args:
+        space: Parameters of the model, with their prior.
+        logs: The logs that are fitted; their own values have names (`named`).
+
+    Returns:
+        The parameters that some log neither knows nor has as its own, and one unknown for each owner of a
+        value, with the parameter's prior. A prior correlation between two parameters holds for the former.
+    """
+    columns, parameters = [], []
+    for column, parameter in enumerate(space.parameters):
+        unknown = [log for log in logs if parameter.name not in log.known]
+        owners = dict.fromkeys(log.own[parameter.name] for log in unknown if parameter.name in log.own)
+        if any(parameter.name not in log.own for log in unknown):
+            columns.append(column)
+            parameters.append(parameter)
+        for owner in owners:
+            columns.append(-1)
+            parameters.append(replace(parameter, name=owned(parameter.name, owner)))
+    if tuple(parameters) == space.parameters:
+        return space
+    if space.prior_correlation is None:
+        return ParameterSpace(tuple(parameters))
+    correlation = np.eye(len(columns))
+    kept = [i for i, column in enumerate(columns) if column >= 0]
+    correlation[np.ix_(kept, kept)] = np.array(space.prior_correlation)[
+        np.ix_([columns[i] for i in kept], [columns[i] for i in kept])
+    ]
+    return ParameterSpace(tuple(parameters), tuple(tuple(map(float, row)) for row in correlation))
+
+
+def values_on(log: Log, model: ParameterSpace, space: ParameterSpace, theta: FloatArray) -> FloatArray:
+    """Values of the model's parameters on one log.
+
+    Args:
+        log: The log.
+        model: Parameters of the model, d of them.
+        space: Unknowns of the search.
+        theta: Candidates of the search, shape (p, k).
+
+    Returns:
+        Shape (p, d). What the log knows is taken from it. For an owner that no fitted log has, the value is
+        the geometric or arithmetic mean of the others'. What is not searched is at its nominal value.
+    """
+    if space.names == model.names and not log.known:
+        return theta
+    values = np.empty((len(theta), len(model)))
+    for i, (p, columns) in enumerate(zip(model.parameters, _columns(log, model, space), strict=True)):
+        if len(columns) > 1:
+            mean = (np.log(theta[:, columns]) if p.log else theta[:, columns]).mean(axis=1)
+            values[:, i] = np.exp(mean) if p.log else mean
+        else:
+            values[:, i] = theta[:, columns[0]] if columns else log.known.get(p.name, p.nominal)
+    return values
+
+
+def acting(log: Log, model: ParameterSpace, space: ParameterSpace) -> BoolArray:
+    """Which unknowns of a search have an effect on one log, shape (k,); see `values_on`."""
+    acts = np.zeros(len(space), dtype=bool)
+    acts[[column for columns in _columns(log, model, space) for column in columns]] = True
+    return acts
+
+
+def _columns(log: Log, model: ParameterSpace, space: ParameterSpace) -> list[list[int]]:
+    """For each parameter of the model the unknowns whose mean it is on one log; none where it is fixed."""
+    column = {name: i for i, name in enumerate(space.names)}
+    found = []
+    for name in model.names:
+        own = owned(name, log.own.get(name, ""))
+        if name in log.known:
+            found.append([])
+        elif own in column or name in column:
+            found.append([column[own if own in column else name]])
+        else:
+            found.append([k for other, k in column.items() if other.startswith(f"{name}[")])
+    return found
+
+
+def same_values(log: Log) -> tuple[object, ...]:
+    """What is equal for logs on which the model has the same values."""
+    return tuple(sorted(log.known.items())), tuple(sorted(log.own.items()))
+
+
+def mistakes_of(
+    known: Mapping[str, float], own: Iterable[str], space: ParameterSpace
+) -> Iterator[tuple[tuple[str, ...], str]]:
+    """What is said of a log's parameters and a system does not allow.
+
+    Args:
+        known, own: See `Log`.
+        space: Parameters of the system.
+
+    Yields:
+        Where it is said, such as ('known', 'gain') or ('own',), and what is wrong.
+    """
+    parameters = {p.name: p for p in space.parameters}
+    for name, value in known.items():
+        if name not in parameters:
+            yield ("known", name), one_of("parameter", name, parameters)
+        elif not (p := parameters[name]).lower <= value <= p.upper:
+            yield ("known", name), f"{name} is {value:g}; between {p.lower:g} and {p.upper:g} would be valid"
+    for name in own:
+        if name not in parameters:
+            yield ("own",), one_of("parameter", name, parameters)
+        elif name in known:
+            yield ("own",), f"{name} is known in this log, and has no value to search"
+
+
+def check_logs(logs: Sequence[Log], held_out: Sequence[Log], space: ParameterSpace) -> None:
+    """Refuse logs that say what the system does not allow.
+
+    Raises:
+        ConfigError: A name or value is wrong, or a held-out log lacks a value that every fitted log knows.
+    """
+    for log in (*logs, *held_out):
+        for (key, *_), text in mistakes_of(log.known, log.own, space):
+            raise ConfigError(f"{log.source}: `{key}`: {text}")
+    for name in space.names:
+        if all(name in log.known for log in logs):
+            for log in held_out:
+                if name not in log.known:
+                    raise ConfigError(
+                        f"{log.source}: `known`: {name} is known in every fitted log; give its value here too"
+                    )

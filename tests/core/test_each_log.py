@@ -1,0 +1,96 @@
+"""Values that differ from log to log: which unknowns there are, and what the model gets of them."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.each_log import acting, check_logs, named, searched, values_on
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.log import Log
+from amhe_cli.core.parameters import Parameter, ParameterSpace
+
+MODEL = ParameterSpace(
+    (
+        Parameter("gain", "-", 1.0, 0.1, 10.0, True, 0.5),
+        Parameter("friction", "N m", 0.2, 0.01, 1.0, True, 0.5),
+        Parameter("bias", "rad", 0.0, -1.0, 1.0, False, 0.1),
+    ),
+    ((1.0, 0.0, 0.3), (0.0, 1.0, 0.0), (0.3, 0.0, 1.0)),
+)
+
+
+def log(name: str = "run", **said: Any) -> Log:
+    return Log(0.01, {}, name).with_(**said)
+
+
+def test_logs_that_say_nothing_change_nothing() -> None:
+    assert searched(MODEL, [log(), log()]) is MODEL
+    theta = np.ones((2, 3))
+    assert values_on(log(), MODEL, MODEL, theta) is theta
+
+
+def test_what_every_log_knows_is_not_searched() -> None:
+    space = searched(MODEL, [log(known={"gain": 2.0}), log(known={"gain": 3.0})])
+    assert space.names == ("friction", "bias")
+    np.testing.assert_allclose(space.prior_covariance, np.eye(2))
+    values = values_on(log(known={"gain": 3.0}), MODEL, space, np.array([[0.3, 0.1]]))
+    np.testing.assert_array_equal(values, [[3.0, 0.3, 0.1]])
+
+
+def test_what_one_log_knows_is_searched_in_the_others() -> None:
+    one, other = log(known={"gain": 2.0}), log()
+    space = searched(MODEL, [one, other])
+    assert space is MODEL
+    theta = np.array([[5.0, 0.3, 0.1]])
+    np.testing.assert_array_equal(values_on(one, MODEL, space, theta), [[2.0, 0.3, 0.1]])
+    np.testing.assert_array_equal(values_on(other, MODEL, space, theta), theta)
+    np.testing.assert_array_equal(acting(one, MODEL, space), [False, True, True])
+
+
+def test_each_log_has_an_unknown_of_its_own() -> None:
+    logs = named([log("a", own=["friction"]), log("a", own=["friction"]), log("b", own={"friction": "B"})])
+    space = searched(MODEL, logs)
+    assert space.names == ("gain", "friction[a]", "friction[a 2]", "friction[B]", "bias")
+    assert space.prior_covariance[0, 4] == 0.3
+    assert {p.nominal for p in space.parameters if p.name.startswith("friction")} == {0.2}
+    theta = np.array([[1.0, 0.1, 0.2, 0.4, 0.0]])
+    assert [values_on(one, MODEL, space, theta)[0, 1] for one in logs] == [0.1, 0.2, 0.4]
+    np.testing.assert_array_equal(acting(logs[1], MODEL, space), [True, False, True, False, True])
+    stranger = values_on(log("c", own=["friction"]), MODEL, space, theta)
+    assert stranger[0, 1] == pytest.approx(0.2)  # the geometric mean of the others
+
+
+def test_logs_of_one_owner_share_a_value_and_others_have_the_common_one() -> None:
+    logs = named([log(own={"bias": "A"}), log(own={"bias": "A"}), log()])
+    assert searched(MODEL, logs).names == ("gain", "friction", "bias", "bias[A]")
+
+
+def test_a_log_keeps_what_is_said_of_it() -> None:
+    one = log(known={"gain": 2.0}, own=["bias"], held_out=True)
+    again = pickle.loads(pickle.dumps(one.with_()))
+    assert (again.known, again.own, again.held_out) == ({"gain": 2.0}, {"bias": ""}, True)
+    assert one.digest() != log().digest()
+
+
+@pytest.mark.parametrize(
+    ("said", "text"),
+    [
+        ({"known": {"gian": 1.0}}, "run: `known`: no parameter 'gian' (did you mean 'gain'?)"),
+        ({"known": {"gain": 99.0}}, "run: `known`: gain is 99; between 0.1 and 10 would be valid"),
+        ({"own": ["drag"]}, "run: `own`: no parameter 'drag'"),
+        ({"own": ["gain"], "known": {"gain": 1.0}}, "run: `own`: gain is known in this log"),
+    ],
+)
+def test_what_the_system_does_not_have_is_refused(said: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        check_logs([log(**said)], [], MODEL)
+    assert text in str(raised.value)
+
+
+def test_a_held_out_log_needs_what_the_others_know() -> None:
+    with pytest.raises(ConfigError, match="test: `known`: gain is known in every fitted log"):
+        check_logs([log(known={"gain": 1.0})], [log("test")], MODEL)
