@@ -1,5 +1,6 @@
 """What several rooms' tests share: a small log of a pendulum whose parameters are known."""
 
+import shutil
 import signal
 from pathlib import Path
 
@@ -63,6 +64,16 @@ def write_pendulum_log(
 def pendulum_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Eight seconds of the pendulum; the log names its system."""
     return write_pendulum_log(tmp_path_factory.mktemp("logs") / "pendulum.mcap", 8.0, system="pendulum")
+
+
+def go1_system_with(setting: str, folder: Path) -> int:
+    """Copy the bundled system of the Go1 to a folder, with one more line of settings; the line's number."""
+    shutil.copytree(MODELS / "go1_push", folder)
+    file = folder / "system.yaml"
+    lines = file.read_text().splitlines()
+    row = lines.index("settings:") + 1
+    file.write_text("\n".join([*lines[:row], setting, *lines[row:]]) + "\n")
+    return row + 1
 
 
 @pytest.fixture(scope="session")

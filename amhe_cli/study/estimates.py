@@ -30,7 +30,8 @@ class Estimates:
         product: Error of mass times friction.
         mass, friction: Errors of mass and of friction.
         mass_held, friction_held: Share of the time that the 90 % interval holds the truth.
-        resolved: Share of runs in which 5 s after the change mass and friction are within 15 %, or held.
+        resolved: Share of runs in which 5 s after the change mass and friction are each within 15 % of the
+            truth, or their interval holds it.
     """
 
     task: str

@@ -1,11 +1,13 @@
-"""Bundled logs by name, from any folder."""
+"""Bundled logs by name, from any folder; the README's demo."""
 
+import re
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from amhe_cli.cli.main import amhe, run
+from tests.conftest import MODELS
 
 
 def test_an_example_is_found_by_its_name_from_any_folder(
@@ -29,3 +31,25 @@ def test_the_shell_completes_examples() -> None:
     }
     result = CliRunner().invoke(amhe, [], prog_name="amhe", env=environment)
     assert {line.partition(",")[2] for line in result.output.split()} == {"example:t1", "example:t4"}
+
+
+def numbers(text: str) -> list[tuple[float, float]]:
+    """Each number of a text, and one unit of its last digit."""
+    found = re.findall(r"\d+(?:\.(\d+))?", text)
+    values = [float(number) for number in re.findall(r"\d+(?:\.\d+)?", text)]
+    return [(value, 10.0 ** -len(decimals)) for value, decimals in zip(values, found, strict=True)]
+
+
+@pytest.mark.slow
+def test_the_demo_prints_what_the_readme_shows(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    readme = (MODELS.parent / "README.md").read_text(encoding="utf-8")
+    _, _, shown = readme.partition("-o amhe-out/demo --force\n")
+    shown, _, _ = shown.partition("\nreport: ")
+    assert run(["identify", "example:t1", "-o", str(tmp_path / "out")]) == 0
+    printed, _, _ = capsys.readouterr().out.partition("\nreport: ")
+    words = [re.sub(r"\d+(\.\d+)?", "#", " ".join(text.split())) for text in (printed, shown)]
+    assert words[0] == words[1]
+    for (value, _), (expected, unit) in zip(numbers(printed), numbers(shown), strict=True):
+        assert value == pytest.approx(
+            expected, abs=2.01 * unit
+        )  # on another processor the last digits differ

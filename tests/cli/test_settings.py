@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,7 @@ from amhe_cli.cli.settings import from_environment, from_file, gathered, merged,
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import Settings
 from amhe_cli.robots.go1.settings import PushSettings
-from tests.conftest import MODELS
+from tests.conftest import MODELS, go1_system_with
 
 LOGS = MODELS.parent / "examples" / "logs"
 
@@ -122,13 +121,9 @@ def test_misspelt_settings_of_a_robot_in_its_file_have_their_place(
     command: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     folder = tmp_path / "mine"
-    shutil.copytree(MODELS / "go1_push", folder)
-    file = folder / "system.yaml"
-    lines = file.read_text().splitlines()
-    row = lines.index("settings:") + 1
-    file.write_text("\n".join([*lines[:row], "  control: {nope: 3}", *lines[row:]]) + "\n")
+    row = go1_system_with("  control: {nope: 3}", folder)
     log = [] if command == "probe" else [str(LOGS / "t1.mcap")]
     out = [] if command == "inspect" else ["-o", str(tmp_path / "out")]
     assert run([command, *log, "--system", str(folder), *out]) == 2
     # a long line is broken where it is shown
-    assert f"system.yaml:{row + 1}:13: no key 'nope'" in capsys.readouterr().err
+    assert f"system.yaml:{row}:13: no key 'nope'" in capsys.readouterr().err

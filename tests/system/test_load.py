@@ -12,6 +12,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import YamlFile, scalar
 from amhe_cli.system.load import bundled_root, find_system
 from amhe_cli.system.system import System
+from tests.conftest import MODELS
 
 Write = Callable[..., Path]
 
@@ -237,6 +238,15 @@ def test_a_wrong_only_signal_does_not_hide_wrong_names(written: Write) -> None:
 def test_what_would_be_valid_is_reported_in_plain_words(written: Write, more: str, message: str) -> None:
     folder = written("  p: {targets: [{body: box, set: mass}]}\n", more=f"settings: {{{more}}}\n")
     assert problems(folder)[0].endswith(message)
+
+
+def test_an_unknown_robot_is_refused_and_the_known_ones_are_named(written: Write) -> None:
+    robots = {path.parent.name for path in (MODELS.parent / "amhe_cli" / "robots").glob("*/settings.py")}
+    known = " or ".join(f"'{name}'" for name in sorted(robots))
+    mine = "settings: {spot: {kp: 3}, control: {}}\n"  # that nobody checks them is no second mistake
+    folder = written("  p: {targets: [{body: box, set: mass}]}\n", more="robot: spot\n" + mine)
+    (problem,) = problems(folder)
+    assert problem.endswith(f"robot is 'spot'; {known} would be valid")
 
 
 @pytest.mark.parametrize(

@@ -178,7 +178,7 @@ def estimate_table(groups: Groups) -> StudyTable:
     note = (
         f"Relative errors, and how often the 90 % interval holds the truth, from {SETTLED:g} s after the "
         f"change on; where nothing changes, from {BEGUN:g} s on. "
-        f"Resolved: m and mu within {100 * NEAR:.0f} %, or held."
+        f"Resolved: m and mu each within {100 * NEAR:.0f} % of the truth, or their interval holds it."
     )
     return StudyTable("estimates", "Online estimates", head, rows, [asdict(e) for e in found], note)
 

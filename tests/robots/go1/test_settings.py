@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +11,7 @@ import pytest
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.settings import PushSettings, settings_of
 from amhe_cli.system.system import System
-from tests.conftest import MODELS
+from tests.conftest import go1_system_with
 
 _PROGRAM = """
 import sys
@@ -23,8 +22,8 @@ print([name for name in sys.modules if name.startswith(("amhe_cli.robots", "amhe
 
 
 def test_a_system_is_loaded_without_its_robot() -> None:
-    said = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, check=True)
-    assert said.stdout.strip() == "[]"
+    loaded = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, check=True)
+    assert loaded.stdout.strip() == "[]"
 
 
 def test_the_robot_reads_its_own_settings() -> None:
@@ -46,14 +45,10 @@ def test_mistakes_in_the_file_are_reported_with_their_place(
     tmp_path: Path, line: str, column: int, text: str
 ) -> None:
     folder = tmp_path / "mine"
-    shutil.copytree(MODELS / "go1_push", folder)
-    file = folder / "system.yaml"
-    lines = file.read_text().splitlines()
-    row = lines.index("settings:") + 1
-    file.write_text("\n".join([*lines[:row], line, *lines[row:]]) + "\n")
+    row = go1_system_with(line, folder)
     with pytest.raises(ConfigError) as error:
         System.load(folder, schema=PushSettings, warn=False)
-    assert str(error.value).startswith(f"{file}:{row + 1}:{column}: ")
+    assert str(error.value).startswith(f"{folder / 'system.yaml'}:{row}:{column}: ")
     assert text in str(error.value)
 
 
