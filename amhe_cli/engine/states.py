@@ -52,3 +52,14 @@ def home(model: mujoco.MjModel, keyframe: int | None, input_spec: int) -> tuple[
     inputs = np.empty(mujoco.mj_stateSize(model, input_spec))
     mujoco.mj_getState(model, data, inputs, input_spec)
     return np.array(data.qpos), inputs
+
+
+def touching(model: mujoco.MjModel, qpos: FloatArray) -> bool:
+    """Whether anything touches, or a joint or tendon is at a limit of its range, at positions (n, nq)."""
+    data = mujoco.MjData(model)
+    for row in qpos:
+        data.qpos[:] = row
+        mujoco.mj_fwdPosition(model, data)
+        if (data.efc_type >= int(mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)).any():
+            return True
+    return False

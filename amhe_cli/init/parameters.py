@@ -54,7 +54,7 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
         *_masses(model, joints, signals),
         *_frictions(model, signals),
         *(gains or _gain(moved)),
-        *(_delay() if moved else ()),
+        *(_delay(model.opt.timestep) if moved else ()),
     ]
 
 
@@ -174,10 +174,13 @@ def _guessed_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[
             yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why)
 
 
-def _delay() -> Iterator[Guess]:
-    """The delay of all commands; without it, wrong dampings and gains would explain the lag."""
+def _delay(step: float) -> Iterator[Guess]:
+    """The delay of all commands; without it, wrong dampings and gains would explain the lag.
+
+    It is proposed in the middle of a time step [s], because slopes by it have a kink at multiples of one.
+    """
     entry = {
-        "nominal": _DELAY,
+        "nominal": _short((np.floor(_DELAY / step + 1e-6) + 0.5) * step),
         "bounds": [0.0, _LONGEST_DELAY],
         "scale": "linear",
         "prior_sd": _DELAY_SD,

@@ -32,11 +32,14 @@ from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, Shift, share, size
 from amhe_cli.estimation.offline.widening import beyond_chance
 from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
-#: A next step of this many sd is a search cut short; residuals of this many noise sd are a wrong model.
-UNSETTLED, MISFIT = 2.0, 3.0
+#: A next step of this many sd is a search cut short, and of this many where it was stopped on its way.
+UNSETTLED, MOVING = 2.0, 1.0
+#: Residuals of this many noise sd are a wrong model.
+MISFIT = 3.0
 HALVES = "the first and second half of the logs"
 #: Iterations that each half gets to find its own estimate, and the clips that it must have.
 REFITS, FEWEST_CLIPS = 2, 3
@@ -151,21 +154,42 @@ def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
     space = problem.system.space
     left = np.abs(fit.posterior.step) / fit.posterior.sd
     moving = isinstance(finding, SearchState) and not (finding.settled or problem.rough)
-    if moving or left.max() > UNSETTLED:
+    if left.max() > (MOVING if moving else UNSETTLED) and not _stalled(finding, fit):
         logger.warning(
             f"the search stopped before it settled ({space.names[int(left.argmax())]} was still moving): "
             f"give it more with `identify.iterations`"
         )
 
 
-def report_misfit(fit: FinalFit) -> None:
+def _stalled(finding: Finding, fit: FinalFit) -> bool:
+    """Whether the last steps on the same clips lowered the misfit by less than one squared noise sd."""
+    costs = [i.cost for i in finding.record if i.method.endswith("polish")][-3:]
+    if len(costs) < 3:
+        return False
+    independent = float(fit.slopes.cost.clips.counts.sum()) / max(fit.times)
+    return (costs[0] / max(costs[-1], 1e-300) - 1.0) * independent < 1.0
+
+
+def report_misfit(system: System, fit: FinalFit) -> None:
     """Warn of channels that the model does not explain."""
     for key, scale in fit.scale.items():
         if scale > MISFIT:
             logger.warning(
                 f"the model misses {key} by {scale:.1f} times its declared noise: something is missing in it "
-                f"(a delay, a gain, play, a contact), or the noise is declared too small"
+                f"({', '.join(suspects(system))}), or the noise is declared too small"
             )
+
+
+def suspects(system: System) -> list[str]:
+    """What a model that misses its log may lack, the likeliest first; nothing that is a parameter already."""
+    set_by = system.edits.by_parameter()
+    shared = [p.name for p, cells in set_by if len({c.row for c in cells if c.field.startswith("dof_")}) > 1]
+    found = [f"values of their own for the joints that share {' and '.join(shared)}"] if shared else []
+    if system.edits.delay_column is None:
+        found.append("a delay")
+    if all(c.field != "actuator_gainprm" for _, cells in set_by for c in cells):
+        found.append("a gain")
+    return [*found, "play", "a contact"]
 
 
 def report_drift(space: ParameterSpace, disagreements: Mapping[str, Disagreement]) -> None:

@@ -83,7 +83,7 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     space, setting = problem.system.space, problem.settings.identify
     fit = final_fit(problem, finding)
     compared = disagreements(problem, finding, fit, with_halves=not hurried)
-    report_misfit(fit)
+    report_misfit(problem.system, fit)
     report_unsettled(problem, finding, fit)
     report_drift(space, compared)
     shifts = [] if hurried else shifts_of(problem, finding, fit)

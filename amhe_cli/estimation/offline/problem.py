@@ -12,6 +12,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
 from amhe_cli.engine.rollout import Engine
+from amhe_cli.engine.states import touching
 from amhe_cli.estimation.core.shape import sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool
 from amhe_cli.matching.cost import MatchingCost
@@ -97,15 +98,45 @@ class Problem:
 
     @cached_property
     def rough(self) -> bool:
-        """Whether residuals jitter under steps of half a percent, as behind chaotic contact."""
+        """Whether residuals jitter under steps of half a percent, as behind chaotic contact.
+
+        A response bends for other reasons, too: without anything that touches, no model is rough.
+        """
         d = len(self.system.space)
         steps = np.diag(self.system.space.in_z(0.005) * self.active)
-        candidates = self.system.space.clip(np.concatenate((np.zeros((1, d)), steps, -steps)))
-        residuals = self.cost(self.clips[:: max(1, len(self.clips) // 8)]).residuals(candidates)
-        centre, plus, minus = np.split(residuals.flat, [1, d + 1])
+        middle = self._off_grid
+        candidates = self.system.space.clip(middle + np.concatenate((np.zeros((1, d)), steps, -steps)))
+        cost = self.cost(self.clips[:: max(1, len(self.clips) // 8)])
+        centre, plus, minus = np.split(cost.residuals(candidates).flat, [1, d + 1])
         odd = ((plus - minus) ** 2).sum(axis=(0, 2))  # (c,)
         even = ((plus + minus - 2.0 * centre) ** 2).sum(axis=(0, 2))
-        return bool(np.median(even) > ROUGH * np.median(odd))
+        return bool(np.median(even) > ROUGH * np.median(odd)) and self._touches(cost, middle)
+
+    @property
+    def _off_grid(self) -> FloatArray:
+        """The prior's mean with a command delay in the middle of a time step, shape (d,).
+
+        A command acts from one step on: where a delay is a multiple of the step, slopes by it have a kink.
+        """
+        theta, column, dt = (
+            np.array(self.system.space.nominal),
+            self.system.edits.delay_column,
+            self.system.dt,
+        )
+        if column is not None:
+            theta[column] = (np.floor(theta[column] / dt + 1e-6) + 0.5) * dt
+        return self.system.space.z_of(theta)
+
+    def _touches(self, cost: MatchingCost, z: FloatArray) -> bool:
+        """Whether anything touches, or reaches a limit of its range, in rollouts under z (d,)."""
+        system, starts = self.system, cost.clips.starts
+        theta = system.space.theta_of(system.space.clip(z))[None]
+        qpos, qvel = starts.states(system.model, 1, None)
+        inputs = starts.inputs_under(system.edits.delays(theta) / system.dt)
+        every = np.repeat(theta, len(starts.lengths), axis=0)
+        states = self.engine.rollout(every, qpos[0], qvel[0], inputs, starts.lengths).qpos
+        inside = np.arange(starts.horizon) < starts.lengths[:, None]
+        return touching(system.edits.apply(system.model, theta[0]), states[inside])
 
 
 def spread_floor(problem: Problem) -> FloatArray:

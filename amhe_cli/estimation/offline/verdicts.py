@@ -158,7 +158,7 @@ def _sensitivities(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[s
     ratio = evidence.step_ratio[i]
     jagged = (
         f"the response is jagged (its sd changes {1.0 / ratio:.2f}x when the step is doubled): the value "
-        f"hangs on details, such as contact, that the model gets wrong; the sd is rough"
+        f"hangs on details that the model gets wrong; the sd is rough"
     )
     rough = np.isfinite(ratio) and not LINEAR[0] <= ratio <= LINEAR[1]
     worst = max(evidence.noise_scale, key=lambda key: evidence.noise_scale[key], default="")

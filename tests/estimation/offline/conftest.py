@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log, Series
+from amhe_cli.system.load import find_system
 from amhe_cli.system.system import System
 
 TRUTH = np.array([0.55, 0.03, 0.035, 0.006])
@@ -23,6 +24,20 @@ CHEAP = {
 @pytest.fixture(scope="session")
 def pendulum() -> System:
     return System.load("pendulum", CHEAP)
+
+
+@pytest.fixture(scope="session")
+def delayed(tmp_path_factory: pytest.TempPathFactory) -> System:
+    """The pendulum with an unknown command delay, whose prior's mean is a multiple of the time step."""
+    folder, source = tmp_path_factory.mktemp("delayed"), find_system("pendulum")
+    (folder / "scene.xml").write_text((source / "scene.xml").read_text())
+    text = (source / "system.yaml").read_text()
+    delay = (
+        "  delay:\n    unit: s\n    nominal: 0.02\n    bounds: [0.0, 0.06]\n    scale: linear\n"
+        "    prior_sd: 0.01\n    targets:\n      - {set: command_delay}\n"
+    )
+    (folder / "system.yaml").write_text(text.replace("\nsignals:", delay + "\nsignals:", 1))
+    return System.load(folder, CHEAP)
 
 
 @pytest.fixture(scope="session")

@@ -5,13 +5,15 @@ from __future__ import annotations
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import search
-from amhe_cli.estimation.offline.checks import allowed, shifts_of
+from amhe_cli.estimation.offline.checks import allowed, shifts_of, suspects
 from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.posterior import final_fit
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.verdicts import Shift
@@ -59,3 +61,34 @@ def test_variants_are_rolled_out_by_the_workers_that_were_given() -> None:
     assert len(models) == 3, "the model itself, softer and harder"
     for one, other in zip(shifted(1e-4), spread, strict=True):
         np.testing.assert_array_equal(one.z, other.z)
+
+
+def test_a_search_is_unsettled_only_while_its_cost_still_falls(caplog, pendulum, swing) -> None:
+    """The samples of a short search are still wide; its estimate moves no more."""
+    identify(pendulum, [swing(3.0)], None, IdentifyOptions())
+    assert "before it settled" not in caplog.text
+    hasty = pendulum.settings.identify.model_copy(update={"iterations": 3, "polish": 1})
+    settings = pendulum.settings.model_copy(update={"identify": hasty})
+    identify(replace(pendulum, settings=settings), [swing(3.0)], None, IdentifyOptions())
+    assert "before it settled" in caplog.text
+
+
+#: Two hinges, each with a motor.
+LEG = """
+<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/>
+<body pos="0 0 -0.2"><joint name="knee"/><geom size="0.1"/></body></body></worldbody></mujoco>
+"""
+
+
+def test_a_misfit_suspects_what_is_no_parameter_yet(pendulum, delayed) -> None:
+    assert suspects(pendulum) == ["a delay", "a gain", "play", "a contact"]
+    assert suspects(delayed) == ["a gain", "play", "a contact"]
+    pooled = {
+        "unit": "N*m*s/rad", "nominal": 0.1, "bounds": [0.01, 1.0], "scale": "log", "prior_sd": 0.5,
+        "targets": [{"joint": "hip", "set": "damping"}, {"joint": "knee", "set": "damping"}],
+    }  # fmt: skip
+    joints = {"joints": ["hip", "knee"], "noise": {"position": 0.01}}
+    leg = System.from_model(
+        mujoco.MjSpec.from_string(LEG), parameters={"damping": pooled}, signals={"q": joints}
+    )
+    assert suspects(leg)[0] == "values of their own for the joints that share damping"

@@ -10,7 +10,6 @@ import pytest
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log, Series
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.system.load import find_system
 from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP, TRUTH
 
@@ -200,25 +199,14 @@ def test_a_belief_is_a_prior(pendulum, swing):
     assert found(second, "load_mass").sd < found(first, "load_mass").sd
 
 
-def test_a_command_delay_is_found(swing, tmp_path):
+def test_a_command_delay_is_found(swing, delayed):
     """The same swing logged with commands 13 ms early: the delay is the shift."""
-    folder = tmp_path / "delayed"
-    folder.mkdir()
-    source = find_system("pendulum")
-    (folder / "scene.xml").write_text((source / "scene.xml").read_text())
-    text = (source / "system.yaml").read_text()
-    delay = (
-        "  delay:\n    unit: s\n    nominal: 0.02\n    bounds: [0.0, 0.06]\n    scale: linear\n"
-        "    prior_sd: 0.01\n    targets:\n      - {set: command_delay}\n"
-    )
-    (folder / "system.yaml").write_text(text.replace("\nsignals:", delay + "\nsignals:", 1))
-    system = System.load(folder, CHEAP)
     log = swing(6.0)
     shift = 6  # steps of 2 ms
     command = log["command.position"]
     early = Series(np.roll(command.values, -shift, axis=0), command.valid, command.sampled, command.columns)
     moved = Log(log.dt, {**log.series, "command.position": early}, "early")
-    result = identify(system, [moved], None, IdentifyOptions())
+    result = identify(delayed, [moved], None, IdentifyOptions())
     assert found(result, "delay").estimate == pytest.approx(shift * log.dt, abs=0.0015)
     assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.02)
 
