@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.errors import EstimationError, LogError, one_of
 from amhe_cli.core.from_arrays import check_times, floats, unit_quaternions
 from amhe_cli.core.parameters import Belief
@@ -29,6 +28,7 @@ class Estimator:
     Args:
         system: Model, parameters, signals and settings.
         belief: A belief, or the path of a belief.yaml, to start from; None: the system's own prior.
+        belief_anyway, fix, only: As in `identify`.
         seed: Seed of the random numbers.
         threads: CPU threads; results do not depend on it.
 
@@ -41,13 +41,16 @@ class Estimator:
         system: System,
         belief: Belief | str | Path | None = None,
         *,
+        belief_anyway: bool = False,
+        fix: Mapping[str, float] | None = None,
+        only: Sequence[str] | None = None,
         seed: int = 0,
         threads: int = 1,
     ) -> None:
         hush_mujoco()
         seed, threads = checked(seed, threads)
         check_window(system.settings.mhe, system.dt)
-        start = None if belief is None else belief_for(system, belief)
+        system, start = system.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
         engine = open_engine(system, threads=threads)
 
         def horizon(again: Belief | None) -> MovingHorizon:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
-from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.each_log import check_logs
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
@@ -161,6 +160,9 @@ def identify(
     *,
     held_out: Log | Sequence[Log] | None = None,
     prior: Belief | str | Path | None = None,
+    belief_anyway: bool = False,
+    fix: Mapping[str, float] | None = None,
+    only: Sequence[str] | None = None,
     method: str = "linearised",
     seed: int = 0,
     threads: int | None = None,
@@ -178,6 +180,10 @@ def identify(
         held_out: More logs that are only used to validate. Where there are none, a share of the fitted
             logs' time is held out.
         prior: A belief, or the path of a belief.yaml, to start from in place of the system's own prior.
+        belief_anyway: Take a prior about another model too, and only warn of what has changed.
+        fix: Parameter -> value that is taken as known; it stays in the model and is not estimated.
+        only: Parameters to estimate, by names or patterns such as 'left_*'; all others are fixed at their
+            prior's value. None: all that are not fixed.
         method: 'linearised', or 'cmaes'.
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
@@ -194,6 +200,7 @@ def identify(
     """
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"max_time": max_time}, files={"checkpoint": checkpoint})
+    system, start = system.starting_from(prior, fix=fix, only=only, belief_anyway=belief_anyway)
     given = _logs(system, logs, "logs")
     fitted = tuple(log for log in given if not log.held_out)
     validation = tuple(log for log in given if log.held_out)
@@ -210,7 +217,7 @@ def identify(
         threads=threads,
         max_time=max_time,
         checkpoint=None if checkpoint is None else Path(checkpoint),
-        prior=None if prior is None else belief_for(system, prior),
+        prior=start,
         executor=executor,
         engine=engine,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,6 +22,9 @@ def probe(
     *,
     seconds: float = 10.0,
     belief: Belief | str | Path | None = None,
+    belief_anyway: bool = False,
+    fix: Mapping[str, float] | None = None,
+    only: Sequence[str] | None = None,
     seed: int = 0,
     threads: int | None = None,
     log: str | Path | None = None,
@@ -33,6 +36,7 @@ def probe(
         system: A system whose actuators are driven as they are.
         seconds: Length of the excitation [s].
         belief: What is believed of the parameters; None: the system's prior.
+        belief_anyway, fix, only: As in `identify`.
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
         log: File for the log of the simulated probe (.mcap); None: it is not kept.
@@ -49,7 +53,10 @@ def probe(
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"seconds": seconds}, files={"log": log})
     start = Path(belief) if isinstance(belief, str) else belief
-    options = ProbeOptions(seconds=seconds, belief=start, seed=seed, threads=threads)
+    options = ProbeOptions(
+        seconds=seconds, belief=start, seed=seed, threads=threads, fix=fix or {}, only=only,
+        belief_anyway=belief_anyway,
+    )  # fmt: skip
     opened = ActuatorProbe(options, system)
     say = progress or (lambda text: None)
     plan = opened.design(say)
@@ -59,7 +66,7 @@ def probe(
             raise ending.error
         found = achieved(opened.system, path, options)
     known = {"expected": plan.expected, "plain": plan.plain, "achieved": found}
-    return plain(plan_record(plan) | known_record(known))
+    return plain({"fixed": opened.system.fixed} | plan_record(plan) | known_record(known))
 
 
 def run(
@@ -67,6 +74,7 @@ def run(
     mode: str = "adaptive",
     *,
     belief: Belief | str | Path | None = None,
+    belief_anyway: bool = False,
     seed: int = 0,
     threads: int | None = None,
     duration: float | None = None,
@@ -80,6 +88,7 @@ def run(
         task: Name of the task: t1 to t5, hw1, hw2.
         mode: What the controller plans with: 'true', 'baseline', 'stale' or 'adaptive' parameters.
         belief: A belief in place of the task's own.
+        belief_anyway: Take a belief about another model too, and only warn of what has changed.
         seed: Seed of start poses, sensor noise and sampling.
         threads: CPU threads; None: all cores. Results do not depend on it.
         duration: Longest time of the run [s]; None: the tasks' own limit.
@@ -106,6 +115,7 @@ def run(
     options = RunOptions(
         task, mode, belief=Path(belief) if isinstance(belief, str) else belief, seed=seed, threads=threads,
         duration=LONGEST if duration is None else duration, settings={} if settings is None else settings,
+        belief_anyway=belief_anyway,
     )  # fmt: skip
     opened = open_run(options)
     history, show = History(opened.task), progress or (lambda row: None)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from amhe_cli.cli import log_path, options
+from amhe_cli.cli.prior_options import believed, narrowing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -31,12 +32,8 @@ if TYPE_CHECKING:
     metavar="LOG",
     help="Log used only to validate; repeat for more.  [default: a quarter of the logs' time]",
 )
-@click.option(
-    "--belief",
-    type=options.EXISTING_FILE,
-    metavar="FILE",
-    help="Start from an earlier belief.yaml instead of the system's own prior.",
-)
+@believed("Start from an earlier belief.yaml instead of the system's own prior.")
+@narrowing
 @click.option(
     "--method",
     type=click.Choice(["linearised", "cmaes"]),
@@ -69,6 +66,9 @@ def identify(
     inputs: Inputs,
     held_out: tuple[Path, ...],
     belief: Path | None,
+    belief_anyway: bool,
+    fix: dict[str, float],
+    only: list[str] | None,
     method: str,
     max_time: float | None,
     checkpoint: Path | None,
@@ -88,7 +88,6 @@ def identify(
     from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress
     from amhe_cli.core.executors import executor_of
-    from amhe_cli.core.parameters import Belief
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
     from amhe_cli.report.identification import print_identification
@@ -97,7 +96,7 @@ def identify(
     folder = out.reserve("identify")
     _check_apart(logs, held_out)
     opened = inputs.open(logs, overrides)
-    prior = Belief.load(belief, opened) if belief else None
+    opened, prior = opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:

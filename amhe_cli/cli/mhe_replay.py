@@ -10,6 +10,7 @@ import click
 
 from amhe_cli.cli import log_path, options
 from amhe_cli.cli.estimator_options import estimator
+from amhe_cli.cli.prior_options import believed, narrowing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -26,12 +27,10 @@ _SHOWN = 4
 @click.command("mhe-replay", cls=options.Command, short_help="A log to parameters over time, as if live.")
 @click.argument("log", required=False, type=log_path.LOG, callback=log_path.one_episode, metavar="[LOG]")
 @options.where
-@click.option(
-    "--belief",
-    type=options.EXISTING_FILE,
-    metavar="FILE",
-    help="Start from a belief.yaml, its sd floored so that it can still move, instead of the system's prior.",
+@believed(
+    "Start from a belief.yaml, its sd floored so that it can still move, instead of the system's prior."
 )
+@narrowing
 @estimator
 @options.work
 @options.tuning
@@ -43,6 +42,9 @@ def mhe_replay(
     log: Path | None,
     inputs: Inputs,
     belief: Path | None,
+    belief_anyway: bool,
+    fix: dict[str, float],
+    only: list[str] | None,
     seed: int,
     threads: int,
     overrides: Overrides,
@@ -58,7 +60,6 @@ def mhe_replay(
     from amhe_cli.cli.inputs import bundled_log
     from amhe_cli.cli.progress import progress
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.core.parameters import Belief
     from amhe_cli.estimation.online.predictions import predictions, replay_fits
     from amhe_cli.estimation.online.replay import caution, open_replay, paced, replayed
     from amhe_cli.report.replay import print_replay, write_replay
@@ -74,7 +75,7 @@ def mhe_replay(
     follows = "window" in chosen and "update_period" not in chosen
     if follows and opened.folder is not None:
         opened = paced(opened, System.load(opened.folder, warn=False).settings.mhe)
-    known = Belief.load(belief, opened) if belief else None
+    opened, known = opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
     (recorded,) = inputs.read(opened, [path])
     problem = open_replay(
         opened, recorded, belief=known, seed=seed, threads=threads, begun=inputs.start or 0.0, paced=follows

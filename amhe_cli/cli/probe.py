@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from amhe_cli.cli import at_the_robot, options
+from amhe_cli.cli.prior_options import believed, narrowing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -29,12 +30,8 @@ LOG = "probe.mcap"
     "Whose box and floor go1_push is probed with, as they are before anything changes.  [default: t1]", None
 )
 @options.seconds("The longest that the probe may take [s].", 10.0, min=0, min_open=True, max=600)
-@click.option(
-    "--belief",
-    type=options.EXISTING_FILE,
-    metavar="FILE",
-    help="A belief.yaml to design with, and to walk with, instead of the system's own prior.",
-)
+@believed("A belief.yaml to design with, and to walk with, instead of the system's own prior.")
+@narrowing
 @click.option(
     "--plant",
     type=options.EXISTING_FILE,
@@ -62,6 +59,9 @@ def probe(
     task: str | None,
     seconds: float,
     belief: Path | None,
+    belief_anyway: bool,
+    fix: dict[str, float],
+    only: list[str] | None,
     plant: Path | None,
     box: tuple[float, float] | None,
     plan_only: bool,
@@ -89,7 +89,9 @@ def probe(
 
     session.hush_mujoco()
     settings, schema = overrides.suited(find_system(system or "go1_push"))
-    chosen = ProbeOptions(system, task, seconds, belief, plant, box, seed, threads, settings, schema)
+    chosen = ProbeOptions(
+        system, task, seconds, belief, plant, box, seed, threads, settings, schema, fix, only, belief_anyway
+    )
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)
@@ -103,6 +105,7 @@ def probe(
     inputs = [path for path in (belief, plant) if path]
     about = {
         "system": opened.system.name, "task": opened.task, "target": target, "seed": seed, "out": str(folder),
+        "fixed": opened.system.fixed,
         "provenance": provenance(session.command_line, seed, "probe", opened.system, inputs, ()),
     }  # fmt: skip
     record = plain(session.record(**about, **plan_record(plan)))

@@ -12,6 +12,7 @@ import click
 
 from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.estimator_options import estimator
+from amhe_cli.cli.prior_options import believed
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -44,12 +45,7 @@ MODES = ("true", "baseline", "stale", "adaptive")
     help="What the controller plans with: the plant's own parameters, the task's fixed wrong ones, or the "
     "newest estimate, starting from the baseline's.",
 )
-@click.option(
-    "--belief",
-    type=options.EXISTING_FILE,
-    metavar="FILE",
-    help="A belief.yaml in place of the task's own for modes baseline, stale and adaptive.",
-)
+@believed("A belief.yaml in place of the task's own for modes baseline, stale and adaptive.")
 @options.work
 @click.option(
     "--duration",
@@ -81,6 +77,7 @@ def run(
     target: str,
     mode: str,
     belief: Path | None,
+    belief_anyway: bool,
     seed: int,
     threads: int,
     duration: float | None,
@@ -113,7 +110,9 @@ def run(
 
     session.hush_mujoco()
     longest = LONGEST if duration is None else duration
-    chosen = RunOptions(task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all)
+    chosen = RunOptions(
+        task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all, belief_anyway
+    )
     opened = at_the_robot.opened(chosen, wire) or open_run(chosen)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
     click.get_current_context().with_resource(closing(opened.episode.belief))

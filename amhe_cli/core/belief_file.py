@@ -5,6 +5,9 @@ The covariance is that of phi: log(value) for parameters of scale log, the value
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,9 +15,12 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from amhe_cli.core.parameters import Belief, Described, mistakes_of
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.parameters import Belief, Described
 from amhe_cli.core.statistics import Z90
 from amhe_cli.core.yaml_file import Place, YamlFile
+
+logger = logging.getLogger(__name__)
 
 SCHEMA_VERSION = 1
 
@@ -22,6 +28,8 @@ _HEADER = """\
 # What is believed of the parameters of a system: an estimate, and how sure it is.
 # `covariance` is of log(estimate) where scale is log, of the estimate where it is linear;
 # `sd`, `lower` and `upper` (90 %) follow from it and are for people: reading ignores them.
+# `model` has a hash of each part of the model, and `sets` says what a parameter sets in it: where they
+# differ, the belief is refused. `fixed` are parameters that were taken as known.
 """
 
 
@@ -30,6 +38,7 @@ class _Entry(BaseModel):
     name: str
     unit: str = "-"
     scale: Literal["log", "linear"]
+    sets: str | None = None
     estimate: FiniteFloat
     sd: float | None = None
     lower: float | None = None
@@ -40,8 +49,10 @@ class _File(BaseModel):
     model_config = ConfigDict(extra="forbid")
     schema_version: Literal[1]
     system: str
+    model: dict[str, str] = {}
     parameters: Annotated[list[_Entry], Field(min_length=1)]
     covariance: list[list[FiniteFloat]]
+    fixed: dict[str, FiniteFloat] = {}
     provenance: dict[str, Any] = {}
 
 
@@ -51,8 +62,10 @@ def belief_text(belief: Belief) -> str:
     document = {
         "schema_version": SCHEMA_VERSION,
         "system": belief.system,
+        "model": dict(belief.model),
         "parameters": [_entry(belief, i, float(sd[i])) for i in range(len(belief.names))],
         "covariance": belief.covariance.tolist(),
+        "fixed": dict(belief.fixed),
         "provenance": belief.provenance,
     }
     return _HEADER + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=110)
@@ -65,6 +78,7 @@ def _entry(belief: Belief, i: int, sd: float) -> dict[str, object]:
         "name": belief.names[i],
         "unit": belief.units[i],
         "scale": "log" if belief.log[i] else "linear",
+        "sets": belief.sets.get(belief.names[i]),
         "estimate": estimate,
         "sd": estimate * sd if belief.log[i] else sd,
         "lower": estimate / factor if belief.log[i] else estimate - Z90 * sd,
@@ -72,12 +86,13 @@ def _entry(belief: Belief, i: int, sd: float) -> dict[str, object]:
     }
 
 
-def read_belief(path: Path, system: Described | None = None) -> Belief:
-    """Read a belief.
+def read_belief(path: Path, system: Described | None = None, belief_anyway: bool = False) -> Belief:
+    """Read a belief; where a system is given, as `belief_for` does.
 
     Args:
         path: The file.
         system: The system that the belief must be about; None: any.
+        belief_anyway: Take a belief about another model too, and only warn of what has changed.
 
     Raises:
         ConfigError: The file is no belief, not about this system, or of other parameters; every mistake
@@ -91,47 +106,97 @@ def read_belief(path: Path, system: Described | None = None) -> Belief:
             file.problem(mistake["loc"], f"{_label(mistake['loc'])}: {mistake['msg'].lower()}")
         file.raise_problems()
         raise
-    _check(file, content, system)
-    return Belief(
+    names = [entry.name for entry in content.parameters]
+    for i, name in enumerate(names):
+        if names.count(name) > 1:
+            file.problem(("parameters", i, "name"), f"parameter {name!r} is here twice")
+    mistake = _covariance_mistake(content.covariance, len(names))
+    if mistake:
+        file.problem(("covariance",), mistake)
+    file.raise_problems()
+    belief = Belief(
         system=content.system,
-        names=tuple(entry.name for entry in content.parameters),
+        names=tuple(names),
         units=tuple(entry.unit for entry in content.parameters),
         log=tuple(entry.scale == "log" for entry in content.parameters),
         estimate=np.array([entry.estimate for entry in content.parameters]),
         covariance=np.array(content.covariance),
         provenance=content.provenance,
+        model=content.model,
+        sets={entry.name: entry.sets for entry in content.parameters if entry.sets},
+        fixed=content.fixed,
     )
+    if system is None:
+        return belief
+    for place, text in _problems(belief, system, belief_anyway):
+        file.problem(place, text)
+    file.raise_problems()
+    return _suited(belief, system)
 
 
-def belief_for(system: Described, given: Belief | str | Path) -> Belief:
+def belief_for(system: Described, given: Belief | str | Path, belief_anyway: bool = False) -> Belief:
     """A belief that a system can start from: one in memory, or that of a file.
+
+    Args:
+        system: The system.
+        given: The belief, or the path of its file.
+        belief_anyway: Take a belief about another model too, and only warn of what has changed.
+
+    Returns:
+        The belief about the system's free parameters, given the values of those that are fixed.
 
     Raises:
         ConfigError: The belief does not suit the system.
     """
     if not isinstance(given, Belief):
-        return read_belief(Path(given), system)
-    given.check(system)
-    return given
+        return read_belief(Path(given), system, belief_anyway)
+    for _, text in _problems(given, system, belief_anyway):
+        raise ConfigError(text)
+    return _suited(given, system)
 
 
-def _check(file: YamlFile, content: _File, system: Described | None) -> None:
-    """Refuse what no belief, or no prior of this system, can be."""
-    if system is not None and content.system != system.name:
-        file.problem(("system",), f"this belief is about {content.system!r}, not about {system.name!r}")
-        file.raise_problems()
-    names = [entry.name for entry in content.parameters]
-    for i, entry in enumerate(content.parameters):
-        place = ("parameters", i)
-        if names.count(entry.name) > 1:
-            file.problem((*place, "name"), f"parameter {entry.name!r} is here twice")
-        elif system is not None:
-            for key, text in mistakes_of(entry.name, entry.scale == "log", entry.estimate, system.space):
-                file.problem((*place, key), text)
-    mistake = _covariance_mistake(content.covariance, len(names))
-    if mistake:
-        file.problem(("covariance",), mistake)
-    file.raise_problems()
+def _problems(belief: Belief, system: Described, belief_anyway: bool) -> Iterator[tuple[Place, str]]:
+    """Why a belief cannot be a prior of a system, each with the place in its file."""
+    for place, text in _changes(belief, system):
+        if belief_anyway:
+            logger.warning(f"{text}; it is used anyway")
+        else:
+            yield place, f"{text}; `belief_anyway=True` accepts it"
+    space = {p.name: p for p in system.space.parameters}
+    for i, (name, log, value) in enumerate(zip(belief.names, belief.log, belief.estimate, strict=True)):
+        p = space.get(name)
+        if p is None:
+            continue
+        if log != p.log:
+            yield ("parameters", i, "scale"), f"the scale of {name} is {'log' if p.log else 'linear'}"
+        elif not p.lower < value < p.upper:
+            between = f"between {p.lower:g} and {p.upper:g} would be valid"
+            yield ("parameters", i, "estimate"), f"{name} is {value:g}; {between}"
+
+
+def _changes(belief: Belief, system: Described) -> Iterator[tuple[Place, str]]:
+    """What of the system is not as it was when the belief was made."""
+    changed = [part for part, value in belief.model.items() if system.parts.get(part, value) != value]
+    if changed:
+        yield ("model",), f"this belief is about another model: its {', '.join(changed)} differ"
+    elif not belief.model and belief.system != system.name:
+        yield ("system",), f"this belief is about {belief.system!r}, not about {system.name!r}"
+    for i, name in enumerate(belief.names):
+        now, then = system.sets.get(name), belief.sets.get(name)
+        if now is None:
+            yield ("parameters", i, "name"), one_of("parameter", name, system.sets)
+        elif then not in (None, now):
+            yield ("parameters", i, "sets"), f"{name} set {then} when this belief was made; now it sets {now}"
+
+
+def _suited(belief: Belief, system: Described) -> Belief:
+    """The belief about the parameters of a system that are free, given those that are fixed."""
+    for name, value in belief.fixed.items():
+        if name in system.sets and system.fixed.get(name) != value:
+            now = f"fixed at {system.fixed[name]:g}" if name in system.fixed else "not fixed"
+            logger.warning(f"this belief rests on {name} fixed at {value:g}; here it is {now} (`fix`)")
+    known = belief.without([name for name in belief.names if name not in system.sets]).given(system.fixed)
+    return replace(known, system=system.name, model=system.parts, sets=system.sets, fixed=system.fixed)
 
 
 def _covariance_mistake(rows: list[list[float]], size: int) -> str | None:

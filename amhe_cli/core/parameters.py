@@ -7,7 +7,7 @@ of any parameter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import FloatArray, sealed
-from amhe_cli.core.errors import ConfigError, one_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +128,15 @@ class ParameterSpace:
         """The nearest z within the bounds."""
         return np.clip(z, *self.bounds)
 
+    def without(self, names: Collection[str]) -> ParameterSpace:
+        """The space without some parameters; the others keep their prior."""
+        kept = [i for i, name in enumerate(self.names) if name not in names]
+        if len(kept) == len(self):
+            return self
+        rows = self.prior_correlation
+        correlation = None if rows is None else tuple(tuple(rows[i][j] for j in kept) for i in kept)
+        return ParameterSpace(tuple(self.parameters[i] for i in kept), correlation)
+
     def gaussian_of(self, belief: Belief) -> tuple[FloatArray, FloatArray]:
         """Mean z (d,) and covariance (d, d) of a belief; what it does not know has its prior."""
         known = self.with_prior(belief)
@@ -171,7 +179,22 @@ class Described(Protocol):
 
     @property
     def space(self) -> ParameterSpace:
-        """Parameters of the system."""
+        """Parameters of the system that are free."""
+        ...
+
+    @property
+    def fixed(self) -> Mapping[str, float]:
+        """Values of the parameters that are fixed, by name."""
+        ...
+
+    @property
+    def parts(self) -> Mapping[str, str]:
+        """Hash of each part of the model."""
+        ...
+
+    @property
+    def sets(self) -> Mapping[str, str]:
+        """What each parameter, free or fixed, sets in the model, in words."""
         ...
 
 
@@ -187,6 +210,9 @@ class Belief:
         estimate: Estimated values theta, shape (d,).
         covariance: Covariance of phi, shape (d, d).
         provenance: Origin of the belief: versions, hashes, seed, command.
+        model: Hash of each part of the system's model; empty for a belief that was written without them.
+        sets: What each parameter sets in the model, in words.
+        fixed: Parameters that had fixed values, which the belief rests on.
     """
 
     system: str
@@ -196,18 +222,24 @@ class Belief:
     estimate: FloatArray
     covariance: FloatArray
     provenance: dict[str, object] = field(default_factory=dict)
+    model: Mapping[str, str] = field(default_factory=dict)
+    sets: Mapping[str, str] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "estimate", sealed(self.estimate))
         object.__setattr__(self, "covariance", sealed(self.covariance))
 
     @classmethod
-    def load(cls, path: str | Path, system: Described | None = None) -> Belief:
+    def load(
+        cls, path: str | Path, system: Described | None = None, *, belief_anyway: bool = False
+    ) -> Belief:
         """Read a `belief.yaml`.
 
         Args:
             path: The file.
             system: The system that the belief must be about; None: any.
+            belief_anyway: Take a belief about another model too, and only warn of what has changed.
 
         Raises:
             ConfigError: The file holds no belief, or none that suits the system; one line for each mistake,
@@ -215,7 +247,7 @@ class Belief:
         """
         from amhe_cli.core.belief_file import read_belief
 
-        return read_belief(Path(path), system)
+        return read_belief(Path(path), system, belief_anyway)
 
     def save(self, path: str | Path) -> None:
         """Write a `belief.yaml`, whole or not at all."""
@@ -235,59 +267,67 @@ class Belief:
             Parameters in their units, shape (n, d), columns in the order of `names`. Bounds of the search
             do not limit them.
         """
-        log = np.array(self.log)
-        middle = np.where(log, np.log(np.where(log, self.estimate, 1.0)), self.estimate)
+        log, middle = np.array(self.log), self._phi(self.estimate)
         phi = np.random.default_rng(rng).multivariate_normal(middle, self.covariance, n, method="cholesky")
         return np.where(log, np.exp(np.where(log, phi, 0.0)), phi)
 
-    def check(self, system: Described) -> None:
-        """Refuse a system that the belief is not about, or that cannot start from it.
+    def without(self, names: Collection[str]) -> Belief:
+        """The belief about the other parameters, whatever the values of these."""
+        o = [i for i, name in enumerate(self.names) if name not in names]
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in o),
+            units=tuple(self.units[i] for i in o),
+            log=tuple(self.log[i] for i in o),
+            estimate=self.estimate[o],
+            covariance=self.covariance[np.ix_(o, o)],
+        )
 
-        Raises:
-            ConfigError: The names, scales or bounds of the system's parameters are others.
+    def given(self, values: Mapping[str, float]) -> Belief:
+        """The belief about the other parameters where these have known values.
+
+        The conditional of a Gaussian: mean m + C_of C_ff^-1 (phi - m_f), covariance C_oo - C_of C_ff^-1 C_fo.
         """
-        if self.system != system.name:
-            raise ConfigError(f"this belief is about {self.system!r}, not about {system.name!r}")
-        for name, log, estimate in zip(self.names, self.log, self.estimate, strict=True):
-            for _, text in mistakes_of(name, log, float(estimate), system.space):
-                raise ConfigError(text)
+        f = [i for i, name in enumerate(self.names) if name in values]
+        o = [i for i, name in enumerate(self.names) if name not in values]
+        if not f:
+            return self
+        theta = np.array([values.get(n, own) for n, own in zip(self.names, self.estimate, strict=True)])
+        away = self._phi(theta)[f] - self._phi(self.estimate)[f]
+        gain = np.linalg.solve(self.covariance[np.ix_(f, f)], self.covariance[np.ix_(f, o)]).T
+        log, step, own = np.array(self.log)[o], gain @ away, self.estimate[o]
+        return replace(
+            self.without(values),
+            estimate=np.where(log, own * np.exp(np.where(log, step, 0.0)), own + step),
+            covariance=self.covariance[np.ix_(o, o)] - gain @ self.covariance[np.ix_(f, o)],
+            fixed={**self.fixed, **{self.names[i]: values[self.names[i]] for i in f}},
+        )
 
-
-def mistakes_of(name: str, log: bool, estimate: float, space: ParameterSpace) -> Iterator[tuple[str, str]]:
-    """Why a belief about one parameter suits no parameter of a space, if so, and which key is wrong.
-
-    Args:
-        name: Name of the parameter in the belief.
-        log: Whether the parameter is log-scaled in the belief.
-        estimate: Value of the parameter in the belief.
-        space: Parameters of a system.
-    """
-    known = {p.name: p for p in space.parameters}
-    p = known.get(name)
-    if p is None:
-        yield "name", one_of("parameter", name, known)
-    elif log != p.log:
-        yield "scale", f"the scale of {name} is {'log' if p.log else 'linear'}"
-    elif not p.lower < estimate < p.upper:
-        yield "estimate", f"{name} is {estimate:g}; between {p.lower:g} and {p.upper:g} would be valid"
+    def _phi(self, theta: FloatArray) -> FloatArray:
+        """log(theta) where log-scaled, else theta."""
+        log = np.array(self.log)
+        return np.where(log, np.log(np.where(log, theta, 1.0)), theta)
 
 
 def belief_of(
-    system: str, space: ParameterSpace, z: FloatArray, covariance: FloatArray, provenance: dict[str, object]
+    system: Described, z: FloatArray, covariance: FloatArray, provenance: dict[str, object] | None = None
 ) -> Belief:
-    """Belief of an estimate z (d,) with covariance (d, d) in z."""
-    scale = np.outer(space.prior_sd, space.prior_sd)
+    """Belief about a system's parameters, of an estimate z (d,) with covariance (d, d) in z."""
+    space = system.space
     return Belief(
-        system=system,
+        system=system.name,
         names=space.names,
         units=tuple(p.unit for p in space.parameters),
         log=tuple(p.log for p in space.parameters),
         estimate=space.theta_of(z),
-        covariance=covariance * scale,
-        provenance=provenance,
+        covariance=covariance * np.outer(space.prior_sd, space.prior_sd),
+        provenance=provenance or {},
+        model=system.parts,
+        sets=system.sets,
+        fixed=system.fixed,
     )
 
 
-def completed(belief: Belief, space: ParameterSpace, system: str) -> Belief:
-    """A belief over all parameters of a space: what it does not know has its prior."""
-    return belief_of(system, space, *space.gaussian_of(belief), dict(belief.provenance))
+def completed(belief: Belief, system: Described) -> Belief:
+    """A belief over all parameters of a system: what it does not know has its prior."""
+    return belief_of(system, *system.space.gaussian_of(belief), dict(belief.provenance))

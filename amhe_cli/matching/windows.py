@@ -107,10 +107,8 @@ def _derived(channel: Channel, windows: Sequence[Window]) -> bool:
 
 def _history(system: System) -> int:
     """Steps before a window's start that its longest command delay reaches back."""
-    column = system.edits.delay_column
-    if column is None:
-        return 0
-    return int(np.ceil(system.edits.space.parameters[column].upper / system.model.opt.timestep)) + 1
+    longest = system.edits.longest_delay
+    return int(np.ceil(longest / system.model.opt.timestep)) + 1 if longest else 0
 
 
 def _inputs(

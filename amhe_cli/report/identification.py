@@ -44,6 +44,7 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "system": result.system,
             "method": result.method,
             "interrupted": result.interrupted,
+            "fixed": result.belief.fixed,
             "parameters": [{name: getattr(p, name) for name in _PARAMETER_FIELDS} for p in result.parameters],
             "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
             "correlations": result.correlations,
@@ -97,6 +98,8 @@ def print_identification(
     """Print the parameters, the validation, and where the files are if they are written."""
     _print_parameters(result, console)
     console.print()
+    if result.belief.fixed:
+        console.print(f"fixed: {numbers.named(result.belief.fixed)}")
     for parameter in result.parameters:
         if parameter.verdict != "identified" and parameter.reasons:
             console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")

@@ -81,9 +81,16 @@ def statements(result: Identification) -> list[Statement]:
         *_validation(result.held_out),
         *_verdicts(result.parameters),
         *_combinations(result),
+        *fixed_statement(result.belief.fixed),
         *_residuals(result),
         *_divergence(result),
     ]
+
+
+def fixed_statement(fixed: Mapping[str, float]) -> Iterator[Statement]:
+    """Which parameters were taken as known."""
+    if fixed:
+        yield Statement("mixed", f"Taken as known, and not estimated: {numbers.named(fixed)}.")
 
 
 def _stopped(result: Identification) -> Iterator[Statement]:

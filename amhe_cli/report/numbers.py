@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 #: Text for a missing number.
 MISSING = "–"
@@ -67,6 +67,11 @@ def length(metres: float) -> str:
 def angle(radians: float) -> str:
     """An angle in degrees."""
     return f"{math.degrees(radians):.3g}°" if math.isfinite(radians) else MISSING
+
+
+def named(values: Mapping[str, float]) -> str:
+    """Values by name: 'gain_scale 1, command_delay 0.012'."""
+    return ", ".join(f"{name} {value:.4g}" for name, value in values.items())
 
 
 def joined(names: Sequence[str]) -> str:

@@ -40,6 +40,8 @@ def print_known(known: Mapping[str, Any], columns: Mapping[str, str], console: C
         columns: Key of each sd, without '_sd' -> heading.
         console: Console on stdout.
     """
+    if fixed := known.get("fixed"):
+        console.print(f"fixed: {numbers.named(fixed)}")
     rows = [(row["name"], *_sds(row, columns, row["relative"], row["unit"])) for row in known["parameters"]]
     if (best := known["together"]) is not None:
         rows.append((best["name"], *_sds(best, columns, True, "")))

@@ -17,7 +17,7 @@ from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report import figures, numbers, replay_figures
 from amhe_cli.report.folder import filling
-from amhe_cli.report.identification_page import fit_legend
+from amhe_cli.report.identification_page import fit_legend, fixed_statement
 from amhe_cli.report.page import Fold, Key, Section, Statement, result_page
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
@@ -74,6 +74,8 @@ def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> N
     console.print()
     console.print(rich_table(parameter_table(record)))
     console.print()
+    if record["fixed"]:
+        console.print(f"fixed: {numbers.named(record['fixed'])}")
     for c in record["combinations"]:
         console.print(f"known together: {c['text']} to {numbers.percent(c['sd'])}")
     console.print(windows_line(record))
@@ -124,7 +126,8 @@ def headline(record: Mapping[str, Any]) -> str:
 def statements(record: Mapping[str, Any]) -> list[Statement]:
     """What a reader should know before using a number."""
     return [
-        *_stopped(record), *_truth(record), *_together(record), *_windows(record), *_speed(record),
+        *_stopped(record), *_truth(record), *_together(record),
+        *fixed_statement(record["fixed"]), *_windows(record), *_speed(record),
         *_diverged(record),
     ]  # fmt: skip
 

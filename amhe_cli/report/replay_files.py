@@ -57,6 +57,7 @@ def replay_record(replay: Replay) -> dict[str, Any]:
             | {"samples": setting.sample_count, "iterations": setting.iteration_count},
             "interrupted": replay.interrupted,
             "end_s": float(replay.times[-1]),
+            "fixed": replay.system.fixed,
             "parameters": [_parameter(replay, i) for i in range(len(replay.system.space))],
             "combinations": [{"text": c.text, "sd": c.sd} for c in _together(replay)],
             "windows": len(replay.windows),

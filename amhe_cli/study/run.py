@@ -69,7 +69,7 @@ def _run(cell: Cell) -> tuple[dict[str, Any], dict[str, Any]]:
         run = open_run(
             RunOptions(
                 cell.task, cell.mode, belief=belief, seed=cell.seed, duration=cell.duration,
-                settings=nested(dict(cell.setting)),
+                settings=nested(dict(cell.setting)), belief_anyway=True,
             )
         )  # fmt: skip
     history, costs, sds = History(run.task), [], []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -21,6 +21,11 @@ _BODY_FIELDS = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 
 class Edit(Protocol):
     """Writes some parameters into some numbers of the model."""
+
+    @property
+    def columns(self) -> Sequence[int]:
+        """Columns of theta that the edit writes."""
+        ...
 
     @property
     def cells(self) -> tuple[Cells, ...]:
@@ -47,6 +52,11 @@ class ScalarEdit:
     written: tuple[Cells, ...]
     mode: Literal["value", "scale", "add"]
     carried: tuple[int, ...] = ()
+
+    @property
+    def columns(self) -> Sequence[int]:
+        """See `Edit.columns`."""
+        return (self.column,)
 
     @property
     def cells(self) -> tuple[Cells, ...]:
@@ -78,7 +88,7 @@ class PseudoInertiaEdit:
         Raises:
             ConfigError: The body's own inertia is not that of any real body.
         """
-        self._body, self._columns = body, list(columns)
+        self.body, self.columns = body, list(columns)
         try:
             self._nominal = upper_factor(
                 pseudo_inertia(
@@ -97,15 +107,15 @@ class PseudoInertiaEdit:
     @property
     def cells(self) -> tuple[Cells, ...]:
         """Mass, centre of mass, principal axes and moments."""
-        body = self._body
+        body = self.body
         wide = (("body_ipos", 3), ("body_iquat", 4), ("body_inertia", 3))
         return (Cells("body_mass", body), *(Cells(field, body, tuple(range(k))) for field, k in wide))
 
     def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
         """See `Edit.write`."""
-        numbers = body_numbers(self._nominal @ log_cholesky(theta[:, self._columns]))
+        numbers = body_numbers(self._nominal @ log_cholesky(theta[:, self.columns]))
         for field, values in zip(_BODY_FIELDS, numbers, strict=True):
-            arrays[field][:, self._body] = values
+            arrays[field][:, self.body] = values
 
 
 def inputs_of_set_const() -> frozenset[str]:
@@ -130,9 +140,10 @@ class ModelEdits:
 
     Args:
         model: The base model.
-        space: The parameters, columns of theta.
+        space: The parameters, columns that the edits write.
         edits: The edits, which write these parameters into the model.
         delay_column: The parameter that is the common command delay [s].
+        fixed: Parameters that have one value in all candidates, by name: theta has the others only.
     """
 
     def __init__(
@@ -141,9 +152,12 @@ class ModelEdits:
         space: ParameterSpace,
         edits: Sequence[Edit],
         delay_column: int | None = None,
+        fixed: Mapping[str, float] | None = None,
     ) -> None:
-        self.space = space
-        self.delay_column = delay_column
+        self.fixed = dict(fixed or {})
+        self.space = space.without(self.fixed)
+        self._all, self._delay_column = space, delay_column
+        self._free = [i for i, name in enumerate(space.names) if name not in self.fixed]
         self._edits = tuple(edits)
         self.cells = tuple(cells for edit in self._edits for cells in edit.cells)
         self.fields: tuple[str, ...] = tuple(dict.fromkeys(cells.field for cells in self.cells))
@@ -154,7 +168,30 @@ class ModelEdits:
 
     def upon(self, model: mujoco.MjModel) -> ModelEdits:
         """The same edits upon another model of the same layout: another box in the same scene."""
-        return ModelEdits(model, self.space, self._edits, self.delay_column)
+        return ModelEdits(model, self._all, self._edits, self._delay_column, self.fixed)
+
+    def fixing(self, values: Mapping[str, float]) -> ModelEdits:
+        """The same edits with more parameters at fixed values, by name."""
+        other = copy.copy(self)
+        other.fixed = self.fixed | dict(values)
+        other.space = self._all.without(other.fixed)
+        other._free = [i for i, name in enumerate(self._all.names) if name not in other.fixed]
+        return other
+
+    def own(self, model: mujoco.MjModel) -> mujoco.MjModel:
+        """Copy of a model that these edits have written to, with the base model's own numbers again."""
+        plain = copy.copy(model)
+        for cells, own in self._base:
+            getattr(plain, cells.field)[cells.index[1:]] = own
+        return plain
+
+    def by_name(self) -> Iterator[tuple[str, Edit | None]]:
+        """Each parameter, fixed ones too, with an edit that writes it; None: the command delay."""
+        for edit in self._edits:
+            for column in edit.columns:
+                yield self._all.names[column], edit
+        if self._delay_column is not None:
+            yield self._all.names[self._delay_column], None
 
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
         """Each parameter that sets plain numbers, with all of them."""
@@ -162,7 +199,15 @@ class ModelEdits:
         for edit in self._edits:
             if isinstance(edit, ScalarEdit):
                 reached[edit.column] = reached.get(edit.column, ()) + edit.written
-        return [(self.space.parameters[column], cells) for column, cells in reached.items()]
+        return [(self._all.parameters[column], cells) for column, cells in reached.items()]
+
+    def _whole(self, theta: FloatArray) -> FloatArray:
+        """Columns of all parameters (n, D) from those that are free (n, d)."""
+        if not self.fixed:
+            return theta
+        whole = np.tile([self.fixed.get(name, np.nan) for name in self._all.names], (len(theta), 1))
+        whole[:, self._free] = theta
+        return whole
 
     def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
         """Write all candidates in place.
@@ -173,8 +218,9 @@ class ModelEdits:
         """
         for cells, own in self._base:
             arrays[cells.field][cells.index] = own
+        whole = self._whole(theta)
         for edit in self._edits:
-            edit.write(arrays, theta)
+            edit.write(arrays, whole)
         for row in self._moments:
             inertia = arrays["body_inertia"][:, row]
             inertia[:] = np.minimum(inertia, inertia.sum(axis=-1, keepdims=True) - inertia)
@@ -197,4 +243,11 @@ class ModelEdits:
 
     def delays(self, theta: FloatArray) -> FloatArray:
         """Common command delay [s] of each candidate of theta (n, d), shape (n,); zero without one."""
-        return np.zeros(len(theta)) if self.delay_column is None else theta[:, self.delay_column]
+        return (
+            np.zeros(len(theta)) if self._delay_column is None else self._whole(theta)[:, self._delay_column]
+        )
+
+    @property
+    def longest_delay(self) -> float:
+        """Upper bound of the common command delay [s]; zero without one."""
+        return 0.0 if self._delay_column is None else self._all.parameters[self._delay_column].upper

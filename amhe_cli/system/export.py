@@ -11,7 +11,6 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.system.model_file import compiled
 from amhe_cli.system.system import System
 
@@ -36,7 +35,7 @@ def identified_xml(system: System, theta: FloatArray) -> str:
     for field, row in dict.fromkeys((c.field, c.row) for c in system.edits.cells):
         if field not in _INERTIAL:
             _write(spec, model, field, row)
-    spec.comment = _comment(system.name, system.space, theta)
+    spec.comment = _comment(system, theta)
     return portable(spec, Path(spec.modelfiledir))[0]
 
 
@@ -47,10 +46,11 @@ def identified_assets(system: System) -> dict[str, Path]:
     return portable(spec, Path(spec.modelfiledir))[1]
 
 
-def _comment(name: str, space: ParameterSpace, theta: FloatArray) -> str:
-    values = zip(space.parameters, theta, strict=True)
+def _comment(system: System, theta: FloatArray) -> str:
+    values = zip(system.space.parameters, theta, strict=True)
     lines = (f"{p.name} = {value:.6g}{'' if p.unit == '-' else f' {p.unit}'}" for p, value in values)
-    return "; ".join((f"identified by amhe, system {name}", *lines)).replace("--", "- -")
+    fixed = (f"{name} = {value:.6g} (fixed)" for name, value in system.fixed.items())
+    return "; ".join((f"identified by amhe, system {system.name}", *lines, *fixed)).replace("--", "- -")
 
 
 def _write_inertials(spec: mujoco.MjSpec, model: mujoco.MjModel, rows: set[int]) -> None:

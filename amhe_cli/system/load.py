@@ -83,28 +83,19 @@ def load(
     return loaded
 
 
-def from_model(
+def described(
     model: mujoco.MjModel | mujoco.MjSpec | str | Path,
-    parameters: Mapping[str, Any],
-    signals: Mapping[str, Any],
-    settings: Mapping[str, Any] | Settings | None = None,
-    keyframe: str | None = None,
-    name: str | None = None,
-    warn: bool = True,
-    urdf: UrdfOptions | None = None,
+    description: Mapping[str, Any],
+    name: str | None,
+    urdf: UrdfOptions,
+    *,
+    warn: bool,
 ) -> System:
-    """See `System.from_model`."""
+    """See `System.from_model`; `description` has the keys of a `system.yaml`, without its model."""
     spec = spec_of(model, urdf)
     own = Path(model).stem if isinstance(model, str | Path) else spec.modelname
-    arguments = Arguments(
-        {
-            "model": name or own,
-            **({"keyframe": keyframe} if keyframe else {}),
-            "parameters": parameters,
-            "signals": {key: _with_topic(key, signal) for key, signal in signals.items()},
-            "settings": settings or {},
-        }
-    )
+    signals = {key: _with_topic(key, signal) for key, signal in description["signals"].items()}
+    arguments = Arguments({**description, "model": name or own, "signals": signals})
     entry = validated(arguments)
     arguments.raise_problems()
     assert entry is not None, "no mistake was noted"

@@ -15,6 +15,7 @@ from amhe_cli.core.yaml_file import Place, at_place
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
 Positive = Annotated[float, Field(strict=True, allow_inf_nan=False, gt=0)]
+NotNegative = Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)]
 Name = Annotated[str, Field(min_length=1)]
 #: A list of model names, or a mapping from model names to the log's names.
 Names = Annotated[list[Name], Field(min_length=1)] | Annotated[dict[Name, Name], Field(min_length=1)]
@@ -49,7 +50,7 @@ class ParameterEntry(_Entry):
     nominal: Number | None = None
     bounds: tuple[Number, Number] | None = None
     scale: Literal["log", "linear"] | None = None
-    prior_sd: Positive | None = None
+    prior_sd: NotNegative | None = None
     drift: Annotated[float, Field(strict=True, allow_inf_nan=False, ge=0)] | None = None
 
 

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
 import mujoco
 
-from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.belief_file import belief_for
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.parameters import Belief, ParameterSpace
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.signals import Signal, remapped
 from amhe_cli.system.edits import ModelEdits
+from amhe_cli.system.identity import parts_of, sets_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,11 +166,12 @@ class System:
         Raises:
             ConfigError: One line for each mistake, `path.of.the.key: what, what would be valid`.
         """
-        from amhe_cli.system.load import from_model
+        from amhe_cli.system.load import described
         from amhe_cli.system.urdf import UrdfOptions
 
-        urdf = UrdfOptions(packages or {}, meshes)
-        return from_model(model, parameters, signals, settings, keyframe, name, warn, urdf)
+        entry = {"parameters": parameters, "signals": signals, "settings": settings or {}}
+        entry |= {"keyframe": keyframe} if keyframe else {}
+        return described(model, entry, name, UrdfOptions(packages or {}, meshes), warn=warn)
 
     def __repr__(self) -> str:
         signals = ", ".join(signal.name for signal in self.signals)
@@ -191,6 +197,101 @@ class System:
             ConfigError: There is no such signal.
         """
         return replace(self, signals=remapped(self.signals, topics))
+
+    @property
+    def fixed(self) -> dict[str, float]:
+        """Values of the fixed parameters, by name: those with the prior sd 0, and those of `fixing`."""
+        return self.edits.fixed
+
+    def fixing(
+        self,
+        fix: Mapping[str, float] | None = None,
+        only: Sequence[str] | None = None,
+        at: Belief | None = None,
+    ) -> System:
+        """The system with some of its parameters fixed: they stay in the model and are not estimated.
+
+        Args:
+            fix: Parameter -> its value.
+            only: Parameters that stay free, by names or patterns such as 'left_*'; all others are fixed.
+                None: all that are not in `fix` stay free.
+            at: Belief with the values of those that `only` fixes; None: at their nominal values.
+
+        Raises:
+            ConfigError: There is no such parameter, a value is outside its bounds, or none is left free.
+        """
+        fix = dict(fix or {})
+        for name, value in fix.items():
+            self._check_value(name, value)
+        if only is not None:
+            own = self.space.named(self.space.nominal)
+            own |= zip(at.names, map(float, at.estimate), strict=True) if at else ()
+            kept = self._matching(only, fix)
+            fix |= {name: own[name] for name in self.space.names if name not in (*kept, *fix)}
+        if not fix:
+            return self
+        edits = self.edits.fixing(fix)
+        if not len(edits.space):
+            raise ConfigError("every parameter is fixed: leave one free")
+        space = self.space.without(fix)
+        return replace(self, space=space, edits=edits, model=edits.apply(self.model, space.nominal))
+
+    def starting_from(
+        self,
+        belief: Belief | str | Path | None,
+        *,
+        fix: Mapping[str, float] | None = None,
+        only: Sequence[str] | None = None,
+        belief_anyway: bool = False,
+    ) -> tuple[System, Belief | None]:
+        """The system with some parameters fixed, see `fixing`, and a belief about the others.
+
+        Args:
+            belief: The belief, or the path of its file; None: there is none.
+            fix, only: See `fixing`; `only` fixes parameters at the belief's values.
+            belief_anyway: Take a belief about another model too, and only warn of what has changed.
+
+        Raises:
+            ConfigError: The belief does not suit, or a parameter cannot be fixed so.
+        """
+        start = None if belief is None else belief_for(self, belief, belief_anyway)
+        system = self.fixing(fix, only, start)
+        return system, start if start is None else belief_for(system, start)
+
+    def _check_value(self, name: str, value: object) -> None:
+        known = {p.name: p for p in self.space.parameters}
+        if name not in known and name not in self.fixed:
+            raise ConfigError(f"`fix`: {one_of('parameter', name, self.sets)}")
+        p = known.get(name)
+        if not isinstance(value, float | int) or (p is not None and not p.lower <= value <= p.upper):
+            valid = f"; between {p.lower:g} and {p.upper:g} would be valid" if p else ""
+            raise ConfigError(f"`fix`: {name} cannot be {value}{valid}")
+
+    def _matching(self, only: Sequence[str], fix: Collection[str]) -> list[str]:
+        """Names of free parameters that names or patterns mean."""
+        if isinstance(only, str):
+            raise ConfigError(f"`only`: give a list of names, not {only!r}")
+        found = [[name for name in self.space.names if fnmatchcase(name, pattern)] for pattern in only]
+        for pattern, names in zip(only, found, strict=True):
+            if not names:
+                raise ConfigError(f"`only`: {one_of('parameter', pattern, self.space.names)}")
+            if set(names) <= set(fix):
+                raise ConfigError(f"`only`: {pattern} is fixed too (`fix`); leave out one of them")
+        return [name for names in found for name in names]
+
+    @property
+    def parts(self) -> dict[str, str]:
+        """Hash of each part of the model, without the parameters' values: the same in any folder."""
+        return self._about[0]
+
+    @property
+    def sets(self) -> dict[str, str]:
+        """What each parameter, free or fixed, sets in the model, in words."""
+        return self._about[1]
+
+    @cached_property
+    def _about(self) -> tuple[dict[str, str], dict[str, str]]:
+        return parts_of(self.model, self.edits), sets_of(self.model, self.edits)
 
     @property
     def senses(self) -> bool:

@@ -65,7 +65,11 @@ def unknowns_of(
             _add_plain(file, place, parameter, model, found)
     space = ParameterSpace(tuple(found.parameters))
     edits = [edit for _, edit in sorted(found.edits, key=lambda ranked: ranked[0])]
-    return space, ModelEdits(model, space, edits, found.delay_column)
+    fixed = {p.name: p.nominal for p in space.parameters if p.prior_sd == 0.0}
+    if fixed and len(fixed) == len(space):
+        file.problem(("parameters",), "every parameter has the prior_sd 0, which fixes it: leave one free")
+    written = ModelEdits(model, space, edits, found.delay_column, fixed)
+    return written.space, written
 
 
 def _add_plain(
@@ -126,7 +130,7 @@ def _add_pseudo(
     except ConfigError as error:
         file.problem(here, str(error))
         return
-    sd = entry.prior_sd or PSEUDO_PRIOR_SD
+    sd = PSEUDO_PRIOR_SD if entry.prior_sd is None else entry.prior_sd
     found.parameters += [Parameter(f"{name}.{k}", "-", 0.0, lower, upper, False, sd) for k in PSEUDO_NAMES]
     found.edits.append((0, edit))
 
@@ -161,7 +165,8 @@ def _parameter(
         raise ConfigError(f"nominal {nominal:g} must lie strictly between its bounds [{lower:g}, {upper:g}]")
     if log and lower <= 0.0:
         raise ConfigError(f"bounds [{lower:g}, {upper:g}]: scale: log needs a lower bound above 0")
-    sd = entry.prior_sd or (LOG_PRIOR_SD if log else (upper - lower) / 4.0)
+    usual = LOG_PRIOR_SD if log else (upper - lower) / 4.0
+    sd = usual if entry.prior_sd is None else entry.prior_sd
     unit = entry.unit or _unit(target, cells, model)
     made = Parameter(name, unit, nominal, lower, upper, log, sd)
     return made if entry.drift is None else replace(made, drift=entry.drift)

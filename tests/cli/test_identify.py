@@ -210,3 +210,17 @@ def test_workers_find_the_same_parameters_to_the_bit(tmp_path: Path, pendulum_lo
     for own in ("seconds", "out"):
         del here[own], there[own]
     assert here == there
+
+
+def test_fixed_parameters_are_listed_and_condition_the_belief(done: Path, pendulum_log: Path, capsys) -> None:
+    command = ["identify", str(pendulum_log), "-q", "--seed", "3", *QUICK, "--json", "-o", "out"]
+    narrow = ["--belief", str(done / "belief.yaml"), "--only", "load_*", "--fix", "damping=0.05"]
+    assert run([*command, *narrow]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert [p["name"] for p in record["parameters"]] == ["load_mass"]
+    fixed = yaml.safe_load(Path("out/belief.yaml").read_text())["fixed"]
+    assert fixed == record["fixed"] and list(fixed) == ["damping", "friction_loss", "armature"]
+    before = json.loads((done / "result.json").read_text())["parameters"]
+    assert fixed["damping"] == 0.05 and fixed["armature"] == pytest.approx(before[3]["estimate"])
+    assert run([*command, "--force", "--fix", "damp=1"]) == 2
+    assert "--fix: no parameter 'damp' (did you mean 'damping'?)" in capsys.readouterr().err

@@ -1,18 +1,22 @@
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import yaml
 
-from amhe_cli.core.belief_file import belief_text, read_belief
+from amhe_cli.core.belief_file import belief_for, belief_text, read_belief
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.parameters import Belief, Parameter, ParameterSpace
 from tests.report.synthetic import NAMES, identification
 
-SYSTEM = SimpleNamespace(
+SYSTEM: Any = SimpleNamespace(
     name="pendulum",
     space=ParameterSpace(tuple(Parameter(name, "-", 0.5, 1e-4, 10.0, True, 1.0) for name in NAMES)),
+    fixed={},
+    parts={},
+    sets={name: f"a number called {name}" for name in NAMES},
 )
 
 
@@ -90,7 +94,7 @@ def test_a_belief_can_be_read_without_its_system(file: Path) -> None:
 
 
 def test_save_is_the_inverse_of_load(file: Path, tmp_path: Path) -> None:
-    belief = Belief.load(file, SYSTEM)
+    belief = Belief.load(file)
     belief.save(tmp_path / "again.yaml")
     assert (tmp_path / "again.yaml").read_text() == file.read_text()
 
@@ -105,11 +109,73 @@ def test_draws_have_the_moments_of_the_belief() -> None:
     np.testing.assert_array_equal(belief.sample(3, 1), belief.sample(3, np.random.default_rng(1)))
 
 
-def test_a_belief_about_another_system_is_refused() -> None:
+def system(**changes: object) -> Any:
+    return SimpleNamespace(**(vars(SYSTEM) | {"parts": {"bodies": "a", "joints": "b"}} | changes))
+
+
+def test_a_belief_that_does_not_describe_its_model_is_known_by_its_name() -> None:
     belief = identification().belief
-    belief.check(SYSTEM)
-    with pytest.raises(ConfigError, match="about 'pendulum', not about 'arm'"):
-        belief.check(SimpleNamespace(name="arm", space=SYSTEM.space))
-    few = SimpleNamespace(name="pendulum", space=ParameterSpace(SYSTEM.space.parameters[1:]))
+    assert belief_for(SYSTEM, belief).names == belief.names
+    with pytest.raises(
+        ConfigError, match="about 'pendulum', not about 'arm'; `belief_anyway=True` accepts it"
+    ):
+        belief_for(system(name="arm"), belief)
+    assert belief_for(system(name="arm"), belief, belief_anyway=True).system == "arm"
+
+
+def test_what_a_belief_is_about_counts_and_not_its_name(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    belief = belief_for(system(), identification().belief)
+    belief.save(tmp_path / "belief.yaml")
+    assert Belief.load(tmp_path / "belief.yaml", system(name="another folder")).names == belief.names
+    heavy = system(parts={"bodies": "c", "joints": "b"})
+    with pytest.raises(ConfigError, match=r"belief.yaml:.*about another model: its bodies differ"):
+        Belief.load(tmp_path / "belief.yaml", heavy)
+    assert not caplog.text
+    Belief.load(tmp_path / "belief.yaml", heavy, belief_anyway=True)
+    assert "its bodies differ; it is used anyway" in caplog.text
+    other = system(sets=SYSTEM.sets | {NAMES[0]: "body_mass of rod"})
+    with pytest.raises(ConfigError, match=f"{NAMES[0]} set a number called .*; now it sets body_mass of rod"):
+        belief_for(other, belief)
+
+
+def test_a_parameter_that_the_system_lacks_is_refused_or_left_out() -> None:
+    belief = identification().belief
+    few = {
+        "space": ParameterSpace(SYSTEM.space.parameters[1:]),
+        "sets": {name: SYSTEM.sets[name] for name in NAMES[1:]},
+    }
     with pytest.raises(ConfigError, match=f"no parameter '{NAMES[0]}'"):
-        belief.check(few)
+        belief_for(system(**few), belief)
+    rest = belief_for(system(**few), belief, belief_anyway=True)
+    assert rest.names == belief.names[1:]
+    np.testing.assert_array_equal(rest.covariance, belief.covariance[1:, 1:])
+
+
+def test_a_fixed_parameter_conditions_the_others(caplog: pytest.LogCaptureFixture) -> None:
+    """Of two correlated numbers, one known: mean and sd of the other follow from the regression line."""
+    belief = Belief(
+        "s",
+        ("m", "x"),
+        ("kg", "m"),
+        (True, False),
+        np.array([2.0, -1.0]),
+        np.array([[0.04, 0.03], [0.03, 0.09]]),
+    )
+    known = belief.given({"x": -0.4, "y": 1.0})
+    assert known.names == ("m",) and known.fixed == {"x": -0.4}
+    np.testing.assert_allclose(known.estimate, [2.0 * np.exp(0.03 / 0.09 * 0.6)])
+    np.testing.assert_allclose(known.covariance, [[0.04 - 0.03**2 / 0.09]])
+    np.testing.assert_allclose(belief.given({"m": 3.0}).estimate, [-1.0 + 0.03 / 0.04 * np.log(1.5)])
+    here: Any = SimpleNamespace(
+        name="s",
+        space=ParameterSpace((Parameter("m", "kg", 1.0, 0.1, 10.0, True, 0.5),)),
+        fixed={"x": -0.4},
+        parts={},
+        sets={"m": "", "x": ""},
+    )
+    assert belief_for(here, belief).estimate == pytest.approx(known.estimate)
+    assert not caplog.text
+    belief_for(system(**(vars(here) | {"fixed": {"x": 0.0}})), known)
+    assert "rests on x fixed at -0.4; here it is fixed at 0" in caplog.text

@@ -1,5 +1,8 @@
 """The search coordinates z, and what a belief does to a prior."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -10,6 +13,9 @@ from amhe_cli.core.parameters import Parameter, ParameterSpace, belief_of
 SPACE = ParameterSpace(
     (Parameter("mass", "kg", 4.0, 0.5, 20.0, True, 0.5), Parameter("offset", "m", 0.1, -1.0, 1.0, False, 0.2))
 )
+
+
+BOX: Any = SimpleNamespace(name="box", space=SPACE, fixed={}, parts={}, sets={})
 
 
 @given(st.floats(0.5, 20.0), st.floats(-1.0, 1.0))
@@ -23,7 +29,7 @@ def test_one_prior_sd_is_one():
 
 
 def test_a_belief_becomes_the_prior_of_what_it_knows():
-    belief = belief_of("box", SPACE, np.array([1.0, 0.5]), np.diag([0.04, 0.25]), {})
+    belief = belief_of(BOX, np.array([1.0, 0.5]), np.diag([0.04, 0.25]))
     space = SPACE.with_prior(belief)
     assert space.nominal == pytest.approx(belief.estimate)
     assert space.prior_sd == pytest.approx([0.5 * 0.2, 0.2 * 0.5])

@@ -188,7 +188,7 @@ def test_a_command_delay_is_a_column_of_theta(written: Write) -> None:
             signals="signals: {c: {topic: /c, actuators: [hip_servo]}}\n",
         )
     )
-    assert system.edits.delay_column == 1
+    assert system.edits.longest_delay == 0.05
     np.testing.assert_array_equal(system.edits.delays(np.array([[1.0, 0.02], [1.0, 0.03]])), [0.02, 0.03])
     assert system.space.parameters[1].unit == "s"
 
@@ -201,7 +201,7 @@ def test_a_delay_of_no_command_is_refused(written: Write) -> None:
 
 def test_without_a_command_delay_it_is_zero(with_target: Write) -> None:
     system = System.load(with_target("{body: box, set: mass}"))
-    assert system.edits.delay_column is None
+    assert system.edits.longest_delay == 0.0
     np.testing.assert_array_equal(system.edits.delays(np.ones((3, 1))), np.zeros(3))
 
 

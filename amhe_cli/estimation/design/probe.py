@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
@@ -16,7 +16,6 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, EstimationError, SimulationError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief
@@ -61,6 +60,7 @@ class ProbeOptions:
         threads: Threads of the rollouts; the outcome does not depend on them.
         settings: Settings that replace the system's own, as a nested mapping.
         schema: Class of the settings, for systems other than `go1_push`.
+        fix, only, belief_anyway: See `System.starting_from`.
     """
 
     system: str | None = None
@@ -73,6 +73,9 @@ class ProbeOptions:
     threads: int = 1
     settings: Mapping[str, Any] = field(default_factory=dict)
     schema: type[Settings] = Settings
+    fix: Mapping[str, float] = field(default_factory=dict)
+    only: Sequence[str] | None = None
+    belief_anyway: bool = False
 
     def rng(self, *place: int) -> np.random.Generator:
         """A generator of its own for each use."""
@@ -105,13 +108,16 @@ class Probe(Protocol):
         ...
 
 
-def believing(system: System, belief: Belief | Path | None) -> System:
-    """A system with a belief file as its prior; the system itself where there is no file.
+def believing(system: System, options: ProbeOptions) -> System:
+    """The system that a probe is about: with the belief as its prior, and some parameters fixed.
 
     Raises:
-        ConfigError: The belief does not suit.
+        ConfigError: The belief does not suit, or a parameter cannot be fixed so.
     """
-    return replace(system, space=system.space.with_prior(belief_for(system, belief))) if belief else system
+    system, belief = system.starting_from(
+        options.belief, fix=options.fix, only=options.only, belief_anyway=options.belief_anyway
+    )
+    return system if belief is None else replace(system, space=system.space.with_prior(belief))
 
 
 def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | None:
@@ -142,14 +148,16 @@ class ActuatorProbe:
 
     def __init__(self, options: ProbeOptions, own: System) -> None:
         self._options, self.task = options, None
-        self.system: System = believing(own, options.belief)
+        self.system: System = believing(own, options)
+        truth = own.space.named(own.space.nominal) | self.system.fixed
+        own = self.system
         self._controls = driven_controls(own)
         for signal in own.signals:  # refuse what could not be logged before any work is done
             message_type(signal)
         self._engine = open_engine(own, threads=options.threads)
         self._model = Playback(own, self._engine, own.model.opt.timestep)
         self._plant = self._model if options.plant is None else _other_plant(options, own, options.plant)
-        self._truth = own.space.named(own.space.nominal)
+        self._truth = truth
 
     def design(self, say: Say) -> ProbePlan:
         """See `Probe`."""
@@ -232,6 +240,6 @@ def _other_plant(options: ProbeOptions, own: System, plant: Path) -> Playback:
         first = str(error).splitlines()[0]
         raise ConfigError(f"`plant` {plant}: does not suit the system: {first}") from None
     model = compiled(system.spec)
-    unedited = replace(system, edits=ModelEdits(model, system.space, ()))
+    unedited = replace(system, edits=ModelEdits(model, own.space, ()))
     engine = open_engine(unedited, threads=options.threads, model=model)
     return Playback(system, engine, model.opt.timestep)

@@ -58,7 +58,7 @@ def conclude(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",
         parameters=verdicts(system.space, evidence),
-        belief=belief_of(system.name, system.space, finding.z, evidence.covariance, {}),
+        belief=belief_of(system, finding.z, evidence.covariance),
         correlations=correlation(evidence.covariance),
         combinations=combinations(system.space, evidence.covariance, problem.active),
         held_out=validate(problem, validation, finding),

@@ -234,7 +234,7 @@ class MovingHorizon:
             sd=np.where(space.log, theta * phi_sd, phi_sd),
             lower=lower,
             upper=upper,
-            belief=belief_of(self._system.name, space, belief.z, belief.covariance, {}),
+            belief=belief_of(self._system, belief.z, belief.covariance),
             mark=mark,
             misfit=outcome.before if outcome else np.nan,
             excitation=outcome.excitation if outcome else np.nan,

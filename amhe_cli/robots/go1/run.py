@@ -60,6 +60,7 @@ class RunOptions:
         realtime: Keep pace with the wall clock.
         plant: MJCF of another Go1.
         settings: Settings that replace the system's own, as a nested mapping.
+        belief_anyway: Take a belief about another model too, and only warn of what has changed.
     """
 
     task: str
@@ -72,6 +73,7 @@ class RunOptions:
     realtime: bool = False
     plant: Path | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
+    belief_anyway: bool = False
 
     @property
     def live(self) -> bool:
@@ -251,7 +253,7 @@ def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = Non
 def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:
     """The belief of the file, or else the task's fixed one; adaptive runs start from the baseline's."""
     if options.belief is not None:
-        return completed(belief_for(system, options.belief), system.space, system.name)
+        return completed(belief_for(system, options.belief, options.belief_anyway), system)
     if options.mode == "stale" and task.stale is None:
         raise ConfigError(
             f"task {task.name} has no stale belief; give one with `belief`, or use `mode=baseline`"
@@ -259,7 +261,7 @@ def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:
     believed = asdict(task.stale if options.mode == "stale" and task.stale else task.baseline)
     space = system.space
     theta = np.array([believed.get(p.name, p.nominal) for p in space.parameters])
-    return belief_of(system.name, space, space.z_of(theta), _CERTAIN * np.eye(len(space)), {})
+    return belief_of(system, space.z_of(theta), _CERTAIN * np.eye(len(space)))
 
 
 def _moved(task: Task, rng: np.random.Generator) -> Box:

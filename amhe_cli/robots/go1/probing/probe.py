@@ -80,7 +80,7 @@ class PushProbe:
         self.task = options.task or "t1"
         self._options, self._task, self._robot = options, find_task(self.task), robot
         self._own = system_of(RunOptions(self.task, settings=options.settings), self._task)
-        self.system: System = believing(self._own, options.belief)
+        self.system: System = believing(self._own, options)
         if robot and options.box:
             raise ConfigError("`box`: the box of a real robot is as it is; leave it out")
         if robot:  # refuse wrong options before the rehearsals
@@ -158,7 +158,7 @@ class PushProbe:
     def _information(self, motion: Motion, number: int, z: FloatArray) -> FloatArray:
         """Information per second of a motion (d, d), if z (d,) were true and believed; zero after a fall."""
         system, options = self.system, self._options
-        named = system.space.named(system.space.theta_of(z))
+        named = system.space.named(system.space.theta_of(z)) | system.fixed
         box = Believed(named["box_mass"], named["floor_friction"])
         seconds = min(options.seconds, APPROACH.seconds + _REHEARSED)
         seed = int(options.rng(1, number).integers(2**31))
@@ -176,7 +176,7 @@ class PushProbe:
         return information / sum(window.duration for window in windows)
 
     def _probe(self, motion: Motion, seconds: float, box: Believed) -> ProbeTask:
-        prior = self._own.space.named(self._own.space.nominal)
+        prior = self._own.space.named(self._own.space.nominal) | self.system.fixed
         believed = Believed(prior["box_mass"], prior["floor_friction"])
         return probe_task(self._task, motion, seconds, box, believed)
 
@@ -190,7 +190,7 @@ class PushProbe:
         return RunOptions(
             self.task, mode, seed=seed, threads=own.threads, duration=task.nominal_time,
             belief=own.belief if real else None, plant=own.plant if real else None,
-            settings=own.settings,
+            settings=own.settings, belief_anyway=own.belief_anyway,
         )  # fmt: skip
 
     def _open(self, task: ProbeTask, seed: int, mode: str) -> Run:
