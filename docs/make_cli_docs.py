@@ -27,6 +27,17 @@ Results go to stdout, everything else to stderr. With `--json` stdout is one JSO
 `result.json`. A setting comes from, in this order: `--set`, the environment (`AMHE_CLIPS__COUNT=40` for
 `clips.count`), `--config`, the system's own `settings:`, its default. Files of a command appear whole or not
 at all.
+
+## Completion
+
+TAB completes commands, options and their choices, systems (bundled ones and folders), `example:` logs, tasks,
+modes, targets, the system's parameters, `menagerie:` models and files. It needs one line in the shell's file:
+
+| shell | file | line |
+|---|---|---|
+| bash 4.4 or newer | `~/.bashrc` | `eval "$(_AMHE_COMPLETE=bash_source amhe)"` |
+| zsh | `~/.zshrc` | `eval "$(_AMHE_COMPLETE=zsh_source amhe)"` |
+| fish | `~/.config/fish/completions/amhe.fish` | `_AMHE_COMPLETE=fish_source amhe \\| source` |
 """
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import completion, options
 
 
 def _weights(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> dict[str, float]:
@@ -68,6 +68,7 @@ _ESTIMATOR = {
         multiple=True,
         callback=_weights,
         metavar="NAME=W",
+        shell_complete=completion.parameters("="),
         help="How firmly a parameter is held at its last estimate; repeat for more.  "
         "[default: 0; of go1_push box_inertia_scale=30]",
     ),

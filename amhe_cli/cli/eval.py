@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import completion, options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -40,6 +40,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 @click.option(
     "--tasks",
     metavar="T,...",
+    shell_complete=completion.listed(options.TASKS),
     callback=_names,
     default=",".join(TASKS),
     show_default=True,
@@ -48,6 +49,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 @click.option(
     "--modes",
     metavar="M,...",
+    shell_complete=completion.listed(options.MODES),
     callback=_names,
     help="Likewise.  [default: all; with --ablate, adaptive]",
 )

@@ -49,7 +49,7 @@ class Inputs:
         """
         from amhe_cli.cli.settings import Overrides
         from amhe_cli.core.yaml_file import merged
-        from amhe_cli.system.load import find_system
+        from amhe_cli.system.folders import find_system
         from amhe_cli.system.system import System
 
         own: dict[str, Any] = {}
@@ -85,9 +85,9 @@ class Inputs:
 
 def bundled_log() -> Path:
     """The log that is replayed if none is given: a Go1 pushes a box onto another floor."""
-    from amhe_cli.system.load import bundled_root
+    from amhe_cli.system.folders import bundled_logs
 
-    return bundled_root() / "examples" / "logs" / "t4.mcap"
+    return bundled_logs()["t4"]
 
 
 def _systems_of(logs: Sequence[Path]) -> dict[Path, str]:
@@ -117,7 +117,7 @@ def _own_settings(path: Path) -> dict[str, Any]:
 
 def _folder_named_by(logs: Sequence[Path]) -> Path:
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.system.load import find_system
+    from amhe_cli.system.folders import find_system
 
     names = sorted(set(_systems_of(logs).values()))
     if len(names) > 1:
@@ -134,7 +134,7 @@ def _folder_named_by(logs: Sequence[Path]) -> Path:
 
 
 def _unnamed(logs: Sequence[Path]) -> str:
-    from amhe_cli.system.load import bundled_systems
+    from amhe_cli.system.folders import bundled_systems
 
     return (
         f"{_listed(logs)} does not say which system it is about, and was taken for {DEFAULT_SYSTEM}: "

@@ -27,24 +27,20 @@ class _LogPath(click.Path):
     ) -> list[CompletionItem]:
         """Complete the names of examples; any other path is completed by the shell."""
         if incomplete and "example:".startswith(incomplete[:8]):
-            names = (f"example:{name}" for name in _examples())
+            from amhe_cli.system.folders import bundled_logs
+
+            names = (f"example:{name}" for name in bundled_logs())
             return [CompletionItem(name) for name in names if name.startswith(incomplete)]
         return super().shell_complete(ctx, param, incomplete)
 
     def _example(self, name: str, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         from amhe_cli.core.errors import one_of
+        from amhe_cli.system.folders import bundled_logs
 
-        found = _examples()
+        found = bundled_logs()
         if name not in found:
             self.fail(one_of("example", name, found), param, ctx)
         return found[name]
-
-
-def _examples() -> dict[str, Path]:
-    """Name of a bundled log -> its file."""
-    from amhe_cli.system.load import bundled_root
-
-    return {path.stem: path for path in sorted((bundled_root() / "examples" / "logs").glob("*.mcap"))}
 
 
 def episodes(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...]) -> tuple[Path, ...]:

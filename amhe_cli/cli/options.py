@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from amhe_cli import __version__
+from amhe_cli.cli import completion
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -159,6 +160,8 @@ common = stacked(
 
 #: Names of the tasks in robots/go1/tasks.py, which --help need not load.
 TASKS = ("t1", "t2", "t3", "t4", "t5", "hw1", "hw2")
+#: Likewise of the modes in robots/go1/run.py.
+MODES = ("true", "baseline", "stale", "adaptive")
 
 
 def task(about: str, default: str | None = "t1") -> Callable[[F], F]:
@@ -181,6 +184,7 @@ def system_or(default: str) -> Callable[[F], F]:
     return click.option(
         "--system",
         metavar="NAME|DIR",
+        shell_complete=completion.systems,
         help=f"A bundled system or your own system folder.  [default: {default}]",
     )
 

@@ -84,7 +84,7 @@ def probe(
     from amhe_cli.report.folder import filling
     from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
-    from amhe_cli.system.load import bundled_systems, find_system
+    from amhe_cli.system.folders import bundled_systems, find_system
     from amhe_cli.system.provenance import provenance
 
     session.hush_mujoco()

@@ -23,8 +23,6 @@ _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
     "t5: with one front leg; hw1, hw2: load and turf, as on hardware."
 )
-#: Those of robots/go1/run.py, which --help need not load.
-MODES = ("true", "baseline", "stale", "adaptive")
 
 
 @click.command(cls=options.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
@@ -39,7 +37,7 @@ MODES = ("true", "baseline", "stale", "adaptive")
 @at_the_robot.wire_options
 @click.option(
     "--mode",
-    type=click.Choice(MODES),
+    type=click.Choice(options.MODES),
     default="adaptive",
     show_default=True,
     help="What the controller plans with: the plant's own parameters, the task's fixed wrong ones, or the "

@@ -31,7 +31,7 @@ from amhe_cli.init.text import system_text
 from amhe_cli.logs import TopicSurvey, read_signals, survey
 from amhe_cli.logs.containers.table_file import TYPE as TABLE
 from amhe_cli.system.driven import commanded
-from amhe_cli.system.load import FILE_NAME
+from amhe_cli.system.folders import FILE_NAME
 from amhe_cli.system.model_file import compiled, read_spec
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import names_of

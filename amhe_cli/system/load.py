@@ -10,13 +10,13 @@ from typing import Any
 import mujoco
 from pydantic import BaseModel
 
-import amhe_cli
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.settings import MheSettings, Settings
 from amhe_cli.core.yaml_file import Place, YamlFile, merged
 from amhe_cli.system.boxes import resize_boxes
 from amhe_cli.system.cautions import caution
 from amhe_cli.system.channels import draft_wiring
+from amhe_cli.system.folders import FILE_NAME, find_system
 from amhe_cli.system.model_file import compiled, read_spec, spec_of
 from amhe_cli.system.schema import Description, SystemEntry, robot_groups, validated
 from amhe_cli.system.system import System
@@ -26,41 +26,8 @@ from amhe_cli.system.urdf import UrdfOptions, is_urdf
 
 logger = logging.getLogger(__name__)
 
-#: The file that makes a folder a system.
-FILE_NAME = "system.yaml"
 #: Keys of `system.yaml` that overrides name directly; every other override is a setting.
 _OWN_KEYS = ("parameters", "signals", "keyframe", "model", "boxes")
-
-
-def bundled_root() -> Path:
-    """Folder that holds `models` and `examples/logs`: inside a wheel, or the top of a checkout."""
-    package = Path(amhe_cli.__file__).parent
-    inside = package / "_bundled"
-    return inside if inside.is_dir() else package.parent
-
-
-def bundled_systems() -> dict[str, Path]:
-    """Names and folders of the systems that come with amhe."""
-    return {p.parent.name: p.parent for p in sorted((bundled_root() / "models").glob(f"*/{FILE_NAME}"))}
-
-
-def find_system(name_or_dir: str | Path) -> Path:
-    """Folder of a system: a path to it, or the name of a bundled one.
-
-    Raises:
-        ConfigError: Neither exists; the text lists the bundled ones.
-    """
-    folder = Path(name_or_dir).expanduser()
-    if (folder / FILE_NAME).is_file():
-        return folder
-    if folder.name == FILE_NAME and folder.is_file():
-        return folder.parent
-    bundled = bundled_systems()
-    if str(name_or_dir) in bundled:
-        return bundled[str(name_or_dir)]
-    if folder.is_dir():
-        raise ConfigError(f"{folder}: no {FILE_NAME} in this folder; `amhe init` writes one")
-    raise ConfigError(f"{one_of('system', str(name_or_dir), bundled)} (or any folder with a {FILE_NAME})")
 
 
 def load(

@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 
 from amhe_cli.cli import options
-from amhe_cli.cli import run as command
 from amhe_cli.cli.main import run
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.logs import read_metadata, survey
@@ -61,7 +60,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_choices_of_the_options_are_those_of_the_library() -> None:
     assert tuple(TASKS) == options.TASKS
-    assert MODES == command.MODES
+    assert MODES == options.MODES
 
 
 def test_result_json_has_the_keys_of_every_command_and_its_own(done: Path) -> None:

@@ -16,7 +16,7 @@ from amhe_cli.init.folder import init_system
 from amhe_cli.init.names import is_command, matched, names_the_same
 from amhe_cli.init.signals import Topic, fields_example, foreign
 from amhe_cli.logs import LogWriter, read_signals
-from amhe_cli.system.load import bundled_root
+from amhe_cli.system.folders import bundled_root
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import System
 

@@ -6,7 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
-from amhe_cli.system.load import bundled_root
+from amhe_cli.system.folders import bundled_root
 from amhe_cli.system.schema import KINDS, ParameterEntry, SignalEntry
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import WORDS

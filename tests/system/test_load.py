@@ -10,7 +10,7 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import YamlFile, scalar
-from amhe_cli.system.load import bundled_root, find_system
+from amhe_cli.system.folders import bundled_root, find_system
 from amhe_cli.system.system import System
 from tests.conftest import MODELS
 

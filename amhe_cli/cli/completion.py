@@ -1,0 +1,109 @@
+"""What the shell offers on TAB, beyond options, choices and paths.
+
+The functions are `shell_complete=` of options. They import nothing heavy: a shell waits for the answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from glob import escape
+from pathlib import Path
+
+import click
+from click.shell_completion import BashComplete, CompletionItem, add_completion_class
+
+from amhe_cli.cli.log_path import LOG
+
+Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+
+def systems(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Bundled systems, system folders that begin so, and any other folder by the shell."""
+    from amhe_cli.system.folders import FILE_NAME, bundled_systems
+
+    start, _, name = incomplete.rpartition("/")
+    near = sorted(Path(start or ".").glob(f"{escape(name)}*/{FILE_NAME}"))
+    names = [*bundled_systems(), *(str(path.parent) for path in near)]
+    return [CompletionItem(incomplete, type="dir"), *_beginning(names, incomplete)]
+
+
+def parameters(ending: str = "") -> Completer:
+    """Names of the system's parameters, with commas between them, each with an ending such as '='."""
+
+    def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        from amhe_cli.cli.inputs import DEFAULT_SYSTEM
+        from amhe_cli.core.errors import AmheError
+        from amhe_cli.system.folders import find_system, parameter_names
+
+        try:
+            folder = find_system(ctx.params.get("system") or _named_by_log(ctx) or DEFAULT_SYSTEM)
+        except AmheError:
+            return []
+        return _listed((name + ending for name in parameter_names(folder)), incomplete)
+
+    return complete
+
+
+def listed(names: Iterable[str]) -> Completer:
+    """Some of these names, with commas between them."""
+    known = tuple(names)
+    return lambda ctx, param, incomplete: _listed(known, incomplete)
+
+
+def _named_by_log(ctx: click.Context) -> str | None:
+    """The system that the first log on the command line names."""
+    if not ctx.args:  # click leaves the words before an option without a value there
+        return None
+    from amhe_cli.core.errors import AmheError
+    from amhe_cli.logs import read_metadata
+
+    try:
+        return read_metadata(LOG.convert(ctx.args[0], None, ctx)).get("system")
+    except (AmheError, OSError, click.BadParameter):
+        return None
+
+
+def _beginning(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+def _listed(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    done, comma, _ = incomplete.rpartition(",")
+    return _beginning((f"{done}{comma}{name}" for name in names if name not in done.split(",")), incomplete)
+
+
+class _Bash(BashComplete):
+    """Bash cuts words at ':' and '=', and takes an answer for their last piece only."""
+
+    source_template = BashComplete.source_template.replace(
+        "COMPREPLY+=($value)", 'COMPREPLY+=($value); [[ "$value" == *= ]] && compopt -o nospace'
+    )
+    #: What of the word to be completed bash has cut off.
+    _before = ""
+
+    def get_completion_args(self) -> tuple[list[str], str]:
+        """The words before the one that is to be completed, and that one, put together again."""
+        pieces, last = super().get_completion_args()
+        words, cut = [""], False
+        for piece in (*pieces, last):
+            if set(piece) <= {":", "="} and piece:
+                if words[-1].startswith("--"):
+                    words.append("")  # --option=value is --option value
+                else:
+                    words[-1] += piece
+                cut = True
+            elif cut and piece:
+                words[-1] += piece
+                cut = False
+            else:
+                words.append(piece)
+                cut = False
+        self._before = words[-1] if cut else words[-1].removesuffix(last)
+        return words[1:-1], words[-1]
+
+    def format_completion(self, item: CompletionItem) -> str:
+        """One line for bash."""
+        return f"{item.type},{item.value.removeprefix(self._before)}"
+
+
+add_completion_class(_Bash)

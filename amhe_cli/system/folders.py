@@ -1,0 +1,60 @@
+"""System folders by path and by name, and what comes with amhe; quick to import, as completion needs it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import yaml
+
+import amhe_cli
+from amhe_cli.core.errors import ConfigError, one_of
+
+#: The file that makes a folder a system.
+FILE_NAME = "system.yaml"
+
+
+def bundled_root() -> Path:
+    """Folder that holds `models` and `examples/logs`: inside a wheel, or the top of a checkout."""
+    package = Path(amhe_cli.__file__).parent
+    inside = package / "_bundled"
+    return inside if inside.is_dir() else package.parent
+
+
+def bundled_systems() -> dict[str, Path]:
+    """Names and folders of the systems that come with amhe."""
+    return {p.parent.name: p.parent for p in sorted((bundled_root() / "models").glob(f"*/{FILE_NAME}"))}
+
+
+def bundled_logs() -> dict[str, Path]:
+    """Names and files of the logs that come with amhe."""
+    return {path.stem: path for path in sorted((bundled_root() / "examples" / "logs").glob("*.mcap"))}
+
+
+def find_system(name_or_dir: str | Path) -> Path:
+    """Folder of a system: a path to it, or the name of a bundled one.
+
+    Raises:
+        ConfigError: Neither exists; the text lists the bundled ones.
+    """
+    folder = Path(name_or_dir).expanduser()
+    if (folder / FILE_NAME).is_file():
+        return folder
+    if folder.name == FILE_NAME and folder.is_file():
+        return folder.parent
+    bundled = bundled_systems()
+    if str(name_or_dir) in bundled:
+        return bundled[str(name_or_dir)]
+    if folder.is_dir():
+        raise ConfigError(f"{folder}: no {FILE_NAME} in this folder; `amhe init` writes one")
+    raise ConfigError(f"{one_of('system', str(name_or_dir), bundled)} (or any folder with a {FILE_NAME})")
+
+
+def parameter_names(folder: Path) -> list[str]:
+    """Names under `parameters:` in a system folder, as they stand there; nothing is checked."""
+    try:
+        data = yaml.safe_load((folder / FILE_NAME).read_text(encoding="utf-8"))
+    except (OSError, ValueError, yaml.YAMLError):
+        return []
+    named = data.get("parameters") if isinstance(data, Mapping) else None
+    return [str(name) for name in named] if isinstance(named, Mapping) else []
