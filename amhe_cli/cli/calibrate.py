@@ -43,7 +43,7 @@ def calibrate(
     """
     import json
 
-    from amhe_cli.report.folder import filling
+    from amhe_cli.core.files import filling
     from amhe_cli.robots.go1.link.open import open_calibration
     from amhe_cli.robots.go1.run import RunOptions
 

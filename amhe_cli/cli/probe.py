@@ -78,10 +78,9 @@ def probe(
     """
     from amhe_cli.cli.progress import progress
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.core.files import plain
+    from amhe_cli.core.files import filling, plain
     from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.probe import ProbeOptions, achieved
-    from amhe_cli.report.folder import filling
     from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.folders import bundled_systems, find_system

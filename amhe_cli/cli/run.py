@@ -94,8 +94,8 @@ def run(
     """
     from amhe_cli.cli.progress import progress
     from amhe_cli.cli.stopping import stopping
+    from amhe_cli.core.files import filling
     from amhe_cli.live.loop import drive
-    from amhe_cli.report.folder import filling
     from amhe_cli.report.run import TaskFacts, print_run, verdict, write_run
     from amhe_cli.robots.go1.history import History
     from amhe_cli.robots.go1.judge import CLOSE_ENOUGH, ON_TIME

@@ -1,10 +1,12 @@
-"""Files that appear whole or not at all, and values that any JSON reader understands."""
+"""Files and folders that appear whole or not at all, and values that any JSON reader understands."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
+import shutil
+import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -31,6 +33,29 @@ def whole(path: Path) -> Iterator[BinaryIO]:
         scratch.replace(path)
     finally:
         scratch.unlink(missing_ok=True)
+
+
+@contextmanager
+def filling(folder: Path) -> Iterator[Path]:
+    """Yield an empty scratch folder; its files move into `folder` at the end, or are deleted on an error.
+
+    A new folder appears in one rename; in an existing one each file is replaced in one rename.
+    """
+    folder = Path(os.path.abspath(folder))  # noqa: PTH100 -- resolve() would follow a link that is to stay
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    scratch = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.partial")
+    scratch.mkdir()
+    try:
+        yield scratch
+        if folder.exists():
+            for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
+                place = folder / file.relative_to(scratch)
+                place.parent.mkdir(parents=True, exist_ok=True)
+                file.replace(place)
+        else:
+            scratch.rename(folder)
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
 
 
 def write_whole(path: Path, text: str) -> None:

@@ -1,12 +1,8 @@
-"""The folder that a command writes: refused early if it is not empty, filled completely or not at all."""
+"""The folder that a command writes: refused early if it is not empty."""
 
 from __future__ import annotations
 
 import os
-import shutil
-import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 
@@ -44,26 +40,3 @@ def _fresh(path: Path) -> Path:
         number += 1
         candidate = path.with_name(f"{path.name}-{number}")
     return candidate
-
-
-@contextmanager
-def filling(folder: Path) -> Iterator[Path]:
-    """Yield an empty scratch folder; its files move into `folder` at the end, or are deleted on an error.
-
-    A new folder appears in one rename; in an existing one each file is replaced in one rename.
-    """
-    folder = Path(os.path.abspath(folder))  # noqa: PTH100 -- resolve() would follow a link that is to stay
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.partial")
-    scratch.mkdir()
-    try:
-        yield scratch
-        if folder.exists():
-            for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
-                place = folder / file.relative_to(scratch)
-                place.parent.mkdir(parents=True, exist_ok=True)
-                file.replace(place)
-        else:
-            scratch.rename(folder)
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)

@@ -12,11 +12,10 @@ from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.core.belief_file import belief_text
-from amhe_cli.core.files import json_text, plain
+from amhe_cli.core.files import filling, json_text, plain
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.offline.result import HeldOut, Identification, OwnSpread, known_together
 from amhe_cli.report import numbers
-from amhe_cli.report.folder import filling
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, error_rows, identification_page
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.export import identified_assets, identified_xml

@@ -11,12 +11,11 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.text import Text
 
-from amhe_cli.core.files import json_text
+from amhe_cli.core.files import filling, json_text
 from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report import figures, numbers, replay_figures
-from amhe_cli.report.folder import filling
 from amhe_cli.report.identification_page import fit_legend, fixed_statement
 from amhe_cli.report.page import Fold, Key, Section, Statement, result_page
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log

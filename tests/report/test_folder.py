@@ -3,7 +3,8 @@ from pathlib import Path
 import pytest
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.report.folder import filling, reserve
+from amhe_cli.core.files import filling
+from amhe_cli.report.folder import reserve
 
 
 def test_the_default_folder_is_fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
