@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from amhe_cli.core.log import Log
     from amhe_cli.core.parameters import Belief
     from amhe_cli.estimation.online.horizon import Estimate
+    from amhe_cli.logs.convert import convert
+    from amhe_cli.logs.messages.writer import LogWriter
     from amhe_cli.logs.read import read_log
     from amhe_cli.system.system import System
 
@@ -29,8 +31,10 @@ _HOMES = {
     "Estimate": "amhe_cli.estimation.online.horizon",
     "Estimator": "amhe_cli.api.estimator",
     "Log": "amhe_cli.core.log",
+    "LogWriter": "amhe_cli.logs.messages.writer",
     "Result": "amhe_cli.api.identify",
     "System": "amhe_cli.system.system",
+    "convert": "amhe_cli.logs.convert",
     "identify": "amhe_cli.api.identify",
     "probe": "amhe_cli.api.runs",
     "read_log": "amhe_cli.logs.read",
@@ -43,9 +47,11 @@ __all__ = [
     "Estimate",
     "Estimator",
     "Log",
+    "LogWriter",
     "Result",
     "System",
     "__version__",
+    "convert",
     "identify",
     "probe",
     "read_log",

@@ -17,6 +17,7 @@ import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.calibrate import calibrate
+from amhe_cli.cli.convert import convert
 from amhe_cli.cli.emulate import emulate
 from amhe_cli.cli.eval import evaluate
 from amhe_cli.cli.identify import identify
@@ -34,7 +35,7 @@ def amhe() -> None:
     """Physical parameters of robots and what they push, from their logs, with honest uncertainty."""
 
 
-for _command in (init, inspect, probe, identify, mhe_replay, run_task, evaluate, emulate, calibrate):
+for _command in (init, inspect, convert, probe, identify, mhe_replay, run_task, evaluate, emulate, calibrate):
     amhe.add_command(_command)
 
 

@@ -205,19 +205,21 @@ def _inputs(**values: Any) -> Inputs:
     return Inputs(**values)
 
 
+topics = click.option(
+    "--topic",
+    "topics",
+    metavar="SIGNAL=/name",
+    multiple=True,
+    callback=pairs,
+    help="Read a signal of the system from another topic; repeat for more.",
+)
+
 where = bundled(
     "inputs",
     _inputs,
     ("system", "topics", "msg_path", "start", "end"),
     system,
-    click.option(
-        "--topic",
-        "topics",
-        metavar="SIGNAL=/name",
-        multiple=True,
-        callback=pairs,
-        help="Read a signal of the system from another topic; repeat for more.",
-    ),
+    topics,
     msg_path,
     click.option(
         "--from", "start", type=_SECONDS, metavar="S", help="Begin S seconds after the log's start."

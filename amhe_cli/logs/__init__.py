@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from amhe_cli.logs.containers.lerobot import episode_paths
+from amhe_cli.logs.convert import convert
 from amhe_cli.logs.data_set import is_data_set, members, only_member
 from amhe_cli.logs.messages.writer import LogWriter
 from amhe_cli.logs.read import inspect_log, read_log, read_signals
@@ -15,6 +16,7 @@ __all__ = [
     "SignalCheck",
     "Survey",
     "TopicSurvey",
+    "convert",
     "episode_paths",
     "inspect_log",
     "is_data_set",

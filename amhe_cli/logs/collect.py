@@ -46,7 +46,7 @@ def collect(log: StoredLog, signals: Sequence[Signal], definitions: Definitions)
     _warn(log, signals, splitters, decoders)
     for signal in signals:
         if signal.name not in decoders:
-            raise LogError(f"{log.path}: {_missing(log, signal)}")
+            raise LogError(f"{log.path}: {missing(log, signal)}")
     return decoders
 
 
@@ -86,7 +86,7 @@ def _warn(
             )  # fmt: skip
 
 
-def _missing(log: StoredLog, signal: Signal) -> str:
+def missing(log: StoredLog, signal: Signal) -> str:
     """Why the log has no data for `signal`, and what it has instead."""
     here = [connection for connection in log.connections if connection.topic == signal.topic]
     types = sorted({connection.type for connection in here})

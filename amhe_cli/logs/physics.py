@@ -35,7 +35,8 @@ def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None])
     for quantity, block in values.items():
         with np.errstate(invalid="ignore"):
             absurd = np.abs(block) > _ABSURD
-        if absurd.any():
+        plain = quantity == "value" and not signal.is_input  # a number of any unit, which drives nothing
+        if absurd.any() and not plain:
             warn(f"{messages(int(absurd.any(axis=1).sum()))} with impossible {quantity} dropped")
             block[absurd.any(axis=1)] = np.nan
     if "orientation" in values:

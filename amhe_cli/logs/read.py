@@ -9,7 +9,6 @@ from typing import overload
 
 import numpy as np
 
-from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
@@ -244,17 +243,16 @@ def _values(
         Samples (m, k), names of the columns, whether they were differentiated.
     """
     known: Mapping[str, FloatArray] = track.samples.values
-    if quantity in known and np.isfinite(known[quantity]).any():
-        values = known[quantity]
-        if quantity == "linear_velocity" and track.twist_in_child:
-            values = rotations.rotate(known["orientation"], values)
-            if twist_looks_global(times, known, values):
-                logger.warning(
-                    "%s: topic %r: its twist fits its positions better as a velocity in the world frame, but "
-                    "ROS defines it in the child frame, and so it was read",
-                    path,
-                    track.signal.topic,
-                )
+    values = track.carried(quantity)
+    if values is not None:
+        turned = quantity == "linear_velocity" and track.twist_in_child
+        if turned and twist_looks_global(times, known, values):
+            logger.warning(
+                "%s: topic %r: its twist fits its positions better as a velocity in the world frame, but "
+                "ROS defines it in the child frame, and so it was read",
+                path,
+                track.signal.topic,
+            )
         return values, track.samples.columns[quantity], False
     source = DERIVED.get(quantity, "")
     if source not in known or not np.isfinite(known[source]).any():

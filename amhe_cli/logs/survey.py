@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +13,10 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_words, timeline
 from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.raw import Batch, Connection, messages, readable
+from amhe_cli.logs.containers.table_file import ENCODING as TABLE
+from amhe_cli.logs.messages.content import carried, entries, numbers
 from amhe_cli.logs.messages.decode import SignalSamples, nanoseconds, time_leaves
 from amhe_cli.logs.messages.definitions import Definitions
-from amhe_cli.logs.messages.layout import Layout
 from amhe_cli.logs.messages.split import MessageGroup, Splitter
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
 from amhe_cli.logs.tables import table_columns
@@ -41,6 +42,8 @@ class TopicSurvey:
         quantities: Quantities that signals can read without naming fields; an array that is empty in every
             message counts as absent.
         entries: Names in it: joints, child frames; '[n]' for an array of n numbers.
+        paths: Paths of the numbers in every message of a type that is not built in, for the `fields` of a
+            signal -> their count where the path is of an array.
         problem: Why it cannot be read, in words; None if it can.
         notes: Anomalies of its stamps or messages, in words.
     """
@@ -58,6 +61,7 @@ class TopicSurvey:
     clock: Clock
     quantities: tuple[str, ...]
     entries: tuple[str, ...]
+    paths: Mapping[str, int | None]
     problem: str | None
     notes: tuple[str, ...]
 
@@ -135,6 +139,7 @@ class _Scan:
     header_ns: list[IntArray] = field(default_factory=list)
     entries: dict[str, None] = field(default_factory=dict)
     carried: dict[str, None] = field(default_factory=dict)
+    paths: dict[str, int | None] | None = None
     has_header: bool = False
     splitter: Splitter | None = None
     info: TypeInfo | None = None
@@ -148,8 +153,12 @@ class _Scan:
         self.header_ns.append(header_ns)
 
     def _look(self, group: MessageGroup, header_ns: IntArray) -> None:
-        self.entries |= dict.fromkeys(_entries(group.layout))
-        self.carried |= dict.fromkeys(_carried(group.layout, self.info))
+        self.entries |= dict.fromkeys(entries(group.layout))
+        self.carried |= dict.fromkeys(carried(group.layout, self.info))
+        if self.info is None:
+            here = numbers(group.layout)
+            known = here if self.paths is None else self.paths
+            self.paths = {path: size for path, size in known.items() if here.get(path, 0) == size}
         for path in ("header.stamp", "stamp", "transforms[0].header.stamp", "transforms[0].stamp"):
             leaves = time_leaves(group.layout, path)
             if leaves:
@@ -167,19 +176,22 @@ class _Scan:
         )
 
 
-def survey(path: Path, *, msg_path: Path | None = None) -> Survey:
+def survey(
+    path: Path, *, msg_path: Path | None = None, watch: Callable[[Batch], None] | None = None
+) -> Survey:
     """Look through a whole log; damage is reported, not raised, as long as anything can be read.
 
     Args:
         path: A .mcap, .db3 or .bag file, or a rosbag2 folder.
         msg_path: Folder of .msg files for types that the log does not define.
+        watch: Called with each batch of messages.
 
     Raises:
         ConfigError: If the path does not exist.
         LogError: If it is not a log, or nothing in it can be read.
     """
     with readable(path):
-        log = open_log(path)
+        log = replace(open_log(path), watch=watch)
         definitions = Definitions(msg_path)
         scans: dict[Connection, _Scan] = {}
         for batch in log.batches(None):
@@ -304,6 +316,7 @@ def _topic(
         clock=timing.clock,
         quantities=tuple(q for q in info.fields if q in scan.carried or not scan.carried) if info else (),
         entries=tuple(scan.entries) or table_columns(connection),
+        paths=(scan.paths or {}) if connection.encoding != TABLE else {},
         problem=problem,
         notes=(*damage, *timing.notes),
     )
@@ -318,24 +331,3 @@ def _header(samples: SignalSamples) -> str:
     if not present.all():
         return "partly set"
     return "good" if np.all(np.diff(samples.header_ns) > 0) else "not monotone"
-
-
-def _entries(layout: Layout) -> list[str]:
-    names = [*layout.names("name"), *layout.names("joint_names")]
-    frames = [text for path, text in layout.strings.items() if path.split(".")[-1] == "child_frame_id"]
-    data = layout.leaves.get("data")
-    sizes = [f"[{data.count}]"] if data is not None and data.count is not None else []
-    return [*names, *frames, *sizes]
-
-
-def _carried(layout: Layout, info: TypeInfo | None) -> list[str]:
-    """Quantities with values in this layout; an empty array, such as an unmeasured effort, is absent."""
-    if info is None:
-        return []
-    count = layout.counts.get(info.elements, 0) if info.elements else 1
-    prefixes = [f"{info.elements}[{i}]." if info.elements else "" for i in range(count)]
-    return [
-        quantity
-        for quantity, paths in info.fields.items()
-        if any(layout.columns(prefix + paths[0]) for prefix in prefixes)
-    ]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.resample import common_rows
@@ -56,6 +57,15 @@ class SignalTrack:
     def period(self) -> float:
         """Median period [s]; 0 for a single sample."""
         return float(np.median(np.diff(self.times.stamps_ns))) / 1e9 if self.times.stamps_ns.size > 1 else 0.0
+
+    def carried(self, quantity: str) -> FloatArray | None:
+        """Values of a quantity, shape (m, k), velocities in the world; None where the topic lacks it."""
+        values = self.samples.values.get(quantity)
+        if values is None or not np.isfinite(values).any():
+            return None
+        if quantity == "linear_velocity" and self.twist_in_child:
+            return rotations.rotate(self.samples.values["orientation"], values)
+        return values
 
     def moved(self, seconds: float) -> SignalTrack:
         """The same track, with stamps later by `seconds`."""

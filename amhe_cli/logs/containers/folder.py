@@ -41,12 +41,14 @@ class StoredLog:
         files: Parts of the log, in order.
         notes: Defects of the folder, in words.
         packed: Each message is compressed by itself (rosbag2's compression mode 'message').
+        watch: Called with each batch before it is yielded.
     """
 
     path: Path
     files: tuple[LogFile, ...]
     notes: tuple[str, ...] = ()
     packed: bool = False
+    watch: Callable[[Batch], None] | None = None
 
     @property
     def format(self) -> str:
@@ -60,6 +62,8 @@ class StoredLog:
         """Yield the messages of the named topics (None: all)."""
         for file in self.files:
             for batch in file.batches(topics):
+                if self.watch is not None:
+                    self.watch(batch)
                 yield _unpacked(batch) if self.packed else batch
 
     @property

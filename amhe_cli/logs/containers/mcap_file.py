@@ -58,13 +58,14 @@ class McapFile:
         self._read = 0
         self._latest_ns = 0
         self._first_ns: int | None = None
+        self._found = contents(self._data)
+        for opcode, body in self._found.declarations:
+            self._declare(opcode, body)
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all), chunk by chunk."""
-        found = contents(self._data)
+        found = self._found
         self.problems += found.problems
-        for opcode, body in found.declarations:
-            self._declare(opcode, body)
         for piece in found.pieces:
             if not piece.is_chunk:
                 yield from self._records(self._data, piece.start, piece.stop, topics)
@@ -77,7 +78,7 @@ class McapFile:
 
     def read_metadata(self) -> dict[str, str]:
         """The record named 'amhe', without decoding any message."""
-        found = contents(self._data)
+        found = self._found
         for piece in found.pieces if not found.intact else ():  # is a chunk to blame?
             if piece.is_chunk and self._unfold(piece) is None:
                 break

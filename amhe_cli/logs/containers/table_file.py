@@ -21,6 +21,9 @@ from amhe_cli.logs.containers.text_dialect import Column
 
 #: Type and encoding of a table's connection.
 TYPE, ENCODING = "table/msg/Row", "table"
+#: Key of a table's metadata: the stamp [ns] that its times count from. A time in float64 since 1970 would be
+#: off by hundreds of nanoseconds.
+START = "start_ns"
 #: Names of a time column, the best first; a unit may follow.
 _TIMES = ("time", "t", "timestamp", "stamp", "datetime", "date", "ts", "clock", "sec", "secs", "seconds")
 #: Unit of a time column -> nanoseconds.
@@ -62,6 +65,8 @@ class TableFile:
         self.path = path
         self.problems: list[str] = list(table.notes)
         self.metadata = _metadata(table.comments)
+        start = self.metadata.pop(START, "0")
+        self._start_ns = int(start) if start.isdecimal() and len(start) < 20 and int(start) < 2**62 else 0
         self._table = table
         numbers = [column.kind in ("number", "array") for column in table.columns]
         counts = [column.count for column in table.columns]
@@ -93,7 +98,7 @@ class TableFile:
                 times = rows[:, place] * factor
             timed = np.isfinite(times) & (np.abs(times) < 2.0**63)
             untimed += int((~timed).sum())
-            stamps = np.round(times[timed]).astype(np.int64)
+            stamps = np.round(times[timed]).astype(np.int64) + self._start_ns
             content = np.ascontiguousarray((rows[timed] * self._factors)[:, self._kept])
             size = content.itemsize * content.shape[1]
             starts = size * np.arange(len(content), dtype=np.int64)
@@ -119,25 +124,30 @@ def unit_of(name: str) -> tuple[str, str]:
 
 def _clock(path: Path, columns: Sequence[Column], rows: FloatArray) -> tuple[int, float]:
     """Which number of a row is its time, and the nanoseconds of one unit of it."""
-    named = [(unit_of(column.name), column) for column in columns]
+    number = clock_of(columns)
+    if number is None:
+        raise LogError(
+            f"{path}: none of the columns {listed([unit_of(column.name)[0] for column in columns])} is a "
+            f"time: call the one that is `time`, or `time [ms]` if it is not in seconds"
+        )
+    place = sum(c.count for c in columns[:number])
+    if columns[number].kind == "date":
+        return place, 1.0
+    return place, _NANOSECONDS.get(unit_of(columns[number].name)[1]) or _guessed_unit(rows[:, place])
+
+
+def clock_of(columns: Sequence[Column]) -> int | None:
+    """Which column of a table is its time, by the names; None where none is."""
     rank = {name: i for i, name in enumerate(_TIMES)}
     best: tuple[int, int] | None = None
-    for i, ((name, unit), column) in enumerate(named):
+    for i, column in enumerate(columns):
+        name, unit = unit_of(column.name)
         plain = re.sub(r"[^a-z]", " ", name.lower().removesuffix(f"_{unit}")).split()
         found = [rank[word] for word in plain if word in rank]
         score = 100 if column.kind == "date" else min(found) + 20 * (len(plain) > 1) if found else None
         if column.kind != "array" and score is not None and (best is None or score < best[0]):
             best = score, i
-    if best is None:
-        raise LogError(
-            f"{path}: none of the columns {listed([name for (name, _), _ in named])} is a time: "
-            f"call the one that is `time`, or `time [ms]` if it is not in seconds"
-        )
-    (_, unit), column = named[best[1]]
-    place = sum(c.count for c in columns[: best[1]])
-    if column.kind == "date":
-        return place, 1.0
-    return place, _NANOSECONDS.get(unit) or _guessed_unit(rows[:, place])
+    return None if best is None else best[1]
 
 
 def _guessed_unit(times: FloatArray) -> float:

@@ -74,7 +74,10 @@ def _npy(path: Path) -> list[NumberTable]:
 def _npz(path: Path) -> list[NumberTable]:
     try:
         with np.load(path, allow_pickle=False) as file:
-            return [in_memory(path, _stem(path), {name: file[name] for name in file.files})]
+            arrays = {name: file[name] for name in file.files}
+        said = arrays.pop("amhe", None)
+        table = in_memory(path, _stem(path), arrays)
+        return [table if said is None else replace(table, comments=(f"amhe: {said}",))]
     except (ValueError, OSError, KeyError, BadZipFile) as error:
         raise LogError(f"{path}: a .zip file that is no .npz of numbers ({error})") from None
 

@@ -90,7 +90,7 @@ class SignalDecoder:
             raise LogError(f"topic {signal.topic!r} carries {connection.type}, not {signal.type}")
         self._signal = signal
         self.type = connection.type
-        self._sparse = connection.encoding == TABLE
+        self._sparse = connection.encoding in (TABLE, "json")
         self._topic = f"topic {signal.topic!r} ({connection.type})"
         self.info = self._info(connection.type)
         self._wanted = self._quantities()
@@ -235,7 +235,7 @@ class SignalDecoder:
     def _take(self, columns: _Columns, group: MessageGroup, batch: Batch) -> None:
         rows, members = group.rows, group.members
         blocks = {quantity: _gather(rows, leaves) for quantity, leaves in columns.values.items()}
-        if self._sparse:  # a row of a table need not hold every topic's numbers
+        if self._sparse:  # a row of a table need not hold every signal's numbers
             filled = np.any([np.isfinite(block).any(axis=1) for block in blocks.values()], axis=0)
             rows, members = rows[filled], members[filled]
             blocks = {quantity: block[filled] for quantity, block in blocks.items()}

@@ -1,4 +1,4 @@
-"""JSON messages as rows of numbers, so that they are read like any other message.
+"""JSON messages as rows of numbers, so that they are read like any other message; and back.
 
 Numbers of a message lie side by side as float64, in the order of its text. Messages with the same keys, array
 lengths and names share a layout. Times are brought to the names of ROS: stamp.sec and stamp.nanosec.
@@ -8,12 +8,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
+from math import isfinite, nan
 from typing import Any
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.logs.containers.raw import Batch, Connection, batch_of
+from amhe_cli.logs.containers.table_file import clock_of
+from amhe_cli.logs.containers.text_dialect import Column
 from amhe_cli.logs.messages.descriptors import MalformedMessageError
 from amhe_cli.logs.messages.layout import KEPT, Layout, Leaf
 
@@ -72,11 +77,12 @@ class _Found:
             self._list(path, value, depth)
         elif isinstance(value, str):
             self._text(path, value)
-        elif path.split(".")[-1] == "stamp" and value is not None:
-            self.mapping(path, _parts_of_time(float(value)), depth)
-        elif value is not None:
+        elif path.split(".")[-1] == "stamp":
+            if value is not None:
+                self.mapping(path, _parts_of_time(float(value)), depth)
+        else:
             self.shape.append((path, None))
-            self.numbers.append(float(value))
+            self.numbers.append(_number(value))
 
     def layout(self) -> Layout:
         leaves, offset = {}, 0
@@ -87,9 +93,9 @@ class _Found:
         return Layout(leaves, self.counts, self.strings, nothing, nothing.astype(np.uint8))
 
     def _list(self, path: str, values: list[Any], depth: int) -> None:
-        if all(isinstance(value, (int, float)) for value in values):
+        if all(value is None or isinstance(value, (int, float)) for value in values):
             self.shape.append((path, len(values)))
-            self.numbers += map(float, values)
+            self.numbers += map(_number, values)
             return
         self.counts[path] = len(values)
         for i, value in enumerate(values):
@@ -106,6 +112,54 @@ class _Found:
             except ValueError:
                 return
             self.mapping(path, {"sec": int(moment.timestamp()), "nanosec": 1000 * moment.microsecond}, 0)
+
+
+def schema_columns(schema: str) -> dict[str, int | None]:
+    """Fields of a JSON schema that are numbers, None, or arrays of a fixed count of numbers, that count."""
+    try:
+        properties = json.loads(schema)["properties"]
+        return {
+            name: None if entry["type"] != "array" else int(entry["maxItems"])
+            for name, entry in properties.items()
+            if entry["type"] in ("number", "integer")
+            or (entry["type"] == "array" and entry["items"]["type"] == "number" and entry["maxItems"] > 0)
+        }
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        return {}
+
+
+def rows_as_json(batch: Batch) -> Batch:
+    """Rows of a table as JSON messages of the same stamps, their times left out; a blank cell is null."""
+    fields = list(json.loads(batch.connection.definition))
+    names = [Column(name, "number" if count is None else "array") for name, count in fields]
+    clock = clock_of(names)
+    number, properties, template = {"type": "number"}, {}, []
+    for name, count in fields:
+        several = {"type": "array", "items": number, "minItems": count, "maxItems": count}
+        properties[name] = number if count is None else several
+        cells = "%s" if count is None else f"[{','.join(['%s'] * count)}]"
+        template.append(f"{json.dumps(name).replace('%', '%%')}:{cells}")
+    width = sum(count or 1 for _, count in fields)
+    rows = batch.buffer.view(np.float64).reshape(-1, width)
+    if clock is not None:
+        place = sum(count or 1 for _, count in fields[:clock])
+        rows = np.delete(rows, place, axis=1)
+        del properties[fields[clock][0]], template[clock]
+    text = "{" + ",".join(template) + "}"
+    payloads = [(text % tuple(map(_cell, row))).encode() for row in rows.tolist()]
+    schema = json.dumps({"type": "object", "properties": properties})
+    topic = f"/{batch.connection.topic.strip('/')}"
+    own = Connection(topic, batch.connection.type, "json", schema, "")
+    return replace(batch_of(own, [], [], payloads), log_ns=batch.log_ns, publish_ns=batch.publish_ns)
+
+
+def _cell(number: float) -> str:
+    return repr(number) if isfinite(number) else "null"
+
+
+def _number(value: Any) -> float:
+    """A number in JSON; null is one that was not measured."""
+    return nan if value is None else float(value)
 
 
 def _parts_of_time(number: float) -> dict[str, int]:

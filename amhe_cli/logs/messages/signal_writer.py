@@ -49,9 +49,17 @@ def message_type(signal: Signal) -> str:
 
 
 def _usual(signal: Signal) -> str:
+    """The message that carries the quantities of a signal."""
+    has = set(signal.quantities)
+    if "value" in has:
+        return "Float64MultiArray"
     if signal.names:
         return "JointState"
-    return "Odometry" if "orientation" in signal.quantities else "Float64MultiArray"
+    if has & {"force", "torque"}:
+        return "WrenchStamped"
+    if "linear_acceleration" in has:
+        return "Imu"
+    return "PoseStamped" if has == {"position"} else "Odometry"
 
 
 def _messages(
@@ -78,7 +86,12 @@ def _odometry(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) ->
 
 
 def _pose(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
-    log.pose(signal.topic, stamp_ns, values["position"], values["orientation"])
+    unknown = np.zeros(4)
+    log.pose(signal.topic, stamp_ns, values.get("position", _ZERO), values.get("orientation", unknown))
+
+
+def _wrench(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
+    log.wrench(signal.topic, stamp_ns, values.get("force", _ZERO), values.get("torque", _ZERO))
 
 
 def _imu(log: LogWriter, signal: Signal, stamp_ns: int, values: _Values) -> None:
@@ -96,6 +109,7 @@ _WRITERS: Mapping[str, Callable[[LogWriter, Signal, int, _Values], None]] = {
     "JointState": _joint_state,
     "Odometry": _odometry,
     "PoseStamped": _pose,
+    "WrenchStamped": _wrench,
     "Imu": _imu,
     "Float64MultiArray": _numbers,
 }

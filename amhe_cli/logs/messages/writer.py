@@ -17,6 +17,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from amhe_cli import __version__
 from amhe_cli.core import rotations
 from amhe_cli.core.files import whole
+from amhe_cli.logs.containers.raw import Batch, Connection
+from amhe_cli.logs.containers.table_file import ENCODING as TABLE
+from amhe_cli.logs.messages.json_rows import rows_as_json
 
 logger = logging.getLogger(__name__)
 
@@ -33,16 +36,18 @@ class LogWriter:
 
     Args:
         path: The .mcap file to write; an existing one is replaced at the end.
-        metadata: The metadata record named 'amhe' (system, seed, truth as JSON).
+        metadata: What the log says of itself. `system` is the name of the system that commands then take;
+            `truth`, `seed` and any other text is shown and kept.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, str]) -> None:
-        self.path = path
-        self._metadata = dict(metadata)
+    def __init__(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
+        self.path = Path(path)
+        self._metadata = dict(metadata or {})
         self._store = get_typestore(Stores.LATEST)
         self._channels: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
         self._sequence: dict[int, int] = {}
+        self._copied: dict[Connection, int] = {}
 
     def __enter__(self) -> LogWriter:
         self._file = ExitStack()
@@ -91,6 +96,23 @@ class LogWriter:
         self._sequence[channel] = self._sequence.get(channel, -1) + 1
         data = self._store.serialize_cdr(message, msgtype)
         self._mcap.add_message(channel, stamp_ns, bytes(data), stamp_ns, self._sequence[channel])
+
+    def copy(self, batch: Batch) -> None:
+        """Append messages of another log as they are; the rows of a table become JSON messages."""
+        batch = rows_as_json(batch) if batch.connection.encoding == TABLE else batch
+        connection = batch.connection
+        if connection not in self._copied:
+            schema = self._mcap.register_schema(*_schema(connection))
+            self._copied[connection] = self._mcap.register_channel(
+                connection.topic, connection.encoding, schema
+            )
+        channel = self._copied[connection]
+        stamps = (ns.view(np.uint64).tolist() for ns in (batch.log_ns, batch.publish_ns))
+        ends = (batch.starts + batch.lengths).tolist()
+        for log_ns, publish_ns, start, end in zip(*stamps, batch.starts.tolist(), ends, strict=True):
+            self._sequence[channel] = self._sequence.get(channel, -1) + 1
+            data = batch.buffer[start:end].tobytes()
+            self._mcap.add_message(channel, log_ns, data, publish_ns, self._sequence[channel])
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, for instance the configuration or the model."""
@@ -302,3 +324,12 @@ class LogWriter:
 
 def _numbers(values: ArrayLike) -> np.ndarray:
     return np.array(values, dtype=np.float64).reshape(-1)
+
+
+def _schema(connection: Connection) -> tuple[str, str, bytes]:
+    """Name, encoding and data of the MCAP schema of a connection."""
+    binary = connection.encoding == "protobuf"
+    data = connection.definition.encode("latin-1" if binary else "utf-8")
+    name = connection.type.replace("/msg/", "/") if connection.encoding == "ros1" else connection.type
+    usual = {"json": "jsonschema", "protobuf": "protobuf", "cdr": "ros2msg", "ros1": "ros1msg"}
+    return name, connection.definition_format or usual.get(connection.encoding, ""), data

@@ -1,0 +1,262 @@
+"""A log in another format: MCAP, CSV, npz, or a folder of CSV files."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.files import filling
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import QUANTITIES, Measured, Signal, remapped
+from amhe_cli.logs.collect import collect, missing
+from amhe_cli.logs.containers.folder import StoredLog, open_log
+from amhe_cli.logs.containers.raw import Batch, Connection, readable
+from amhe_cli.logs.containers.table_file import ENCODING as TABLE
+from amhe_cli.logs.containers.table_file import clock_of
+from amhe_cli.logs.containers.table_writer import Columns, joined, write_csv, write_npz
+from amhe_cli.logs.containers.text_dialect import Column
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.signal_writer import write_samples
+from amhe_cli.logs.messages.types import TYPES
+from amhe_cli.logs.messages.writer import LogWriter
+from amhe_cli.logs.survey import Survey, TopicSurvey, read_metadata, survey
+from amhe_cli.logs.tables import fields_of, signals_on_tables, table_columns, table_name
+from amhe_cli.logs.tracks import SignalTrack, on_one_clock, tracks_of
+
+logger = logging.getLogger(__name__)
+
+#: Endings of the files that are written; a path without an ending is a folder of CSV files.
+FORMS = (".mcap", ".csv", ".npz", "")
+#: A longer array in a message is an image or a cloud of points; such a topic has no place in a table.
+_LONGEST = 1000
+#: Messages between two calls of `Progress`.
+_SHOWN = 100_000
+#: Called with the number of messages that have been read.
+Progress = Callable[[int], None]
+
+
+def convert(
+    path: str | Path,
+    out: str | Path,
+    system: Measured | None = None,
+    *,
+    topics: Mapping[str, str] | None = None,
+    msg_path: str | Path | None = None,
+    force: bool = False,
+    progress: Progress | None = None,
+) -> None:
+    """Write a log in another format, with its metadata.
+
+    In a table the times count from the log's first sample, and values are in SI units. Signals or topics
+    with clocks of their own share the rows of one table, with blank cells; in a folder, each has a file of
+    its own.
+
+    Args:
+        path: A log of any format that docs/logs.md lists; of a LeRobot dataset, one episode.
+        out: What to write: a file that ends in .mcap, .csv or .npz; without an ending, a folder of CSVs.
+        system: Only its signals are written, called by their names; None: everything that is numeric. To
+            MCAP, messages are copied as they are.
+        topics: Name of a signal of the system -> topic to read it from instead.
+        msg_path: Folder of .msg files for message types that the log does not define.
+        force: Replace a file that exists; write into a folder that is not empty.
+        progress: Called now and then with the number of messages read.
+
+    Raises:
+        ConfigError: `out` exists, or has another ending; or an argument makes no sense.
+        LogError: The log cannot be read, or lacks what the system needs.
+    """
+    path, out = Path(path), Path(out)
+    check_out(out, force)
+    signals = None if system is None else remapped(system.signals, topics or {})
+    settings = LogSettings() if system is None else system.settings.logs
+    folder = None if msg_path is None else Path(msg_path)
+    definitions = Definitions(folder)
+    watch = _counter(progress)
+    with readable(path):
+        log = replace(open_log(path), watch=watch)
+        metadata = read_metadata(path)
+        if out.suffix == ".mcap":
+            _to_mcap(log, out, signals, definitions, settings, metadata)
+            return
+        tables = [one for one in log.connections if table_columns(one)]
+        only_tables = signals is None and 0 < len(tables) == len(log.connections)
+        if only_tables:
+            wanted = [_of_table(one) for one in tables]
+        else:
+            wanted = signals or _of_topics(survey(path, msg_path=folder, watch=watch))
+        tracks = _tracks(log, wanted, definitions, settings)
+    parts = _columns(tracks, plain=signals is None)
+    start_ns = min(int(part.stamps_ns[0]) for group in parts.values() for part in group)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if not out.suffix:
+        with filling(out) as folder:
+            for name, group in parts.items():
+                write_csv(folder / f"{table_name(name)}.csv", joined(group), metadata, start_ns)
+        return
+    as_it_was = only_tables and len(tables) == 1
+    named = [
+        replace(part, names=tuple(column if as_it_was else f"{name}.{column}" for column in part.names))
+        for name, group in parts.items()
+        for part in group
+    ]
+    write = write_npz if out.suffix == ".npz" else write_csv
+    write(out, joined(named), metadata, start_ns)
+
+
+def check_out(out: Path, force: bool) -> None:
+    """Refuse a place to write to, before any work is done.
+
+    Raises:
+        ConfigError: It exists and `force` is not given, or its ending is none of `FORMS`.
+    """
+    if out.suffix not in FORMS:
+        raise ConfigError(f"{out}: a log is written as .mcap, .csv, .npz, or, without an ending, as a folder")
+    if out.exists() and out.is_dir() == bool(out.suffix):
+        raise ConfigError(f"{out}: is a {'folder' if out.is_dir() else 'file'}; choose another name")
+    if not force and out.exists() and (out.suffix or any(out.iterdir())):
+        raise ConfigError(f"{out}: exists; choose another name, or give `force=True` to write over it")
+
+
+def _counter(progress: Progress | None) -> Callable[[Batch], None]:
+    count = shown = 0
+
+    def watch(batch: Batch) -> None:
+        nonlocal count, shown
+        count += batch.starts.size
+        if progress is not None and count - shown >= _SHOWN:
+            shown = count
+            progress(count)
+
+    return watch
+
+
+def _to_mcap(
+    log: StoredLog,
+    out: Path,
+    signals: Sequence[Signal] | None,
+    definitions: Definitions,
+    settings: LogSettings,
+    metadata: Mapping[str, str],
+) -> None:
+    """Messages as they are; the tables' rows as JSON, or as ROS messages of the system's signals."""
+    tables = any(connection.encoding == TABLE for connection in log.connections)
+    tracks = _tracks(log, signals, definitions, settings) if tables and signals else []
+    there = signals_on_tables(log.connections, signals or ())
+    copied = set()
+    with filling(out.parent) as folder, LogWriter(folder / out.name, metadata) as writer:
+        if tracks:
+            _write(writer, signals or (), tracks)
+            return
+        for batch in log.batches({signal.topic for signal in there} or None):
+            writer.copy(batch)
+            copied.add(batch.connection.topic)
+        for signal in there:
+            if signal.topic not in copied:
+                raise LogError(f"{log.path}: {missing(log, signal)}")
+    for problem in log.problems:
+        logger.warning("%s: %s", log.path, problem)
+
+
+def _write(writer: LogWriter, signals: Sequence[Signal], tracks: Sequence[SignalTrack]) -> None:
+    """Signals as the messages that ROS has for them, on topics of their own names where they have none."""
+    start_ns = min(int(track.times.stamps_ns[0]) for track in tracks)
+    samples = {
+        track.signal.key(quantity): ((track.times.stamps_ns - start_ns) / 1e9, values)
+        for track in tracks
+        for quantity in track.samples.values
+        if (values := track.carried(quantity)) is not None
+    }
+    carried = {s.name: tuple(q for q in QUANTITIES if s.key(q) in samples) for s in signals}
+    named = [
+        replace(s, topic=s.topic or f"/{s.name}", quantities=carried[s.name], fields={}) for s in signals
+    ]
+    origin_ns = start_ns if start_ns > 0 else 10**9  # a header stamp of 0 is one that was not set
+    write_samples(writer, named, samples, lambda time: origin_ns + round(1e9 * time))
+
+
+def _tracks(
+    log: StoredLog, signals: Sequence[Signal], definitions: Definitions, settings: LogSettings
+) -> list[SignalTrack]:
+    """Samples of the signals on one clock; a system's own offsets are left for those who read the result."""
+    plain = [replace(signal, offset=0.0) for signal in signals]
+    there = signals_on_tables(log.connections, plain)
+    decoders = collect(log, there, definitions)
+    return on_one_clock(log.path, tracks_of(log.path, there, decoders, settings), settings)
+
+
+def _of_table(connection: Connection) -> Signal:
+    """A signal that holds all numbers of a table but its times."""
+    fields = fields_of(connection)
+    kinds = [Column(name, "number" if size is None else "array") for name, size in fields.items()]
+    clock = None if (place := clock_of(kinds)) is None else kinds[place].name
+    kept = {name: size for name, size in fields.items() if name != clock}
+    if not kept:
+        raise LogError(f"table {connection.topic!r} has no column of numbers but its times")
+    columns = {"value": tuple(kept)}
+    return Signal(connection.topic, connection.topic, ("value",), names=_each(kept), columns=columns)
+
+
+def _of_topics(found: Survey) -> list[Signal]:
+    """Signals that hold all numbers of a log's topics."""
+    readable_topics = [topic for topic in found.topics if topic.count and not topic.problem]
+    signals = [signal for topic in readable_topics for signal in _of_topic(topic)]
+    if not signals:
+        raise LogError(f"{found.path}: no topic in it has numbers that can be read")
+    return [replace(signal, name=f"{signal.topic} {i}") for i, signal in enumerate(signals)]
+
+
+def _of_topic(topic: TopicSurvey) -> list[Signal]:
+    info = TYPES.get(topic.type)
+    if info is None:
+        large = any(size is not None and size > _LONGEST for size in topic.paths.values())
+        if large or not topic.paths:
+            return []
+        names, fields = _each(topic.paths), {"value": tuple(topic.paths)}
+        return [Signal("", topic.name, ("value",), topic.type, names=names, fields=fields)]
+    frames = topic.entries if info.elements and not info.names else (None,)
+    return [
+        Signal("", topic.name, topic.quantities, topic.type, child_frame=frame)
+        for frame in frames
+        if topic.quantities
+    ]
+
+
+def _each(numbers: Mapping[str, int | None]) -> tuple[str, ...]:
+    """A name for each number: that of its field or column, with an index in an array."""
+    return tuple(
+        name if size is None else f"{name}[{i}]" for name, size in numbers.items() for i in range(size or 1)
+    )
+
+
+def _columns(tracks: Sequence[SignalTrack], plain: bool) -> dict[str, list[Columns]]:
+    """Columns of each signal; of each topic where all of its numbers are taken (`plain`)."""
+    found: dict[str, list[Columns]] = {}
+    for track in tracks:
+        signal, names, blocks = track.signal, [], []
+        frame = f"{signal.child_frame}." if plain and signal.child_frame else ""
+        for quantity in track.samples.values:
+            values = track.carried(quantity)
+            if values is None:
+                continue
+            own = signal.names if plain and signal.names else _entries(track, quantity, values.shape[1])
+            names += [f"{frame}{name}" for name in own]
+            blocks.append(values)
+        if blocks:
+            columns = Columns(track.times.stamps_ns, tuple(names), np.concatenate(blocks, axis=1))
+            found.setdefault(signal.topic.strip("/") if plain else signal.name, []).append(columns)
+    if not found:
+        raise LogError("its topics have no value that is a number")
+    return found
+
+
+def _entries(track: SignalTrack, quantity: str, width: int) -> list[str]:
+    """Names of a quantity's columns: position.hinge, position.x or value[0]."""
+    entries = track.signal.names if len(track.signal.names) == width else track.samples.columns[quantity]
+    if entries[0].startswith("[") and quantity != "value" and width in (3, 4):
+        entries = ("w", "x", "y", "z")[-width:]
+    return [quantity + (entry if entry.startswith("[") else f".{entry}") for entry in entries]

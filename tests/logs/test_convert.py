@@ -1,0 +1,121 @@
+"""`amhe convert`: names, metadata, refusals; that samples survive is in test_every_format."""
+
+from __future__ import annotations
+
+import re
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.cli.main import run
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs import read_metadata, read_signals, survey
+from tests.logs.log_makers import ROS2, SIGNALS, motion, write_mcap, wrong_samples
+
+LOGS_PAGE = Path(__file__).parents[2] / "docs" / "logs.md"
+
+
+@pytest.fixture
+def made(tmp_path: Path) -> Path:
+    return write_mcap(tmp_path / "made.mcap", motion(ROS2, 50))
+
+
+@pytest.mark.parametrize("form", ["copy.mcap", "copy.csv", "copy.npz", "copy"])
+def test_metadata_stamps_and_poses_survive(form: str, made: Path) -> None:
+    out = made.with_name(form)
+    amhe.convert(made, out)
+    assert read_metadata(out) == {"system": "made", "seed": "7"}
+    again = read_signals(out, SIGNALS, 0.01, LogSettings())
+    assert again.start_ns == read_signals(made, SIGNALS, 0.01, LogSettings()).start_ns
+    assert wrong_samples(again) == dict.fromkeys(again.series, 0)
+
+
+def test_columns_of_a_table_keep_their_names_units_and_blank_cells(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(
+        "time [ms],q1_deg,p [mm],a,word\n"
+        + "".join(f"{20 * i},{i},{i},{'' if i % 2 else i},x\n" for i in range(99))
+    )
+    for name in ("a.mcap", "a.csv", "a.npz", "a"):
+        amhe.convert(tmp_path / "run.csv", tmp_path / name)
+        columns = {"value": ("q1_deg", "p", "a")}
+        log = read_signals(
+            tmp_path / name, [Signal("s", "", ("value",), columns=columns)], 0.02, LogSettings()
+        )
+        np.testing.assert_allclose(log["s.value"].values[4], [np.deg2rad(4.0), 0.004, 4.0], rtol=1e-12)
+        only = read_signals(
+            tmp_path / name, [Signal("a", "", ("value",), columns={"value": ("a",)})], 0.02, LogSettings()
+        )
+        assert only["a.value"].sampled[:5].tolist() == [True, False, True, False, True]
+
+
+def test_a_folder_has_a_file_for_each_topic(made: Path) -> None:
+    amhe.convert(made, made.with_name("folder"))
+    assert sorted(path.name for path in made.with_name("folder").iterdir()) == [
+        "joint_states.csv",
+        "odom.csv",
+    ]
+    head = made.with_name("folder").joinpath("joint_states.csv").read_text().splitlines()
+    assert head[0].startswith("# amhe: {")
+    assert head[1].startswith("time [s],position.hip,position.knee,position.ankle,velocity.hip")
+    assert head[2].startswith("0.0,")
+
+
+def test_nothing_is_overwritten_without_force(made: Path) -> None:
+    for name in ("out.csv", "out.mcap", "out.npz", "out"):
+        out = made.with_name(name)
+        amhe.convert(made, out)
+        with pytest.raises(ConfigError, match=f"{name}: exists; choose another name, or give `force=True`"):
+            amhe.convert(made, out)
+        amhe.convert(made, out, force=True)
+    with pytest.raises(ConfigError, match=r"a\.txt: a log is written as"):
+        amhe.convert(made, made.with_name("a.txt"))
+
+
+def test_a_topic_that_is_missing_leaves_no_file(made: Path) -> None:
+    system = amhe.System.load(
+        "pendulum",
+        {"signals": {"joints": {"topic": "/joint_state", "joints": ["hinge"], "noise": {"position": 0.1}}}},
+    )
+    for name in ("out.mcap", "out.csv", "out"):
+        with pytest.raises(LogError, match="no topic '/joint_state' .did you mean '/joint_states'"):
+            amhe.convert(made, made.with_name(name), system)
+    assert [path.name for path in made.parent.iterdir()] == ["made.mcap"]
+
+
+def test_the_command(made: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(made.parent)
+    assert run(["convert", "made.mcap", "-o", "one.csv"]) == 0
+    assert capsys.readouterr().out == "wrote one.csv\n"
+    assert run(["convert", "made.mcap", "-o", "one.csv"]) == 2
+    assert "exists; choose another name, or give --force" in capsys.readouterr().err
+    assert run(["convert", "made.mcap", "one.csv", "-o", "all"]) == 2
+    assert "--each" in capsys.readouterr().err
+    assert run(["convert", "made.mcap", "one.csv", "-o", "all", "--each", "npz"]) == 0
+    assert sorted(path.name for path in Path("all").iterdir()) == ["made.npz", "one.npz"]
+    assert {topic.name for topic in survey(Path("all/made.npz")).topics} == {"made"}
+
+
+def test_the_recorder_in_the_docs_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    section = LOGS_PAGE.read_text(encoding="utf-8").split("## Your own recorder")[1]
+    block = re.findall(r"^```python\n(.*?)^```", section, re.M | re.S)[0]
+    assert len(block.splitlines()) <= 11
+    ticks = iter(range(100))
+    robot = SimpleNamespace(
+        running=lambda: next(ticks, None) is not None,
+        angles=lambda: [0.1], speeds=lambda: [0.2], targets=lambda: [0.3],
+    )  # fmt: skip
+    monkeypatch.setattr(time, "sleep", lambda seconds: None)
+    clock = iter(range(10**18, 2 * 10**18, 10**7))
+    monkeypatch.setattr(time, "time_ns", lambda: next(clock))
+    exec(block, {"robot": robot})
+    log = amhe.read_log("run.mcap", amhe.System.load("pendulum"))
+    assert log["joints.position"].values[0] == [0.1]
+    assert log["joints.velocity"].values[0] == [0.2]
+    assert log["command.position"].values[0] == [0.3]
