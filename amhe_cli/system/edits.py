@@ -248,6 +248,12 @@ class ModelEdits:
         )
 
     @property
+    def delay(self) -> str | None:
+        """Name of the parameter that is the common command delay, where it is free."""
+        name = None if self._delay_column is None else self._all.names[self._delay_column]
+        return None if name in self.fixed else name
+
+    @property
     def longest_delay(self) -> float:
         """Upper bound of the common command delay [s]; zero without one."""
         return 0.0 if self._delay_column is None else self._all.parameters[self._delay_column].upper

@@ -118,14 +118,12 @@ class Problem:
 
         A command acts from one step on: where a delay is a multiple of the step, slopes by it have a kink.
         """
-        theta, column, dt = (
-            np.array(self.system.space.nominal),
-            self.system.edits.delay_column,
-            self.system.dt,
-        )
-        if column is not None:
-            theta[column] = (np.floor(theta[column] / dt + 1e-6) + 0.5) * dt
-        return self.system.space.z_of(theta)
+        space, delay, dt = self.system.space, self.system.edits.delay, self.system.dt
+        theta = np.array(space.nominal)
+        for column, name in enumerate(space.names):
+            if delay is not None and name.partition("[")[0] == delay:  # a log may have its own
+                theta[column] = (np.floor(theta[column] / dt + 1e-6) + 0.5) * dt
+        return space.z_of(theta)
 
     def _touches(self, cost: MatchingCost, z: FloatArray) -> bool:
         """Whether anything touches, or reaches a limit of its range, in rollouts under z (d,)."""

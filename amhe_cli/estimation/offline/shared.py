@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.parameters import Belief, Parameter, ParameterSpace, belief_of
+from amhe_cli.core.parameters import Belief, Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90, correlation
 from amhe_cli.estimation.offline.result import Identification, Iteration, OwnSpread, ParameterResult
 from amhe_cli.estimation.offline.verdicts import DETERMINED, NOTHING
@@ -123,7 +123,14 @@ def _with_mean(
     z, covariance = group.mean[order], group.covariance[np.ix_(order, order)]
     lines = [parameter if i == len(space) else space.parameters[i] for i in order]
     wider = ParameterSpace(tuple(lines))
-    belief = belief_of(found.belief.system, wider, z, covariance, dict(found.belief.provenance))
+    belief = replace(
+        found.belief,
+        names=wider.names,
+        units=tuple(p.unit for p in lines),
+        log=tuple(p.log for p in lines),
+        estimate=wider.theta_of(z),
+        covariance=covariance * np.outer(wider.prior_sd, wider.prior_sd),
+    )
     results = [
         _mean_line(parameter, found.parameters, members) if i == len(space) else found.parameters[i]
         for i in order
