@@ -95,7 +95,11 @@ def marginalised(
 
 
 def information(
-    slopes: Linearisation, channels: Sequence[bool] | None = None, *, straight: bool = False
+    slopes: Linearisation,
+    channels: Sequence[bool] | None = None,
+    *,
+    straight: bool = False,
+    repeats: float = 1.0,
 ) -> Information:
     """Information of each clip, its first state fitted along.
 
@@ -103,6 +107,7 @@ def information(
         slopes: The linearised residuals.
         channels: Which channels count, one flag each; None: all.
         straight: Ignore the nonlinear response, as if the samples had been narrow.
+        repeats: Number of clips in which the part of the residuals that repeats within a clip returns.
     """
     cost, mean = slopes.cost, slopes.first.mean
     gz, gx = np.split(slopes.gain, [slopes.gain.shape[1] - mean.shape[1]], axis=1)
@@ -115,7 +120,8 @@ def information(
 
     # weights depend on the fitted residuals: a first fit gives them
     first = fitted(slopes.residual, (1.0,) * len(cost.clips.observed))
-    return fitted(first.residual, channel_times(cost, first.residual, slopes.completed))
+    times = channel_times(cost, first.residual, slopes.completed)
+    return fitted(first.residual, tuple(1.0 + repeats * (time - 1.0) for time in times))
 
 
 def gauss_newton_step(

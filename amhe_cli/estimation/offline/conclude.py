@@ -35,6 +35,7 @@ from amhe_cli.estimation.offline.widening import (
     contradicted,
     directions,
     in_directions,
+    repeated,
     variances,
 )
 from amhe_cli.matching.cost import MatchingCost
@@ -88,7 +89,8 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
     report_drift(space, compared)
     shifts = [] if hurried else shifts_of(problem, finding, fit)
     own, doubled = fit.posterior.covariance, doubled_step(problem, finding, fit).covariance
-    covariance = own + _systematic(problem, fit, compared, shifts, doubled)
+    again = repeated(fit)
+    covariance = own + _systematic(problem, fit, compared, shifts, doubled, again)
     points = 0 if hurried else setting.profile_points
     return Evidence(
         z=finding.z,
@@ -104,6 +106,7 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
             space, fit.cost_beside, finding.z, np.sqrt(np.diag(covariance)), problem.active, points
         ),
         noise_scale=fit.scale,
+        repeats=np.sqrt(1.0 + np.diag(again) / np.diag(own)),
     )
 
 
@@ -113,6 +116,7 @@ def _systematic(
     compared: Mapping[str, Disagreement],
     shifts: Sequence[Shift],
     doubled: FloatArray,
+    again: FloatArray,
 ) -> FloatArray:
     """Covariance of z beyond what noise explains, shape (d, d).
 
@@ -122,6 +126,7 @@ def _systematic(
         compared: Differences between parts of the data.
         shifts: What changes of the model would do to the estimate.
         doubled: Posterior covariance from samples twice as wide, shape (d, d).
+        again: What residuals that repeat add, shape (d, d).
     """
     space, own = problem.system.space, fit.posterior.covariance
     found = directions(own, problem.active)
@@ -130,7 +135,7 @@ def _systematic(
     wanted = contradicted(found.rows, compared.values()) + curved
     wanted[: problem.active.sum()] += declared[problem.active] ** 2
     errors = [*(shift.spread for shift in shifts), fit.posterior.step]
-    return in_directions(found, wanted) + along_vectors(own, errors)
+    return in_directions(found, wanted, again) + along_vectors(own, errors)
 
 
 def validate(problem: Problem, windows: list[Window], finding: Finding) -> HeldOut | None:

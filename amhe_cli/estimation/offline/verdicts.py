@@ -26,6 +26,8 @@ SURPRISE, NOTED, NOTABLE = 3.0, 0.05, 0.25
 TOGETHER = 0.9
 #: A shift is given as a reason where it is more than this share of the sd.
 COUNTS = 0.5
+#: Factor on the sd from which residuals that repeat are a reason.
+REPEATED = 2.0
 #: Smallest exponent of a combination: a smaller one rounds to 0.
 EXPONENT = 0.05
 
@@ -60,6 +62,7 @@ class Evidence:
         shifts: What changes of the model would do to the estimate.
         profiles: Column -> (theta values (K,), costs (K,)).
         noise_scale: Channel -> residual sd over declared noise sd.
+        repeats: Factor by which residuals that repeat have widened the sd that noise alone gives.
     """
 
     z: FloatArray
@@ -71,6 +74,7 @@ class Evidence:
     shifts: Sequence[Shift]
     profiles: Mapping[int, tuple[FloatArray, FloatArray]]
     noise_scale: Mapping[str, float]
+    repeats: FloatArray
 
 
 def verdicts(space: ParameterSpace, evidence: Evidence) -> tuple[ParameterResult, ...]:
@@ -135,10 +139,21 @@ def _verdict(
         *_bound(space, evidence, i),
         *_partners(space, evidence, i),
         *(f"{text}, which the sd allows for" for text in allowed),
+        *_repeats(evidence, i),
     )
     if shrinkage < DETERMINED:
         return "weak", (*reasons, f"the logs narrow the prior by {shrinkage:.0%} only")
     return "identified", reasons
+
+
+def _repeats(evidence: Evidence, i: int) -> tuple[str, ...]:
+    """The reason that applies where the model's own errors, not noise, limit what is known."""
+    if evidence.repeats[i] < REPEATED:
+        return ()
+    return (
+        f"residuals repeat from sample to sample, which noise does not: the sd is {evidence.repeats[i]:.1f} "
+        f"times that of noise, since more data of this kind averages no error of the model away",
+    )
 
 
 def _bound(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:

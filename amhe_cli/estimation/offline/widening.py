@@ -16,7 +16,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.statistics import correlation
-from amhe_cli.estimation.offline.posterior import Disagreement
+from amhe_cli.estimation.core.information import information
+from amhe_cli.estimation.offline.posterior import Disagreement, FinalFit
 from amhe_cli.estimation.offline.verdicts import SURPRISE, TOGETHER
 
 
@@ -82,15 +83,31 @@ def beyond_chance(covariance: FloatArray, shift: FloatArray) -> FloatArray:
     return np.sqrt(1.0 - SURPRISE**2 / square) * shift
 
 
-def in_directions(found: Directions, wanted: FloatArray) -> FloatArray:
+def repeated(fit: FinalFit) -> FloatArray:
+    """The covariance that the model's own errors add, shape (d, d).
+
+    Noise averages out over clips. What the model gets wrong does not: it returns with each motion like it. So
+    what repeats within a clip, the autocorrelation of its residuals, counts once for all clips, and not once
+    for each: n clips of autocorrelation time t are one of time 1 + n (t - 1). White residuals add nothing.
+    """
+    shared = information(fit.slopes, repeats=float(fit.weight.sum()))
+    once = fit.posterior.prior + np.einsum("c,cij->ij", fit.weight, shared.matrix)
+    return np.linalg.inv(once) - np.linalg.inv(fit.posterior.hessian)
+
+
+def in_directions(found: Directions, wanted: FloatArray, added: FloatArray) -> FloatArray:
     """The covariance that adds a variance (m,), or more, to each direction; shape (d, d).
 
     Directions whose variance grows most come first, since they widen others as well.
+
+    Args:
+        found: The directions.
+        wanted: What each must get, shape (m,).
+        added: Covariance that has been added already, shape (d, d): only what lacks is added to it.
     """
-    added = np.zeros((len(found.follow), len(found.follow)))
     for i in np.argsort(-wanted / found.known):
         lacking = float(wanted[i] - found.rows[i] @ added @ found.rows[i])
-        added += max(lacking, 0.0) * np.outer(found.follow[:, i], found.follow[:, i])
+        added = added + max(lacking, 0.0) * np.outer(found.follow[:, i], found.follow[:, i])
     return added
 
 

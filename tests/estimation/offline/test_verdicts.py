@@ -35,6 +35,7 @@ def evidence(sd: float = 0.05, **changes: Any) -> Evidence:
         "shifts": [],
         "profiles": {},
         "noise_scale": {"box.position": 1.1},
+        "repeats": np.ones(3),
     }
     return Evidence(**{**plain, **changes})
 
@@ -71,6 +72,13 @@ def test_the_verdict_follows_from_how_much_the_prior_is_narrowed(sd: float, verd
 
 def test_a_weak_one_gives_its_shrinkage_as_the_reason() -> None:
     assert mass(evidence(0.4)).reasons == ("the logs narrow the prior by 60% only",)
+
+
+def test_residuals_that_repeat_are_a_reason_where_they_widen_much() -> None:
+    much, little, none = verdicts(SPACE, evidence(repeats=np.array([3.3, 1.9, 1.0])))
+    assert much.verdict == "identified", "the interval allows for it"
+    assert "residuals repeat" in much.reasons[0] and "3.3 times" in much.reasons[0]
+    assert not little.reasons and not none.reasons
 
 
 def test_what_no_measurement_depends_on_is_the_prior() -> None:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.statistics import correlation
-from amhe_cli.estimation.core.information import marginalised
+from amhe_cli.estimation.core.information import information, marginalised
 from amhe_cli.estimation.offline.posterior import Disagreement, posterior
 from amhe_cli.estimation.offline.widening import (
     along_vectors,
@@ -15,10 +18,12 @@ from amhe_cli.estimation.offline.widening import (
     contradicted,
     directions,
     in_directions,
+    repeated,
     variances,
 )
 
 ALL = np.ones(2, dtype=bool)
+NONE = np.zeros((2, 2))
 
 
 def known(slopes: FloatArray) -> FloatArray:
@@ -55,7 +60,7 @@ def test_an_error_of_one_factor_leaves_the_combination_known(case, exponent, wro
     assert len(found.rows) == 3, "two parameters, and what is known of both"
     wanted = np.zeros(3)
     wanted[wrong] = own[wrong, wrong]
-    total = own + in_directions(found, wanted)
+    total = own + in_directions(found, wanted, NONE)
     assert np.diag(total)[wrong] == pytest.approx(2.0 * own[wrong, wrong])
     assert sharp(total)[0] == pytest.approx(sharp(own)[0], rel=0.01)
     assert sharp(total)[1] == pytest.approx([1.0, exponent], abs=0.02)
@@ -67,7 +72,7 @@ def test_a_contradiction_about_the_combination_widens_it_and_not_its_factors():
     size, (_, exponent) = sharp(own)
     against = 20.0 * size * np.array([1.0, exponent]) / np.hypot(1.0, exponent)
     wanted = contradicted(found.rows, [Disagreement(against, 2.0 * own)])
-    total = own + in_directions(found, wanted)
+    total = own + in_directions(found, wanted, NONE)
     assert sharp(total)[0] == pytest.approx(10.0 * size, rel=0.1)
     assert np.diag(total) == pytest.approx(np.diag(own), rel=0.05)
 
@@ -83,13 +88,13 @@ def test_what_is_not_known_together_does_not_follow():
     own = 0.01 * np.array([[1.0, 0.5], [0.5, 1.0]])
     found = directions(own, ALL)
     assert len(found.rows) == 2
-    added = in_directions(found, np.array([0.25, 0.01]))
+    added = in_directions(found, np.array([0.25, 0.01]), NONE)
     np.testing.assert_allclose(added, np.diag([0.25, 0.01]), atol=1e-12)
 
 
 def test_a_parameter_without_data_is_not_widened():
     found = directions(np.diag([0.01, 1.0]), np.array([True, False]))
-    assert in_directions(found, np.array([0.04]))[1] == pytest.approx([0.0, 0.0])
+    assert in_directions(found, np.array([0.04]), NONE)[1] == pytest.approx([0.0, 0.0])
 
 
 def test_each_direction_gets_what_it_lacks_and_shares_what_others_bring():
@@ -97,7 +102,7 @@ def test_each_direction_gets_what_it_lacks_and_shares_what_others_bring():
     found = directions(own, ALL)
     wanted = 0.3 * found.known
     wanted[2] = 0.0
-    added = in_directions(found, wanted)
+    added = in_directions(found, wanted, NONE)
     assert (variances(found.rows, added) >= wanted - 1e-12).all()
     assert np.diag(added) == pytest.approx(wanted[:2], rel=0.05), "once, not once for each factor"
 
@@ -125,5 +130,44 @@ def test_a_shift_counts_beyond_three_sd():
 
 def test_directions_grow_no_correlation_of_their_own():
     own = np.diag([0.01, 0.04])
-    total = own + in_directions(directions(own, ALL), np.array([0.3, 0.2]))
+    total = own + in_directions(directions(own, ALL), np.array([0.3, 0.2]), NONE)
     np.testing.assert_allclose(correlation(total), np.eye(2), atol=1e-12)
+
+
+def fit_of(residual: FloatArray) -> Any:
+    """A final fit of one parameter that moves every residual (c, R) alike, prior sd 1."""
+    clips, samples = residual.shape
+    observed = SimpleNamespace(mask=np.ones((clips, samples), dtype=bool), width=1)
+    cost = SimpleNamespace(clips=SimpleNamespace(observed=[observed]), settings=SimpleNamespace(huber=100.0))
+    first = SimpleNamespace(mean=np.zeros((clips, 0)))
+    slopes: Any = SimpleNamespace(
+        cost=cost,
+        residual=residual,
+        gain=np.ones((clips, 1, samples)),
+        bend=np.zeros_like(residual),
+        first=first,
+        completed=np.ones(clips, dtype=bool),
+    )
+    weight = np.ones(clips)
+    found = posterior(np.zeros(1), information(slopes), weight, np.eye(1))
+    return SimpleNamespace(slopes=slopes, weight=weight, posterior=found)
+
+
+def test_errors_that_repeat_count_once_for_all_clips():
+    rng = np.random.default_rng(0)
+    slow = np.sin(np.arange(60) / 20.0 + rng.uniform(0.0, 6.0, (12, 1))) + 0.1 * rng.standard_normal((12, 60))
+    one, twelve = (float(repeated(fit_of(r))[0, 0]) for r in (slow[:1], slow))
+    information_of_twelve = float(fit_of(slow).posterior.hessian[0, 0]) - 1.0
+    left = 1.0 / (twelve + 1.0 / (information_of_twelve + 1.0)) - 1.0
+    assert one == pytest.approx(0.0, abs=0.01), "one clip is what it counts for"
+    assert left == pytest.approx(information_of_twelve / 12.0, rel=0.15), "twelve know no more than one"
+
+
+def test_white_residuals_add_nothing():
+    fit = fit_of(np.random.default_rng(1).standard_normal((12, 60)))
+    assert repeated(fit)[0, 0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_repeats_never_leaves_less_than_the_prior():
+    fit = fit_of(np.repeat(np.sin(np.arange(60) / 20.0)[None], 12, axis=0) * 1e3)
+    assert 0.0 < 1.0 / fit.posterior.hessian[0, 0] + repeated(fit)[0, 0] <= 1.0
