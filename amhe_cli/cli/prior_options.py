@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import completion, options
 
 
 def believed(about: str) -> Callable[[options.F], options.F]:
@@ -42,6 +42,7 @@ narrowing = options.stacked(
     click.option(
         "--fix",
         metavar="NAME=VALUE",
+        shell_complete=completion.parameters("="),
         multiple=True,
         callback=_values,
         help="Take a parameter as known; it is not estimated. Repeat for more.",
@@ -49,6 +50,7 @@ narrowing = options.stacked(
     click.option(
         "--only",
         metavar="NAME,NAME",
+        shell_complete=completion.parameters(),
         multiple=True,
         callback=_names,
         help="Estimate these parameters (names, or patterns such as 'left_*') and fix all others.",

@@ -32,9 +32,11 @@ def notes_on_urdf(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:
     notes = [
         f"joint {joint} follows {leader}: it is no unknown" for joint, leader in followers(model).items()
     ]
-    apart = len(spec.excludes)
-    if apart:
-        notes.append(f"{apart} pairs of links that are joined, or overlap at the zero pose, do not collide")
+    if spec.excludes:
+        number = len(spec.excludes)
+        notes.append(
+            f"pairs of links that are joined, or overlap at the zero pose, and do not collide: {number}"
+        )
     return notes
 
 

@@ -59,9 +59,7 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
 
 
 def _joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[Guess]:
-    groups = [[joint] for joint in joints] if len(joints) <= _OWN_PARAMETERS else [list(joints)]
-    for group in groups:
-        own = f"{group[0]}_" if len(group) == 1 < len(joints) else ""
+    for own, group in _alike(model, joints).items():
         of = f"of joint {group[0]}" if len(group) == 1 else f"of {len(group)} joints alike"
         for kind, field, meaning in _KINDS:
             dofs = [int(model.joint(joint).dofadr[0]) for joint in group]
@@ -76,10 +74,27 @@ def _joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[
             yield Guess(f"{own}{kind}", _entry(nominal, unknown, targets), f"{meaning}, {of}; {note}")
 
 
+def _alike(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
+    """Joints with common parameters, by the beginning of these parameters' names.
+
+    Hinges and slides have none in common, because their units differ.
+    """
+    if len(joints) <= _OWN_PARAMETERS:
+        groups = {f"{joint}_": [joint] for joint in joints}
+    else:
+        groups = {"hinge_": list[str](), "slide_": list[str]()}
+        for joint in joints:
+            slides = int(model.joint(joint).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
+            groups["slide_" if slides else "hinge_"].append(joint)
+    groups = {name: group for name, group in groups.items() if group}
+    return {"": list(joints)} if len(groups) == 1 else groups
+
+
 def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:
     """Masses of the free bodies that are measured, and of the last link of each actuated chain."""
     measured = {guess.entry.get("body") for guess in signals}
-    bodies = [body for body in free_bodies(model) if body in measured]
+    free = [_weighty(model, body) for body in free_bodies(model) if body in measured]
+    bodies = list(free)
     links = {int(model.joint(joint).bodyid[0]) for joint in joints}
     ends = sorted({_carried(model, link) for link in links if not _carries_links(model, link)})
     if len(ends) <= _TOOLS:
@@ -87,11 +102,19 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
     for body in dict.fromkeys(name for name in bodies if name):
         mass = float(model.body(body).mass[0])
         if mass > 0.0:
-            free = "; free motion does not depend on it" if body in free_bodies(model) else ""
+            loose = "; free motion does not depend on it" if body in free else ""
             entry = _entry(mass, False, [{"body": body, "set": "mass"}], 0.3)
-            yield Guess(
-                f"{body}_mass", entry, f"of body {body}, its inertia scales with it{free}; from the model"
-            )
+            why = f"of body {body}, its inertia scales with it{loose}; from the model"
+            yield Guess(f"{body}_mass", entry, why)
+
+
+def _weighty(model: mujoco.MjModel, body: str) -> str:
+    """A free body, or the heaviest part of it if it is an empty frame, as the root of a URDF often is."""
+    row = model.body(body).id
+    parts = np.flatnonzero(model.body_weldid == model.body_weldid[row])
+    heaviest = int(parts[np.argmax(model.body_mass[parts])])
+    empty = model.body_mass[row] < _WORTHWHILE * model.body_mass[heaviest]
+    return model.body(heaviest).name if empty else body
 
 
 def _carried(model: mujoco.MjModel, link: int) -> int:

@@ -15,7 +15,7 @@ from amhe_cli.init.folder import init_system
 from amhe_cli.logs import LogWriter, read_signals
 from amhe_cli.system.system import System
 from amhe_cli.system.urdf import UrdfOptions
-from tests.system.test_urdf import FINGERS, mesh_file, robot, shape, written
+from tests.system.test_urdf import BODY, FINGERS, mesh_file, robot, shape, written
 
 STEP_NS = 10_000_000
 ARM = ("shoulder", "elbow")
@@ -102,6 +102,23 @@ def test_the_root_moves_freely_where_odometry_gives_its_pose(tmp_path: Path) -> 
     fixed, guesses = made(tmp_path / "fixed", text, recorded(tmp_path / "b.mcap", ARM))
     assert fixed.model.nq == 2
     assert any("base is fixed to the world" in guess for guess in guesses)
+
+
+def test_the_mass_of_an_empty_root_is_that_of_what_it_carries(tmp_path: Path) -> None:
+    trunk = f"""<link name="trunk">{BODY}</link><joint name="weld" type="fixed"><parent link="base"/>
+      <child link="trunk"/></joint>"""
+    log = recorded(tmp_path / "a.mcap", ARM, odom=True)
+    system, _ = made(tmp_path, robot(more=trunk), log)
+    assert "trunk_mass" in system.space.names
+    assert "base_mass" not in system.space.names
+
+
+def test_hinges_and_slides_share_no_parameter(tmp_path: Path) -> None:
+    more = FINGERS + FINGERS.replace("left", "third").replace("right", "fourth")
+    joints = (*ARM, "left", "right", "third", "fourth")
+    system, _ = made(tmp_path, robot(more=more), recorded(tmp_path / "a.mcap", joints, driven=joints))
+    assert {"hinge_damping", "slide_damping"} <= set(system.space.names)
+    assert "damping" not in system.space.names
 
 
 def test_the_folder_stands_on_its_own(tmp_path: Path) -> None:
