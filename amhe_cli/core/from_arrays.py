@@ -12,8 +12,8 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import LogError, one_of
-from amhe_cli.core.log import Log, Series
-from amhe_cli.core.resample import common_rows, longest_bridge, resample
+from amhe_cli.core.log import Log, Series, warn_of
+from amhe_cli.core.resample import common_rows, longest_bridge, resample, too_many
 from amhe_cli.core.signals import DERIVED, Measured, Signal
 
 #: Quaternions may be off the unit norm by this much.
@@ -35,6 +35,8 @@ def log_from_arrays(arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measu
     if rows < 1:
         spans = ", ".join(f"{k} {t[0] / 1e9:g} to {t[-1] / 1e9:g} s" for k, t in stamps_ns.items())
         raise LogError(f"{name}: the signals do not overlap in time: {spans}")
+    if why := too_many(rows, max(stamps.size for stamps in stamps_ns.values()), system.dt):
+        raise LogError(f"{name}: {why}: time must be in seconds")
     start_ns = phase + round(begin)
     grid = np.arange(rows, dtype=np.float64) * system.dt
     series: dict[str, Series] = {}
@@ -56,7 +58,9 @@ def log_from_arrays(arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measu
                 rotation=quantity == "orientation",
                 derived=derived,
             )
-    return Log(system.dt, series, name, start_ns)
+    log = Log(system.dt, series, name, start_ns)
+    warn_of(log, system)
+    return log
 
 
 def _stamps(given: Any, signal: Signal, name: str) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +15,8 @@ from numpy.typing import ArrayLike
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed, sealed_mask
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.signals import Measured
+
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -167,6 +170,12 @@ class Log:
         for key in keys:
             mask &= self[key].valid
         return mask
+
+
+def warn_of(log: Log, system: Measured) -> None:
+    """Warn of what in a log contradicts the system's model or itself."""
+    for doubt in system.doubts(log):
+        logger.warning("%s: %s", log.source, doubt)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,6 +12,8 @@ from amhe_cli.core.log import Series
 
 #: A topic may stay silent for this many of its own median periods.
 _PERIODS = 5.0
+#: A clock has at most so many rows, unless it is short, and no more for each sample.
+_MOST_ROWS, _FEW_ROWS, _ROWS_PER_SAMPLE = 10_000_000, 1_000_000, 1000
 
 
 def longest_bridge(times: FloatArray, max_gap: float, hold: bool = False) -> float:
@@ -45,6 +47,19 @@ def common_rows(stamps_ns: Sequence[tuple[IntArray, bool]], step: float) -> tupl
     last = max(int(stamps[-1]) for stamps in states)
     begin = float(np.ceil((begun - phase) / step - 1e-6)) * step
     return phase, begin, int(np.floor((last - phase - begin) / step + 1e-6)) + 1
+
+
+def too_many(rows: int, samples: int, dt: float) -> str | None:
+    """Why a clock of so many rows is refused: a wrong stamp or unit makes it long; None if it is not.
+
+    Args:
+        rows: Rows of the clock.
+        samples: Samples of the signal that has the most.
+        dt: Step of the clock [s].
+    """
+    if rows <= max(_FEW_ROWS, min(_MOST_ROWS, _ROWS_PER_SAMPLE * samples)):
+        return None
+    return f"{rows * dt:.0f} s at steps of {dt:g} s are {rows} rows for {samples} samples"
 
 
 def resample(

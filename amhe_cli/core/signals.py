@@ -10,6 +10,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import Described
 
 if TYPE_CHECKING:
+    from amhe_cli.core.log import Log
     from amhe_cli.core.settings import Settings
 
 #: Quantities a signal can carry, with the unit of their values once read.
@@ -91,6 +92,10 @@ class Measured(Described, Protocol):
     @property
     def settings(self) -> Settings:
         """Settings, those of clocks and gaps among them."""
+        ...
+
+    def doubts(self, log: Log) -> list[str]:
+        """What in a log contradicts the model or itself, a line each."""
         ...
 
 

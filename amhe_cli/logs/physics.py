@@ -1,4 +1,4 @@
-"""Values that are physically impossible, and units that look wrong."""
+"""Values that are physically impossible, and velocities in another frame."""
 
 from __future__ import annotations
 
@@ -21,8 +21,6 @@ _ABSURD = 1e9
 _TWIST_ERROR = 0.05
 #: Half of the time [s] over which positions are compared with a velocity.
 _TWIST_SPAN = 0.01
-#: Larger values [rad, rad/s] look like degrees.
-_LARGEST = {"position": 50.0, "angular_velocity": 100.0}
 
 
 def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None]) -> SignalSamples:
@@ -41,7 +39,6 @@ def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None])
             block[absurd.any(axis=1)] = np.nan
     if "orientation" in values:
         _check_rotation(values, signal, warn)
-    _check_units(values, signal, warn)
     return replace(samples, values=values)
 
 
@@ -87,14 +84,3 @@ def _median_length(vectors: FloatArray) -> float:
 def _lost(quaternions: FloatArray) -> BoolArray:
     norms = np.linalg.norm(quaternions, axis=1)
     return ~(np.abs(norms - 1.0) <= _NORM)
-
-
-def _check_units(values: dict[str, FloatArray], signal: Signal, warn: Callable[[str], None]) -> None:
-    joints = "orientation" not in values and ("velocity" in values or bool(signal.names))
-    for quantity, limit in _LARGEST.items():
-        if quantity not in values or (quantity == "position" and not joints):
-            continue
-        largest = float(np.nanmax(np.abs(values[quantity]), initial=0.0))
-        if largest > limit:
-            unit = "rad" if quantity == "position" else "rad/s"
-            warn(f"{quantity} reaches {largest:.4g} {unit}: looks like degrees")

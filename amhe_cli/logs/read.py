@@ -12,7 +12,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log, Series, warn_of
 from amhe_cli.core.resample import longest_bridge, resample
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import DERIVED, Measured, Signal, remapped
@@ -93,6 +93,7 @@ def read_log(
         first, last = (start, end) if one.start is None and one.end is None else (one.start, one.end)
         signals = remapped(system.signals, {**(topics or {}), **one.topics})
         log = read_signals(one.path, signals, system.dt, settings, start=first, end=last, msg_path=folder)
+        warn_of(log, system)
         logs.append(log.with_(known=one.known, own=one.own, held_out=one.held_out))
     return logs[0] if isinstance(paths, str | Path) else logs
 
@@ -133,6 +134,7 @@ def inspect_log(
     log = read(*system.signals)
     if isinstance(log, str):
         return Inspection(found, system.name, checks, problem=log)
+    warn_of(log, system)
     return Inspection(found, system.name, checks, log.duration)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.core.resample import common_rows
+from amhe_cli.core.resample import common_rows, too_many
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.clocks import (
@@ -30,7 +30,6 @@ from amhe_cli.logs.physics import checked
 
 logger = logging.getLogger(__name__)
 
-_MOST_ROWS = 10_000_000
 #: Header-less topics are moved onto the others' header clock where that is off by more than this [s].
 _SAME_CLOCK = 1.0
 #: A smaller offset between two topics [s], or one of less than half a period, may be their transport's.
@@ -184,10 +183,9 @@ def grid_of(
             f"{path}: the log lasts {(rows - 1) * dt:.3f} s: no part of it lies between "
             f"`start` {start or 0:g} and `end` {'its end' if end is None else f'{end:g}'}"
         )
-    if high - low > _MOST_ROWS:
+    if why := too_many(high - low, max(track.times.stamps_ns.size for track in tracks), dt):
         raise LogError(
-            f"{path}: {(high - low) * dt:.0f} s at steps of {dt:g} s are {high - low} rows, more than "
-            f"{_MOST_ROWS}; cut it with `start` and `end`, or look for a wrong stamp with `amhe inspect`"
+            f"{path}: {why}; cut it with `start` and `end`, or look for a wrong stamp with `amhe inspect`"
         )
     start_ns = anchor + round(begin + low * step)
     return np.arange(high - low, dtype=np.float64) * dt, start_ns

@@ -13,6 +13,7 @@ import mujoco
 
 from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief, ParameterSpace
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.signals import Signal, remapped
@@ -292,6 +293,16 @@ class System:
     @cached_property
     def _about(self) -> tuple[dict[str, str], dict[str, str]]:
         return parts_of(self.model, self.edits), sets_of(self.model, self.edits)
+
+    def doubts(self, log: Log) -> list[str]:
+        """What in a log contradicts the model or itself, a line each: units, and the order of joints.
+
+        Args:
+            log: A log that was read for this system.
+        """
+        from amhe_cli.system.doubts import doubts_of
+
+        return list(doubts_of(self, log))
 
     @property
     def senses(self) -> bool:

@@ -363,21 +363,6 @@ def test_unknown_imu_orientation_is_not_data(tmp_path: Path) -> None:
         read(path, Signal("i", "/imu", ("orientation",)))
 
 
-@pytest.mark.parametrize(
-    ("values", "text"), [([[90.0]], "position reaches 90 rad: looks like degrees"), ([[1.0, 2.0]], None)]
-)
-def test_units_that_look_like_degrees(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, values: list[list[float]], text: str | None
-) -> None:
-    names = tuple("ab"[: len(values[0])])
-    path = write_mcap(
-        tmp_path / "a", series(ROS2, "/js", JS, lambda i, s: joint_state(ROS2, s, names, values[0]))
-    )
-    with caplog.at_level(logging.WARNING):
-        read(path, Signal("j", "/js", ("position",), names=names))
-    assert (text in caplog.text) if text else not caplog.records
-
-
 def test_what_is_absent_is_named_with_what_there_is(tmp_path: Path) -> None:
     path = write_mcap(tmp_path / "a", motion(ROS2, N))
     with pytest.raises(LogError, match=r"no topic '/odm' \(did you mean '/odom'\?\); there is: /odom \(nav"):

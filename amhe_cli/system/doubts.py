@@ -1,0 +1,224 @@
+"""What in a log contradicts the model, or itself: units, and the order of joints.
+
+Each doubt is one line for a warning; the log is read as the system says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.log import Log
+from amhe_cli.system.driven import commanded
+
+if TYPE_CHECKING:
+    from amhe_cli.system.system import Input, System
+
+#: A state that is sampled more seldom [s] is no record of motion.
+_SLOW = 0.5
+#: Larger values [rad], [rad/s] look like degrees; also those beyond a turn and so many times a joint's range.
+_LARGEST, _LARGEST_RATE, _BEYOND = 50.0, 100.0, 3.0
+#: Time [s] over which positions are compared with velocities.
+_SPAN = 0.05
+#: Slope of the first over the second -> which of them is in another unit.
+_DEGREES = 180.0 / np.pi
+_OF_VELOCITY = {
+    _DEGREES: "the position looks like degrees",
+    1.0 / _DEGREES: "the velocity looks like degrees per second",
+    np.pi / 30.0: "the velocity looks like rpm",
+}
+_OF_COMMAND = {_DEGREES: "the command looks like degrees", 1.0 / _DEGREES: "the position looks like degrees"}
+#: A slope is taken for one of these within this share of it, where the two are so well correlated.
+_NEAR, _ALIKE = 0.25, 0.9
+#: Another order of the joints is better where each joint that moves in it is correlated so well with its
+#: command, by so much better, and at such a share of the mean squared error.
+_BETTER, _MARGIN, _ERROR = 0.8, 0.3, 0.25
+#: Commands lead the joints by at most this [s]; samples that are compared, at least and at most.
+_LEAD, _FEW, _MANY = 0.3, 100, 20_000
+
+#: A joint -> its measured positions and where they are valid, shape (T,).
+_Positions = Mapping[int, tuple[FloatArray, BoolArray]]
+
+
+def doubts_of(system: System, log: Log) -> Iterator[str]:
+    """See `System.doubts`."""
+    for signal in system.signals:
+        rows = [log[key].sampled for q in signal.quantities if (key := signal.key(q)) in log.series]
+        steps = np.diff(np.flatnonzero(rows[0])) if rows and not signal.is_input else np.zeros(0)
+        period = log.dt * float(np.median(steps)) if steps.size else 0.0
+        if period > _SLOW:
+            yield (
+                f"signal {signal.name!r} has a sample every {period:.3g} s: its times look like milliseconds "
+                f"or finer; they must be in seconds"
+            )
+    for key, joints in _joint_channels(system).items():
+        if key in log.series:
+            for text in _of_states(system.model, log, key, joints):
+                yield f"signal {key.rpartition('.')[0]!r}: {text}"
+    for channel in system.channels:
+        if channel.key.endswith(".angular_velocity") and channel.key in log.series:
+            largest = float(np.max(np.abs(log[channel.key].values), initial=0.0))
+            if largest > _LARGEST_RATE:
+                name = channel.key.rpartition(".")[0]
+                yield f"signal {name!r}: angular velocity reaches {largest:.4g} rad/s: looks like degrees"
+    positions = {
+        joint: (log[key].values[:, column], log[key].valid)
+        for key, joints in _joint_channels(system).items()
+        if key in log.series
+        for column, joint in enumerate(joints)
+    }
+    for one in system.inputs:
+        if one.key in log.series:
+            for text in _of_commands(system, log, one, positions):
+                yield f"signal {one.key.rpartition('.')[0]!r}: {text}"
+
+
+def _joint_channels(system: System) -> dict[str, list[int]]:
+    """Key of each series of joint positions -> the joints of its columns."""
+    model = system.model
+    single = {
+        int(model.jnt_qposadr[row]): row
+        for row in range(model.njnt)
+        if int(model.jnt_type[row]) in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    }
+    return {
+        channel.key: [single[column] for column in channel.columns]
+        for channel in system.channels
+        if channel.source == "qpos" and all(column in single for column in channel.columns)
+    }
+
+
+def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> Iterator[str]:
+    """Units of joint positions, by the velocities measured with them and by the joints' ranges."""
+    found: dict[str, list[str]] = {}
+    velocity = log.series.get(f"{key.rpartition('.')[0]}.velocity")
+    for column, row in enumerate(joints):
+        values, name = log[key].values[:, column], model.joint(row).name
+        slope = None
+        if velocity is not None and not velocity.derived:
+            both = np.flatnonzero(log[key].sampled & velocity.sampled)
+            slope = _slope_over_velocity(
+                log.dt * both.astype(np.float64), values[both], velocity.values[both, column]
+            )
+        if slope is not None:
+            for text in _named(slope, _OF_VELOCITY):
+                found.setdefault(text, []).append(name)
+            continue
+        largest = float(np.max(np.abs(values[log[key].valid]), initial=0.0))
+        reach = float(np.abs(model.jnt_range[row]).max()) if model.jnt_limited[row] else np.inf
+        hinge = int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_HINGE
+        if hinge and (largest > _LARGEST or largest > max(_BEYOND * reach, 2.0 * np.pi)):
+            found.setdefault(f"position reaches {largest:.4g} rad: looks like degrees", []).append(name)
+    for text, names in found.items():
+        yield f"{text} ({', '.join(names)})"
+
+
+def _slope_over_velocity(times: FloatArray, position: FloatArray, velocity: FloatArray) -> float | None:
+    """Speed by the positions over the measured one; None where they do not move alike."""
+    if times.size < _FEW:
+        return None
+    period = float(np.median(np.diff(times)))
+    span = max(1, round(_SPAN / period)) if period > 0.0 else 1
+    if times.size <= 2 * span:
+        return None
+    elapsed = times[span:] - times[:-span]
+    whole = elapsed < 2.0 * span * period  # no gap within
+    way = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(times))])
+    moved, expected = ((x[span:] - x[:-span]) / elapsed for x in (position, way))
+    return _slope(moved[whole], expected[whole])
+
+
+def _slope(first: FloatArray, second: FloatArray) -> float | None:
+    """Ratio of the standard deviations of two series that go alike; None where they do not."""
+    if first.size < _FEW or not (first.std() > 0.0 and second.std() > 0.0):
+        return None
+    alike = float(np.corrcoef(first, second)[0, 1])
+    return float(first.std() / second.std()) if alike > _ALIKE else None
+
+
+def _named(slope: float, texts: Mapping[float, str]) -> list[str]:
+    return [text for ratio, text in texts.items() if abs(slope / ratio - 1.0) < _NEAR]
+
+
+def _of_commands(system: System, log: Log, one: Input, positions: _Positions) -> Iterator[str]:
+    """Units and order of the targets of position servos, by the joints that should follow them."""
+    series = log[one.key]
+    servos = {column: _servo_joint(system, place) for column, place in enumerate(one.columns)}
+    driven = {
+        column: joint
+        for column, joint in servos.items()
+        if joint is not None and joint in positions and series.values[:, column].std() > 1e-3
+    }
+    rows = series.valid.copy()
+    for joint in driven.values():
+        rows &= positions[joint][1]
+    kept = np.flatnonzero(rows)[:: max(1, int(rows.sum()) // _MANY)]
+    if kept.size < _FEW or not driven:
+        return
+    model, joints = system.model, list(driven.values())
+    commands = series.values[kept][:, list(driven)]
+    measured = np.stack([positions[joint][0][kept] for joint in joints], axis=1)
+    names = [model.joint(joint).name for joint in joints]
+    found: dict[str, list[str]] = {}
+    for column, name in enumerate(names):
+        slope = _slope(commands[:, column], measured[:, column])
+        for text in _named(slope, _OF_COMMAND) if slope is not None else ():
+            found.setdefault(text, []).append(name)
+    for text, which in found.items():
+        yield f"{text} ({', '.join(which)})"
+    step = log.dt * float(np.median(np.diff(kept)))
+    better = _better_order(commands, measured, max(1, round(_LEAD / 10.0 / step)))
+    if better is not None:
+        order, before, after = better
+        yield (
+            f"the commands of {', '.join(names)} are followed by {', '.join(names[i] for i in order)}: the "
+            f"order of the joints is wrong in the commands or in the positions (correlation {after:.2f} so, "
+            f"{before:.2f} as given)"
+        )
+
+
+def _servo_joint(system: System, place: int) -> int | None:
+    """The joint of the position servo that a number of the engine's input commands."""
+    model, control = system.model, int(mujoco.mjtState.mjSTATE_CTRL)
+    if not system.input_spec & control:
+        return None
+    address = place - mujoco.mj_stateSize(model, system.input_spec & (control - 1))
+    rows = np.flatnonzero(model.actuator_ctrladr == address)
+    if not rows.size or int(model.actuator_trntype[rows[0]]) != mujoco.mjtTrn.mjTRN_JOINT:
+        return None
+    return int(model.actuator_trnid[rows[0], 0]) if commanded(model, int(rows[0])) == "position" else None
+
+
+def _better_order(
+    commands: FloatArray, measured: FloatArray, lag: int
+) -> tuple[list[int], float, float] | None:
+    """Joint that follows each command, if clearly not the one given; least correlations before, after.
+
+    Args:
+        commands: Targets, shape (T, n).
+        measured: Positions of the joints that should follow them, shape (T, n).
+        lag: Rows of a tenth of the time by which commands may lead.
+    """
+    moving = measured.std(axis=0) > 1e-3
+    if commands.shape[1] < 2 or not moving.all():
+        return None
+    error = np.mean((commands[:, :, None] - measured[:, None, :]) ** 2, axis=0)
+    order = error.argmin(axis=1)
+    swapped = np.flatnonzero(order != np.arange(order.size))
+    if not swapped.size or np.unique(order).size < order.size:
+        return None
+    rows = commands.shape[0]
+    lags = [k * lag for k in range(11) if rows - k * lag >= _FEW]
+    count = commands.shape[1]
+    # a fast motion lags behind its command: the best correlation of any lag counts, for either order
+    alike = np.max(
+        [np.corrcoef(commands[: rows - k].T, measured[k:].T)[:count, count:] for k in lags], axis=0
+    )
+    before, after = alike[swapped, swapped], alike[swapped, order[swapped]]
+    clear = (after > _BETTER) & (after > before + _MARGIN)
+    clear &= error[swapped, order[swapped]] < _ERROR * error[swapped, swapped]
+    return (order.tolist(), float(before.min()), float(after.min())) if clear.all() else None

@@ -1,0 +1,139 @@
+"""What in a log contradicts the model or itself is said in one line, from arrays as from files."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.logs import LogWriter
+
+XML = """
+<mujoco>
+  <option timestep="0.005"/>
+  <worldbody>
+    <body name="upper">
+      <joint name="shoulder" axis="0 1 0" range="-1.6 1.6" limited="true"/>
+      <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".4"/>
+      <body name="lower" pos="0 0 -.3">
+        <joint name="elbow" axis="0 1 0"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -.3" size=".02" mass=".4"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position name="s" joint="shoulder" kp="5"/>
+    <position name="e" joint="elbow" kp="5"/>
+  </actuator>
+</mujoco>
+"""
+TIMES = 0.01 * np.arange(600)
+SIGNALS = {
+    "joints": {"joints": ["shoulder", "elbow"], "noise": {"position": 0.001, "velocity": 0.05}},
+    "command": {"actuators": ["s", "e"], "quantity": "position"},
+}
+
+
+@pytest.fixture(scope="module")
+def arm() -> amhe.System:
+    gain = {"targets": [{"joint": "elbow", "set": "damping"}], "nominal": 0.1}
+    spec = mujoco.MjSpec.from_string(XML)
+    return amhe.System.from_model(spec, name="arm", parameters={"damping": gain}, signals=SIGNALS)
+
+
+def motion(velocity: bool = True) -> dict[str, dict[str, np.ndarray]]:
+    """Two joints that follow their targets 30 ms later, with noise."""
+    rng = np.random.default_rng(0)
+
+    def target(t: np.ndarray) -> np.ndarray:
+        return np.stack((np.sin(2.0 * t) + 0.3 * np.sin(5.0 * t), 0.8 * np.cos(3.1 * t) + 0.4), axis=1)
+
+    joints = {"time": TIMES, "position": target(TIMES - 0.03) + rng.normal(0.0, 0.001, (TIMES.size, 2))}
+    if velocity:
+        joints["velocity"] = (target(TIMES) - target(TIMES - 0.06)) / 0.06 + rng.normal(0.0, 0.05, (600, 2))
+    return {"joints": joints, "command": {"time": TIMES, "position": target(TIMES)}}
+
+
+def said(arrays: dict, arm: amhe.System, caplog: pytest.LogCaptureFixture) -> str:
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        amhe.Log.from_arrays(arrays, arm, name="run")
+    return caplog.text
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+def test_what_is_right_is_not_doubted(
+    velocity: bool, arm: amhe.System, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert said(motion(velocity), arm, caplog) == ""
+
+
+@pytest.mark.parametrize(
+    ("signal", "quantity", "factor", "text"),
+    [
+        ("joints", "position", 180.0 / np.pi, "'joints': the position looks like degrees (shoulder, elbow)"),
+        ("joints", "velocity", 180.0 / np.pi, "'joints': the velocity looks like degrees per second (should"),
+        ("joints", "velocity", 30.0 / np.pi, "'joints': the velocity looks like rpm (shoulder, elbow)"),
+        ("command", "position", 180.0 / np.pi, "'command': the command looks like degrees (shoulder, elbow)"),
+    ],
+)
+def test_units(
+    signal: str, quantity: str, factor: float, text: str, arm: amhe.System, caplog: pytest.LogCaptureFixture
+) -> None:
+    arrays = motion()
+    arrays[signal][quantity] = factor * arrays[signal][quantity]
+    assert f"run: signal {text}" in said(arrays, arm, caplog)
+
+
+def test_degrees_without_a_velocity_are_found_by_range(
+    arm: amhe.System, caplog: pytest.LogCaptureFixture
+) -> None:
+    arrays = motion(velocity=False)
+    arrays["joints"]["position"] = np.rad2deg(arrays["joints"]["position"])
+    assert "looks like degrees (shoulder, elbow)" in said(arrays, arm, caplog)
+
+
+def test_milliseconds(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
+    arrays = motion()
+    for signal in arrays.values():
+        signal["time"] = 1000.0 * signal["time"]
+    with pytest.raises(amhe.AmheError, match="rows for 600 samples: time must be in seconds"):
+        amhe.Log.from_arrays(arrays, arm)
+    for signal in arrays.values():
+        signal["time"] = 0.1 * signal["time"]
+    assert "'joints' has a sample every 1 s: its times look like milliseconds" in said(arrays, arm, caplog)
+
+
+def test_another_order_of_the_joints(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
+    arrays = motion()
+    arrays["command"]["position"] = arrays["command"]["position"][:, ::-1]
+    text = said(arrays, arm, caplog)
+    assert "the commands of shoulder, elbow are followed by elbow, shoulder: the order of the joints" in text
+
+
+def test_joints_that_move_alike_are_not_doubted(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
+    arrays = motion()
+    for signal in arrays.values():
+        signal["position"][:, 1] = signal["position"][:, 0] + 0.01
+    arrays["joints"].pop("velocity")
+    arrays["command"]["position"] = arrays["command"]["position"][:, ::-1]
+    assert "followed by" not in said(arrays, arm, caplog)
+
+
+def test_a_file_is_doubted_like_arrays(
+    arm: amhe.System, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    joints, command = motion()["joints"], motion()["command"]
+    degrees = np.rad2deg(joints["position"])
+    with LogWriter(tmp_path / "run.mcap") as log:
+        for i, time in enumerate(TIMES):
+            stamp = 10**18 + round(1e9 * time)
+            log.joint_state("/joints", stamp, ["shoulder", "elbow"], degrees[i], joints["velocity"][i])
+            log.joint_state("/command", stamp, ["s", "e"], command["position"][i])
+    with caplog.at_level(logging.WARNING):
+        amhe.read_log(tmp_path / "run.mcap", arm)
+    assert "run.mcap: signal 'joints': the position looks like degrees (shoulder, elbow)" in caplog.text
