@@ -188,10 +188,12 @@ def identify(
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
         engine: What computes the rollouts: 'cpu'.
-        max_time: Stop after this time [s] with the best so far; None: no limit.
+        max_time: Time [s] for the search, which stops with the best so far, and for its conclusion, which
+            leaves out checks that would take too long, with a warning; None: no limit.
         checkpoint: File in which the search is saved after each iteration; it is resumed if the file exists.
         executor: Computes the rollouts with its workers in place of threads of this process.
-        progress: Called after each iteration with its record and the expected number of iterations.
+        progress: Called after each iteration with its record and the expected number of iterations; then
+            before each part of the conclusion, whose `method` begins with 'conclusion'.
 
     Raises:
         ConfigError: An argument is wrong.

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     "--max-time",
     type=options.Number(min=0, min_open=True),
     metavar="S",
-    help="Stop in time, with the best so far.",
+    help="Search and conclude within this time: the best so far, without the checks that take too long.",
 )
 @click.option(
     "--checkpoint",
@@ -126,7 +126,7 @@ def _check_apart(logs: Sequence[Path], held_out: Sequence[Path]) -> None:
 
 
 def _shown(item: tuple[Iteration, int]) -> Shown:
-    """'linearised 3/16: cost 1.04, sigma 0.12'."""
+    """'linearised 3/16: cost 1.04, sigma 0.12', or 'conclusion: cost profiles 14/15'."""
     iteration, total = item
-    state = f"cost {iteration.cost:.4g}, sigma {iteration.sigma:.2g}"
-    return f"{iteration.method} {iteration.number}/{total}: {state}", iteration.number, total
+    state = f": cost {iteration.cost:.4g}, sigma {iteration.sigma:.2g}" if iteration.rollouts else ""
+    return f"{iteration.method} {iteration.number}/{total}{state}", iteration.number, total

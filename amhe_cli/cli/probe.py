@@ -87,6 +87,7 @@ def probe(
     from amhe_cli.system.provenance import provenance
 
     session.hush_mujoco()
+    folder = out.reserve("probe")
     settings, schema = overrides.suited(find_system(system or "go1_push"))
     chosen = ProbeOptions(
         system, task, seconds, belief, plant, box, seed, threads, settings, schema, fix, only, belief_anyway
@@ -98,7 +99,6 @@ def probe(
     if robot and wire["dry_run"]:
         return at_the_robot.dry_run(session, robot_to_probe(chosen, robot))
     opened = open_probe(chosen, robot)
-    folder = out.reserve("probe")
     say = click.get_current_context().with_resource(progress(session, "probe", _shown))
     plan = opened.design(say)
     inputs = [path for path in (belief, plant) if path]

@@ -107,6 +107,7 @@ def run(
     from amhe_cli.system.provenance import run_provenance
 
     session.hush_mujoco()
+    folder = out.reserve("run")
     longest = LONGEST if duration is None else duration
     chosen = RunOptions(
         task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all, belief_anyway
@@ -117,7 +118,6 @@ def run(
     if wire["dry_run"]:
         return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None
-    folder = out.reserve("run")
     history = History(opened.task)
     with stopping(session) as stopped, filling(folder) as scratch:
         with ExitStack() as stack:

@@ -39,11 +39,13 @@ def whole(path: Path) -> Iterator[BinaryIO]:
 def filling(folder: Path) -> Iterator[Path]:
     """Yield an empty scratch folder; its files move into `folder` at the end, or are deleted on an error.
 
-    A new folder appears in one rename; in an existing one each file is replaced in one rename.
+    A new folder appears in one rename; in an existing one, which may be a file system of its own, each file
+    is replaced in one rename.
     """
     folder = Path(os.path.abspath(folder))  # noqa: PTH100 -- resolve() would follow a link that is to stay
     folder.parent.mkdir(parents=True, exist_ok=True)
-    scratch = folder.with_name(f".{folder.name}.{uuid.uuid4().hex[:8]}.partial")
+    beside = folder if folder.exists() else folder.parent
+    scratch = beside / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
     scratch.mkdir()
     try:
         yield scratch

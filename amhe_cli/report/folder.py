@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import os
 from datetime import datetime
 from pathlib import Path
+from tempfile import mkdtemp
 
 from amhe_cli.core.errors import ConfigError
 
@@ -29,8 +29,10 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
             f"{out}: is not empty; choose another folder, or give `force=True` to write into it"
         )
     ancestor = next(path for path in (out, *out.absolute().parents) if path.exists())
-    if not ancestor.is_dir() or not os.access(ancestor, os.W_OK | os.X_OK):
-        raise ConfigError(f"{out}: cannot be written; choose another folder with -o")
+    try:  # permissions do not tell whether a file system takes files
+        Path(mkdtemp(dir=ancestor)).rmdir()
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be written ({error.strerror}); choose another `out`") from error
     return out
 
 

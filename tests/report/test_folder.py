@@ -54,3 +54,23 @@ def test_force_replaces_our_files_and_leaves_others(tmp_path: Path) -> None:
         (scratch / "a").write_text("new")
     assert (tmp_path / "a").read_text() == "new"
     assert (tmp_path / "mine").read_text() == "stays"
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs a file system that takes no files")
+def test_a_file_system_that_takes_no_files_is_refused_before_any_work() -> None:
+    with pytest.raises(ConfigError, match=r"/proc/amhe/out: cannot be written \(.+\); choose another `out`"):
+        reserve(Path("/proc/amhe/out"), "identify", force=False)
+
+
+def test_reserving_leaves_nothing_behind(tmp_path: Path) -> None:
+    reserve(tmp_path / "deep" / "out", "identify", force=False)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_files_do_not_leave_the_file_system_of_an_existing_folder(tmp_path: Path) -> None:
+    """It may be mounted: a rename from beside it would fail."""
+    with filling(tmp_path / "out") as beside:
+        assert beside.parent == tmp_path
+    with filling(tmp_path / "out") as inside:
+        assert inside.parent == tmp_path / "out"
+    assert list((tmp_path / "out").iterdir()) == []

@@ -11,6 +11,7 @@ from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.statistics import correlation
 from amhe_cli.estimation.offline.checks import (
+    REFITS,
     disagreements,
     report_drift,
     report_misfit,
@@ -20,6 +21,7 @@ from amhe_cli.estimation.offline.checks import (
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.fits import fits
 from amhe_cli.estimation.offline.posterior import (
+    TURNS,
     Disagreement,
     FinalFit,
     Finding,
@@ -30,6 +32,7 @@ from amhe_cli.estimation.offline.posterior import (
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import ClipCount, HeldOut, Identification
 from amhe_cli.estimation.offline.verdicts import Evidence, Shift, combinations, profiles, verdicts
+from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.offline.widening import (
     along_vectors,
     contradicted,
@@ -40,21 +43,24 @@ from amhe_cli.estimation.offline.widening import (
 )
 from amhe_cli.matching.cost import MatchingCost
 
+#: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
+PARTS, RESERVE = 6, 3
 
-def conclude(
-    problem: Problem, finding: Finding, validation: list[Window], *, interrupted: bool, hurried: bool
-) -> Identification:
+
+def conclude(problem: Problem, finding: Finding, validation: list[Window], watch: Watch) -> Identification:
     """All results of a finished, or interrupted, search.
 
     Args:
         problem: The problem that was searched.
         finding: Result of the search.
         validation: Clips that were not fitted.
-        interrupted: The search was cut short by the user.
-        hurried: Skip the slow checks: the comparison of the logs' halves, contact variants, profiles.
+        watch: Shows progress, and decides for which of the slow checks there is time: the comparison of the
+            logs' halves, shifts under other models, profiles. After an interruption there is for none.
     """
     system = problem.system
-    evidence = _evidence(problem, finding, hurried)
+    evidence = _evidence(problem, finding, watch)
+    watch.report_skipped()
+    watch.enter("validation")
     return Identification(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",
@@ -74,24 +80,31 @@ def conclude(
         ),
         noise_scale=evidence.noise_scale,
         fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
-        interrupted=interrupted,
+        interrupted=watch.interrupted,
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
     )
 
 
-def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
+def _evidence(problem: Problem, finding: Finding, watch: Watch) -> Evidence:
     """All that is known about how accurate the estimate is."""
-    space, setting = problem.system.space, problem.settings.identify
-    fit = final_fit(problem, finding)
-    compared = disagreements(problem, finding, fit, with_halves=not hurried)
+    space, setting, once = problem.system.space, problem.settings.identify, problem.linearisation
+    watch.enter("covariance")
+    fit = final_fit(problem, finding, watch)
+    own = fit.posterior.covariance
+    doubled = own
+    if watch.affords(once):
+        watch.enter("covariance from wider samples")
+        doubled = doubled_step(problem, finding, fit).covariance
+    halves = watch.allows("comparison of the logs' halves", (REFITS + TURNS) * once)
+    compared = disagreements(problem, finding, fit, with_halves=halves)
     report_misfit(problem.system, fit)
     report_unsettled(problem, finding, fit)
     report_drift(space, compared)
-    shifts = [] if hurried else shifts_of(problem, finding, fit)
-    own, doubled = fit.posterior.covariance, doubled_step(problem, finding, fit).covariance
+    shifts = shifts_of(problem, finding, fit) if watch.allows("shifts under other models", once) else []
     again = repeated(fit)
     covariance = own + _systematic(problem, fit, compared, shifts, doubled, again)
-    points = 0 if hurried else setting.profile_points
+    points = setting.profile_points
+    rollouts = points * int(problem.active.sum()) * len(problem.clips)
     return Evidence(
         z=finding.z,
         covariance=covariance,
@@ -103,7 +116,12 @@ def _evidence(problem: Problem, finding: Finding, hurried: bool) -> Evidence:
         disagreements=compared,
         shifts=shifts,
         profiles=profiles(
-            space, fit.cost_beside, finding.z, np.sqrt(np.diag(covariance)), problem.active, points
+            space,
+            fit.cost_beside,
+            finding.z,
+            np.sqrt(np.diag(covariance)),
+            problem.active,
+            points if watch.allows("cost profiles", rollouts) else 0,
         ),
         noise_scale=fit.scale,
         repeats=np.sqrt(1.0 + np.diag(again) / np.diag(own)),

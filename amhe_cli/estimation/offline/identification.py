@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
@@ -21,12 +20,13 @@ from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
 from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
 from amhe_cli.estimation.offline.cma import CmaState
-from amhe_cli.estimation.offline.conclude import conclude, validate
+from amhe_cli.estimation.offline.conclude import PARTS, RESERVE, conclude, validate
 from amhe_cli.estimation.offline.posterior import Finding
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.result import Identification, Iteration
+from amhe_cli.estimation.offline.result import Identification
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.shared import with_common_means
+from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -42,7 +42,8 @@ class IdentifyOptions:
         method: One of `METHODS`.
         seed: Seed of every random draw.
         threads: CPU threads; results do not depend on them.
-        max_time: Stop after this many seconds with the best so far; None: no limit.
+        max_time: Time for search and conclusion [s]: the search stops early enough with the best so far, and
+            checks for which there is no time are left out; None: no limit.
         checkpoint: File to save the search in after every iteration, and to resume from.
         prior: A belief to start from instead of the system's own prior.
         executor: Executor whose workers compute the rollouts; None: threads of this process. Results do not
@@ -65,7 +66,7 @@ def identify(
     training: Sequence[Log],
     held_out: Sequence[Log] | None,
     options: IdentifyOptions,
-    on_iteration: Callable[[Iteration, int], None] = lambda iteration, total: None,
+    on_iteration: OnIteration = lambda iteration, total: None,
 ) -> Identification:
     """Find the parameters under which rollouts match the logs, and how well they are known.
 
@@ -74,7 +75,8 @@ def identify(
         training: The logs to fit. Values that they know or have of their own: see `core.each_log`.
         held_out: Logs used only to validate; None holds out a share of the training logs.
         options: How to search.
-        on_iteration: Called after each iteration with its record and the expected total.
+        on_iteration: Called after each iteration with its record and the expected total, and before each part
+            of the conclusion.
 
     Returns:
         The result; `interrupted` where Ctrl-C or the time limit cut the search short.
@@ -89,15 +91,17 @@ def identify(
         system = replace(system, space=system.space.with_prior(options.prior))
     training, model = named(training), system.space
     system = replace(system, space=searched(model, training))
+    watch = Watch(on_iteration, options.max_time, PARTS)
     problem, validation = _pose(system, training, held_out, options)
-    watch = _Watch(on_iteration, options.max_time)
+    watch.keep(RESERVE * problem.linearisation)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     finding = _search(problem, validation, options.method, watch, kept)
     try:
-        found = conclude(problem, finding, validation, interrupted=watch.interrupted, hurried=watch.stopped)
+        found = conclude(problem, finding, validation, watch)
     except KeyboardInterrupt:
         logger.warning("interrupted while the result was examined: its checks are not complete")
-        found = conclude(problem, finding, validation, interrupted=True, hurried=True)
+        watch.interrupted = True
+        found = conclude(problem, finding, validation, watch)
     return with_common_means(found, model, system.space)
 
 
@@ -156,31 +160,8 @@ def _no_clips(pool: ClipPool) -> str:
     return f"no clip of these logs can be used ({counted}): {cause}"
 
 
-class _Watch:
-    """Time, interruption and progress of a search."""
-
-    def __init__(self, on_iteration: Callable[[Iteration, int], None], max_time: float | None) -> None:
-        self._on_iteration, self._limit = on_iteration, max_time
-        self._began = time.monotonic()
-        self._late = False
-        self.interrupted = False
-
-    def saw(self, iteration: Iteration, total: int) -> None:
-        self._on_iteration(iteration, total)
-
-    @property
-    def stopped(self) -> bool:
-        """Whether to stop with the best so far."""
-        if self._limit is not None and not self._late and time.monotonic() - self._began > self._limit:
-            self._late = True
-            logger.warning(
-                f"stopped after {self._limit:g} s as asked (`max_time`): the search had not settled"
-            )
-        return self.interrupted or self._late
-
-
 def _search(
-    problem: Problem, validation: list[Window], method: str, watch: _Watch, kept: Checkpoint
+    problem: Problem, validation: list[Window], method: str, watch: Watch, kept: Checkpoint
 ) -> Finding:
     """Run the method, and CMA-ES from several starts where the linearised one did not help."""
     if not problem.active.any():
@@ -208,7 +189,7 @@ def _run(
     total: Callable[[Problem, S], int],
     problem: Problem,
     state: S,
-    watch: _Watch,
+    watch: Watch,
     kept: Checkpoint,
 ) -> S:
     """Advance until done, out of time, or interrupted; a finished iteration is never lost."""

@@ -22,6 +22,7 @@ from amhe_cli.estimation.core.shape import bounded, changed, diagonal, sampling_
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.problem import Problem, first_floor, spread_floor
 from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.watch import Watch
 
 #: The last state of a search.
 Finding = SearchState | CmaState
@@ -192,11 +193,11 @@ class FinalFit:
         return total / max(float((counted * cost.clips.counts).sum()), 1.0)
 
 
-def final_fit(problem: Problem, finding: Finding) -> FinalFit:
+def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) -> FinalFit:
     """Linearise all clips at the estimate.
 
     Samples have the shape of the posterior, which depends on the linearisation: this is repeated until the
-    shape no longer changes.
+    shape no longer changes, or a watch has no time for more.
     """
     prior = problem.system.space.prior_precision
     coverage = problem.coverage(problem.clips)
@@ -216,6 +217,10 @@ def final_fit(problem: Problem, finding: Finding) -> FinalFit:
         wanted = bounded(4.0 * fit.posterior.covariance, floor, problem.active)
         if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
             break
+        if watch is not None:
+            watch.measured(slopes.rollouts)
+            if not watch.affords(2 * slopes.rollouts):
+                break
         shape, scale, known = wanted, fitted_noise_scale(slopes, found, scale), True
         first = found.first_states(np.zeros_like(finding.z), first_floor(problem))
     return fit

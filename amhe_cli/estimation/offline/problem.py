@@ -16,6 +16,7 @@ from amhe_cli.engine.states import touching
 from amhe_cli.estimation.core.shape import sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool
 from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.matching.starts import first_errors
 from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
@@ -84,6 +85,15 @@ class Problem:
     def moving_time(self) -> float:
         """Time of the fitted logs that clips can use [s]."""
         return sum(w.duration for w in self._all_clips)
+
+    @cached_property
+    def linearisation(self) -> int:
+        """Rollouts of one linearisation of all clips, its first states included."""
+        setting = self.settings.identify
+        fitted = setting.first_state != "never"
+        nuisances = len(first_errors(self.system, self.clips[0].log)[0]) if fitted else 0
+        pairs = max(len(self.system.space) + nuisances, setting.samples // 2)
+        return (2 * pairs + 1) * len(self.clips)
 
     @cached_property
     def active(self) -> BoolArray:

@@ -9,6 +9,7 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log, Series
+from amhe_cli.estimation.offline.conclude import PARTS
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP, TRUTH
@@ -122,10 +123,28 @@ def test_ctrl_c_keeps_the_best_so_far(pendulum, swing, caplog):
     assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.3)
 
 
-def test_max_time_stops_and_says_so_once(pendulum, swing, caplog):
+def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, caplog):
     result = identify(pendulum, [swing(3.0)], None, IdentifyOptions(max_time=1e-3))
     assert len(result.iterations) <= 1
-    assert caplog.text.count("`max_time`") == 1
+    assert caplog.text.count("stopped the search") == 1
+    skipped = "comparison of the logs' halves, shifts under other models, cost profiles"
+    assert caplog.text.count(f"left no time for: {skipped}") == 1
+    assert result.held_out is not None and not result.parameters[0].profile
+
+
+def test_progress_goes_through_the_conclusion(pendulum, swing):
+    seen = []
+    result = identify(
+        pendulum,
+        [swing(2.0)],
+        None,
+        IdentifyOptions(),
+        lambda iteration, total: seen.append((iteration, total)),
+    )
+    parts = [iteration for iteration, _ in seen if iteration.method.startswith("conclusion: ")]
+    assert [iteration for iteration, _ in seen[: -len(parts)]] == list(result.iterations)
+    assert [part.number for part in parts] == [len(result.iterations) + 1 + i for i in range(PARTS)]
+    assert {total for _, total in seen[-len(parts) :]} == {len(result.iterations) + PARTS}
 
 
 def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):

@@ -1,0 +1,94 @@
+"""Time, interruption and progress of an identification."""
+
+from __future__ import annotations
+
+import logging
+import math
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+from amhe_cli.estimation.offline.result import Iteration
+
+logger = logging.getLogger(__name__)
+
+#: Called after each iteration, and before each part of the conclusion, with a record and the expected total.
+OnIteration = Callable[[Iteration, int], None]
+
+
+class Watch:
+    """Shows progress, and divides a limited time between search and conclusion.
+
+    How long a part will take is estimated from its number of rollouts, at the pace of the rollouts before it.
+
+    Args:
+        on_iteration: What is called with progress.
+        limit: Time for search and conclusion [s]; None: no limit.
+        parts: Parts of the conclusion.
+    """
+
+    def __init__(self, on_iteration: OnIteration, limit: float | None, parts: int) -> None:
+        self._on_iteration, self._limit = on_iteration, limit
+        self._reserve, self._parts = 0, parts
+        self._began = self._last = time.monotonic()
+        self._pace = 0.0  # seconds of one rollout
+        self._record = Iteration(0, "", math.nan, math.nan, 0, 0, ())
+        self._shown = 0
+        self._late, self._skipped = False, list[str]()
+        self.interrupted = False
+
+    def keep(self, rollouts: int) -> None:
+        """Keep the time of so many rollouts from the search, for the conclusion."""
+        self._reserve = rollouts
+
+    def saw(self, iteration: Iteration, total: int) -> None:
+        """Take note of an iteration of the search."""
+        self.measured(iteration.rollouts)
+        self._record = iteration
+        self._on_iteration(iteration, total)
+        self._last = time.monotonic()
+
+    def measured(self, rollouts: int) -> None:
+        """Take the pace of the rollouts since the last call."""
+        now = time.monotonic()
+        self._pace, self._last = (now - self._last) / max(rollouts, 1), now
+
+    @property
+    def stopped(self) -> bool:
+        """Whether the search has to stop with the best so far."""
+        if not (self._late or self.affords(self._reserve)):
+            self._late = True
+            logger.warning(
+                f"`max_time` of {self._limit:g} s stopped the search before it had settled: the rest is for "
+                f"the conclusion"
+            )
+        return self.interrupted or self._late
+
+    def affords(self, rollouts: float) -> bool:
+        """Whether there is time for so many rollouts."""
+        return self._limit is None or self._pace * rollouts < self._limit - (time.monotonic() - self._began)
+
+    def enter(self, part: str) -> None:
+        """Show that a part of the conclusion begins."""
+        self._shown += 1
+        number = self._record.number + self._shown
+        record = replace(self._record, number=number, method=f"conclusion: {part}", rollouts=0, diverged=0)
+        self._on_iteration(record, self._record.number + self._parts)
+
+    def allows(self, part: str, rollouts: float) -> bool:
+        """Whether a part of the conclusion that can be left out has time; if so, it is shown as begun."""
+        if self.interrupted:
+            return False
+        if self.affords(rollouts):
+            self.enter(part)
+            return True
+        self._skipped.append(part)
+        return False
+
+    def report_skipped(self) -> None:
+        """Warn of the parts for which there was no time."""
+        if self._skipped:
+            parts = ", ".join(self._skipped)
+            logger.warning(
+                f"`max_time` of {self._limit:g} s left no time for: {parts}; the result lacks them"
+            )

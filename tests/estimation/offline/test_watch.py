@@ -1,0 +1,64 @@
+"""A limited time is divided between a search and its conclusion; the clock is made by hand."""
+
+from __future__ import annotations
+
+import pytest
+
+from amhe_cli.estimation.offline import watch as module
+from amhe_cli.estimation.offline.result import Iteration
+from amhe_cli.estimation.offline.watch import Watch
+
+
+class Clock:
+    """Seconds that pass when they are told to."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def monotonic(self) -> float:
+        """Stands for `time.monotonic`."""
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(module, "time", made)
+    return made
+
+
+def iteration(number: int) -> Iteration:
+    return Iteration(number, "linearised, polish", 1.0, 0.1, 200, 0, (1.0,))
+
+
+def test_the_search_stops_while_there_is_time_for_the_conclusion(clock) -> None:
+    watch = Watch(lambda *_: None, 40.0, 6)
+    watch.keep(600)
+    done = 0
+    while not watch.stopped:
+        clock.now += 4.0  # an iteration of 200 rollouts takes 4 s, the conclusion of 600 takes 12 s
+        done += 1
+        watch.saw(iteration(done), 16)
+    assert done == 7, "28 s of search, 12 s of conclusion"
+
+
+def test_checks_that_take_too_long_are_left_out_and_named(clock, caplog) -> None:
+    watch = Watch(lambda *_: None, 40.0, 6)
+    clock.now += 20.0
+    watch.saw(iteration(1), 16)  # a tenth of a second each
+    assert watch.allows("cost profiles", 150)
+    assert not watch.allows("comparison of the logs' halves", 250)
+    clock.now += 10.0
+    watch.measured(1000)  # ten times as fast
+    assert watch.allows("comparison of the logs' halves", 900)
+    watch.report_skipped()
+    assert caplog.text.count("left no time for: comparison of the logs' halves;") == 1
+
+
+def test_without_a_limit_there_is_time_for_all_and_after_an_interruption_for_none(clock) -> None:
+    watch = Watch(lambda *_: None, None, 6)
+    clock.now += 1e6
+    watch.saw(iteration(1), 16)
+    assert not watch.stopped and watch.allows("cost profiles", 10**9)
+    watch.interrupted = True
+    assert watch.stopped and not watch.allows("cost profiles", 1)
