@@ -93,12 +93,13 @@ def copy_model(spec: mujoco.MjSpec, path: Path, folder: Path, rewrite: bool) -> 
     """Copy an MJCF with its files; a URDF, or files spread over folders, are written as a new MJCF."""
     home = path.resolve().parent
     text, assets = portable(spec, path.parent)
-    named = () if rewrite else map(Path, mujoco.mju_getXMLDependencies(str(path.resolve())))
-    included = [(home / name).resolve() for name in named if name.suffix == ".xml"]
-    files = list(dict.fromkeys((path.resolve(), *included, *assets.values())))
-    if rewrite or not all(file.is_relative_to(home) and file.is_file() for file in files):
+    named = () if rewrite else mujoco.mju_getXMLDependencies(str(path.resolve()))
+    # MuJoCo misses some files of these, and `portable` those of attached models; what exists is needed
+    candidates = (path.resolve(), *((home / name).resolve() for name in named), *assets.values())
+    files = [file for file in dict.fromkeys(candidates) if file.is_file()]
+    if rewrite or not all(file.is_relative_to(home) for file in files):
         (folder / "model.xml").write_text(text, encoding="utf-8")
-        copies = {folder / name: source for name, source in assets.items()}
+        copies = {folder / name: source for name, source in assets.items() if source.is_file()}
     else:
         copies = {folder / file.relative_to(home): file for file in files}
     for place, source in copies.items():

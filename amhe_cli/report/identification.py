@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -20,6 +21,8 @@ from amhe_cli.report.identification_page import MAX_COMBINATIONS, error_rows, id
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.export import identified_assets, identified_xml
 from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
 
 #: Colour of each verdict.
 STYLES = {"identified": "green", "weak": "yellow", "prior": "dim", "model-sensitive": "magenta"}
@@ -87,6 +90,9 @@ def write_identification(
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
         for name, source in identified_assets(system).items():
+            if not source.is_file():  # of a model that was attached: MuJoCo does not say where it was
+                logger.warning("identified.xml needs %s beside it: copy it there from the model", name)
+                continue
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, scratch / name)
 

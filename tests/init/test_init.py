@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from amhe_cli.logs import LogWriter, read_signals
 from amhe_cli.system.folders import bundled_root
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import System
+from tests.system.test_urdf import mesh_file
 
 LEGS = [f"{leg}_{part}" for leg in ("FL", "FR", "RL", "RR") for part in ("hip", "thigh", "calf")]
 STEP_NS = 10_000_000
@@ -243,6 +245,21 @@ def test_a_model_whose_files_are_elsewhere_is_written_anew(tmp_path: Path, walke
     init_system(tmp_path / "deep" / "robot.xml", [walker_log], tmp_path / "out")
     assert System.load(tmp_path / "out").model.nmesh == 1
     assert (tmp_path / "out" / "assets" / "box.obj").is_file()
+
+
+def test_a_model_that_is_attached_to_another_comes_with_its_files(tmp_path: Path, walker_log: Path) -> None:
+    home = tmp_path / "robot"
+    mesh_file(home / "parts" / "meshes" / "hip.stl")
+    part = """<mujoco><compiler meshdir="meshes"/><asset><mesh file="hip.stl"/></asset><worldbody>
+      <body name="leg"><joint name="hip"/><geom type="mesh" mesh="hip"/></body></worldbody></mujoco>"""
+    (home / "parts" / "leg.xml").write_text(part)
+    (home / "robot.xml").write_text(
+        """<mujoco><asset><model name="leg" file="parts/leg.xml"/></asset><worldbody><body>
+        <attach model="leg" body="leg" prefix="FL_"/></body></worldbody></mujoco>"""
+    )
+    init_system(home / "robot.xml", [walker_log], tmp_path / "out")
+    shutil.rmtree(home)
+    assert System.load(tmp_path / "out").model.nmesh == 1
 
 
 def test_nothing_in_common_is_an_error_and_leaves_nothing(tmp_path: Path, walker_log: Path) -> None:

@@ -3,6 +3,7 @@ import math
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +11,14 @@ from rich.console import Console
 
 from amhe_cli.core.files import plain
 from amhe_cli.estimation.offline.result import HeldOut, Identification
-from amhe_cli.report.identification import held_out_line, identification_record, print_identification
+from amhe_cli.report.identification import (
+    held_out_line,
+    identification_record,
+    print_identification,
+    write_identification,
+)
 from amhe_cli.report.identification_page import identification_page, statements
+from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
 
 ORIGIN = {
@@ -48,6 +55,21 @@ def test_the_page_needs_no_network_and_no_script(html: str) -> None:
     assert all(link.startswith("#") for link in links), links
     assert "<script" not in html
     assert "url(http" not in html and "@import" not in html
+
+
+def test_a_mesh_that_is_not_found_costs_no_result(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    room = "amhe_cli.report.identification"
+    monkeypatch.setattr(f"{room}.identified_xml", lambda *_: "<mujoco/>")
+    monkeypatch.setattr(f"{room}.identified_assets", lambda _: {"assets/a.stl": tmp_path / "nowhere.stl"})
+    result = identification()
+    common = {"command": "identify", "version": "0.1.0", "seconds": 1.5, "warnings": []}
+    record = common | identification_record(result, TRUTH)
+    system = System.load("pendulum", warn=False)
+    write_identification(tmp_path / "out", system, result, result.belief, record, ORIGIN)
+    assert (tmp_path / "out" / "belief.yaml").is_file()
+    assert "identified.xml needs assets/a.stl beside it" in caplog.text
 
 
 def test_the_page_stays_small(html: str) -> None:
