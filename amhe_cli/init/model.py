@@ -55,6 +55,7 @@ def free_root(spec: mujoco.MjSpec, topics: Sequence[Topic]) -> list[str]:
         return [f"{unsaid} is fixed to the world, because no topic gives its pose"]
     root.add_freejoint(name=root.name)
     spec.worldbody.add_geom(name=_FLOOR, type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1])
+    spec.option.cone, spec.option.impratio = mujoco.mjtCone.mjCONE_ELLIPTIC, 10.0  # feet stick to it
     return [f"{unsaid} is free, because {source} gives its pose; a floor at z = 0 was added"]
 
 

@@ -98,6 +98,7 @@ def test_the_root_moves_freely_where_odometry_gives_its_pose(tmp_path: Path) -> 
     system, guesses = made(tmp_path / "free", text, recorded(tmp_path / "a.mcap", ARM, odom=True))
     assert system.model.nq == 9
     assert any("base is free, because /odom gives its pose; a floor" in guess for guess in guesses)
+    assert system.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     assert {"base_mass", "friction"} <= set(system.space.names)
     fixed, guesses = made(tmp_path / "fixed", text, recorded(tmp_path / "b.mcap", ARM))
     assert fixed.model.nq == 2
