@@ -110,7 +110,7 @@ def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
     ]
     common = set.intersection(*({topic.name for topic in seen} for seen in surveys))
     return [
-        Topic(seen.name, seen.type, seen.rate, seen.entries, seen.quantities)
+        Topic(seen.name, seen.type, seen.rate, seen.entries, seen.quantities, paths=seen.paths)
         for seen in surveys[0]
         if seen.name in common and seen.problem is None and seen.rate > 0.0
     ]

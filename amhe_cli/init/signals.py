@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 
 from amhe_cli.init.names import is_command, matched, names_the_same, words
+from amhe_cli.init.paths import in_motor_order, joint_paths
 from amhe_cli.system.coupled import followers
 from amhe_cli.system.driven import commanded
 from amhe_cli.system.targets import names_of
@@ -52,6 +53,7 @@ class Topic:
         quantities: Quantities that it carries, keys of QUANTITIES.
         columns: For a part of a table, quantity -> its columns, in the order of `entries`.
         table: The table's name.
+        paths: Of a type that is not built in, paths of its numbers -> their count where they are arrays.
     """
 
     name: str
@@ -61,6 +63,7 @@ class Topic:
     quantities: tuple[str, ...]
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     table: str = ""
+    paths: Mapping[str, int | None] = field(default_factory=dict)
 
     @property
     def kind(self) -> str:
@@ -136,22 +139,20 @@ def foreign(topics: Sequence[Topic]) -> list[Topic]:
 
 def fields_example(model: mujoco.MjModel, topic: Topic) -> list[str]:
     """Lines of a signal that takes joint positions from a foreign type, to be corrected by hand."""
-    joints = single_joints(model)
-    paths = {
-        key: [f'"motorState[{index}].{path}"' for index in range(len(joints))]
-        for key, path in (("position", "q"), ("velocity", "dq"))
-    }
+    joints = in_motor_order(single_joints(model), topic.type)
+    templates = joint_paths(topic.paths, len(joints)) or {"position": "PATH[{}].TO.POSITION"}
+    fields = ", ".join(
+        f"{key}: [{', '.join(repr(template.format(i)) for i in range(len(joints)))}]"
+        for key, template in templates.items()
+    )
+    compared = NOISE["position"]
     return [
         "states:",
         f"  topic: {topic.name}",
         f"  type: {topic.type}",
         f"  joints: [{', '.join(joints)}]",
-        *(
-            f"  {'fields: {' if key == 'position' else '         '}{key}: [{', '.join(names)}]"
-            f"{',' if key == 'position' else '}'}"
-            for key, names in paths.items()
-        ),
-        "  noise: {position: 0.002, velocity: null}",
+        f"  fields: {{{fields}}}",
+        f"  noise: {{position: {compared}{', velocity: null' if 'velocity' in templates else ''}}}",
     ]
 
 

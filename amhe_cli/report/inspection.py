@@ -107,8 +107,9 @@ def _content(topic: TopicSurvey) -> Text:
     kind = topic.type.replace("/msg/", "/")
     if topic.problem:
         return Text.assemble((kind, "dim"), ": ", (topic.problem, "yellow"))
-    shown = ", ".join(topic.entries[:MAX_ENTRIES])
-    more = f" and {len(topic.entries) - MAX_ENTRIES} more" if len(topic.entries) > MAX_ENTRIES else ""
+    entries = topic.entries or tuple(topic.paths)
+    shown = ", ".join(entries[:MAX_ENTRIES])
+    more = f" and {len(entries) - MAX_ENTRIES} more" if len(entries) > MAX_ENTRIES else ""
     if topic.encoding == "table":
         return Text(f"columns {shown}{more}", style="dim")
     what = ", ".join(topic.quantities) or "fields by path"

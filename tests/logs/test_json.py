@@ -80,7 +80,11 @@ def test_joint_states(kind: str, tmp_path: Path) -> None:
     assert np.abs(log["s.velocity"].values[5:-5, 0] - 3.0 * np.cos(3.0 * T[5:-5])).max() < 0.01
 
 
-POSES: Mapping[str, tuple[str, Callable[[int], Any], dict[str, str]]] = {
+SECOND_POSE = {
+    "position": tuple(f"poses[1].position.{part}" for part in "xyz"),
+    "orientation": tuple(f"poses[1].orientation.{part}" for part in "wxyz"),
+}
+POSES: Mapping[str, tuple[str, Callable[[int], Any], dict[str, Any]]] = {
     "pose in frame": ("foxglove.PoseInFrame", lambda i: {"timestamp": stamp(i), "pose": pose(i)}, {}),
     "transform": (
         "foxglove.FrameTransform",
@@ -102,6 +106,11 @@ POSES: Mapping[str, tuple[str, Callable[[int], Any], dict[str, str]]] = {
             ]
         },
         {"child_frame": "box"},
+    ),
+    "one of several poses, by its path": (
+        "foxglove.PosesInFrame",
+        lambda i: {"timestamp": stamp(i), "frame_id": "world", "poses": [pose(0), pose(i)]},
+        {"fields": SECOND_POSE},
     ),
 }  # fmt: skip
 
@@ -150,3 +159,26 @@ def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureF
     (topic,) = survey(path).topics
     assert topic.quantities == ("position",)
     assert topic.entries == ("a", "b")
+
+
+def test_an_imu_of_foxglove_is_read_like_that_of_ros(tmp_path: Path) -> None:
+    def message(i: int) -> dict[str, Any]:
+        vector = {"x": Q[i, 0], "y": Q[i, 1], "z": 9.8}
+        return {
+            "timestamp": stamp(i),
+            "frame_id": "imu",
+            "angular_velocity": vector,
+            "linear_acceleration": vector,
+        }
+
+    log = read(
+        write(tmp_path / "log.mcap", "foxglove.Imu", message), "angular_velocity", "linear_acceleration"
+    )
+    np.testing.assert_array_equal(log["s.angular_velocity"].values[:, :2], Q)
+    np.testing.assert_array_equal(log["s.linear_acceleration"].values[:, 2], 9.8)
+
+
+def test_null_is_a_number_that_was_not_measured(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.mcap", "own", lambda i: {"stamp": stamp(i), "q": None if i % 2 else Q[i, 0]})
+    log = read(path, "value", fields={"value": ("q",)})
+    assert log["s.value"].sampled.tolist() == [i % 2 == 0 for i in range(log.steps)]

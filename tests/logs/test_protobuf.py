@@ -26,6 +26,7 @@ from amhe_cli.logs.containers.raw import Connection, batch_of
 from amhe_cli.logs.messages.decode import SignalDecoder
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.split import Splitter
+from tests.logs.test_json import SECOND_POSE
 
 DT = 0.01
 T = DT * np.arange(100)
@@ -45,6 +46,7 @@ FOXGLOVE = {
         "translation": "Vector3", "rotation": "Quaternion",
     },
     "FrameTransforms": {"transforms": "FrameTransform*"},
+    "PosesInFrame": {"timestamp": "Timestamp", "frame_id": "string", "poses": "Pose*"},
     "JointEntry": {"name": "string", "position": "double?", "velocity": "double?", "effort": "double?"},
     "JointStates": {"timestamp": "Timestamp", "joints": "JointEntry*"},
     "JointState": {
@@ -149,7 +151,7 @@ def moved(i: int, name: str = "box", height: float = 0.0) -> dict[str, Any]:
     }  # fmt: skip
 
 
-POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, str]]] = {
+POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, Any]]] = {
     "PoseInFrame": (
         lambda i: {
             "timestamp": stamp(i), "pose": {"position": moved(i)["translation"], "orientation": turn(i)}
@@ -159,6 +161,13 @@ POSES: Mapping[str, tuple[Callable[[int], Any], dict[str, str]]] = {
     "FrameTransform": (moved, {}),
     "FrameTransforms": (
         lambda i: {"transforms": [moved(i, "other", 9.0), moved(i)]}, {"child_frame": "box"},
+    ),
+    "PosesInFrame": (
+        lambda i: {
+            "timestamp": stamp(i),
+            "poses": [{}, {"position": moved(i)["translation"], "orientation": turn(i)}],
+        },
+        {"fields": SECOND_POSE},
     ),
 }  # fmt: skip
 

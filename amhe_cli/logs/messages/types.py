@@ -103,6 +103,11 @@ TYPES: Mapping[str, TypeInfo] = {
         f"{package}{name}": info
         for package in ("foxglove.", "foxglove_msgs/msg/")
         for name, info in {
+            "Imu": _plain(
+                orientation="orientation",
+                angular_velocity="angular_velocity",
+                linear_acceleration="linear_acceleration",
+            ),
             "Pose": _plain(position="position", orientation="orientation"),
             "PoseInFrame": _pose("pose"),
             "FrameTransform": _transform(),
