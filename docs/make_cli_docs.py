@@ -31,7 +31,8 @@ at all.
 ## Completion
 
 TAB completes commands, options and their choices, systems (bundled ones and folders), `example:` logs, tasks,
-modes, targets, the system's parameters, `menagerie:` models and files. It needs one line in the shell's file:
+modes, targets, formats, the system's parameters, `menagerie:` models and files. One line in the shell's file
+switches it on:
 
 | shell | file | line |
 |---|---|---|
