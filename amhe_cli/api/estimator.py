@@ -57,6 +57,7 @@ class Estimator:
             return MovingHorizon(system, engine, np.random.default_rng(seed), again or start)
 
         self._tracker = Tracker(system, InStep(horizon, latency=0.0))
+        self._offsets = {signal.key(q): signal.offset for signal in system.signals for q in signal.quantities}
         self._keys = [[signal.key(quantity) for quantity in signal.quantities] for signal in system.signals]
         self._widths = dict(system.widths)
         self._newest: dict[str, float] = {}
@@ -110,7 +111,7 @@ class Estimator:
         except (TypeError, ValueError):
             raise LogError(f"{where}: give a pair of times and values") from None
         # copies, since a loop may fill the same arrays again
-        stamps = np.atleast_1d(floats(times, f"{where}: time").copy())
+        stamps = np.atleast_1d(floats(times, f"{where}: time")) + self._offsets[key]
         array = floats(values, f"{where}: values").copy()
         rows = array if array.ndim > 1 else array.reshape((1, -1) if stamps.size == 1 else (-1, 1))
         width = self._widths.get(key) or (4 if key.endswith(".orientation") else max(rows.shape[-1], 1))

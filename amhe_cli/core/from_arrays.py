@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.corrections import corrected
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import LogError, one_of
 from amhe_cli.core.log import Log, Series, warn_of
@@ -58,7 +59,7 @@ def log_from_arrays(arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measu
                 rotation=quantity == "orientation",
                 derived=derived,
             )
-    log = Log(system.dt, series, name, start_ns)
+    log = Log(system.dt, corrected(series, system.signals, system.dt), name, start_ns)
     warn_of(log, system)
     return log
 

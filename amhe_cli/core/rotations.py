@@ -46,7 +46,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross product over the last axis; `np.cross` takes five times as long for a single vector."""
     ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
+    return namespace_of(a).stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
 
 
 def log(q: FloatArray) -> FloatArray:
@@ -69,6 +69,12 @@ def exp(rotation: FloatArray) -> FloatArray:
     angle = np.linalg.norm(rotation, axis=-1, keepdims=True)
     half = 0.5 * angle
     return np.concatenate((np.cos(half), 0.5 * np.sinc(half / np.pi) * rotation), axis=-1)
+
+
+def of_rpy(angles: FloatArray) -> FloatArray:
+    """Unit quaternions, shape (..., 4), of roll, pitch and yaw [rad] (..., 3): about x, then y, then z."""
+    roll, pitch, yaw = (exp(angles[..., [i]] * np.eye(3)[i]) for i in range(3))
+    return multiply(yaw, multiply(pitch, roll))
 
 
 def difference(a: FloatArray, b: FloatArray) -> FloatArray:

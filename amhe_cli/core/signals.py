@@ -53,6 +53,9 @@ class Signal:
         columns: quantity -> columns of a table (CSV, npz ...), names or patterns such as 'q*' and 'q{1..6}'.
         is_input: Commands are held until the next message; everything else is interpolated.
         offset: Seconds to add to the topic's stamps to bring them onto the log's common clock.
+        smooth: Its values are those of a parabola through this time [s] on either side.
+        active: Stretches, in seconds from the log's start, outside which it is not active; (): it always is.
+        switch: Series and value: where that has another value, it is not active.
     """
 
     name: str
@@ -65,6 +68,9 @@ class Signal:
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     is_input: bool = False
     offset: float = 0.0
+    smooth: float = 0.0
+    active: tuple[tuple[float, float], ...] = ()
+    switch: tuple[str, float] | None = None
 
     def key(self, quantity: str) -> str:
         """Name of the series that holds `quantity`."""

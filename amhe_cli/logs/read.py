@@ -10,6 +10,7 @@ from typing import overload
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.corrections import corrected
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, Series, warn_of
@@ -192,7 +193,8 @@ def read_signals(
             found = _series(path, track, grid, start_ns, settings)
             _tell_gaps(path, track.signal, found, dt)
             series |= found
-    return Log(dt, series, str(path), start_ns, log.metadata, path)
+    begun = 0.0 if start is None else dt * np.ceil(start / dt - 1e-6)
+    return Log(dt, corrected(series, signals, dt, begun), str(path), start_ns, log.metadata, path)
 
 
 def _series(

@@ -22,7 +22,8 @@ from amhe_cli.core.each_log import same_values, values_on
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.settings import CostSettings
 from amhe_cli.core.statistics import pseudo_huber, trimmed_mean
-from amhe_cli.engine.rollout import Engine, Predicted
+from amhe_cli.engine.rollout import Engine, Predicted, Starts, Wanted
+from amhe_cli.matching.readings import averaged, reading_of, state_errors
 from amhe_cli.matching.windows import Clips, Observed, prepare
 from amhe_cli.system.system import Channel, System
 
@@ -75,6 +76,7 @@ class MatchingCost:
         self.system, self.engine, self.settings = system, engine, settings
         self.clips: Clips = prepare(system, windows, noise_scale or {}, settings.smoothing)
         self._alike = _alike([window.log for window in windows])
+        self._wanted = [observed.wanted for observed in self.clips.observed]
 
     @property
     def nx(self) -> int:
@@ -82,7 +84,7 @@ class MatchingCost:
         return int(self.clips.starts.first_sd.size)
 
     def predict(self, z: FloatArray, first: FloatArray | None = None) -> Predicted:
-        """What the compared channels would have measured, at the times at which they did.
+        """What the compared channels would have shown, at the times at which they measured.
 
         Args:
             z: Candidates, shape (p, d).
@@ -93,16 +95,34 @@ class MatchingCost:
             One array for each channel, shape (p, c, samples, columns), and the completed mask (p, c).
         """
         theta = self.system.space.theta_of(self.system.space.clip(z))
-        wanted = [o.wanted for o in self.clips.observed]
         parts = []
         for log, clips in self._alike:
             values = values_on(log, self.system.edits.space, self.system.space, theta)
             if len(self._alike) == 1:
-                return self.engine.predict(values, self.clips.starts, first, wanted)
+                return self._shown(values, self.clips.starts, first, self._wanted)
             own_first = None if first is None else first[:, clips]
-            own_wanted = [one.of(clips) for one in wanted]
-            parts.append(self.engine.predict(values, self.clips.starts.of(clips), own_first, own_wanted))
+            own_wanted = [one.of(clips) for one in self._wanted]
+            parts.append(self._shown(values, self.clips.starts.of(clips), own_first, own_wanted))
         return _in_order(parts, np.argsort(np.concatenate([clips for _, clips in self._alike])))
+
+    def _shown(
+        self, theta: FloatArray, starts: Starts, first: FloatArray | None, wanted: Sequence[Wanted]
+    ) -> Predicted:
+        """Predict, and turn the model's values into what the log's sensors show of them."""
+        calibration = self.system.calibration
+        if (errors := state_errors(self.system, theta, starts)) is not None:
+            first = errors if first is None else first + errors
+        predicted = self.engine.predict(theta, starts, first, wanted)
+        if not calibration.readings:
+            return predicted
+        numbers, values = self.system.edits.numbers(theta), []
+        for observed, true in zip(self.clips.observed, predicted.values, strict=True):
+            reading = calibration.readings.get(observed.channel.key)
+            if reading is not None and reading.band is not None:
+                apart = true.reshape(*true.shape[:2], -1, observed.memory, true.shape[-1])
+                true = averaged(reading, numbers, self.system.dt, apart)
+            values.append(reading_of(observed.channel, reading, numbers, true))
+        return Predicted(tuple(values), predicted.completed)
 
     def residuals(self, z: FloatArray, first: FloatArray | None = None) -> Residuals:
         """Whitened residuals of candidates z (p, d); see `predict` for `first`."""

@@ -22,6 +22,8 @@ from amhe_cli.system.system import Channel, System
 _DEGREE = 2
 #: Noise of a velocity fitted to 7 positions a time h apart, in units of their noise / h: 1 / sqrt(28).
 _FITTED = 28.0**-0.5
+#: Sd of a state that is known exactly.
+_TINY = 1e-9
 
 
 def first_states(
@@ -132,12 +134,14 @@ def first_errors(system: System, log: Log) -> tuple[IntArray, FloatArray]:
     sd = np.zeros(2 * system.model.nv)
     for channel in system.channels:
         if channel.sets_state:
-            sd[_tangent(system, channel)] = _error_sd(channel, system, log)
+            own = _error_sd(channel, system, log)
+            shifted = channel.key in system.calibration.readings  # which is said as an error: see `readings`
+            sd[tangent_of(system, channel)] = max(own, _TINY) if shifted else own
     index = np.flatnonzero(sd > 0.0)
     return index, sd[index]
 
 
-def _tangent(system: System, channel: Channel) -> list[int]:
+def tangent_of(system: System, channel: Channel) -> list[int]:
     """Tangent coordinates (positions 0 .. nv, velocities nv .. 2 nv) that a state channel measures."""
     model = system.model
     if channel.source == "qvel":

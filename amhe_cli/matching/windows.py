@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.log import Window
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.engine.states import home
+from amhe_cli.matching.readings import remembered
 from amhe_cli.matching.starts import first_errors, first_states
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.system import Channel, Input, System
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -21,17 +23,26 @@ class Observed:
 
     Args:
         channel: The channel.
-        wanted: Where an engine predicts the samples, (c, s); padded with row 0.
+        rows: Row (instant - 1) of each sample in a rollout, shape (c, s); padded with 0.
+        memory: Steps that the sensor averages over, the sample's own the last.
         measured: The measurements, shape (c, s, columns).
         mask: False on padding, shape (c, s).
         noise: Sd of one column [SI].
     """
 
     channel: Channel
-    wanted: Wanted
+    rows: IntArray
+    memory: int
     measured: FloatArray
     mask: BoolArray
     noise: float
+
+    @property
+    def wanted(self) -> Wanted:
+        """What an engine predicts for the samples, newest first, shape (c, s * memory)."""
+        ages = np.arange(self.memory)
+        rows = np.maximum(self.rows[..., None] - ages, 0).reshape(len(self.rows), -1)
+        return Wanted(self.channel.source, rows, self.channel.columns)
 
     @property
     def width(self) -> int:
@@ -71,7 +82,8 @@ def prepare(
         LogError: A window starts where the state was not measured.
     """
     compared = [c for c in system.channels if c.compared and not _derived(c, windows)]
-    observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0)) for c in compared)
+    memory = {c.key: remembered(system.calibration.readings.get(c.key), system.dt) for c in compared}
+    observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0), memory[c.key]) for c in compared)
     observed = tuple(o for o in observed if o.mask.any())
     return Clips(
         windows=tuple(windows),
@@ -122,8 +134,23 @@ def _inputs(
     for i, window in enumerate(windows):
         rows = np.clip(np.arange(window.start - history, window.start + horizon), 0, window.stop - 1)
         for source in system.inputs:
-            inputs[i][:, list(source.columns)] = window.log[source.key].values[rows]
+            inputs[i][:, list(source.columns)] = _driving(source, window.log)[rows]
     return inputs
+
+
+def _driving(source: Input, log: Log) -> FloatArray:
+    """Values of an input over a log, shape (T, columns): in the model's frame, or as a force's moment."""
+    values = log[source.key].values
+    if source.frame:
+        origin, turn = np.array(source.frame[:3]), rotations.of_rpy(np.array(source.frame[3:]))
+        if values.shape[1] == 4:
+            return rotations.multiply(np.broadcast_to(turn, values.shape), values)
+        return rotations.rotate(turn, values) + origin
+    if source.arm is not None:
+        point, centre = source.arm
+        arm = log[point].values - (log[centre].values if centre is not None else 0.0)
+        return np.cross(arm, values)
+    return values
 
 
 def _delayed(system: System, width: int) -> BoolArray:
@@ -134,13 +161,16 @@ def _delayed(system: System, width: int) -> BoolArray:
     return delayed
 
 
-def _observed(channel: Channel, windows: Sequence[Window], scale: float) -> Observed:
-    """Gather a channel's real samples after each window's first instant, padded to the longest."""
+def _observed(channel: Channel, windows: Sequence[Window], scale: float, memory: int) -> Observed:
+    """Gather a channel's real samples after each window's first instant, padded to the longest.
+
+    Samples that remember more than the window are left out.
+    """
     found = []
     for window in windows:
         series = window.log[channel.key]
         inside = slice(window.start + 1, window.stop + 1)
-        found.append(np.flatnonzero(series.sampled[inside] & series.valid[inside]))
+        found.append(memory - 1 + np.flatnonzero((series.sampled & series.valid)[inside][memory - 1 :]))
     samples = max((f.size for f in found), default=0)
     rows = np.zeros((len(windows), samples), dtype=np.int64)
     mask = np.zeros((len(windows), samples), dtype=bool)
@@ -150,5 +180,4 @@ def _observed(channel: Channel, windows: Sequence[Window], scale: float) -> Obse
     for i, (window, steps) in enumerate(zip(windows, found, strict=True)):
         rows[i, : steps.size], mask[i, : steps.size] = steps, True
         measured[i, : steps.size] = window.log[channel.key].values[window.start + 1 + steps]
-    wanted = Wanted(channel.source, rows, channel.columns)
-    return Observed(channel, wanted, measured, mask, scale * (channel.noise or 1.0))
+    return Observed(channel, rows, memory, measured, mask, scale * (channel.noise or 1.0))

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import mujoco
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.system import driven, measured
 from amhe_cli.system.schema import Description, SignalEntry, SystemEntry
@@ -29,9 +31,10 @@ def draft_wiring(
     file: Description, entry: SystemEntry, spec: mujoco.MjSpec, model: mujoco.MjModel
 ) -> WiringDraft:
     """Read the signals, and add what they need to the spec; every mistake is noted in `file`."""
-    draft = WiringDraft(spec, model)
+    draft = WiringDraft(spec, model, entry.signals)
     for name, signal in entry.signals.items():
         try:
+            _check(signal, entry.signals)
             _PLANNERS[signal.kind](draft, name, signal)
         except ConfigError as error:
             place = ("signals", name, signal.kind) if signal.kind else ("signals", name)
@@ -46,7 +49,31 @@ def _read_only(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
         raise ConfigError(
             "say what to read: type: PACKAGE/msg/NAME, or quantity: one of " + ", ".join(QUANTITIES)
         )
-    draft.signals.append(signal_of(name, entry, quantities))
+    switches = any(isinstance(one.active, dict) and name in one.active for one in draft.entries.values())
+    draft.signals.append(signal_of(name, entry, quantities, is_input=switches))
+
+
+def _check(entry: SignalEntry, entries: Mapping[str, SignalEntry]) -> None:
+    """Refuse keys that mean nothing for this kind of signal."""
+    if isinstance(entry.active, dict):
+        (name, *more) = entry.active
+        if more:
+            raise ConfigError(f"active: one signal switches another, not {', '.join(entry.active)}")
+        plain = [key for key, one in entries.items() if one.kind is None]
+        if name not in plain:
+            raise ConfigError(f"active: {one_of('signal that is only read', name, plain)}")
+        if (entries[name].quantity or "value") != "value":
+            raise ConfigError(f"active: the quantity of the signal {name!r} must be value")
+    if entry.smooth is not None and entry.kind not in ("mocap", "force_on", "joint_force", None):
+        raise ConfigError(
+            "smooth is for what drives the model: mocap, force_on, joint_force, or their points"
+        )
+    if entry.at is not None and entry.force_on is None:
+        raise ConfigError("at is for force_on")
+    if isinstance(entry.frame, str) and entry.force_on is None:
+        raise ConfigError(f"frame: {entry.frame} is for force_on; here it is [x, y, z, roll, pitch, yaw]")
+    if entry.reaction and entry.force_on is None and not {"force", "torque"} & set(entry.noise):
+        raise ConfigError("reaction is for forces and torques: those of force_on, a site or a sensor")
 
 
 _PLANNERS = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import TYPE_CHECKING, Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -15,6 +15,9 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.system.inertia import body_numbers, log_cholesky, pseudo_inertia, upper_factor
 from amhe_cli.system.targets import Cells
+
+if TYPE_CHECKING:
+    from amhe_cli.system.calibration import SignalCalibration
 
 _BODY_FIELDS = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 
@@ -144,6 +147,7 @@ class ModelEdits:
         edits: The edits, which write these parameters into the model.
         delay_column: The parameter that is the common command delay [s].
         fixed: Parameters that have one value in all candidates, by name: theta has the others only.
+        calibration: Numbers of the signals' calibration, which parameters set too.
     """
 
     def __init__(
@@ -153,7 +157,9 @@ class ModelEdits:
         edits: Sequence[Edit],
         delay_column: int | None = None,
         fixed: Mapping[str, float] | None = None,
+        calibration: SignalCalibration | None = None,
     ) -> None:
+        self._calibration = calibration
         self.fixed = dict(fixed or {})
         self.space = space.without(self.fixed)
         self._all, self._delay_column = space, delay_column
@@ -168,7 +174,7 @@ class ModelEdits:
 
     def upon(self, model: mujoco.MjModel) -> ModelEdits:
         """The same edits upon another model of the same layout: another box in the same scene."""
-        return ModelEdits(model, self._all, self._edits, self._delay_column, self.fixed)
+        return ModelEdits(model, self._all, self._edits, self._delay_column, self.fixed, self._calibration)
 
     def fixing(self, values: Mapping[str, float]) -> ModelEdits:
         """The same edits with more parameters at fixed values, by name."""
@@ -187,7 +193,7 @@ class ModelEdits:
 
     def by_name(self) -> Iterator[tuple[str, Edit | None]]:
         """Each parameter, fixed ones too, with an edit that writes it; None: the command delay."""
-        for edit in self._edits:
+        for edit in (*self._edits, *(self._calibration.edits if self._calibration else ())):
             for column in edit.columns:
                 yield self._all.names[column], edit
         if self._delay_column is not None:
@@ -224,6 +230,12 @@ class ModelEdits:
         for row in self._moments:
             inertia = arrays["body_inertia"][:, row]
             inertia[:] = np.minimum(inertia, inertia.sum(axis=-1, keepdims=True) - inertia)
+
+    def numbers(self, theta: FloatArray) -> FloatArray:
+        """Numbers of the signals' calibration under candidates theta (n, d), shape (n, k)."""
+        return (
+            self._calibration.numbers(self._whole(theta)) if self._calibration else np.empty((len(theta), 0))
+        )
 
     def apply(self, model: mujoco.MjModel, theta: FloatArray) -> mujoco.MjModel:
         """Copy of the model with one candidate (d,) in it, derived constants included.

@@ -17,6 +17,8 @@ from amhe_cli.system.system import System
 #: Folder beside an exported model for its meshes, textures and height fields.
 ASSETS = "assets"
 _INERTIAL = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
+#: What the zero of an encoder moves: it belongs to the log, not to the model.
+_CALIBRATED = ("qpos0", "qpos_spring", "jnt_range")
 #: Attributes of asset elements that name files, and the compiler attribute with their folder.
 _FILES = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
 
@@ -25,7 +27,8 @@ def identified_xml(system: System, theta: FloatArray) -> str:
     """MJCF text of the system's model with parameters theta (d,) in it.
 
     Numbers have the six digits that MuJoCo writes. Sensors, sites and actuators that amhe added are not
-    in it; a comment lists the parameters, and is the only place where a command delay stands. Files
+    in it; a comment lists the parameters, and is the only place where a command delay and the calibration of
+    signals stand. Files
     are referred to as `assets/...` only: copy those that `identified_assets` names beside the text.
     """
     spec = system.original.copy()
@@ -33,7 +36,8 @@ def identified_xml(system: System, theta: FloatArray) -> str:
     model = system.edits.apply(system.model, theta)
     _write_inertials(spec, model, {c.row for c in system.edits.cells if c.field in _INERTIAL})
     for field, row in dict.fromkeys((c.field, c.row) for c in system.edits.cells):
-        if field not in _INERTIAL:
+        calibrated = field in _CALIBRATED or (field.startswith("actuator_") and row >= len(spec.actuators))
+        if field not in _INERTIAL and not calibrated:
             _write(spec, model, field, row)
     spec.comment = _comment(system, theta)
     return portable(spec, Path(spec.modelfiledir))[0]

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 import mujoco
 import numpy as np
 
+from amhe_cli.system.calibration import CalibrationNumber
 from amhe_cli.system.edits import ModelEdits, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.targets import Cells
 
@@ -122,6 +123,8 @@ def _scalar(model: mujoco.MjModel, edit: ScalarEdit) -> str:
 
 def _name(model: mujoco.MjModel, cells: Cells) -> str:
     """Name of the element that a row belongs to; of its body, or its number, where it has none."""
+    if isinstance(cells, CalibrationNumber):
+        return cells.name
     prefix = cells.field.partition("_")[0]
     row = int(model.dof_jntid[cells.row]) if prefix == "dof" else cells.row
     name = getattr(model, _KINDS[prefix])(row).name

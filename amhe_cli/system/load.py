@@ -130,7 +130,9 @@ def _built(
     generalise(spec, entry)
     draft = draft_wiring(source, entry, spec, _compiled(source, spec))
     base = _compiled(source, spec)
-    space, edits = unknowns_of(source, entry, base)
+    wiring = draft.wired(base)
+    calibrated = draft.calibrated(entry.signals, wiring, base)
+    space, edits, calibration = unknowns_of(source, entry, base, calibrated)
     keyframe = _keyframe(source, entry, base)
     _refuse_strangers(source, entry)
     source.raise_problems()
@@ -141,7 +143,6 @@ def _built(
                 "a command delay changes nothing: no signal commands actuators",
             )
     source.raise_problems()
-    wiring = draft.wired(base)
     if warn:
         caution(where, base, edits)
         _warn_of_unset(where, draft.unset_joints(), keyframe)
@@ -160,6 +161,7 @@ def _built(
         input_spec=wiring.input_spec,
         settings=entry.settings,
         keyframe=keyframe,
+        calibration=calibration,
     )
 
 

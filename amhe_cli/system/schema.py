@@ -37,7 +37,9 @@ class TargetEntry(_Entry):
     pair: Name | Annotated[list[Name], Field(min_length=2, max_length=2)] | None = None
     joint: Name | None = None
     actuator: Name | None = None
-    axis: Literal["x", "y", "z", "all"] | None = None
+    signal: Name | None = None
+    quantity: Name | None = None
+    axis: Literal["x", "y", "z", "all", "roll", "pitch", "yaw"] | None = None
     mode: Literal["value", "scale", "add"] = "value"
     carry_inertia: bool = True
 
@@ -75,9 +77,14 @@ class SignalEntry(_Entry):
     columns: dict[str, Name | int | list[Name | int]] = Field(default_factory=dict)
     child_frame: Name | None = None
     offset: Number = 0.0
-    frame: Literal["world", "body"] = "world"
+    frame: Literal["world", "body"] | Annotated[list[Number], Field(min_length=6, max_length=6)] | None = None
     at: Name | None = None
     reaction: bool = False
+    scale: Positive | dict[str, Positive] | None = None
+    bias: dict[str, Number | list[Number]] = Field(default_factory=dict)
+    band: Positive | None = None
+    smooth: Positive | None = None
+    active: list[tuple[Number, Number]] | Annotated[dict[Name, Number], Field(min_length=1)] | None = None
 
     @property
     def kind(self) -> str | None:
@@ -269,6 +276,10 @@ _EXAMPLES = {
     "columns": "a mapping such as {position: [q1, q2]} or {position: 'q*'}",
     "fields": "a mapping such as {position: ['motor[0].q', 'motor[1].q']}",
     "bounds": "[lower, upper]",
+    "frame": "world, body, or [x, y, z, roll, pitch, yaw]",
+    "scale": "a number above 0, or a mapping such as {force: 1.02}",
+    "bias": "a mapping such as {force: [0.1, 0, 0]}",
+    "active": "times such as [[0.5, 3.0]], or a signal and its value such as {torque_on: 1}",
     "length": "[shortest, longest]",
 }
 _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length")
@@ -281,7 +292,7 @@ def _in_words(mistakes: list[Any], place: Place, data: Any, schema: type[Setting
     label = _label(place)
     if kind == "extra_forbidden":
         return one_of("key", str(place[-1]), keys_at(with_settings(SystemEntry, schema), place[:-1]) or [])
-    if kind in _SHAPES and label in _EXAMPLES and value is not None:
+    if label in _EXAMPLES and value is not None and any(one["type"] in _SHAPES for one in mistakes):
         return f"{label} is {value!r}; {_EXAMPLES[label]} would be valid"
     if kind == "missing":
         return f"{'.'.join(map(str, place[:-1])) or 'this file'} lacks the key {str(place[-1])!r}"

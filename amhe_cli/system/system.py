@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
@@ -17,6 +17,7 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief, ParameterSpace
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.signals import Signal, remapped
+from amhe_cli.system.calibration import SignalCalibration
 from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.identity import parts_of, sets_of
 
@@ -66,11 +67,21 @@ class Input:
         key: Key of the series in the log.
         columns: Columns of the engine's input vector that it fills, in the series' column order.
         delayed: Subject to the common command delay, where that is a parameter.
+        frame: x, y, z, roll, pitch, yaw of the log's frame in the model's, where a pose is brought into it.
+        arm: Where a force drives by its moment: series of the point where it acts and of the origin about
+            which (None: that of the frame).
     """
 
     key: str
     columns: tuple[int, ...]
     delayed: bool
+    frame: tuple[float, ...] = ()
+    arm: tuple[str, str | None] | None = None
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """All series that it needs."""
+        return (self.key, *(key for key in self.arm or () if key is not None))
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +102,7 @@ class System:
         inputs: How those signals drive the model.
         input_spec: mjtState bits of the engine's input vector (ctrl, qfrc_applied, xfrc_applied, mocap).
         settings: The system's own settings over the defaults.
+        calibration: What stands between the model's quantities and the log's numbers.
         keyframe: Keyframe that holds the state of everything that no signal gives; None: the model's own.
     """
 
@@ -108,6 +120,7 @@ class System:
     input_spec: int
     settings: Settings
     keyframe: int | None = None
+    calibration: SignalCalibration = field(default_factory=SignalCalibration)
 
     @classmethod
     def load(
@@ -198,6 +211,11 @@ class System:
             ConfigError: There is no such signal.
         """
         return replace(self, signals=remapped(self.signals, topics))
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Series that every window needs: what the channels measure, and the inputs."""
+        return (*(c.key for c in self.channels), *(key for one in self.inputs for key in one.keys))
 
     @property
     def fixed(self) -> dict[str, float]:

@@ -37,6 +37,8 @@ _COUNTS = {
 }
 #: Axis of a target -> columns.
 _AXES = {"x": (0,), "y": (1,), "z": (2,), "all": (0, 1, 2)}
+#: Axes of a frame, in the order of its numbers.
+FRAME_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +139,7 @@ def selector_of(entry: TargetEntry) -> str | None:
         raise ConfigError(one_of("target", entry.set, WORDS))
     kinds = ("body", "geom", "pair", "joint", "actuator")
     given = [kind for kind in kinds if getattr(entry, kind) is not None]
+    given = ["signal"] if entry.signal is not None else given  # whose joint says which of its numbers
     allowed = list(SETTERS[entry.set].cells) if entry.set in SETTERS else SPECIAL[entry.set]
     if not allowed and not given:
         return None
@@ -249,6 +252,11 @@ def _actuator_damping(model: mujoco.MjModel, row: int, entry: TargetEntry) -> li
     return [Cells("actuator_biasprm", row, (2,), -1.0)]
 
 
+def _of_signal(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Calibration is no number of the model: `CalibrationDraft.cells_of` has its numbers."""
+    raise NotImplementedError
+
+
 #: Words of `set:` that set plain numbers.
 SETTERS: Mapping[str, Setter] = {
     "mass": Setter("kg", {"body": _mass}, positive=True),
@@ -265,6 +273,10 @@ SETTERS: Mapping[str, Setter] = {
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
     "gain": Setter("-", {"actuator": _gain}, positive=True),
     "actuator_damping": Setter("-", {"actuator": _actuator_damping}),
+    "scale": Setter("-", {"signal": _of_signal}, positive=True),
+    "bias": Setter("-", {"signal": _of_signal}, lower=-inf),
+    "frame": Setter("-", {"signal": _of_signal}, lower=-inf),
+    "band": Setter("Hz", {"signal": _of_signal}, positive=True),
 }
 #: Words that need more than plain numbers, with their selectors.
 SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": []}

@@ -12,6 +12,8 @@ import numpy as np
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.yaml_file import Place
+from amhe_cli.system.calibrating import CalibrationDraft
+from amhe_cli.system.calibration import CalibrationNumber, SignalCalibration
 from amhe_cli.system.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.inertia import PSEUDO_NAMES
 from amhe_cli.system.schema import Description, ParameterEntry, SystemEntry, TargetEntry
@@ -48,39 +50,51 @@ class _Unknowns:
 
     parameters: list[Parameter] = field(default_factory=list)
     edits: list[tuple[int, Edit]] = field(default_factory=list)
+    calibrated: list[ScalarEdit] = field(default_factory=list)
     set_by: dict[tuple[str, int, int], str] = field(default_factory=dict)
     delay_column: int | None = None
 
 
 def unknowns_of(
-    file: Description, entry: SystemEntry, model: mujoco.MjModel
-) -> tuple[ParameterSpace, ModelEdits]:
+    file: Description, entry: SystemEntry, model: mujoco.MjModel, draft: CalibrationDraft
+) -> tuple[ParameterSpace, ModelEdits, SignalCalibration]:
     """Parameters of the file and how they are written; every mistake is noted in `file`."""
     found = _Unknowns()
+    draft.read(file)
     for name, parameter in entry.parameters.items():
         place = ("parameters", name)
         if any(target.set == "pseudo_inertia" for target in parameter.targets):
             _add_pseudo(file, place, parameter, model, found)
         else:
-            _add_plain(file, place, parameter, model, found)
+            _add_plain(file, place, parameter, model, draft, found)
     space = ParameterSpace(tuple(found.parameters))
     edits = [edit for _, edit in sorted(found.edits, key=lambda ranked: ranked[0])]
+    calibration, needed = draft.finished(found.calibrated)
     fixed = {p.name: p.nominal for p in space.parameters if p.prior_sd == 0.0}
     if fixed and len(fixed) == len(space):
         file.problem(("parameters",), "every parameter has the prior_sd 0, which fixes it: leave one free")
-    written = ModelEdits(model, space, edits, found.delay_column, fixed)
-    return written.space, written
+    written = ModelEdits(model, space, [*edits, *needed], found.delay_column, fixed, calibration)
+    return written.space, written, calibration
 
 
 def _add_plain(
-    file: Description, place: Place, entry: ParameterEntry, model: mujoco.MjModel, found: _Unknowns
+    file: Description,
+    place: Place,
+    entry: ParameterEntry,
+    model: mujoco.MjModel,
+    draft: CalibrationDraft,
+    found: _Unknowns,
 ) -> None:
     column, name = len(found.parameters), str(place[1])
     reached: list[tuple[TargetEntry, list[Cells]]] = []
     for index, target in enumerate(entry.targets):
         here = (*place, "targets", index)
         try:
-            cells = [] if selector_of(target) is None else cells_of(model, target)
+            selector = selector_of(target)
+            numbers = draft.cells_of(target) if selector == "signal" else []
+            cells: list[Cells] = [*numbers]
+            if selector not in (None, "signal"):
+                cells = cells_of(model, target)
             reached.append((target, cells))
             _claim(found, name, target, cells)
         except ConfigError as error:
@@ -94,12 +108,22 @@ def _add_plain(
         carried = target.set == "mass" and target.carry_inertia
         bodies = tuple(c.row for c in cells) if carried else ()
         edit = ScalarEdit(column, tuple(cells), target.mode, bodies)
-        found.edits.append((_ORDER.get(target.set, 1), edit))
+        if numbers:
+            found.calibrated.append(edit)
+        else:
+            found.edits.append((_ORDER.get(target.set, 1), edit))
     if len(reached) < len(entry.targets):
         return
     try:
         parameter = _parameter(name, entry, reached, model)
         _check_limits(parameter, reached, model)
+        target, cells = reached[0]
+        if target.signal is not None and entry.unit is None and target.mode != "scale":
+            parameter = replace(parameter, unit=draft.unit_of(target))
+        for target, cells in reached:
+            if target.set == "band":
+                smallest = min(_smallest(parameter, target, cells, model))
+                draft.lowest([cell for cell in cells if isinstance(cell, CalibrationNumber)], smallest)
         found.parameters.append(parameter)
     except ConfigError as error:
         file.problem(place, str(error))
@@ -224,7 +248,7 @@ def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str
         return "s"
     unit = SETTERS[target.set].unit
     slides = {"N m s/rad": "N s/m", "kg m^2": "kg", "N m": "N", "N m/rad": "N/m"}
-    if target.joint and cells:
+    if target.joint and cells and target.signal is None:
         row = (
             id_of(model, "joint", target.joint)
             if cells[0].field.startswith("jnt_")

@@ -12,9 +12,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import mujoco
+import numpy as np
 
+from amhe_cli.core import rotations
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES, Signal
+from amhe_cli.system.calibrating import CalibrationDraft
 from amhe_cli.system.coupled import couplings
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import Channel, Input
@@ -31,18 +34,31 @@ class Wiring:
     input_spec: int
 
 
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """A series that drives the model: which parts of which input, by number or by an actuator's name."""
+
+    key: str
+    bit: mujoco.mjtState
+    parts: Sequence[int | str]
+    delayed: bool = False
+    frame: tuple[float, ...] = ()
+    arm: tuple[str, str | None] | None = None
+
+
 @dataclass
 class WiringDraft:
     """Signals whose addresses in the final model are still to be found."""
 
     spec: mujoco.MjSpec
     model: mujoco.MjModel
+    entries: Mapping[str, SignalEntry]
     signals: list[Signal] = field(default_factory=list)
     state: list[Channel] = field(default_factory=list)
     sensed: list[tuple[str, str, float, str, list[str]]] = field(
         default_factory=list
     )  # key, quantity, sd, unit, sensors
-    driven: list[tuple[str, mujoco.mjtState, list[int | str], bool]] = field(default_factory=list)
+    driven: list[Drive] = field(default_factory=list)
     joints_set: set[int] = field(default_factory=set)
 
     def wired(self, model: mujoco.MjModel) -> Wiring:
@@ -53,23 +69,35 @@ class WiringDraft:
             columns = [int(model.sensor_adr[r]) + i for r in rows for i in range(int(model.sensor_dim[r]))]
             channels.append(Channel(key, _kind(quantity), "sensordata", tuple(columns), noise, unit))
         spec = 0
-        for _, bit, _, _ in self.driven:
-            spec |= int(bit)
+        for drive in self.driven:
+            spec |= int(drive.bit)
         inputs = []
-        for key, bit, parts, delayed in self.driven:
-            first = mujoco.mj_stateSize(
-                model, spec & (int(bit) - 1)
-            )  # parts stand in the order of their bits
+        for drive in self.driven:
+            # parts of the state stand in the order of their bits
+            first = mujoco.mj_stateSize(model, spec & (int(drive.bit) - 1))
             columns = [
                 int(model.actuator_ctrladr[id_of(model, "actuator", part)]) if isinstance(part, str) else part
-                for part in parts
+                for part in drive.parts
             ]
-            inputs.append(Input(key, tuple(first + column for column in columns), delayed))
+            at = tuple(first + column for column in columns)
+            inputs.append(Input(drive.key, at, drive.delayed, drive.frame, drive.arm))
         return Wiring(tuple(self.signals), tuple(channels), tuple(inputs), spec)
+
+    def calibrated(
+        self, entries: Mapping[str, SignalEntry], wiring: Wiring, model: mujoco.MjModel
+    ) -> CalibrationDraft:
+        """What can be calibrated: channels, and forces that drive the model."""
+        channels = {split_key(channel.key): channel for channel in wiring.channels}
+        forces = {
+            split_key(drive.key): [id_of(model, "actuator", str(part)) for part in drive.parts]
+            for drive in self.driven
+            if entries[split_key(drive.key)[0]].force_on is not None and drive.arm is None
+        }
+        return CalibrationDraft(entries, channels, forces, model)
 
     def has_commands(self) -> bool:
         """Whether a signal commands actuators."""
-        return any(delayed for _, _, _, delayed in self.driven)
+        return any(drive.delayed for drive in self.driven)
 
     def unset_joints(self) -> list[str]:
         """Joints whose state no signal gives, neither directly nor by a joint that they follow."""
@@ -80,12 +108,19 @@ class WiringDraft:
             if row not in self.joints_set | led
         ]
 
-    def site_on(self, body: str) -> str:
-        """Name of a site in the frame of a body, added once."""
-        name = f"amhe/at/{body}"
+    def site_on(self, body: str, frame: Sequence[float] | str | None = None) -> str:
+        """Name of a site in the frame of a body, or turned by a frame's roll, pitch and yaw; added once."""
+        turn = np.zeros(3) if frame is None or isinstance(frame, str) else np.array(frame[3:])
+        name = f"amhe/at/{body}" + (f"/{turn}" if turn.any() else "")
         if all(site.name != name for site in self.spec.sites):
-            self.spec.body(body).add_site(name=name)
+            self.spec.body(body).add_site(name=name, quat=rotations.of_rpy(turn))
         return name
+
+
+def split_key(key: str) -> tuple[str, str]:
+    """Signal and quantity of a series' key."""
+    signal, quantity = key.rsplit(".", 1)
+    return signal, quantity
 
 
 def signal_of(
@@ -109,6 +144,11 @@ def signal_of(
         columns=columns,
         is_input=is_input,
         offset=entry.offset,
+        smooth=entry.smooth or 0.0,
+        active=tuple(entry.active) if isinstance(entry.active, list) else (),
+        switch=next(iter((f"{key}.value", value) for key, value in entry.active.items()))
+        if isinstance(entry.active, dict)
+        else None,
     )
 
 

@@ -26,6 +26,36 @@ def test_the_example_loads(tmp_path: Path) -> None:
     assert system.keyframe == 0
 
 
+#: A model with what the shorter examples name.
+SCENE = """
+<mujoco>
+  <worldbody>
+    <body name="box" pos="1 0 0"><freejoint/><geom type="box" size="0.1 0.1 0.1"/></body>
+    <body><joint name="shoulder" axis="0 1 0"/><geom size="0.1"/>
+      <body pos="0 0 -0.3"><joint name="elbow" axis="0 1 0"/><geom size="0.05"/><site name="wrist"/></body>
+    </body>
+    <body pos="0 1 0"><joint name="hinge" axis="0 1 0"/><geom size="0.1"/></body>
+  </worldbody>
+  <actuator><position name="servo" joint="hinge" kp="1"/></actuator>
+</mujoco>
+"""
+PARAMETERS = "parameters:\n  mass: {targets: [{body: box, set: mass}]}\n"
+
+
+def test_the_examples_of_signals_load(tmp_path: Path) -> None:
+    (tmp_path / "scene.xml").write_text(SCENE)
+    examples = [
+        text
+        for text in re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)
+        if text.startswith(("signals:", "parameters:"))
+    ]
+    assert len(examples) == 3
+    for text in examples:
+        parameters = "" if text.startswith("parameters:") else PARAMETERS
+        (tmp_path / "system.yaml").write_text(f"model: scene.xml\n{parameters}{text}")
+        System.load(tmp_path, warn=False)
+
+
 def test_every_target_kind_and_key_is_explained() -> None:
     text = PAGE.read_text()
     for word in (*WORDS, *KINDS, *ParameterEntry.model_fields, *SignalEntry.model_fields):

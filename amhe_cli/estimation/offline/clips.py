@@ -70,7 +70,7 @@ class ClipPool:
     @property
     def keys(self) -> tuple[str, ...]:
         """Series that every clip needs: what the channels measure, and the inputs."""
-        return tuple(one.key for one in (*self.system.channels, *self.system.inputs))
+        return self.system.keys
 
     def draw(self, rng: np.random.Generator, count: int) -> list[Window]:
         """At most `count` clips of random start and length; unusable ones are drawn again."""

@@ -51,7 +51,7 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
         channel=observed.channel.key,
         unit="rad" if observed.channel.kind == "rotation" else observed.channel.unit,
         columns=tuple(columns),
-        time=(observed.wanted.rows[i, keep] + 1) * dt,
+        time=(observed.rows[i, keep] + 1) * dt,
         measured=measured,
         initial=initial,
         identified=identified,

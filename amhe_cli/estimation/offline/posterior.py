@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.estimation.core.information import (
     Information,
     channel_times,
@@ -32,6 +32,8 @@ Finding = SearchState | CmaState
 NOISE_WORTH = 10.0
 #: Most linearisations until the shape of the samples is that of the posterior.
 TURNS = 4
+#: Information of data, over that of the prior, below which they know hardly anything.
+LITTLE = 0.1
 #: Sampling sd of the first of them after CMA-ES, in prior sd.
 SMALL = 0.05
 
@@ -62,6 +64,11 @@ class Posterior:
     def sd(self) -> FloatArray:
         """Posterior sd of each z, shape (d,)."""
         return np.sqrt(self.covariance.diagonal())
+
+    @property
+    def knows(self) -> BoolArray:
+        """Parameters of which the data know more than a share of the prior, shape (d,)."""
+        return np.diag(self.hessian - self.prior) > LITTLE * np.diag(self.prior)
 
     @property
     def data_covariance(self) -> FloatArray:
@@ -134,8 +141,12 @@ class Disagreement:
 
 
 def disagreement(one: Posterior, other: Posterior) -> Disagreement:
-    """Disagreement between two estimates from different data, taken from the same place."""
-    return Disagreement(one.step - other.step, one.data_covariance + other.data_covariance)
+    """Disagreement between two estimates from different data, taken from the same place.
+
+    What one of them knows hardly anything of, it cannot contradict: its estimate there is the prior.
+    """
+    value = (one.step - other.step) * (one.knows & other.knows)
+    return Disagreement(value, one.data_covariance + other.data_covariance)
 
 
 def by_kind(

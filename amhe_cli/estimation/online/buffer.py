@@ -7,6 +7,7 @@ from collections import deque
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.corrections import corrected
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.resample import longest_bridge, resample
 from amhe_cli.core.samples import Samples
@@ -30,6 +31,7 @@ class Buffer:
     """
 
     def __init__(self, signals: tuple[Signal, ...], window: float, dt: float, max_gap: float) -> None:
+        self._signals = signals
         self._signal_of = {signal.key(q): signal for signal in signals for q in signal.quantities}
         self._names = {signal.name for signal in signals}
         self._steps, self._dt, self._max_gap = round(window / dt), dt, max_gap
@@ -65,6 +67,7 @@ class Buffer:
         if late or begun != self._names:
             return None
         series = {key: self._series(key, grid) for key in self._kept}
+        series = corrected(series, self._signals, self._dt, begun=None)
         log = Log(self._dt, series, "the running system", round(1e9 * float(grid[0])))
         return Window(log, before, self._steps)
 

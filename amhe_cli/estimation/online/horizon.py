@@ -250,7 +250,8 @@ def usable(system: System, window: Window) -> bool:
     if window.start < 0 or window.stop >= log.steps:
         return False
     starts = all(log[c.key].valid[window.start] for c in system.channels if c.sets_state)
-    driven = all(log[i.key].valid[window.start : window.stop].all() for i in system.inputs)
+    needed = (key for one in system.inputs for key in one.keys)
+    driven = all(log[key].valid[window.start : window.stop].all() for key in needed)
     after = slice(window.start + 1, window.stop + 1)
     compared = [log[c.key] for c in system.channels if c.compared]
     seen = any((s.sampled[after] & s.valid[after]).any() for s in compared if not s.derived)

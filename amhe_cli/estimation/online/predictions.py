@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray, to_host
+from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline.fits import SHOWN, fit_of
@@ -15,6 +16,7 @@ from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.horizon import usable
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.matching.readings import reading_of, state_errors
 from amhe_cli.matching.windows import starts_of
 from amhe_cli.system.system import System
 
@@ -41,7 +43,9 @@ def predictions(done: Replay, engine: Engine) -> list[Prediction | None]:
     Returns:
         One prediction for each window; None where a signal is missing at its start, or the rollout diverged.
     """
-    theta, system = done.column("theta"), done.system
+    system = done.system
+    log = done.windows[0].log
+    theta = values_on(log, system.edits.space, system.space, done.column("theta"))
     newest = round(system.settings.mhe.update_period / done.windows[0].log.dt)
     found: list[Prediction | None] = [None] * len(done.windows)
     known = [i for i, window in enumerate(done.windows) if usable(system, window)]
@@ -61,10 +65,15 @@ def _ends(
     starts = [starts_of(system, [window], smoothing) for window in windows]
     delays = system.edits.delays(theta) / system.model.opt.timestep
     length = windows[0].length
+    numbers = system.edits.numbers(theta)
+    states = [
+        start.states(system.model, 1, state_errors(system, theta[i : i + 1], start))
+        for i, start in enumerate(starts)
+    ]
     rollouts = engine.rollout(
         theta,
-        np.concatenate([start.qpos for start in starts]),
-        np.concatenate([start.qvel for start in starts]),
+        np.concatenate([qpos[0] for qpos, _ in states]),
+        np.concatenate([qvel[0] for _, qvel in states]),
         np.concatenate([start.inputs_under(delays[i : i + 1]) for i, start in enumerate(starts)]),
         np.full(len(windows), length),
     )
@@ -73,7 +82,15 @@ def _ends(
         Prediction(
             # row k of a rollout is the instant k + 1
             window.start + 1 + np.arange(end.start, end.stop),
-            {c.key: getattr(rollouts, c.source)[i][end][:, list(c.columns)] for c in system.channels},
+            {
+                c.key: reading_of(
+                    c,
+                    system.calibration.readings.get(c.key),
+                    numbers[i : i + 1],
+                    getattr(rollouts, c.source)[i : i + 1, end][..., list(c.columns)],
+                )[0]
+                for c in system.channels
+            },
         )
         if rollouts.completed[i]
         else None

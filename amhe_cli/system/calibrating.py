@@ -1,0 +1,229 @@
+"""From the calibration keys of `signals:`, and the parameters that set them, to a `SignalCalibration`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.signals import QUANTITIES
+from amhe_cli.system.calibration import CalibrationNumber, ForceEdit, Reading, SignalCalibration, ZeroEdit
+from amhe_cli.system.edits import Edit, ScalarEdit
+from amhe_cli.system.schema import Description, SignalEntry, TargetEntry
+from amhe_cli.system.system import Channel
+from amhe_cli.system.targets import FRAME_AXES, id_of
+
+#: Value of a number that is not given.
+_NEUTRAL = {"scale": 1.0, "bias": 0.0, "frame": 0.0}
+#: Quantities in the world; all others of a body or site are in its own axes.
+_WORLD = ("position", "orientation", "linear_velocity")
+#: A sensor of a band remembers this many of its time constants: the rest weighs 5 %.
+_CONSTANTS = 3.0
+
+#: Signal, word, quantity ('' for all of a signal's) and column (0 where there is one number for all).
+_Key = tuple[str, str, str, int]
+
+
+@dataclass
+class CalibrationDraft:
+    """The calibration's numbers, as entries give them or parameters set them.
+
+    Args:
+        entries: The signals.
+        channels: The channels in the final model, by signal and quantity.
+        forces: Actuators that a signal's force or torque drives, by signal and quantity.
+        model: The final model.
+    """
+
+    entries: Mapping[str, SignalEntry]
+    channels: Mapping[tuple[str, str], Channel]
+    forces: Mapping[tuple[str, str], Sequence[int]]
+    model: mujoco.MjModel
+    _rows: dict[_Key, int] = field(default_factory=dict)
+    _own: list[float] = field(default_factory=list)
+    _lowest: dict[int, float] = field(default_factory=dict)
+
+    def read(self, file: Description) -> None:
+        """Take in what the entries give; every mistake is noted in `file`."""
+        for name, entry in self.entries.items():
+            for word in ("scale", "bias", "frame", "band"):
+                try:
+                    self._read(name, entry, word)
+                except ConfigError as error:
+                    file.problem(("signals", name, word), str(error))
+
+    def cells_of(self, target: TargetEntry) -> list[CalibrationNumber]:
+        """The numbers that a parameter's target sets.
+
+        Raises:
+            ConfigError: The signal has no such number.
+        """
+        name, word = str(target.signal), target.set
+        if name not in self.entries:
+            raise ConfigError(one_of("signal", name, self.entries))
+        if word == "frame":
+            if target.axis not in FRAME_AXES:
+                raise ConfigError(f"target 'frame' needs axis: one of {', '.join(FRAME_AXES)}")
+            return [self._number(name, "frame", "", FRAME_AXES.index(target.axis))]
+        if word == "band":
+            return [self._number(name, "band", "", 0)]
+        quantity = self._quantity(name, word, target.quantity)
+        if word == "scale":
+            return [self._number(name, "scale", quantity, 0)]
+        columns = self._columns(name, quantity)
+        part = target.joint or target.axis
+        if part is not None and part not in columns:
+            raise ConfigError(one_of("joint or axis of this signal", part, columns))
+        chosen = columns if part is None else [part]
+        return [self._number(name, "bias", quantity, columns.index(column)) for column in chosen]
+
+    def unit_of(self, target: TargetEntry) -> str:
+        """Unit of what a target sets."""
+        if target.set == "bias":
+            key = str(target.signal), self._quantity(str(target.signal), "bias", target.quantity)
+            return self.channels[key].unit if key in self.channels else QUANTITIES[key[1]]
+        if target.set == "frame":
+            return "m" if target.axis in ("x", "y", "z") else "rad"
+        return "Hz" if target.set == "band" else "-"
+
+    def lowest(self, cells: Sequence[CalibrationNumber], value: float) -> None:
+        """Note the smallest value of numbers that a parameter sets: a band's memory follows from it."""
+        for cell in cells:
+            self._lowest[cell.row] = value
+
+    def finished(self, edits: Sequence[ScalarEdit]) -> tuple[SignalCalibration, list[Edit]]:
+        """The calibration, and the edits of the model that it needs.
+
+        Args:
+            edits: How parameters are written into the calibration's numbers.
+        """
+        readings = {c.key: self._reading(n, q, c) for (n, q), c in self.channels.items()}
+        found = {key: reading for key, reading in readings.items() if reading != Reading()}
+        zeros = {
+            id_of(self.model, "joint", self._columns(name, quantity)[column]): row
+            for (name, word, quantity, column), row in self._rows.items()
+            if word == "bias" and self._is_encoder(name, quantity)
+        }
+        driven = {
+            actuator: (self._row((name, "scale", quantity, 0)), self._row((name, "bias", quantity, column)))
+            for (name, quantity), actuators in self.forces.items()
+            if any(key[0] == name and key[2] == quantity for key in self._rows)
+            for column, actuator in enumerate(actuators)
+        }
+        bare = SignalCalibration(np.array(self._own), tuple(edits))
+        changes: list[Edit] = [ZeroEdit(bare, zeros, self.model)] if zeros else []
+        changes += [ForceEdit(bare, driven)] if driven else []
+        return SignalCalibration(bare.own, bare.edits, found), changes
+
+    def _read(self, name: str, entry: SignalEntry, word: str) -> None:
+        given = getattr(entry, word)
+        if (word == "frame" and isinstance(given, str)) or given is None or given == {}:
+            return
+        if word == "frame":
+            if entry.mocap is None and entry.force_on is None:
+                for axis, value in enumerate(given):
+                    self._number(name, "frame", "", axis, value)
+        elif word == "band":
+            self._number(name, "band", "", 0, given)
+        elif word == "scale":
+            linear = [q for q in self._calibrated(name) if q != "orientation"] or [word]
+            each = given if isinstance(given, Mapping) else dict.fromkeys(linear, given)
+            for quantity, value in each.items():
+                self._number(name, "scale", self._quantity(name, word, quantity), 0, value)
+        else:
+            for quantity, values in given.items():
+                columns = self._columns(name, self._quantity(name, word, quantity))
+                each = values if isinstance(values, list) else [values] * len(columns)
+                if len(each) != len(columns):
+                    raise ConfigError(f"bias of {quantity} has {len(each)} numbers; it needs {len(columns)}")
+                for column, value in enumerate(each):
+                    self._number(name, "bias", quantity, column, value)
+
+    def _number(
+        self, name: str, word: str, quantity: str, column: int, value: float | None = None
+    ) -> CalibrationNumber:
+        """One number; when it is met first, it gets its row, and the value given or one without effect."""
+        if word == "frame":
+            self._check_frame(name)
+        if word == "band":
+            self._check_band(name)
+            if value is None and (name, word, quantity, column) not in self._rows:
+                raise ConfigError("give the signal a band of its own, such as band: 100, to start from")
+        row = self._row((name, word, quantity, column), value)
+        label = ".".join(part for part in (name, quantity) if part)
+        return CalibrationNumber("calibration", row, own=self._own[row], name=f"{word}[{column}] of {label}")
+
+    def _row(self, key: _Key, value: float | None = None) -> int:
+        if key not in self._rows:
+            self._rows[key] = len(self._own)
+            self._own.append(_NEUTRAL.get(key[1], 0.0) if value is None else value)
+        return self._rows[key]
+
+    def _calibrated(self, name: str) -> list[str]:
+        """Quantities of a signal that can be calibrated."""
+        return [q for n, q in (*self.channels, *self.forces) if n == name]
+
+    def _quantity(self, name: str, word: str, given: str | None) -> str:
+        """The quantity that is meant: the one given, or the only one."""
+        known = [q for q in self._calibrated(name) if q != "orientation"]
+        if not known:
+            raise ConfigError(f"{word} is for what is compared with the model, and for force_on")
+        if given is None and len(known) > 1:
+            raise ConfigError(f"say which quantity: one of {', '.join(known)}")
+        if given is not None and given not in known:
+            raise ConfigError(one_of(f"quantity with a {word}", given, known))
+        return given or known[0]
+
+    def _columns(self, name: str, quantity: str) -> list[str]:
+        """Names of a quantity's columns: joints, or axes."""
+        entry = self.entries[name]
+        if entry.joints is not None:
+            return list(entry.joints)
+        if (name, quantity) in self.forces:
+            return ["x", "y", "z"]
+        width = len(self.channels[name, quantity].columns)
+        return ["x", "y", "z"] if width == 3 else [str(column) for column in range(width)]
+
+    def _is_encoder(self, name: str, quantity: str) -> bool:
+        return quantity == "position" and self.entries[name].joints is not None
+
+    def _check_frame(self, name: str) -> None:
+        entry = self.entries[name]
+        if entry.body is None and entry.site is None:
+            raise ConfigError("a parameter can set the frame of a body or site, which is compared")
+        quantities = set(self._calibrated(name)) - ({"angular_velocity"} if entry.body else set())
+        if quantities & set(_WORLD) and quantities - set(_WORLD):
+            raise ConfigError(
+                "this signal has quantities in the world and in the site's own axes: split it in two, each "
+                "with a frame of its own"
+            )
+
+    def _check_band(self, name: str) -> None:
+        compared = [c for (n, _), c in self.channels.items() if n == name and c.compared]
+        if all(channel.kind == "rotation" for channel in compared):
+            raise ConfigError("band is for numbers that are compared with the model")
+
+    def _reading(self, name: str, quantity: str, channel: Channel) -> Reading:
+        rows = self._rows
+        entry = self.entries[name]
+        linear = channel.kind == "linear"
+        own_axes = entry.body is not None and quantity == "angular_velocity"
+        framed = (name, "frame", "", 0) in rows and not own_axes
+        band = rows.get((name, "band", "", 0)) if linear else None
+        biased = not self._is_encoder(name, quantity)
+        keys = [(name, "bias", quantity, i) for i in range(len(channel.columns))] if biased else []
+        bias = [self._row(key) for key in keys] if any(key in rows for key in keys) else []
+        memory = 0.0 if band is None else _CONSTANTS / (2.0 * np.pi * self._lowest.get(band, self._own[band]))
+        turned = entry.reaction and quantity in ("force", "torque")
+        return Reading(
+            scale=rows.get((name, "scale", quantity, 0)),
+            bias=tuple(bias),
+            frame=tuple(self._row((name, "frame", "", axis)) for axis in range(6)) if framed else (),
+            origin=framed and quantity == "position",
+            band=band,
+            memory=memory,
+            sign=-1.0 if turned else 1.0,
+        )
