@@ -145,11 +145,10 @@ class Result:
         return self._rendered().export_html(inline_styles=True, code_format="<pre>{code}</pre>")
 
     def _rendered(self) -> Any:
-        from rich.console import Console
-
         from amhe_cli.report.identification import print_identification
+        from amhe_cli.report.terminal import PlainConsole
 
-        console = Console(record=True, file=io.StringIO(), width=_WIDTH, highlight=False, force_jupyter=False)
+        console = PlainConsole(record=True, file=io.StringIO(), width=_WIDTH, force_jupyter=False)
         print_identification(self.found, None, console, truth_in_metadata(self.logs))
         return console
 

@@ -33,11 +33,12 @@ def parameters(ending: str = "") -> Completer:
     def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         from amhe_cli.cli.inputs import DEFAULT_SYSTEM
         from amhe_cli.core.errors import AmheError
-        from amhe_cli.system.folders import find_system, parameter_names
+        from amhe_cli.system.folders import bundled_systems, find_system, parameter_names
 
+        given, named = ctx.params.get("system"), _named_by_log(ctx) or DEFAULT_SYSTEM
         try:
-            folder = find_system(ctx.params.get("system") or _named_by_log(ctx) or DEFAULT_SYSTEM)
-        except AmheError:
+            folder = find_system(given) if given else bundled_systems()[named]
+        except (AmheError, KeyError):
             return []
         return _listed((name + ending for name in parameter_names(folder)), incomplete)
 

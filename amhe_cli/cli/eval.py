@@ -9,6 +9,7 @@ import click
 
 from amhe_cli.cli import completion, options
 from amhe_cli.cli.session import Session
+from amhe_cli.core.text import printable
 
 if TYPE_CHECKING:
     from amhe_cli.cli.settings import Overrides
@@ -164,7 +165,7 @@ def _tell(session: Session, store: Store, left: int) -> None:
         counts: dict[str, Any] = {"cells": report.cells, "failed": report.failures, "missing": left}
         session.print_json(session.record(**counts, summary=report.summary, out=str(store.folder)))
     else:
-        print(report.text)
+        print(printable(report.text, keep="\n"))
         print(f"report: {store.folder / 'report.html'}")
     session.failed = bool(report.failures) or (left > 0 and not session.interrupted)
     for title, reason in report.failures.items():

@@ -11,6 +11,7 @@ from click.shell_completion import CompletionItem
 
 from amhe_cli.cli import log_path, options
 from amhe_cli.cli.session import Session
+from amhe_cli.core.text import printable
 
 _MENAGERIE = "menagerie:"
 
@@ -111,5 +112,5 @@ def init(
         session.print_json(session.record(system=str(folder), guessed=guessed))
         return
     for sentence in guessed:
-        print(sentence)
+        print(printable(sentence))
     print(f"wrote {folder}/system.yaml: read it, correct it, then: amhe identify LOG --system {folder}")

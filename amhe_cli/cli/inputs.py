@@ -110,27 +110,27 @@ def _own_settings(path: Path) -> dict[str, Any]:
 
     try:
         own = json.loads(read_metadata(path).get("overrides") or "{}")
-    except ValueError:
+    except (ValueError, RecursionError):
         return {}  # somebody else's use of the key
     return own if isinstance(own, dict) else {}
 
 
 def _folder_named_by(logs: Sequence[Path]) -> Path:
+    """Folder of the bundled system that logs name: a log may choose none of the user's files."""
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.system.folders import find_system
+    from amhe_cli.system.folders import bundled_systems
 
     names = sorted(set(_systems_of(logs).values()))
     if len(names) > 1:
         listed = ", ".join(names)
         raise ConfigError(f"the logs are about different systems ({listed}); choose one with --system")
     name = names[0] if names else DEFAULT_SYSTEM
-    try:
-        return find_system(name)
-    except ConfigError:
+    if (folder := bundled_systems().get(name)) is None:
         raise ConfigError(
             f"{_listed(logs)}: about the system {name!r}, which does not come with amhe: "
             f"give its folder with --system DIR"
-        ) from None
+        )
+    return folder
 
 
 def _unnamed(logs: Sequence[Path]) -> str:

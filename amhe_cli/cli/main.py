@@ -70,6 +70,7 @@ def run(arguments: Sequence[str]) -> int:
 def _failed(session: Session, error: Exception) -> int:
     """Tell the user of an error, and give the exit code that stands for its kind."""
     from amhe_cli.core.errors import AmheError, ConfigError, LogError
+    from amhe_cli.core.text import printable
 
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         error.show()
@@ -80,7 +81,8 @@ def _failed(session: Session, error: Exception) -> int:
         session.say("error", f"{text.rstrip('.')} (see '{session.command} --help')")
         return USAGE
     if isinstance(error, AmheError):
-        session.say("error", str(error))
+        several = isinstance(error, ConfigError)  # one line for each mistake; others have one line in all
+        session.say("error", str(error) if several else printable(str(error)))
         return (
             USAGE if isinstance(error, ConfigError) else UNREADABLE if isinstance(error, LogError) else FAILED
         )

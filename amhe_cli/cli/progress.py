@@ -43,7 +43,7 @@ def progress(session: Session, title: str, shown: Callable[[T], Shown]) -> Itera
 def _bar(console: Console, title: str, shown: Callable[[T], Shown]) -> Iterator[Callable[[T], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    text = TextColumn("{task.fields[state]}")
+    text = TextColumn("{task.fields[state]}", markup=False)
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), text, TimeElapsedColumn())
     with Progress(*columns, console=console, transient=True) as bars:
         task = bars.add_task(title, total=None, state="")

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from amhe_cli.cli.wording import in_options
+from amhe_cli.core.text import printable
 
 if TYPE_CHECKING:
     from logging import Handler
@@ -68,7 +69,7 @@ class Session:
 
     def say(self, kind: str, text: str) -> None:
         """Write one message, such as 'amhe identify: error: ...', on stderr; it speaks of options."""
-        first, *rest = in_options(text).splitlines() or [""]
+        first, *rest = [printable(line) for line in in_options(text).split("\n")]
         label = f"{kind}: " if kind else ""
         print(f"{self.command}: {label}{first}", *(f"  {line}" for line in rest), sep="\n", file=sys.stderr)
 
@@ -102,15 +103,14 @@ class Session:
 
     def console(self, stderr: bool = False) -> Console:
         """Rich console on stdout, or on stderr."""
-        from rich.console import Console
+        from amhe_cli.report.terminal import PlainConsole
 
         stream = sys.stderr if stderr else sys.stdout
         plain = not stream.isatty() and "COLUMNS" not in os.environ
-        return Console(
+        return PlainConsole(
             file=stream,
             no_color=self.no_color or None,
             width=PLAIN_WIDTH if plain else None,
-            highlight=False,
             soft_wrap=False,
         )
 
@@ -144,6 +144,6 @@ def _listener(session: Session) -> Handler:
                 if text in session.warnings:
                     return
                 session.warnings.append(text)
-            session.say(record.levelname.lower(), text)
+            session.say(record.levelname.lower(), printable(text))
 
     return Listener()

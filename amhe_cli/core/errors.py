@@ -6,6 +6,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+from amhe_cli.core.text import printable
+
 
 class AmheError(Exception):
     """Base class of all expected errors; the command line prints its text and no traceback."""
@@ -45,5 +47,5 @@ def one_of(kind: str, name: str, known: Iterable[str]) -> str:
     names = sorted(set(known))
     close = get_close_matches(str(name), names, n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
-    listed = ", ".join(names) if names else f"no {kind} at all"
+    listed = ", ".join(map(printable, names)) if names else f"no {kind} at all"
     return f"no {kind} {name!r}{hint}; there is: {listed}"

@@ -8,6 +8,7 @@ from typing import Any
 
 import yaml
 
+from amhe_cli.core.text import printable
 from amhe_cli.init.signals import Guess
 
 _SKELETON = "this type is not built in: correct the paths of its numbers to use it"
@@ -35,9 +36,9 @@ def system_text(
     """
     names = ", ".join(Path(log).name for log in logs)
     lines = [
-        f"# A first system, guessed by `amhe init` from {original} and {names}.",
+        f"# A first system, guessed by `amhe init` from {printable(original)} and {printable(names)}.",
         "# Read it, correct it, then: amhe identify LOG --system THIS_FOLDER",
-        *(f"#   {note}" for note in notes),
+        *(f"#   {printable(note)}" for note in notes),
         f"model: {_flow(model)}",
         "",
         "# The unknowns. nominal and prior_sd are the prior, before a log is read; prior_sd is the",
@@ -48,13 +49,13 @@ def system_text(
         "# noise: standard deviation of the measurement [SI]; null: it sets the state and is not compared.",
         "signals:",
         *(line for guess in guesses for line in _signal(guess)),
-        *(f"  # {line}" for skeleton in skeletons for line in (_SKELETON, *skeleton)),
+        *(f"  # {printable(line)}" for skeleton in skeletons for line in (_SKELETON, *skeleton)),
     ]
     return "\n".join(lines) + "\n"
 
 
 def _parameter(guess: Guess) -> Iterator[str]:
-    yield f"  {_flow(guess.name)}:  # {guess.why}"
+    yield f"  {_flow(guess.name)}:  # {printable(guess.why)}"
     for key, value in guess.entry.items():
         if key != "targets":
             yield f"    {key}: {_flow(value)}"
@@ -63,7 +64,7 @@ def _parameter(guess: Guess) -> Iterator[str]:
 
 
 def _signal(guess: Guess) -> Iterator[str]:
-    yield f"  {_flow(guess.name)}:  # {guess.why}"
+    yield f"  {_flow(guess.name)}:  # {printable(guess.why)}"
     yield from (f"    {key}: {_flow(value)}" for key, value in guess.entry.items())
     if guess.noise:
         yield f"    noise: {_flow(guess.noise)}"

@@ -20,6 +20,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Belief
+from amhe_cli.core.text import printable
 from amhe_cli.estimation.offline.result import Fit, Iteration, ParameterResult
 
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its notes on its font cache are of no use to users
@@ -63,6 +64,7 @@ _STYLE = {
     "ytick.major.size": 0.0,
     "lines.linewidth": 1.5,
     "legend.frameon": False,
+    "text.parse_math": False,  # a '$' in a name is a '$'
 }
 
 
@@ -257,6 +259,6 @@ def svg(figure: Figure) -> Markup:
     """The SVG element of a figure; the page sets its size."""
     text = io.StringIO()
     figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
-    whole = text.getvalue()
+    whole = printable(text.getvalue(), keep="\n")
     whole = whole[whole.index("<svg") :].replace("'DejaVu Sans'", FONTS)
     return Markup(_PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), whole))

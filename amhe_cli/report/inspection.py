@@ -11,6 +11,7 @@ from rich.text import Text
 
 from amhe_cli.core.files import plain
 from amhe_cli.core.signals import Signal
+from amhe_cli.core.text import printable
 from amhe_cli.logs import Inspection, Survey, TopicSurvey
 from amhe_cli.report import numbers
 
@@ -64,10 +65,10 @@ def print_inspection(found: Inspection, console: Console) -> None:
     console.print(title, soft_wrap=True)
     if survey.metadata:
         texts = ", ".join(f"{key} = {value}" for key, value in survey.metadata.items())
-        console.print(f"metadata: {texts}", style="dim")
+        console.print(printable(f"metadata: {texts}"), style="dim")
     _print_topics(survey, console)
     for line in _remarks(survey):
-        console.print(line)
+        console.print(printable(line))
     if found.system is not None:
         console.print()
         _print_suitability(found, console)
@@ -77,7 +78,7 @@ def print_inspection(found: Inspection, console: Console) -> None:
 def _print_topics(survey: Survey, console: Console) -> None:
     """Two lines for each topic: numbers in columns, and its content below, where long names have room."""
     rows = [("topic", "messages", "rate", "longest gap")]
-    rows += [(t.name, f"{t.count:,}", _rate(t.rate), _gap(t)) for t in survey.topics]
+    rows += [(printable(t.name), f"{t.count:,}", _rate(t.rate), _gap(t)) for t in survey.topics]
     name, *widths = (max(len(row[i]) for row in rows) for i in range(4))
     for number, (row, topic) in enumerate(zip(rows, (None, *survey.topics), strict=True)):
         cells = "   ".join(text.rjust(width) for text, width in zip(row[1:], widths, strict=True))
@@ -104,11 +105,11 @@ def _gap(topic: TopicSurvey) -> str:
 
 def _content(topic: TopicSurvey) -> Text:
     """Type and clock of a topic, and which quantities it contains."""
-    kind = topic.type.replace("/msg/", "/")
+    kind = printable(topic.type.replace("/msg/", "/"))
     if topic.problem:
-        return Text.assemble((kind, "dim"), ": ", (topic.problem, "yellow"))
+        return Text.assemble((kind, "dim"), ": ", (printable(topic.problem), "yellow"))
     entries = topic.entries or tuple(topic.paths)
-    shown = ", ".join(entries[:MAX_ENTRIES])
+    shown = printable(", ".join(entries[:MAX_ENTRIES]))
     more = f" and {len(entries) - MAX_ENTRIES} more" if len(entries) > MAX_ENTRIES else ""
     if topic.encoding == "table":
         return Text(f"columns {shown}{more}", style="dim")

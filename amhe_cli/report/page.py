@@ -10,6 +10,7 @@ from typing import Any, Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from amhe_cli.core.text import printable
 from amhe_cli.report.tables import Table
 
 Tone = Literal["good", "mixed", "bad"]
@@ -174,10 +175,16 @@ def template(name: str) -> Any:
         loader=PackageLoader("amhe_cli.report"),
         autoescape=True,
         undefined=StrictUndefined,
+        finalize=_shown,
         trim_blocks=True,
         lstrip_blocks=True,
     )
     return environment.get_template(name)
+
+
+def _shown(value: object) -> object:
+    """What stands in the page for a value: a text without control characters; what is HTML stays as it is."""
+    return printable(value, keep="\n") if type(value) is str else value
 
 
 def cell(name: str, *content: object, **more: object) -> Markup:

@@ -220,3 +220,16 @@ def test_a_tiny_terminal_cuts_no_number(tmp_path) -> None:
 def test_the_held_out_line() -> None:
     line = held_out_line(HeldOut(20, 1.2, 8.0, 0.0085, 0.031, 0.05, 0.2))
     assert line == "20 clips: cost 8 -> 1.2, position error 31 mm -> 8.5 mm, orientation error 11.5° -> 2.86°"
+
+
+def test_a_dollar_in_a_name_is_a_dollar_and_no_formula() -> None:
+    found = identification()
+    name = "a$^$_{\x1b"
+    named = replace(
+        found,
+        parameters=tuple(replace(p, name=name + p.name) for p in found.parameters),
+        belief=replace(found.belief, names=tuple(name + n for n in found.belief.names)),
+        fits=tuple(replace(f, channel=name) for f in found.fits),
+    )
+    html = page(named)
+    assert r"a$^$_{\x1bdamping" in html and "\x1b" not in html

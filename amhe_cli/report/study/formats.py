@@ -11,12 +11,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from amhe_cli.core.files import plain
+from amhe_cli.core.text import printable
 
 #: Characters with a special meaning in LaTeX, and how they are written.
 _LATEX = {
     "\\": r"\textbackslash{}", "%": r"\%", "_": r"\_", "&": r"\&", "#": r"\#", "$": r"\$",
     "±": r"$\pm$", "≤": r"$\le$", "≥": r"$\ge$", "–": "--", "×": r"$\times$", "−": "$-$",
 }  # fmt: skip
+
+#: What Markdown takes for markup; an underscore within a word is none, nor are brackets without a link.
+_MARKUP = re.compile(r"[\\|<&`*~]|(?<=\])[(\[:]|(?<![^\W_])_|_(?![^\W_])")
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +60,9 @@ def text(table: StudyTable) -> str:
 def markdown(table: StudyTable) -> str:
     """The table for GitHub."""
     lines = [table.head, ("---", *["---:"] * (len(table.head) - 1)), *table.rows]
-    body = ["| " + " | ".join(line) + " |" for line in lines]
-    return "\n".join((f"**{table.title}**", "", *body, *(["", table.note] if table.note else []))) + "\n"
+    body = ["| " + " | ".join(map(_unmarked, line)) + " |" for line in lines]
+    title, note = _unmarked(table.title), _unmarked(table.note)
+    return "\n".join((f"**{title}**", "", *body, *(["", note] if note else []))) + "\n"
 
 
 def latex(table: StudyTable) -> str:
@@ -94,6 +99,11 @@ def as_json(table: StudyTable) -> str:
 FORMATS: Mapping[str, Callable[[StudyTable], str]] = {
     "txt": text, "md": markdown, "tex": latex, "csv": comma_separated, "json": as_json,
 }  # fmt: skip
+
+
+def _unmarked(words: str) -> str:
+    """A text that Markdown shows as it is, in one line."""
+    return _MARKUP.sub(r"\\\g<0>", printable(words))
 
 
 def _escaped(words: str) -> str:
