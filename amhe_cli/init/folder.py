@@ -37,6 +37,8 @@ from amhe_cli.system.system import System
 from amhe_cli.system.targets import names_of
 from amhe_cli.system.urdf import UrdfOptions, is_urdf
 
+#: Names in the log that an error lists.
+_SHOWN = 30
 #: Seconds of log that the noise is estimated from.
 _NOISE_SECONDS = 60.0
 
@@ -127,7 +129,7 @@ def _with_tables(topics: Sequence[Topic], model: mujoco.MjModel) -> list[Topic]:
     motors = [a for a in names_of(model, "actuator") if commanded(model, model.actuator(a).id) == "effort"]
     driven = [joint for actuator in motors if (joint := joint_of(model, actuator))]
     joints, alone = single_joints(model), len(tables) == 1
-    held = [part for table in tables for part in topics_in(table, joints, driven, alone)]
+    held = [part for table in tables for part in topics_in(table, joints, driven, alone) or [table]]
     return [*(topic for topic in topics if topic.type != TABLE), *held]
 
 
@@ -145,6 +147,8 @@ def _refuse_nothing(
     if own and not measured and joints and not any(_of_another(topic, joints) for topic in topics):
         raise ConfigError(_needs_fields(model, own))
     entries = sorted({entry for topic in topics for entry in topic.entries})
+    if len(entries) > _SHOWN:
+        entries = [*entries[:_SHOWN], f"and {len(entries) - _SHOWN} more"]
     raise ConfigError(
         "nothing in the log matches this model: the model has the joints "
         f"{', '.join(single_joints(model)) or '(none)'}; the log names {', '.join(entries) or '(nothing)'}; "

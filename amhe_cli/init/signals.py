@@ -38,7 +38,7 @@ _STATELESS = {
     *("std_msgs", "sensor_msgs", "geometry_msgs", "nav_msgs", "visualization_msgs", "diagnostic_msgs"),
     *("rcl_interfaces", "rosgraph_msgs", "builtin_interfaces", "tf2_msgs", "trajectory_msgs", "action_msgs"),
     *("stereo_msgs", "shape_msgs", "dynamic_reconfigure", "bond", "actionlib_msgs", "lifecycle_msgs"),
-    *("foxglove", "foxglove_msgs"),
+    *("foxglove", "foxglove_msgs", "table"),
 }
 
 

@@ -44,6 +44,7 @@ FILES = {
     "zip": (zipped("run.csv"), "unzip run.csv"),
     "Excel": (zipped("xl/workbook.xml"), "save the sheet as CSV"),
     "tar": (tarred(), "tar -xf run.csv"),
+    "UTF-16": ("time,q".encode("utf-16"), "save it as UTF-8: iconv -f UTF-16"),
     "PDF": (b"%PDF-1.7\n%\xe2\xe3", "give the log itself"),
     "video": (b"\x00\x00\x00\x20ftypisom\x00\x00\x02\x00", "give the log that was recorded with it"),
     "picture": (b"\x89PNG\r\n\x1a\n", "give the log that was recorded with it"),

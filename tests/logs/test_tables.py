@@ -88,6 +88,9 @@ def one_of_each(folder: Path) -> dict[str, Callable[[], Path]]:
         "epoch": written("epoch", text(header(), first=1.7e9)),
         "dates": written("dates", f"{header(time='date')}\n{with_dates}\n"),
         "arrays": written("arrays", f"type,timestamp,q,dq\n{arrays}\n"),
+        "time by its unit": written("zeit", text(header(time="Zeit [ms]"), factor=1e3)),
+        "excel": written("excel", "sep=;\n" + text(header(";"), ";", ",")),
+        "row of units": written("units", f"{header()}\n(s),[deg],deg,deg/s,deg/s\n{in_degrees}\n"),
         "degrees": written("degrees", f"time,q1 [deg],q2 [deg],dq1 [deg/s],dq2 [deg/s]\n{in_degrees}\n"),
         "unsorted": written("unsorted", "\n".join(shuffled) + "\n"),
         "no newline at the end": written("no newline", plain.removesuffix("\n")),
@@ -230,3 +233,10 @@ def test_a_large_table_is_read_in_blocks(tmp_path: Path, monkeypatch: pytest.Mon
     whole = read(path)
     monkeypatch.setattr(text_table, "_BLOCK", 100)
     np.testing.assert_array_equal(read(path)["joints.position"].values, whole["joints.position"].values)
+
+
+def test_a_header_that_windows_wrote(tmp_path: Path) -> None:
+    rows = "\n".join(f"{1000.0 * t:.15g};{x:.15g}" for t, x in zip(T, np.rad2deg(Q[:, 0]), strict=True))
+    (tmp_path / "run.csv").write_bytes(f"Zeit [ms];Größe [°]\n{rows}\n".encode("latin-1"))
+    log = read(tmp_path / "run.csv", Signal("s", "", ("position",), columns={"position": ("Größe",)}))
+    np.testing.assert_allclose(log["s.position"].values[:, 0], Q[:, 0], atol=1e-9)

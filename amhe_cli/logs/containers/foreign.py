@@ -9,6 +9,7 @@ from zipfile import BadZipFile, ZipFile
 _AS_TABLE = "save its numbers as a table: np.savez('run.npz', time=t, q=q)"
 _VIDEO = "a video; amhe reads numbers: give the log that was recorded with it"
 _PICTURE = "a picture; amhe reads numbers: give the log that was recorded with it"
+_UTF16 = "text in UTF-16; save it as UTF-8: iconv -f UTF-16 -t UTF-8 {name} > run.csv"
 _PICKLE = f"a Python pickle, which is not opened, because it can run any code; {_AS_TABLE}"
 _RERUN = "a rerun recording (.rrd), which is not read; export it to CSV or parquet by rerun's dataframe API"
 _MATLAB = "a MATLAB file; in MATLAB: writetable(table(time, q), 'run.csv')"
@@ -19,6 +20,8 @@ _STARTS: Mapping[bytes, str] = {
     b"7z\xbc\xaf\x27\x1c": "a 7z archive; unpack it: 7z x {name}",
     b"Rar!": "a rar archive; unpack it: unrar x {name}",
     b"\x04\x22\x4d\x18": "packed with lz4; unpack it: lz4 -dk {name}",
+    b"\xff\xfe": _UTF16,
+    b"\xfe\xff": _UTF16,
     b"%PDF": "a PDF document; give the log itself",
     b"\x89PNG": _PICTURE,
     b"\xff\xd8\xff": _PICTURE,

@@ -144,7 +144,8 @@ def clock_of(columns: Sequence[Column]) -> int | None:
         name, unit = unit_of(column.name)
         plain = re.sub(r"[^a-z]", " ", name.lower().removesuffix(f"_{unit}")).split()
         found = [rank[word] for word in plain if word in rank]
-        score = 100 if column.kind == "date" else min(found) + 20 * (len(plain) > 1) if found else None
+        score = min(found) + 20 * (len(plain) > 1) if found else 50 if unit in _NANOSECONDS else None
+        score = 100 if column.kind == "date" else score
         if column.kind != "array" and score is not None and (best is None or score < best[0]):
             best = score, i
     return None if best is None else best[1]

@@ -15,7 +15,8 @@ from amhe_cli.core.errors import LogError
 #: The first bytes of a file, by which it is judged.
 _HEAD = 2**16
 _DELIMITERS = (b",", b";", b"\t", b"|", b" ")
-COMMENTS = (b"#", b"%", b"//")
+#: Marks of comments; Excel writes its delimiter into a first line 'sep=;'.
+COMMENTS = (b"#", b"%", b"//", b"sep=")
 #: Words that stand for a missing number.
 MISSING = {b"", b"na", b"n/a", b"nan", b"null", b"none", b"-", b"nil"}
 _ARRAY = re.compile(rb"^\s*[\[(](.*)[\])]\s*$")
@@ -86,14 +87,20 @@ def dialect_of(path: Path) -> Dialect:
     cells = [cells_of(row, delimiter) for row in rows]
     comma = delimiter != b"," and _has_decimal_commas(cells[1:])
     has_header = not all(_kind(cell, comma) in ("number", "array", "date", "missing") for cell in cells[0])
-    names, comments = [cell.decode("utf-8", "replace").strip() for cell in cells[0]], lines[:first]
+    names, comments = [_text(cell) for cell in cells[0]], lines[:first]
     body, start = cells, lines[first][0]
     if has_header:
-        body, start = cells[1:], lines[first + 1][0] if first + 1 < len(lines) else mark + len(head)
+        count = 1
+        if _is_row_of_units(cells, comma):
+            units = [_text(cell).strip("[]() ") for cell in cells[1]]
+            names = [f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)]
+            count = 2
+        body = cells[count:]
+        start = lines[first + count][0] if first + count < len(lines) else mark + len(head)
     else:
         commented = cells_of(comments[-1][1].lstrip(b"#% /"), delimiter) if comments else []
         if len(commented) == len(names) and len(names) > 1:
-            names, comments = [cell.decode("utf-8", "replace").strip() for cell in commented], comments[:-1]
+            names, comments = [_text(cell) for cell in commented], comments[:-1]
         else:
             names = [str(i) for i in range(len(names))]
     if not body:
@@ -104,8 +111,24 @@ def dialect_of(path: Path) -> Dialect:
     columns = tuple(_column(name, [row[i] for row in full], comma) for i, name in enumerate(names))
     if not any(column.kind in ("number", "array") for column in columns):
         raise LogError(f"{path}: a text file without a column of numbers")
-    remarks = tuple(line.lstrip(b"#% /").decode("utf-8", "replace").strip() for _, line in comments)
+    remarks = tuple(_text(line.lstrip(b"#% /")) for _, line in comments)
     return Dialect(delimiter, comma, columns, mark + start, remarks)
+
+
+def _text(line: bytes) -> str:
+    """A name or comment, in UTF-8, else as Windows writes it."""
+    try:
+        return line.decode("utf-8").strip()
+    except UnicodeDecodeError:
+        return line.decode("cp1252", "replace").strip()
+
+
+def _is_row_of_units(cells: Sequence[Sequence[bytes]], comma: bool) -> bool:
+    """Whether the line under the header holds no number, and the one after it does."""
+    if len(cells) < 3 or len(cells[1]) != len(cells[0]):
+        return False
+    first, second = ({_kind(cell, comma) for cell in row} for row in cells[1:3])
+    return first <= {"text", "missing"} and "text" in first and "number" in second
 
 
 def number_of(cell: bytes) -> float:
