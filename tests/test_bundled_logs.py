@@ -7,7 +7,7 @@ import pytest
 from amhe_cli.cli.inputs import Inputs
 from amhe_cli.system.folders import bundled_root
 
-LOGS = {"pendulum": "pendulum", "t1": "go1_push", "t4": "go1_push"}
+LOGS = {"pendulum": "pendulum", "pusher": "pusher", "t1": "go1_push", "t4": "go1_push"}
 
 
 @pytest.mark.parametrize(("name", "system"), LOGS.items())

@@ -29,7 +29,7 @@ def test_the_wheel_carries_systems_logs_and_templates(installed: Path) -> None:
     bundled = installed / "amhe_cli" / "_bundled"
     assert (bundled / "models" / "pendulum" / "system.yaml").is_file()
     assert (bundled / "models" / "cube_toss" / "system.yaml").is_file()
-    for log in ("pendulum", "t1", "t4"):
+    for log in ("pendulum", "pusher", "t1", "t4"):
         assert (bundled / "examples" / "logs" / f"{log}.mcap").is_file()
     assert (installed / "amhe_cli" / "report" / "templates" / "report.css").is_file()
     assert not (installed / "tests").exists()
