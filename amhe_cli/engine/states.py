@@ -5,11 +5,16 @@ The tangent space of a quaternion has three coordinates, not four.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
+
+#: Distance from which geoms count as far apart [m].
+_FAR = 100.0
 
 
 def integrated(model: mujoco.MjModel, qpos: FloatArray, delta: FloatArray) -> FloatArray:
@@ -63,3 +68,33 @@ def touching(model: mujoco.MjModel, qpos: FloatArray) -> bool:
         if (data.efc_type >= int(mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT)).any():
             return True
     return False
+
+
+def nearest(
+    model: mujoco.MjModel,
+    qpos: FloatArray,
+    inputs: FloatArray,
+    input_spec: int,
+    pairs: Sequence[tuple[int, int]],
+) -> tuple[float, tuple[int, int]]:
+    """Smallest distance [m] of some pairs of geoms, zero or less where they touch, and the pair that has it.
+
+    Args:
+        model: The model.
+        qpos, inputs: Positions (n, nq), and the inputs there (n, nu): they may move mocap bodies.
+        input_spec: mjtState bits of the inputs.
+        pairs: The pairs, by rows of geoms.
+    """
+    data, best = mujoco.MjData(model), (_FAR, pairs[0])
+    for row, driven in zip(qpos, inputs, strict=True):
+        mujoco.mj_setState(model, data, np.ascontiguousarray(driven), input_spec)
+        data.qpos[:] = row
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        for pair in pairs:
+            distance = mujoco.mj_geomDistance(model, data, *pair, best[0], None)
+            if distance < best[0]:
+                best = distance, pair
+        if best[0] <= 0.0:
+            return best
+    return best

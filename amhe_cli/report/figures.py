@@ -22,6 +22,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.text import printable
 from amhe_cli.estimation.offline.result import Fit, Iteration, ParameterResult
+from amhe_cli.report.page import Key
 
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its notes on its font cache are of no use to users
 
@@ -262,3 +263,13 @@ def svg(figure: Figure) -> Markup:
     whole = printable(text.getvalue(), keep="\n")
     whole = whole[whole.index("<svg") :].replace("'DejaVu Sans'", FONTS)
     return Markup(_PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), whole))
+
+
+def fit_legend(initial: str, identified: str) -> tuple[Key, ...]:
+    """Legend of `fit_figure`; what the two predictions are made with, in words."""
+    return (
+        Key("measured", MEASURED, "dot"),
+        Key(f"predicted with {initial}", INITIAL, "dashed"),
+        Key(f"predicted with {identified}", IDENTIFIED),
+        Key("below: measured minus the latter, and the declared noise (band)", shape=""),
+    )

@@ -17,6 +17,7 @@ from amhe_cli.core.files import filling, json_text, plain
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.offline.result import HeldOut, Identification, OwnSpread, known_together
 from amhe_cli.report import numbers
+from amhe_cli.report.bodies import body_table
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, error_rows, identification_page
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.export import identified_assets, identified_xml
@@ -48,6 +49,7 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "interrupted": result.interrupted,
             "fixed": result.belief.fixed,
             "parameters": [{name: getattr(p, name) for name in _PARAMETER_FIELDS} for p in result.parameters],
+            "bodies": [asdict(number) for number in result.bodies],
             "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
             "correlations": result.correlations,
             "combinations": [asdict(c) for c in result.combinations],
@@ -103,6 +105,9 @@ def print_identification(
     """Print the parameters, the validation, and where the files are if they are written."""
     _print_parameters(result, console)
     console.print()
+    if result.bodies:
+        console.print(rich_table(body_table(result.bodies)))
+        console.print()
     if result.belief.fixed:
         console.print(f"fixed: {numbers.named(result.belief.fixed)}")
     for parameter in result.parameters:

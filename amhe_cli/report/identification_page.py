@@ -19,7 +19,8 @@ from amhe_cli.estimation.offline.result import (
     known_together,
 )
 from amhe_cli.report import figures, numbers
-from amhe_cli.report.page import Fold, Key, Section, Statement, Tone, cell, result_page
+from amhe_cli.report.bodies import body_table
+from amhe_cli.report.page import Fold, Section, Statement, Tone, cell, fixed_statement, result_page
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn, and how many of them are open at once.
@@ -85,12 +86,6 @@ def statements(result: Identification) -> list[Statement]:
         *_residuals(result),
         *_divergence(result),
     ]
-
-
-def fixed_statement(fixed: Mapping[str, float]) -> Iterator[Statement]:
-    """Which parameters were taken as known."""
-    if fixed:
-        yield Statement("mixed", f"Taken as known, and not estimated: {numbers.named(fixed)}.")
 
 
 def _stopped(result: Identification) -> Iterator[Statement]:
@@ -170,6 +165,8 @@ def _divergence(result: Identification) -> Iterator[Statement]:
 
 def _sections(result: Identification, truth: Mapping[str, float]) -> Iterator[Section]:
     yield Section("Parameters", table=_parameter_table(result, truth), note=_legend_of_verdicts())
+    if result.bodies:
+        yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies))
     if result.combinations:
         yield _combination_section(result)
     if result.held_out:
@@ -310,16 +307,6 @@ def _residual_table(noise_scale: Mapping[str, float]) -> Table:
     return Table(("channel", "residual sd / noise sd", ""), ("name", STRONG, ""), rows)
 
 
-def fit_legend(initial: str, identified: str) -> tuple[Key, ...]:
-    """Legend of `figures.fit_figure`; what the two predictions are made with, in words."""
-    return (
-        Key("measured", figures.MEASURED, "dot"),
-        Key(f"predicted with {initial}", figures.INITIAL, "dashed"),
-        Key(f"predicted with {identified}", figures.IDENTIFIED),
-        Key("below: measured minus the latter, and the declared noise (band)", shape=""),
-    )
-
-
 def _fit_section(fits: Sequence[Fit]) -> Section:
     """The fit of a few clips, those that were not fitted first."""
     clips: dict[str, list[Fit]] = {}
@@ -334,7 +321,7 @@ def _fit_section(fits: Sequence[Fit]) -> Section:
         )
         for number, (clip, group) in enumerate(list(clips.items())[:MAX_CLIPS])
     ]
-    legend = fit_legend("the initial parameters", "the identified parameters")
+    legend = figures.fit_legend("the initial parameters", "the identified parameters")
     return Section("Measured against predicted", legend=legend, folds=folds)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from typing import Any, Literal
@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from amhe_cli.core.text import printable
+from amhe_cli.report import numbers
 from amhe_cli.report.tables import Table
 
 Tone = Literal["good", "mixed", "bad"]
@@ -22,6 +23,12 @@ class Statement:
 
     tone: Tone
     text: str
+
+
+def fixed_statement(fixed: Mapping[str, float]) -> Iterator[Statement]:
+    """Which parameters were taken as known."""
+    if fixed:
+        yield Statement("mixed", f"Taken as known, and not estimated: {numbers.named(fixed)}.")
 
 
 @dataclass(frozen=True, slots=True)

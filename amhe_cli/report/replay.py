@@ -16,8 +16,7 @@ from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report import figures, numbers, replay_figures
-from amhe_cli.report.identification_page import fit_legend, fixed_statement
-from amhe_cli.report.page import Fold, Key, Section, Statement, result_page
+from amhe_cli.report.page import Fold, Key, Section, Statement, fixed_statement, result_page
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
 
@@ -265,7 +264,7 @@ def _sections(replay: Replay, fits: Sequence[Fit], record: Mapping[str, Any]) ->
             "Measured against predicted",
             text="Three of the windows that were used: those with the smallest, the median and the largest "
             "misfit.",
-            legend=fit_legend("the estimate before the replay", "the estimate after the window"),
+            legend=figures.fit_legend("the estimate before the replay", "the estimate after the window"),
             folds=[
                 Fold(clip, figures.fit_figure(list(group)))
                 for clip, group in groupby(fits, lambda fit: fit.clip)

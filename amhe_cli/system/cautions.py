@@ -6,8 +6,8 @@ import logging
 from collections.abc import Iterator
 
 import mujoco
-import numpy as np
 
+from amhe_cli.system.contacts import geom_name, partners
 from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.targets import Cells
 
@@ -63,24 +63,24 @@ def _geom_friction(
 ) -> Iterator[str]:
     """Contact friction is the element-wise maximum of both geoms, unless their priorities differ."""
     row, column = part.row, part.columns[0]
-    name = _geom_name(model, row)
+    name = geom_name(model, row)
     if not (model.geom_contype[row] or model.geom_conaffinity[row]):
         yield f"{name} collides only through contact pairs, which have their own friction: target the pair"
         return
     together = {c.row for c in cells if c.field == "geom_friction"}
-    partners = list(_partners(model, row))
-    for other in partners:
+    others = list(partners(model, row))
+    for other in others:
         if other in together or model.geom_priority[other] < model.geom_priority[row]:
             continue
         if model.geom_priority[other] > model.geom_priority[row]:
-            yield f"{name} touches {_geom_name(model, other)}, whose higher priority decides the friction"
+            yield f"{name} touches {geom_name(model, other)}, whose higher priority decides the friction"
         elif model.geom_friction[other, column] > lower:
             yield (
                 f"below {model.geom_friction[other, column]:g} it changes nothing against "
-                f"{_geom_name(model, other)}: the larger friction of both geoms counts; use a contact pair, "
+                f"{geom_name(model, other)}: the larger friction of both geoms counts; use a contact pair, "
                 f"or a higher priority"
             )
-    dimensions = [int(model.geom_condim[row]), *(int(model.geom_condim[other]) for other in partners)]
+    dimensions = [int(model.geom_condim[row]), *(int(model.geom_condim[other]) for other in others)]
     yield from _dimension(part, max(dimensions), name)
 
 
@@ -95,32 +95,3 @@ def _time_constant(model: mujoco.MjModel, part: Cells, lower: float) -> Iterator
     safe = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_REFSAFE
     if safe and lower < shortest:
         yield f"a contact time constant below two time steps, {shortest:g} s, acts as {shortest:g} s"
-
-
-def _partners(model: mujoco.MjModel, row: int) -> Iterator[int]:
-    """Geoms that may touch a geom, other than through an explicit pair."""
-    pairs = {(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)}
-    body = model.geom_bodyid[row]
-    mask = (model.geom_contype[row] & model.geom_conaffinity) | (
-        model.geom_conaffinity[row] & model.geom_contype
-    )
-    for other in np.flatnonzero(mask):
-        other_body = model.geom_bodyid[other]
-        if model.body_weldid[other_body] == model.body_weldid[body]:
-            continue
-        if _related(model, int(body), int(other_body)):
-            continue
-        if (row, int(other)) not in pairs and (int(other), row) not in pairs:
-            yield int(other)
-
-
-def _related(model: mujoco.MjModel, a: int, b: int) -> bool:
-    """Parent and child, which MuJoCo keeps from colliding unless the parent is the world."""
-    a, b = int(model.body_weldid[a]), int(model.body_weldid[b])
-    parent = {x: int(model.body_weldid[model.body_parentid[x]]) for x in (a, b)}
-    return (a != 0 and parent[b] == a) or (b != 0 and parent[a] == b)
-
-
-def _geom_name(model: mujoco.MjModel, row: int) -> str:
-    name = model.geom(row).name
-    return f"geom {name!r}" if name else f"a geom of body {model.body(model.geom_bodyid[row]).name!r}"

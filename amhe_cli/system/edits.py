@@ -13,7 +13,13 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.system.inertia import body_numbers, log_cholesky, pseudo_inertia, upper_factor
+from amhe_cli.system.inertia import (
+    body_numbers,
+    inertia_about_com,
+    log_cholesky,
+    pseudo_inertia,
+    upper_factor,
+)
 from amhe_cli.system.targets import Cells
 
 if TYPE_CHECKING:
@@ -114,9 +120,13 @@ class PseudoInertiaEdit:
         wide = (("body_ipos", 3), ("body_iquat", 4), ("body_inertia", 3))
         return (Cells("body_mass", body), *(Cells(field, body, tuple(range(k))) for field, k in wide))
 
+    def factor(self, theta: FloatArray) -> FloatArray:
+        """Factor of the pseudo-inertia of candidates theta (n, d), shape (n, 4, 4)."""
+        return self._nominal @ log_cholesky(theta[:, self.columns])
+
     def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
         """See `Edit.write`."""
-        numbers = body_numbers(self._nominal @ log_cholesky(theta[:, self.columns]))
+        numbers = body_numbers(self.factor(theta))
         for field, values in zip(_BODY_FIELDS, numbers, strict=True):
             arrays[field][:, self.body] = values
 
@@ -198,6 +208,17 @@ class ModelEdits:
                 yield self._all.names[column], edit
         if self._delay_column is not None:
             yield self._all.names[self._delay_column], None
+
+    @property
+    def bodies(self) -> dict[str, PseudoInertiaEdit]:
+        """Edits of whole inertias, by the name of their parameter."""
+        whole = [edit for edit in self._edits if isinstance(edit, PseudoInertiaEdit)]
+        return {self._all.names[edit.columns[0]].rpartition(".")[0]: edit for edit in whole}
+
+    def inertias(self, theta: FloatArray) -> Iterator[tuple[str, dict[str, FloatArray]]]:
+        """Mass, centre of mass and inertia of each such body for candidates theta (n, d)."""
+        for name, edit in self.bodies.items():
+            yield name, inertia_about_com(edit.factor(self._whole(theta)))
 
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
         """Each parameter that sets plain numbers, with all of them."""

@@ -111,6 +111,27 @@ def body_numbers(factor: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
     return mass, com, quaternion_of(axes), inertia
 
 
+def inertia_about_com(factor: FloatArray) -> dict[str, FloatArray]:
+    """Mass [kg], centre of mass [m] and inertia about it [kg m^2], in the body's axes, of L L^T.
+
+    Args:
+        factor: Upper triangular factor L, shape (n, 4, 4).
+
+    Returns:
+        mass, com_x to com_z, I_xx, I_yy, I_zz, I_xy, I_xz, I_yz, each (n,); products of inertia have the sign
+        of the inertia matrix, -integral of x y dm.
+    """
+    j = factor @ np.swapaxes(factor, -1, -2)
+    mass = j[..., 3, 3]
+    com = j[..., :3, 3] / mass[..., None]
+    second = j[..., :3, :3] - mass[..., None, None] * com[..., :, None] * com[..., None, :]
+    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
+    numbers = {"mass": mass} | {f"com_{axis}": com[..., i] for i, axis in enumerate("xyz")}
+    for pair in ("xx", "yy", "zz", "xy", "xz", "yz"):
+        numbers[f"I_{pair}"] = inertia[..., "xyz".index(pair[0]), "xyz".index(pair[1])]
+    return numbers
+
+
 def principal_axis(quaternion: FloatArray, axis: int) -> int:
     """Which principal axis lies closest to body axis 0 (x), 1 (y) or 2 (z).
 

@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from amhe_cli.core.rotations import rotate
 from amhe_cli.system.inertia import (
     body_numbers,
+    inertia_about_com,
     log_cholesky,
     principal_axis,
     pseudo_inertia,
@@ -60,3 +61,19 @@ def test_an_impossible_inertia_has_no_factor() -> None:
 def test_principal_axes_are_found_whatever_their_order() -> None:
     quarter_about_y = np.array([np.sqrt(0.5), 0.0, np.sqrt(0.5), 0.0])  # x -> -z, z -> x
     assert [principal_axis(quarter_about_y, axis) for axis in range(3)] == [2, 1, 0]
+
+
+def test_a_body_in_kg_and_m_is_that_of_its_mass_points() -> None:
+    """A cloud of mass points: mass, centre of mass and inertia matrix by their definitions."""
+    rng = np.random.default_rng(0)
+    weights, points = rng.uniform(0.1, 1.0, 20), rng.normal(0.0, [0.1, 0.2, 0.3], (20, 3))
+    homogeneous = np.concatenate((points, np.ones((20, 1))), axis=1)
+    factor = upper_factor((weights[:, None] * homogeneous).T @ homogeneous)
+    found = {name: value[0] for name, value in inertia_about_com(factor[None]).items()}
+    com = weights @ points / weights.sum()
+    x, _, z = (points - com).T
+    assert found["mass"] == pytest.approx(weights.sum())
+    assert [found[f"com_{axis}"] for axis in "xyz"] == pytest.approx(com)
+    assert found["I_yy"] == pytest.approx(weights @ (x**2 + z**2))
+    assert found["I_xz"] == pytest.approx(-weights @ (x * z))
+    assert list(found)[4:] == ["I_xx", "I_yy", "I_zz", "I_xy", "I_xz", "I_yz"]

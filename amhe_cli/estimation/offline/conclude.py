@@ -10,6 +10,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.statistics import correlation
+from amhe_cli.estimation.offline.bodies import body_numbers
 from amhe_cli.estimation.offline.checks import (
     REFITS,
     disagreements,
@@ -81,6 +82,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         noise_scale=evidence.noise_scale,
         fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
         interrupted=watch.interrupted,
+        bodies=body_numbers(system, finding.z, evidence.covariance, problem.rng(5)),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
     )
 
@@ -109,6 +111,7 @@ def _evidence(problem: Problem, finding: Finding, watch: Watch) -> Evidence:
         z=finding.z,
         covariance=covariance,
         active=problem.active,
+        idle=problem.idle,
         step_ratio=np.where(problem.active, np.sqrt(np.diag(own) / np.diag(doubled)), np.nan),
         bootstrap=bootstrap_sd(
             finding.z, fit.found, fit.weight, space.prior_precision, setting.bootstrap, problem.rng(4)

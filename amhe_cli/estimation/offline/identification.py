@@ -9,8 +9,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
-import numpy as np
-
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import ConfigError, EstimationError, one_of
 from amhe_cli.core.log import Log, Window
@@ -126,12 +124,8 @@ def _pose(
     windows = validation.cut(clips.held_out_length or 0.5 * (low + high), clips.held_out_first_only)
     if held and not windows:
         logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")
-    if not problem.active.all():
-        for name in np.array(system.space.names)[~problem.active]:
-            logger.warning(
-                f"{name} reaches the model but no measurement of these logs: it is held at its prior, "
-                f"because this motion cannot tell it"
-            )
+    for name, reason in problem.idle.items():
+        logger.warning(f"{name} is held at its prior: {reason}")
     return problem, windows
 
 

@@ -12,11 +12,12 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
 from amhe_cli.engine.rollout import Engine
-from amhe_cli.engine.states import touching
+from amhe_cli.engine.states import nearest, touching
 from amhe_cli.estimation.core.shape import sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.starts import first_errors
+from amhe_cli.system.contacts import geom_name, needed_contacts
 from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
@@ -25,6 +26,8 @@ OUT_OF_REACH = 1e-2
 FEWEST = 8
 #: Even over odd response to small steps from which a model is rough.
 ROUGH = 0.02
+#: Instants of the rollouts at which a missing contact is looked for, and the gap [m] that is none.
+_LOOKS, _TOUCH = 400, 0.005
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,8 +138,37 @@ class Problem:
                 theta[column] = (np.floor(theta[column] / dt + 1e-6) + 0.5) * dt
         return space.z_of(theta)
 
+    @cached_property
+    def idle(self) -> dict[str, str]:
+        """Why these logs do not depend on a parameter, for each that is not active."""
+        names = [
+            name for name, active in zip(self.system.space.names, self.active, strict=True) if not active
+        ]
+        if not names:
+            return {}
+        cost = self.cost(self.clips[:: max(1, len(self.clips) // 8)])
+        qpos, inputs = self._states(cost, np.zeros(len(self.system.space)))
+        rows = np.linspace(0, len(qpos) - 1, min(len(qpos), _LOOKS)).astype(int)
+        cells = {parameter.name: own for parameter, own in self.system.edits.by_parameter()}
+        model, reasons = self.system.model, {}
+        for name in names:
+            reasons[name] = "no measurement in these logs depends on it"
+            if pairs := needed_contacts(model, cells.get(name.partition("[")[0], ())):
+                gap, pair = nearest(model, qpos[rows], inputs[rows], self.system.input_spec, pairs)
+                if gap > _TOUCH:
+                    one, other = (geom_name(model, geom) for geom in pair)
+                    reasons[name] = (
+                        f"nothing touches: {one} and {other} come no nearer than {gap:.2g} m in these logs "
+                        "(check the frames of their poses)"
+                    )
+        return reasons
+
     def _touches(self, cost: MatchingCost, z: FloatArray) -> bool:
         """Whether anything touches, or reaches a limit of its range, in rollouts under z (d,)."""
+        return touching(self.system.model, self._states(cost, z)[0])
+
+    def _states(self, cost: MatchingCost, z: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Positions (n, nq) and inputs (n, nu) at every step of the clips' rollouts under z (d,)."""
         system, starts = self.system, cost.clips.starts
         theta = system.space.theta_of(system.space.clip(z))[None]
         qpos, qvel = starts.states(system.model, 1, None)
@@ -144,7 +176,7 @@ class Problem:
         every = np.repeat(theta, len(starts.lengths), axis=0)
         states = self.engine.rollout(every, qpos[0], qvel[0], inputs, starts.lengths).qpos
         inside = np.arange(starts.horizon) < starts.lengths[:, None]
-        return touching(system.edits.apply(system.model, theta[0]), states[inside])
+        return states[inside], inputs[inside]
 
 
 def spread_floor(problem: Problem) -> FloatArray:

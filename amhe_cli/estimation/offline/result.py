@@ -165,6 +165,22 @@ class ClipCount:
     across_gaps: int
 
 
+@dataclass(frozen=True, slots=True)
+class BodyNumber:
+    """Mass, a coordinate of the centre of mass or of the inertia of a body, with sd and 90 % interval.
+
+    The axes are the body's; the inertia is about its centre of mass.
+    """
+
+    name: str  # such as 'payload.com_x'
+    unit: str
+    estimate: float
+    sd: float
+    lower: float
+    upper: float
+    prior: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
     """The result of `amhe identify`."""
@@ -185,6 +201,7 @@ class Identification:
     interrupted: bool = False
     logs: tuple[str, ...] = field(default=())
     spreads: tuple[OwnSpread, ...] = ()
+    bodies: tuple[BodyNumber, ...] = ()
 
 
 def known_together(result: Identification) -> list[Combination]:

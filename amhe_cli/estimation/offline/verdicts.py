@@ -56,6 +56,7 @@ class Evidence:
         z: The estimate.
         covariance: Posterior covariance, shape (d, d).
         active: Parameters that the logs depend on.
+        idle: Why the logs do not depend on the others, by name.
         step_ratio: Posterior sd over that at a doubled step.
         bootstrap: Spread over resampled clips.
         disagreements: Name of a comparison -> difference between two parts of the data.
@@ -68,6 +69,7 @@ class Evidence:
     z: FloatArray
     covariance: FloatArray
     active: np.ndarray
+    idle: Mapping[str, str]
     step_ratio: FloatArray
     bootstrap: FloatArray
     disagreements: Mapping[str, Disagreement]
@@ -122,7 +124,7 @@ def _verdict(
     space: ParameterSpace, evidence: Evidence, i: int, shrinkage: float
 ) -> tuple[str, tuple[str, ...]]:
     if not evidence.active[i]:
-        return "prior", ("no measurement in these logs depends on it: not identifiable, held at its prior",)
+        return "prior", (f"{evidence.idle[space.names[i]]}: not identifiable, held at its prior",)
     if shrinkage < NOTHING and abs(evidence.z[i]) > 1.0:
         away = f"it is {abs(evidence.z[i]):.1f} prior sd from its prior although the logs hardly determine it"
         return "model-sensitive", (away, *_bound(space, evidence, i))

@@ -157,7 +157,7 @@ def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):
     assert mass.verdict == "prior"
     assert mass.estimate == pytest.approx(0.37)
     assert mass.shrinkage == pytest.approx(0.0, abs=1e-9)
-    assert "mass reaches the model but no measurement" in caplog.text
+    assert "mass is held at its prior: no measurement in these logs depends on it" in caplog.text
 
 
 def fall(system, noise: float = 1e-4) -> Log:

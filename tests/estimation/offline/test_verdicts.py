@@ -29,6 +29,7 @@ def evidence(sd: float = 0.05, **changes: Any) -> Evidence:
         "z": np.array([0.4, -0.2, 0.1]),
         "covariance": sd**2 * np.eye(3),
         "active": np.ones(3, dtype=bool),
+        "idle": {"mass": "no measurement in these logs depends on it"},
         "step_ratio": np.ones(3),
         "bootstrap": np.full(3, 0.04),
         "disagreements": {},

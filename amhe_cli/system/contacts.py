@@ -1,0 +1,82 @@
+"""Which geoms must touch for a parameter to have an effect."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import mujoco
+import numpy as np
+
+from amhe_cli.system.targets import Cells
+
+_CONTACT = ("geom_friction", "geom_solref", "pair_friction", "pair_solref")
+_INERTIAL = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
+
+
+def needed_contacts(model: mujoco.MjModel, cells: Iterable[Cells]) -> list[tuple[int, int]]:
+    """Pairs of geoms of which one must touch for these numbers to have an effect.
+
+    Friction and softness of a contact need the contact. The inertia of a free body needs more than the floor
+    below it: something that pushes it. Other numbers need none.
+    """
+    pairs: dict[tuple[int, int], None] = {}
+    for c in cells:
+        if c.field in ("pair_friction", "pair_solref"):
+            pairs[int(model.pair_geom1[c.row]), int(model.pair_geom2[c.row])] = None
+        elif c.field in _CONTACT:
+            pairs |= dict.fromkeys((c.row, other) for other in partners(model, c.row))
+        elif c.field in _INERTIAL and _is_free(model, c.row):
+            own = np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[c.row])
+            for geom in map(int, own):
+                others = [o for o in partners(model, geom) if not _is_fixed(model, o)]
+                pairs |= dict.fromkeys((geom, o) for o in (*others, *_paired(model, geom)))
+        else:
+            return []
+    return list(pairs)
+
+
+def partners(model: mujoco.MjModel, row: int) -> Iterator[int]:
+    """Geoms that may touch a geom, other than through an explicit pair."""
+    pairs = {(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)}
+    body = model.geom_bodyid[row]
+    mask = (model.geom_contype[row] & model.geom_conaffinity) | (
+        model.geom_conaffinity[row] & model.geom_contype
+    )
+    for other in np.flatnonzero(mask):
+        other_body = model.geom_bodyid[other]
+        if model.body_weldid[other_body] == model.body_weldid[body]:
+            continue
+        if _related(model, int(body), int(other_body)):
+            continue
+        if (row, int(other)) not in pairs and (int(other), row) not in pairs:
+            yield int(other)
+
+
+def geom_name(model: mujoco.MjModel, row: int) -> str:
+    """The geom in words."""
+    name = model.geom(row).name
+    return f"geom {name!r}" if name else f"a geom of body {model.body(model.geom_bodyid[row]).name!r}"
+
+
+def _related(model: mujoco.MjModel, a: int, b: int) -> bool:
+    """Parent and child, which MuJoCo keeps from colliding unless the parent is the world."""
+    a, b = int(model.body_weldid[a]), int(model.body_weldid[b])
+    parent = {x: int(model.body_weldid[model.body_parentid[x]]) for x in (a, b)}
+    return (a != 0 and parent[b] == a) or (b != 0 and parent[a] == b)
+
+
+def _paired(model: mujoco.MjModel, geom: int) -> list[int]:
+    """The other geoms of a geom's explicit pairs, without those that are fixed to the world."""
+    pairs = [(int(a), int(b)) for a, b in zip(model.pair_geom1, model.pair_geom2, strict=True)]
+    others = [b if a == geom else a for a, b in pairs if geom in (a, b)]
+    return [other for other in others if not _is_fixed(model, other)]
+
+
+def _is_fixed(model: mujoco.MjModel, geom: int) -> bool:
+    body = model.geom_bodyid[geom]
+    return model.body_weldid[body] == 0 and model.body_mocapid[model.body_rootid[body]] < 0
+
+
+def _is_free(model: mujoco.MjModel, body: int) -> bool:
+    joint = int(model.body_jntadr[body])
+    return joint >= 0 and int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_FREE)
