@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import mujoco
@@ -28,6 +28,13 @@ _GUESSED_GAIN = 1.5
 _DELAY, _DELAY_SD, _LONGEST_DELAY = 0.01, 0.01, 0.1
 #: Words in the name of a body that is carried, and the share of its link's mass that it must have.
 _CARRIED, _WORTHWHILE = {"payload", "load", "tool"}, 0.05
+#: Word in the name of a body that people put on a robot, and how well they know its place [m].
+_PAYLOAD, _PLACE_SD = "payload", 0.01
+#: Words that tell one of several parts alike.
+_SIDES = {
+    *("fl", "fr", "rl", "rr", "lf", "rf", "lr", "lh", "rh", "hl", "hr", "bl", "br", "l", "r"),
+    *("left", "right", "front", "rear", "hind", "back"),
+}
 _KINDS = (
     ("damping", "dof_damping", "viscous: torque per speed"),
     ("friction_loss", "dof_frictionloss", "dry: torque against any motion"),
@@ -60,18 +67,56 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
 
 def _joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[Guess]:
     for own, group in _alike(model, joints).items():
-        of = f"of joint {group[0]}" if len(group) == 1 else f"of {len(group)} joints alike"
         for kind, field, meaning in _KINDS:
-            dofs = [int(model.joint(joint).dofadr[0]) for joint in group]
-            values = np.array(getattr(model, field)[dofs])
-            unknown = not np.all(values > 0.0)
-            # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,
-            # a tenth of the inertia in the rotor
-            scale = 0.1 if kind == "armature" else 1.0
-            nominal = float(scale * np.median(model.dof_M0[dofs]) if unknown else np.median(values))
-            targets = [{"joint": joint, "set": kind} for joint in group]
-            note = "the model has none: a guess from the joint's inertia" if unknown else "from the model"
-            yield Guess(f"{own}{kind}", _entry(nominal, unknown, targets), f"{meaning}, {of}; {note}")
+            values = getattr(model, field)[[_dof(model, joint) for joint in group]]
+            parts = _by_value(group, values)
+            if len(parts) > _OWN_PARAMETERS:  # each joint has a value of its own: one factor on all
+                parts = {0.0: parts.pop(0.0, []), np.nan: [n for part in parts.values() for n in part]}
+            for value, names in parts.items():
+                head = own if len(parts) == 1 else f"{names[0]}_" if names else ""
+                if names:
+                    scaled = len(parts) > 1 and value != 0.0
+                    yield _joint_parameter(model, f"{head}{kind}", names, kind, meaning, value, scaled)
+
+
+def _joint_parameter(
+    model: mujoco.MjModel,
+    name: str,
+    joints: Sequence[str],
+    kind: str,
+    meaning: str,
+    value: float,
+    scaled: bool,
+) -> Guess:
+    """One parameter of joints with one value; a factor on it where other joints have others."""
+    of = f"of joint {joints[0]}" if len(joints) == 1 else f"of {len(joints)} joints alike"
+    if scaled:
+        targets = [{"joint": joint, "set": kind, "mode": "scale"} for joint in joints]
+        own = "the model's own values" if np.isnan(value) else f"the model's {value:g}"
+        return Guess(
+            f"{name}_scale", _entry(1.0, False, targets) | {"unit": "-"}, f"{meaning}, {of}; factor on {own}"
+        )
+    unknown = not value > 0.0
+    # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,
+    # a tenth of the inertia in the rotor
+    scale = 0.1 if kind == "armature" else 1.0
+    inertia = float(np.median(model.dof_M0[[_dof(model, joint) for joint in joints]]))
+    targets = [{"joint": joint, "set": kind} for joint in joints]
+    note = "the model has none: a guess from the joint's inertia" if unknown else "from the model"
+    entry = _entry(scale * inertia if unknown else value, unknown, targets)
+    return Guess(name, entry, f"{meaning}, {of}; {note}")
+
+
+def _dof(model: mujoco.MjModel, joint: str) -> int:
+    return int(model.joint(joint).dofadr[0])
+
+
+def _by_value(names: Sequence[str], values: Iterable[float]) -> dict[float, list[str]]:
+    """The names that have each value, to six digits."""
+    parts: dict[float, list[str]] = {}
+    for name, value in zip(names, values, strict=True):
+        parts.setdefault(float(f"{value:.6g}"), []).append(name)
+    return parts
 
 
 def _alike(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
@@ -106,6 +151,12 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
             entry = _entry(mass, False, [{"body": body, "set": "mass"}], 0.3)
             why = f"of body {body}, its inertia scales with it{loose}; from the model"
             yield Guess(f"{body}_mass", entry, why)
+            if loose and not _carries_links(model, model.body(body).id):
+                targets = [{"body": body, "set": "inertia", "mode": "scale"}]
+                why = f"factor on the inertia of body {body}, beside that of its mass; 1: as in the model"
+                yield Guess(f"{body}_inertia_scale", _entry(1.0, False, targets, 0.3) | {"unit": "-"}, why)
+            if _PAYLOAD in words(body):
+                yield from _center_of_mass(model, body)
 
 
 def _weighty(model: mujoco.MjModel, body: str) -> str:
@@ -115,6 +166,20 @@ def _weighty(model: mujoco.MjModel, body: str) -> str:
     heaviest = int(parts[np.argmax(model.body_mass[parts])])
     empty = model.body_mass[row] < _WORTHWHILE * model.body_mass[heaviest]
     return model.body(heaviest).name if empty else body
+
+
+def _center_of_mass(model: mujoco.MjModel, body: str) -> Iterator[Guess]:
+    """Where a payload was put is known to a centimetre or so."""
+    for axis, own in zip("xyz", model.body(body).ipos, strict=True):
+        entry = {
+            "nominal": _short(own),
+            "bounds": [_short(own - 5.0 * _PLACE_SD), _short(own + 5.0 * _PLACE_SD)],
+            "scale": "linear",
+            "prior_sd": _PLACE_SD,
+            "targets": [{"body": body, "set": "center_of_mass", "axis": axis}],
+        }
+        why = f"centre of mass of body {body} along its {axis} [m]; the place is a guess from the model"
+        yield Guess(f"{body}_com_{axis}", entry, why)
 
 
 def _carried(model: mujoco.MjModel, link: int) -> int:
@@ -141,27 +206,56 @@ def _carries_links(model: mujoco.MjModel, link: int) -> bool:
 
 
 def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Guess]:
-    """One friction for each contact pair; without pairs one for free bodies and all that is fixed."""
+    """One friction for contact pairs alike; without pairs one for each kind of surface."""
     if not free_bodies(model):
         return
-    for name in names_of(model, "pair"):
-        nominal = float(model.pair_friction[model.pair(name).id, 0])
-        why = "sliding friction of the contact pair"
-        yield Guess(
-            f"{name}_friction", _entry(nominal, False, [{"pair": name, "set": "sliding_friction"}]), why
-        )
     if model.npair:
+        yield from _pair_frictions(model)
         return
-    colliding = (model.geom_contype | model.geom_conaffinity) != 0
-    bodies = [int(row) for row in dict.fromkeys(model.geom_bodyid[colliding])]
-    fixed = [row for row in bodies if int(model.body_weldid[row]) == 0]
-    moving = [row for row in bodies if row not in fixed]
-    names = [model.body(row).name for row in fixed + moving]
-    if fixed and moving and all(names):
-        nominal = float(np.median(model.geom_friction[colliding, 0]))
-        targets = [{"body": name, "set": "sliding_friction"} for name in names]
-        why = "friction of every contact: MuJoCo takes the larger one of both geoms, so both are set"
-        yield Guess("friction", _entry(nominal, False, targets), why)
+    colliding = np.flatnonzero((model.geom_contype | model.geom_conaffinity) != 0)
+    surfaces: dict[str, tuple[int, float]] = {}  # body -> its largest priority and friction
+    for geom in colliding:
+        name = model.body(model.geom_bodyid[geom]).name
+        own = int(model.geom_priority[geom]), float(model.geom_friction[geom, 0])
+        surfaces[name] = max(surfaces.get(name, own), own)
+    fixed = [name for name in surfaces if name and int(model.body_weldid[model.body(name).id]) == 0]
+    if not fixed or len(fixed) == len(surfaces) or not all(surfaces):
+        return
+    floor = max(surfaces[name] for name in fixed)
+    groups: dict[tuple[int, float], list[str]] = {}
+    for name in surfaces:  # of two geoms the higher priority decides, then the larger friction
+        groups.setdefault(floor if name in fixed else max(surfaces[name], floor), []).append(name)
+    for (priority, nominal), names in groups.items():
+        entry = _entry(nominal, False, [{"body": name, "set": "sliding_friction"} for name in names])
+        if names[0] in fixed or floor not in groups:
+            if len(names) > len(fixed):
+                why = "friction of every contact: MuJoCo takes the larger one of both geoms, so both are set"
+                yield Guess("friction", entry, why)
+            continue
+        if priority == floor[0]:
+            entry["bounds"][0] = _short(max(entry["bounds"][0], floor[1]))
+        of = f"body {names[0]}" if len(names) == 1 else f"{len(names)} bodies alike"
+        why = f"friction of {of}: it decides at a contact, because it is larger or has priority"
+        yield Guess(f"{_kin(names[0]) if len(names) > 1 else names[0]}_friction", entry, why)
+
+
+def _pair_frictions(model: mujoco.MjModel) -> Iterator[Guess]:
+    alike: dict[tuple[str, str], list[str]] = {}
+    for name in names_of(model, "pair"):
+        value = f"{model.pair_friction[model.pair(name).id, 0]:.6g}"
+        alike.setdefault((_kin(name), value), []).append(name)
+    for (kin, value), names in alike.items():
+        targets = [{"pair": name, "set": "sliding_friction"} for name in names]
+        many = len(names) > 1
+        of = f"{len(names)} contact pairs alike" if many else "the contact pair"
+        name = f"{kin if many else names[0]}_friction"
+        yield Guess(name, _entry(float(value), False, targets), f"sliding friction of {of}")
+
+
+def _kin(name: str) -> str:
+    """A name without the words and numbers that tell one of several alike: FL_foot and RR_foot are foot."""
+    bare = [word for word in words(name) if word not in _SIDES and not word.isdigit()]
+    return "_".join(bare) or name
 
 
 def _gain(actuators: Sequence[str]) -> list[Guess]:

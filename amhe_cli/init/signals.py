@@ -117,7 +117,30 @@ def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[G
         f"no topic gives the pose of free body {body}" for body in free_bodies(model) if body not in free
     ]
     used = {guess.entry["topic"] for guess in guesses}
+    notes += _proposals(model, [topic for topic in topics if topic.name not in used], guesses)
     return notes + [f"not used: {topic.name} ({topic.type})" for topic in topics if topic.name not in used]
+
+
+def _proposals(model: mujoco.MjModel, unused: Sequence[Topic], guesses: Sequence[Guess]) -> Iterator[str]:
+    """Signals for forces and mocap bodies, which no name decides."""
+    site = next(iter(names_of(model, "site")), "SITE")
+    body = next(iter(free_bodies(model)), "BODY")
+    for topic in unused:
+        name = "_".join(words(topic.name))
+        if topic.kind in ("Wrench", "WrenchStamped"):
+            yield (
+                f"{topic.name} holds forces. To compare them with the model's at a site, add "
+                f"{name}: {{topic: {topic.name}, site: {site}, noise: {{force: 0.5, torque: 0.05}}}}; if "
+                f"they drive a body, {name}: {{topic: {topic.name}, force_on: {body}}}"
+            )
+    driven = {guess.entry.get("mocap") for guess in guesses}
+    source = next((topic.name for topic in unused if topic.kind in _POSES), "TOPIC")
+    for mocap in names_of(model, "body"):
+        if model.body(mocap).mocapid[0] >= 0 and mocap not in driven:
+            yield (
+                f"no topic is named like the mocap body {mocap}. Add the signal "
+                f"{mocap}: {{topic: {source}, mocap: {mocap}}}"
+            )
 
 
 def _torques(guess: Guess, topics: Sequence[Topic]) -> str:

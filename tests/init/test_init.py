@@ -15,7 +15,8 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.folder import init_system
 from amhe_cli.init.names import is_command, matched, names_the_same
-from amhe_cli.init.signals import Topic, fields_example, foreign
+from amhe_cli.init.parameters import guess_parameters
+from amhe_cli.init.signals import Guess, Topic, fields_example, foreign, notes_on
 from amhe_cli.logs import LogWriter, read_signals
 from amhe_cli.system.folders import bundled_root
 from amhe_cli.system.schema import SignalEntry
@@ -88,6 +89,7 @@ def test_many_joints_share_their_parameters(tmp_path: Path, walker_log: Path) ->
         "armature",
         "trunk_mass",
         "crate_mass",
+        "crate_inertia_scale",
         "friction",
         "gain_scale",
         "command_delay",
@@ -204,6 +206,7 @@ def test_what_an_arm_carries_is_at_its_end_or_called_so(tmp_path: Path, parts: s
       </body></worldbody></mujoco>"""
     system, _, _ = made(tmp_path, model, [path])
     assert [name for name in system.space.names if name.endswith("_mass")] == [mass]
+    assert ("payload_1_com_x" in system.space.names) == (mass == "payload_1_mass")
 
 
 def test_a_fixed_link_of_a_urdf_can_be_named(written: Callable[..., Path], tmp_path: Path) -> None:
@@ -377,3 +380,93 @@ def test_names_are_matched_with_care() -> None:
     assert not is_command("/recommended", "sensor_msgs/msg/JointState")
     assert names_the_same("box_link", ["mocap", "box", "pose"])
     assert not names_the_same("box_lid", ["mocap", "box", "pose"])
+
+
+STRUCTURE = """
+<mujoco><worldbody><geom name="floor" type="plane" size="5 5 1"/>
+  <body name="base" pos="0 0 1">
+    <freejoint name="base"/>
+    <geom size="0.1" mass="3" contype="0" conaffinity="0"/>
+    {legs}
+    <body name="caster"><geom size="0.02" friction="0.01" priority="1" mass="0.1"/></body>
+    <body name="payload" pos="0 0 0.2"><geom size="0.05" mass="0.5" contype="0" conaffinity="0"/></body>
+  </body>
+  <body name="crate" pos="1 0 1"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="2"/></body>
+</worldbody></mujoco>
+"""
+
+
+def structured() -> mujoco.MjModel:
+    legs = "".join(
+        f"<body name='{side}_foot'><geom size='0.02' mass='0.2'/>"
+        f"<joint name='{side}_hip' axis='0 1 0' damping='{damping}' armature='{armature}'/></body>"
+        for armature, (side, damping) in enumerate(
+            [("FL", 200), ("FR", 200), ("RL", 200), ("RR", 15), ("X", 15)], start=1
+        )
+    )
+    return mujoco.MjModel.from_xml_string(STRUCTURE.format(legs=legs))
+
+
+def guessed(model: mujoco.MjModel, joints: list[str]) -> dict[str, dict]:
+    signals = [
+        Guess("joints", {"topic": "/j", "joints": joints}, ""),
+        *(Guess(body, {"topic": f"/{body}", "body": body}, "") for body in ("base", "crate")),
+    ]
+    return {guess.name: guess.entry for guess in guess_parameters(model, signals, guessed_gains=False)}
+
+
+def test_joints_keep_the_structure_of_the_models_values() -> None:
+    joints = ["FL_hip", "FR_hip", "RL_hip", "RR_hip", "X_hip"]
+    found = guessed(structured(), joints)
+    scales = {name: entry for name, entry in found.items() if "damping" in name}
+    assert list(scales) == ["FL_hip_damping_scale", "RR_hip_damping_scale"]
+    assert [target["joint"] for target in scales["FL_hip_damping_scale"]["targets"]] == joints[:3]
+    assert all(entry["nominal"] == 1.0 and entry["unit"] == "-" for entry in scales.values())
+    assert all(target["mode"] == "scale" for entry in scales.values() for target in entry["targets"])
+    # five armatures of their own have one factor; no friction loss is one guess, as before
+    assert [t["joint"] for t in found["FL_hip_armature_scale"]["targets"]] == joints
+    assert found["friction_loss"]["prior_sd"] == 1.0 and len(found["friction_loss"]["targets"]) == 5
+
+
+def test_a_casters_friction_is_not_the_wheels_and_feet_are_one_parameter() -> None:
+    found = guessed(structured(), ["FL_hip"])
+    feet = {target["body"] for target in found["friction"]["targets"]}
+    assert feet == {"world", "FL_foot", "FR_foot", "RL_foot", "RR_foot", "X_foot", "crate"}
+    assert found["friction"]["nominal"] == 1.0
+    assert found["caster_friction"]["targets"] == [{"body": "caster", "set": "sliding_friction"}]
+    assert found["caster_friction"]["nominal"] == 0.01
+
+
+def test_pairs_alike_are_one_parameter() -> None:
+    feet = "".join(f"<body><freejoint/><geom name='{side}_foot' size='0.1'/></body>" for side in ("FL", "RR"))
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><geom name="floor" type="plane" size="1 1 1"/>{feet}
+        <body name="box"><freejoint/><geom name="box" size="0.1"/></body></worldbody>
+        <contact><pair name="FL_foot_floor" geom1="FL_foot" geom2="floor"/>
+          <pair name="RR_foot_floor" geom1="RR_foot" geom2="floor"/>
+          <pair name="box_floor" geom1="box" geom2="floor"/></contact></mujoco>"""
+    )
+    found = {guess.name: guess.entry for guess in guess_parameters(model, [], guessed_gains=False)}
+    assert [t["pair"] for t in found["foot_floor_friction"]["targets"]] == ["FL_foot_floor", "RR_foot_floor"]
+    assert [t["pair"] for t in found["box_floor_friction"]["targets"]] == ["box_floor"]
+
+
+def test_a_payload_has_a_place_and_a_free_body_an_inertia() -> None:
+    found = guessed(structured(), ["FL_hip"])
+    assert found["crate_inertia_scale"]["targets"] == [{"body": "crate", "set": "inertia", "mode": "scale"}]
+    assert "base_inertia_scale" not in found, "a robot's trunk carries its links"
+
+
+def test_a_wrench_and_a_mocap_body_are_proposed_with_the_line_to_write() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body name="hand" mocap="true"/><body name="box"><freejoint/><geom size="0.1"/>
+        <site name="ft"/></body></worldbody></mujoco>"""
+    )
+    topics = [
+        Topic("/ft_sensor", "geometry_msgs/msg/WrenchStamped", 100.0, (), ("force", "torque")),
+        Topic("/vrpn/pusher", "geometry_msgs/msg/PoseStamped", 100.0, (), ("position", "orientation")),
+    ]
+    notes = " ".join(notes_on(model, topics, []))
+    assert "ft_sensor: {topic: /ft_sensor, site: ft, noise: {force: 0.5, torque: 0.05}}" in notes
+    assert "ft_sensor: {topic: /ft_sensor, force_on: box}" in notes
+    assert "hand: {topic: /vrpn/pusher, mocap: hand}" in notes
