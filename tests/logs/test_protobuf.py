@@ -363,3 +363,36 @@ def test_init_guesses_from_foxglove_types(
     (signal,) = signals.values()
     assert signal["type"] == f"foxglove.{name}"
     assert {key: signal[key] for key in entry} == entry
+
+
+def test_integers_of_any_width_are_read_at_once(tmp_path: Path) -> None:
+    """Hundreds of layouts, packed and nested: the numbers are google's, damage is counted."""
+    rng = np.random.default_rng(3)
+    sizes = 2 ** rng.integers(0, 30, size=(600, 5))
+    rows = (rng.normal(size=(600, 5)) * sizes).astype(int).tolist()
+    contents = [
+        {
+            "timestamp": abs(a), "mode": abs(b), "raw": [c, -d], "extra": {"ticks": e, "q": 0.5},
+            "motors": [{"ticks": b}, {"q": 1.5, "ticks": c, "on": bool(a % 2)}],
+        }
+        for a, b, c, d, e in rows
+    ]  # fmt: skip
+    payloads = [CLASS("Robot")(**content).SerializeToString() for content in contents]
+    payloads[400] = payloads[400][:-1] + b"\xff"
+    connection = Connection(
+        "/data", "foxglove.Robot", "protobuf", SET.SerializeToString().decode("latin-1"), ""
+    )
+    stamps = list(range(600))
+    batch = batch_of(connection, stamps, stamps, payloads)
+    splitter = Splitter(connection, Definitions())
+    groups = list(splitter.split(batch))
+    assert len(groups) < 60
+    found = {}
+    paths = ("mode", "raw[0]", "raw[1]", "extra.ticks", "motors[0].ticks", "motors[1].ticks", "motors[1].q")
+    for group in groups:
+        values = [group.layout.columns(path)[0].read(group.rows) for path in paths]
+        found |= {int(i): [float(v[n]) for v in values] for n, i in enumerate(group.members)}
+    assert splitter.damaged == 1
+    del rows[400]
+    kept = [found[i] for i in range(600) if i != 400]
+    assert kept == [[abs(b), c, -d, e, b, c, 1.5] for a, b, c, d, e in rows]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from itertools import count
 
@@ -18,10 +18,13 @@ from amhe_cli.logs.messages.descriptors import ENCODING as PROTOBUF
 from amhe_cli.logs.messages.descriptors import MalformedMessageError
 from amhe_cli.logs.messages.json_rows import JsonRows
 from amhe_cli.logs.messages.layout import Layout, table_layout, walk
+from amhe_cli.logs.messages.padding import Padding
 
 _Bytes = NDArray[np.uint8]
 #: Layouts remembered for each message length, the latest ones.
 _CACHED_LAYOUTS = 64
+#: Layouts of a protobuf topic beyond which its messages are brought to varints of one width.
+_MANY_LAYOUTS = 32
 #: Layouts that the messages of one batch and length are matched with; further ones stand for one message.
 _NEW_LAYOUTS = 64
 
@@ -53,6 +56,8 @@ class Splitter:
         if connection.encoding == TABLE:
             layout, size = table_layout(connection.definition)
             self._layouts[size] = [layout]
+        self._left: list[IntArray] = []
+        self._paddings: list[tuple[Layout, Padding]] = []
         self.damaged = 0
         self.reason = ""
 
@@ -66,8 +71,19 @@ class Splitter:
             if length == 0 and self._connection.encoding != PROTOBUF:
                 self._damage("it is empty", members.size)
                 continue
+            if self._varies():
+                self._left.append(members)
+                continue
             rows = _rows(batch, members, length)
             yield from self._same_length(rows, members)
+        if self._left:
+            left, self._left = np.concatenate(self._left), []
+            yield from self._of_one_width(batch, left)
+
+    def _varies(self) -> bool:
+        """Whether a protobuf topic has so many layouts that the widths of its varints must be to blame."""
+        many = sum(map(len, self._layouts.values())) > _MANY_LAYOUTS
+        return many and self._connection.encoding == PROTOBUF
 
     def _parsed(self, json: JsonRows, batch: Batch) -> Iterator[MessageGroup]:
         """JSON messages, which must be parsed one by one."""
@@ -85,6 +101,39 @@ class Splitter:
         for layout, members, rows in found.values():
             yield MessageGroup(layout, np.stack(rows).view(np.uint8), np.array(members, dtype=np.int64))
 
+    def _of_one_width(self, batch: Batch, left: IntArray) -> Iterator[MessageGroup]:
+        """Protobuf messages, whose varints are first brought to one width."""
+        buffer = np.concatenate([batch.buffer, np.zeros(16, dtype=np.uint8)])
+        for layout, padding in self._paddings:
+            left = yield from self._padded(layout, padding, buffer, batch, left)
+        while left.size:
+            start = int(batch.starts[left[0]])
+            message = batch.buffer[start : start + int(batch.lengths[left[0]])]
+            try:
+                padding = Padding(message.tobytes(), self._connection.type, self._types)
+                layout = protobuf.walk(padding.template, self._connection.type, self._types)
+            except MalformedMessageError as error:
+                self._damage(str(error), 1)
+                left = left[1:]
+                continue
+            self._paddings = [*self._paddings[1 - _CACHED_LAYOUTS :], (layout, padding)]
+            left = yield from self._padded(layout, padding, buffer, batch, left)
+
+    def _padded(
+        self, layout: Layout, padding: Padding, buffer: _Bytes, batch: Batch, left: IntArray
+    ) -> Generator[MessageGroup, None, IntArray]:
+        """Yield the messages that a padding rewrites into a layout; return those that are left."""
+        rows, alike = padding.rewritten(buffer, batch.starts[left], batch.lengths[left])
+        here = left[alike]
+        hits = np.ones(here.size, dtype=bool)
+        if layout.strings and here.size:  # all else is alike already
+            hits = layout.matches(rows)
+        if hits.any():
+            yield MessageGroup(layout, rows[hits], here[hits])
+        taken = np.zeros(left.size, dtype=bool)
+        taken[np.flatnonzero(alike)[hits]] = True
+        return left[~taken]
+
     def _same_length(self, rows: _Bytes, members: IntArray) -> Iterator[MessageGroup]:
         known = self._layouts.setdefault(rows.shape[1], [])
         for layout in known:
@@ -97,6 +146,9 @@ class Splitter:
                 rows, members = rows[~hits], members[~hits]
         for tries in count():
             if not members.size:
+                break
+            if self._varies():
+                self._left.append(members)
                 break
             layout = self._walk(rows[0])
             if layout is None:
