@@ -31,6 +31,7 @@ class Estimator:
         belief_anyway, fix, only: As in `identify`.
         seed: Seed of the random numbers.
         threads: CPU threads; results do not depend on it.
+        engine: What computes the rollouts: 'cpu' or 'gpu'.
 
     Raises:
         ConfigError: An argument is wrong, the belief does not suit the system, or the window is too short.
@@ -46,15 +47,16 @@ class Estimator:
         only: Sequence[str] | None = None,
         seed: int = 0,
         threads: int = 1,
+        engine: str = "cpu",
     ) -> None:
         hush_mujoco()
         seed, threads = checked(seed, threads)
         check_window(system.settings.mhe, system.dt)
         system, start = system.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
-        engine = open_engine(system, threads=threads)
+        opened = open_engine(system, threads=threads, kind=engine)
 
         def horizon(again: Belief | None) -> MovingHorizon:
-            return MovingHorizon(system, engine, np.random.default_rng(seed), again or start)
+            return MovingHorizon(system, opened, np.random.default_rng(seed), again or start)
 
         self._tracker = Tracker(system, InStep(horizon, latency=0.0))
         self._offsets = {signal.key(q): signal.offset for signal in system.signals for q in signal.quantities}

@@ -186,7 +186,7 @@ def identify(
         method: 'linearised', or 'cmaes'.
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
-        engine: What computes the rollouts: 'cpu'.
+        engine: What computes the rollouts: 'cpu' or 'gpu'.
         max_time: Time [s] for the search, which stops with the best so far, and for its conclusion, which
             leaves out checks that would take too long, with a warning; None: no limit.
         checkpoint: File in which the search is saved after each iteration; it is resumed if the file exists.

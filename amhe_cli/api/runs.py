@@ -27,6 +27,7 @@ def probe(
     only: Sequence[str] | None = None,
     seed: int = 0,
     threads: int | None = None,
+    engine: str = "cpu",
     log: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
@@ -39,6 +40,7 @@ def probe(
         belief_anyway, fix, only: As in `identify`.
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
+        engine: What computes the rollouts: 'cpu' or 'gpu'.
         log: File for the log of the simulated probe (.mcap); None: it is not kept.
         progress: Called with a line of text now and then.
 
@@ -55,7 +57,7 @@ def probe(
     start = Path(belief) if isinstance(belief, str) else belief
     options = ProbeOptions(
         seconds=seconds, belief=start, seed=seed, threads=threads, fix=fix or {}, only=only,
-        belief_anyway=belief_anyway,
+        belief_anyway=belief_anyway, engine=engine,
     )  # fmt: skip
     opened = ActuatorProbe(options, system)
     say = progress or (lambda text: None)
@@ -77,6 +79,7 @@ def run(
     belief_anyway: bool = False,
     seed: int = 0,
     threads: int | None = None,
+    engine: str = "cpu",
     duration: float | None = None,
     settings: Mapping[str, Any] | None = None,
     log: str | Path | None = None,
@@ -91,6 +94,7 @@ def run(
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
         seed: Seed of start poses, sensor noise and sampling.
         threads: CPU threads; None: all cores. Results do not depend on it.
+        engine: What computes the rollouts: 'cpu' or 'gpu'.
         duration: Longest time of the run [s]; None: the tasks' own limit.
         settings: Nested settings such as `{"mhe": {"window": 0.5}}`.
         log: File for the log (.mcap); None: it is not kept.
@@ -115,7 +119,7 @@ def run(
     options = RunOptions(
         task, mode, belief=Path(belief) if isinstance(belief, str) else belief, seed=seed, threads=threads,
         duration=LONGEST if duration is None else duration, settings={} if settings is None else settings,
-        belief_anyway=belief_anyway,
+        belief_anyway=belief_anyway, engine=engine,
     )  # fmt: skip
     opened = open_run(options)
     history, show = History(opened.task), progress or (lambda row: None)

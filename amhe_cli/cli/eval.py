@@ -106,6 +106,7 @@ def evaluate(
     ablations: tuple[str, ...],
     beliefs: dict[str, Path],
     duration: float | None,
+    engine: str,
     workers: int,
     cluster: str | None,
     resume: bool,
@@ -127,6 +128,8 @@ def evaluate(
     from amhe_cli.study.store import open_store, start
     from amhe_cli.system.provenance import machine, now
 
+    if engine != "cpu":
+        raise click.UsageError("eval runs one cell on each core of its workers: leave --engine out")
     if report:
         _tell(session, open_store(report), 0)
         return

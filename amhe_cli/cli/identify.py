@@ -74,6 +74,7 @@ def identify(
     checkpoint: Path | None,
     seed: int,
     threads: int,
+    engine: str,
     workers: int | None,
     cluster: str | None,
     overrides: Overrides,
@@ -102,7 +103,7 @@ def identify(
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
         result = run(
             opened, training, held_out=validation, prior=prior, method=method, seed=seed, threads=threads,
-            max_time=max_time, checkpoint=checkpoint, executor=executor,
+            engine=engine, max_time=max_time, checkpoint=checkpoint, executor=executor,
             progress=lambda iteration, total: show((iteration, total)),
         )  # fmt: skip
     session.interrupted = result.found.interrupted

@@ -47,6 +47,7 @@ def mhe_replay(
     only: list[str] | None,
     seed: int,
     threads: int,
+    engine: str,
     overrides: Overrides,
     out: options.Output,
 ) -> None:
@@ -78,8 +79,9 @@ def mhe_replay(
     opened, known = opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
     (recorded,) = inputs.read(opened, [path])
     problem = open_replay(
-        opened, recorded, belief=known, seed=seed, threads=threads, begun=inputs.start or 0.0, paced=follows
-    )
+        opened, recorded, belief=known, seed=seed, threads=threads, kind=engine, begun=inputs.start or 0.0,
+        paced=follows,
+    )  # fmt: skip
     with stopping(session) as stopped:
         with progress(session, "mhe-replay", partial(_shown, problem)) as show:
             done = replayed(problem, show, stopped)

@@ -104,7 +104,7 @@ def _cores() -> int:
     return cores()
 
 
-def _known_engine(ctx: click.Context, param: click.Parameter, value: str) -> None:
+def _known_engine(ctx: click.Context, param: click.Parameter, value: str) -> str:
     if value != "cpu":  # the default needs no look at the library, which is slow to load
         from amhe_cli.core.errors import ConfigError
         from amhe_cli.engine.open import check_kind
@@ -113,6 +113,7 @@ def _known_engine(ctx: click.Context, param: click.Parameter, value: str) -> Non
             check_kind(value)
         except ConfigError as error:
             raise click.BadParameter(str(error), ctx, param) from None
+    return value
 
 
 def stacked(*decorators: Callable[[F], F]) -> Callable[[F], F]:
@@ -253,9 +254,8 @@ engine = click.option(
     metavar="KIND",
     default="cpu",
     show_default=True,
-    expose_value=False,
     callback=_known_engine,
-    help="What computes the rollouts: cpu.",
+    help="What computes the rollouts: cpu, or gpu with the extra [gpu] and a card; see docs/gpu.md.",
 )
 
 work = stacked(

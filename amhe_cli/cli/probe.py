@@ -67,6 +67,7 @@ def probe(
     plan_only: bool,
     seed: int,
     threads: int,
+    engine: str,
     overrides: Overrides,
     out: options.Output,
     **wire: Any,
@@ -90,8 +91,9 @@ def probe(
     folder = out.reserve("probe")
     settings, schema = overrides.suited(find_system(system or "go1_push"))
     chosen = ProbeOptions(
-        system, task, seconds, belief, plant, box, seed, threads, settings, schema, fix, only, belief_anyway
-    )
+        system, task, seconds, belief, plant, box, seed, threads, settings, schema, fix, only, belief_anyway,
+        engine,
+    )  # fmt: skip
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)

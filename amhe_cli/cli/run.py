@@ -78,6 +78,7 @@ def run(
     belief_anyway: bool,
     seed: int,
     threads: int,
+    engine: str,
     duration: float | None,
     realtime: bool,
     video: bool,
@@ -110,8 +111,9 @@ def run(
     folder = out.reserve("run")
     longest = LONGEST if duration is None else duration
     chosen = RunOptions(
-        task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all, belief_anyway
-    )
+        task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all, belief_anyway,
+        engine,
+    )  # fmt: skip
     opened = at_the_robot.opened(chosen, wire) or open_run(chosen)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
     click.get_current_context().with_resource(closing(opened.episode.belief))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -16,9 +17,10 @@ AnyArray: TypeAlias = Any
 
 def namespace_of(array: AnyArray) -> Any:
     """The module whose functions compute with this array, where it lies: numpy, or that of a device."""
-    if isinstance(array, np.ndarray) or not hasattr(array, "__array_namespace__"):
-        return np
-    return array.__array_namespace__()
+    if hasattr(array, "__array_namespace__") and not isinstance(array, np.ndarray):
+        return array.__array_namespace__()
+    home = type(array).__module__.partition(".")[0]
+    return sys.modules["cupy"] if home == "cupy" else np  # CuPy's arrays do not name their namespace
 
 
 def to_host(array: AnyArray) -> FloatArray:

@@ -50,6 +50,8 @@ class CpuEngine:
         self._fields: dict[str, np.ndarray] = {}
         self._written = np.empty((0, len(edits.space)))
 
+    precision = float(np.finfo(np.float64).eps)
+
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:

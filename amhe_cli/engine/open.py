@@ -12,10 +12,11 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
+from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.system import System
 
 #: Kinds of engine that can be opened.
-KINDS = ("cpu",)
+KINDS = ("cpu", "gpu")
 
 
 def open_engine(
@@ -39,12 +40,14 @@ def open_engine(
         model: Roll out this model of the same layout; None: the system's own.
 
     Raises:
-        ConfigError: There is no such kind of engine.
+        ConfigError: There is no such kind of engine, or this computer or the model has no use for it.
     """
     check_kind(kind)
     senses = system.senses if sensors is None else sensors
     edits = system.edits if model is None else system.edits.upon(model)
     about = (model or system.model, edits, system.input_spec)
+    if kind == "gpu":
+        return _gpu_engine(executor, *about, senses)
     if executor is not None:
         return SpreadEngine(executor, *about, senses)
     return CpuEngine(*about, threads, senses)
@@ -58,6 +61,25 @@ def check_kind(kind: str) -> None:
     """
     if kind not in KINDS:
         raise ConfigError(f"no engine {kind!r}; there is: {', '.join(KINDS)}")
+
+
+def _gpu_engine(
+    executor: Executor | None, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, sensors: bool
+) -> Engine:
+    """The engine on all cards of this computer.
+
+    Raises:
+        ConfigError: mujoco-warp or a card is missing, or workers were asked for.
+    """
+    if executor is not None:
+        raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
+    try:
+        from amhe_cli.engine.gpu.engine import GpuEngine, visible_cards
+    except ImportError as error:
+        raise ConfigError(
+            f"the engine 'gpu' needs {error.name}, which is not installed: pip install 'amhe[gpu]'"
+        ) from None
+    return GpuEngine(model, edits, input_spec, sensors, visible_cards())
 
 
 def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]:

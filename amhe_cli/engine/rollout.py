@@ -213,6 +213,11 @@ class Engine(Protocol):
     marked, and their values are finite.
     """
 
+    @property
+    def precision(self) -> float:
+        """Relative rounding of its numbers: slopes need steps well above it."""
+        ...
+
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:

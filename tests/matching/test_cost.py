@@ -89,7 +89,7 @@ def test_first_state_errors_move_the_rollout():
 class Diverging:
     """An engine whose second clip never completes under the first candidate."""
 
-    rollout, upon = ENGINE.rollout, ENGINE.upon
+    rollout, upon, precision = ENGINE.rollout, ENGINE.upon, ENGINE.precision
 
     def predict(self, theta, starts, errors, wanted):
         predicted = ENGINE.predict(theta, starts, errors, wanted)

@@ -85,7 +85,7 @@ for _name in ("add", "radd", "sub", "rsub", "mul", "rmul", "truediv", "rtruediv"
 class DeviceEngine:
     """An engine whose predictions lie on a device."""
 
-    rollout, upon = ENGINE.rollout, ENGINE.upon
+    rollout, upon, precision = ENGINE.rollout, ENGINE.upon, ENGINE.precision
 
     def predict(self, theta: Any, starts: Any, errors: Any, wanted: Any) -> Predicted:
         done = ENGINE.predict(theta, starts, errors, wanted)

@@ -61,6 +61,7 @@ class ProbeOptions:
         settings: Settings that replace the system's own, as a nested mapping.
         schema: Class of the settings, for systems other than `go1_push`.
         fix, only, belief_anyway: See `System.starting_from`.
+        engine: What computes the rollouts: one of `engine.open.KINDS`.
     """
 
     system: str | None = None
@@ -76,6 +77,7 @@ class ProbeOptions:
     fix: Mapping[str, float] = field(default_factory=dict)
     only: Sequence[str] | None = None
     belief_anyway: bool = False
+    engine: str = "cpu"
 
     def rng(self, *place: int) -> np.random.Generator:
         """A generator of its own for each use."""
@@ -126,7 +128,7 @@ def achieved(system: System, path: Path, options: ProbeOptions) -> Accuracy | No
         windows = clips_of(system, read_log(path, system))
         if not windows:
             raise EstimationError("nothing moves in it")
-        engine, rng = open_engine(system, threads=options.threads), options.rng(9)
+        engine, rng = open_engine(system, threads=options.threads, kind=options.engine), options.rng(9)
         found = information_where_it_points(system, windows, engine, rng)
     except AmheError as error:  # the log is worth more than a number computed from it
         logger.warning(f"what the log reveals cannot be computed: {error}")
@@ -154,7 +156,7 @@ class ActuatorProbe:
         self._controls = driven_controls(own)
         for signal in own.signals:  # refuse what could not be logged before any work is done
             message_type(signal)
-        self._engine = open_engine(own, threads=options.threads)
+        self._engine = open_engine(own, threads=options.threads, kind=options.engine)
         self._model = Playback(own, self._engine, own.model.opt.timestep)
         self._plant = self._model if options.plant is None else _other_plant(options, own, options.plant)
         self._truth = truth
@@ -241,5 +243,5 @@ def _other_plant(options: ProbeOptions, own: System, plant: Path) -> Playback:
         raise ConfigError(f"`plant` {plant}: does not suit the system: {first}") from None
     model = compiled(system.spec)
     unedited = replace(system, edits=ModelEdits(model, own.space, ()))
-    engine = open_engine(unedited, threads=options.threads, model=model)
+    engine = open_engine(unedited, threads=options.threads, kind=options.engine, model=model)
     return Playback(system, engine, model.opt.timestep)

@@ -183,9 +183,11 @@ def spread_floor(problem: Problem) -> FloatArray:
     """Smallest sampling sd of z, shape (d,): a share of the parameter, or of a linear one's prior sd.
 
     On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
-    ones they are exact, and large steps are not.
+    ones they are exact, and large steps are not. There the cube root of the engine's rounding balances the
+    rounding of a central difference against its third order.
     """
-    return sampling_width(problem.system.space, problem.settings.identify.step if problem.rough else 1e-4)
+    smooth = max(1e-4, problem.engine.precision ** (1 / 3))
+    return sampling_width(problem.system.space, problem.settings.identify.step if problem.rough else smooth)
 
 
 def first_floor(problem: Problem) -> float:

@@ -129,6 +129,7 @@ def open_replay(
     belief: Belief | None = None,
     seed: int = 0,
     threads: int = 1,
+    kind: str = "cpu",
     begun: float = 0.0,
     paced: bool = False,
 ) -> ReplayProblem:
@@ -140,6 +141,7 @@ def open_replay(
         belief: Belief to start from; None: the system's prior.
         seed: Seed of the random numbers.
         threads: CPU threads; results do not depend on them.
+        kind: What computes the rollouts: one of `engine.open.KINDS`.
         begun: Time at which the log was begun to be read, from the start of its file [s].
         paced: The update period follows from the window, see `paced`.
 
@@ -147,7 +149,7 @@ def open_replay(
         EstimationError: The log is too short for any window.
     """
     steps = windows(system, log)
-    engine = open_engine(system, threads=threads)
+    engine = open_engine(system, threads=threads, kind=kind)
     return ReplayProblem(
         system=system,
         engine=engine,

@@ -61,6 +61,7 @@ class RunOptions:
         plant: MJCF of another Go1.
         settings: Settings that replace the system's own, as a nested mapping.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
+        engine: What computes the rollouts: one of `engine.open.KINDS`.
     """
 
     task: str
@@ -74,6 +75,7 @@ class RunOptions:
     plant: Path | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     belief_anyway: bool = False
+    engine: str = "cpu"
 
     @property
     def live(self) -> bool:
@@ -129,7 +131,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
     target = SimTarget(plant, settings.period, HOME, options.realtime)
     behaviour = task.behaviour()
-    controller = controller_for(task, behaviour, system, options.threads, samples)
+    controller = controller_for(task, behaviour, system, samples, options.threads, options.engine)
     judge = Judge(task, behaviour.running_cost, settings.period, options.duration)
     belief = belief_source(options, task, system, plant)
     episode = Episode(
@@ -167,12 +169,17 @@ def _extent(box: Box, heading: float) -> float:
 
 
 def controller_for(
-    task: Task, behaviour: Behaviour, system: System, threads: int, samples: np.random.Generator
+    task: Task,
+    behaviour: Behaviour,
+    system: System,
+    samples: np.random.Generator,
+    threads: int = 1,
+    kind: str = "cpu",
 ) -> Controller:
     """The controller of a task, with the planner's model of its box."""
     settings = settings_of(system).control
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
-    engine = open_engine(system, threads=threads, model=planner, sensors=False)
+    engine = open_engine(system, threads=threads, kind=kind, model=planner, sensors=False)
     robot = Go1(layout(planner), settings.joint_sigma)
     return Controller(behaviour, robot, engine, settings, system.space.names, samples)
 
@@ -245,7 +252,7 @@ def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = Non
     """
     system = system_of(options, find_task(options.task))
     threads = 1 if options.live else options.threads
-    engine = open_engine(system, threads=threads)
+    engine = open_engine(system, threads=threads, kind=options.engine)
     rng = generator(options.seed, "estimator")
     return MovingHorizon(system, engine, rng, belief or start)
 

@@ -171,7 +171,8 @@ class PushProbe:
         if ending.error is not None or not windows:
             return np.zeros((z.size, z.size))
         truth = system.space.z_of(np.array([run.first_truth[name] for name in system.space.names]))
-        engine, rng = open_engine(system, threads=options.threads), options.rng(2, number)
+        engine = open_engine(system, threads=options.threads, kind=options.engine)
+        rng = options.rng(2, number)
         information = information_at(system, windows, engine, truth, rng).matrix.sum(axis=0)
         return information / sum(window.duration for window in windows)
 
@@ -190,7 +191,7 @@ class PushProbe:
         return RunOptions(
             self.task, mode, seed=seed, threads=own.threads, duration=task.nominal_time,
             belief=own.belief if real else None, plant=own.plant if real else None,
-            settings=own.settings, belief_anyway=own.belief_anyway,
+            settings=own.settings, belief_anyway=own.belief_anyway, engine=own.engine,
         )  # fmt: skip
 
     def _open(self, task: ProbeTask, seed: int, mode: str) -> Run:

@@ -1,0 +1,102 @@
+"""One card: as many worlds as a job needs, in turns by what its memory holds."""
+
+from __future__ import annotations
+
+import mujoco
+import mujoco_warp as mjw
+import warp as wp
+
+from amhe_cli.core.errors import ConfigError, SimulationError
+from amhe_cli.engine.gpu.worlds import Blueprint, Job, Room, Worlds, bytes_per_world
+from amhe_cli.engine.rollout import Predicted
+
+#: Share of the memory of a card that one set of worlds and its records may take.
+MEMORY_SHARE = 0.25
+#: Buffers are doubled at most so many times; a world that needs more has not completed.
+DOUBLINGS = 4
+#: Sets of worlds that are kept, of different size.
+KEPT = 3
+#: A card has at least so many worlds; fewer would be no quicker.
+FEWEST = 1024
+#: Rollouts at once on warp's own processor device, which is for tests.
+WITHOUT_CARD = 4096
+
+
+class Card:
+    """The worlds of one device.
+
+    Args:
+        blueprint: What all worlds share.
+        device: Warp's name of the device.
+    """
+
+    def __init__(self, blueprint: Blueprint, device: str) -> None:
+        self.blueprint, self._device = blueprint, device
+        self._room = first_room(blueprint.model)
+        self._kept: dict[int, Worlds] = {}
+        self._bytes: dict[Room, int] = {}
+
+    def run(self, job: Job) -> Predicted:
+        """Run a job, again with larger buffers where they were too small.
+
+        Returns:
+            The wanted numbers, shape (n, s, k) each, and False where a rollout diverged, shape (n,).
+
+        Raises:
+            SimulationError: mujoco-warp refused a rollout.
+        """
+        for last in (*DOUBLINGS * (False,), True):
+            try:
+                values, completed, full = self.worlds(len(job.clip)).run(job)
+            except RuntimeError as error:
+                raise SimulationError(f"mujoco-warp refused a rollout: {error}") from error
+            if last or not full:
+                break
+            self._room = self._room.larger()
+            self._kept.clear()
+        return Predicted(tuple(values), completed)
+
+    def at_once(self, record: int) -> int:
+        """How many rollouts the device holds, each with a record of so many bytes."""
+        device = wp.get_device(self._device)
+        if not device.is_cuda:
+            return WITHOUT_CARD
+        if self._room not in self._bytes:
+            self._bytes[self._room] = bytes_per_world(self.blueprint, self._room, self._device)
+        return max(1, int(MEMORY_SHARE * device.total_memory / (self._bytes[self._room] + record)))
+
+    def worlds(self, count: int) -> Worlds:
+        """Worlds for so many rollouts, of few different sizes, so that they are used again.
+
+        Up to some thousand worlds a step takes as long as that of one.
+        """
+        least = FEWEST if wp.get_device(self._device).is_cuda else 16
+        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - 4))
+        size = -(-count // grain) * grain
+        worlds = self._kept.pop(size, None)
+        if worlds is None:
+            while len(self._kept) >= KEPT:
+                del self._kept[next(iter(self._kept))]
+            worlds = Worlds(self.blueprint, size, self._room, self._device)
+        self._kept[size] = worlds  # the last used is the last to go
+        return worlds
+
+
+def first_room(model: mujoco.MjModel) -> Room:
+    """First guess of the buffers of one world, from the contacts of the home state."""
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    return Room(max(16, 2 * data.ncon), max(32, 2 * data.nefc))
+
+
+def check_supported(blueprint: Blueprint, device: str) -> None:
+    """Refuse a model that mujoco-warp cannot simulate, before any work is done.
+
+    Raises:
+        ConfigError: It cannot; the text says what it lacks.
+    """
+    try:
+        with wp.ScopedDevice(device):
+            mjw.put_model(blueprint.nominal)
+    except (NotImplementedError, ValueError) as error:
+        raise ConfigError(f"mujoco-warp cannot simulate this model: {error}; take the engine 'cpu'") from None

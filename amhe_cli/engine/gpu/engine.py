@@ -1,0 +1,149 @@
+"""The engine on graphics cards: thousands of worlds step at once, each with its own parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+
+import mujoco
+import numpy as np
+import warp as wp
+
+from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.engine.gpu.card import Card, check_supported
+from amhe_cli.engine.gpu.worlds import Blueprint, Job
+from amhe_cli.engine.rollout import (
+    Call,
+    Predicted,
+    Rollouts,
+    Starts,
+    Wanted,
+    candidates_last,
+    predicted_in_parts,
+)
+from amhe_cli.system.edits import ModelEdits
+
+#: A card gets at least so many rollouts of a call that several cards share.
+LEAST = 512
+
+
+class GpuEngine:
+    """An engine on one or several cards; states are float32, wanted numbers float64.
+
+    Args:
+        model: The model to roll out.
+        edits: How parameters are written into it.
+        input_spec: mjtState bits of the input vector.
+        sensors: Whether rollouts record sensors.
+        devices: Warp's names of the devices; 'cpu' is for tests.
+
+    Raises:
+        ConfigError: mujoco-warp cannot simulate the model.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        edits: ModelEdits,
+        input_spec: int,
+        sensors: bool,
+        devices: Sequence[str],
+    ) -> None:
+        self._blueprint, self._devices = Blueprint(model, edits, input_spec, sensors), tuple(devices)
+        check_supported(self._blueprint, self._devices[0])
+        self.cards = [Card(self._blueprint, device) for device in self._devices]
+
+    precision = float(np.finfo(np.float32).eps)
+
+    def rollout(
+        self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
+    ) -> Rollouts:
+        """See `Engine.rollout`."""
+        model, (count, horizon, nu) = self._blueprint.model, inputs.shape
+        theta = np.broadcast_to(theta, (count, theta.shape[-1]))
+        qpos, qvel = np.broadcast_to(qpos, (count, model.nq)), np.broadcast_to(qvel, (count, model.nv))
+        each, rows = np.arange(count), np.tile(np.arange(horizon), (count, 1))
+        starts = Starts(qpos, qvel, inputs, 0, np.zeros(nu, dtype=bool), lengths, each[:0], qpos[0, :0])
+        wanted = [Wanted("qpos", rows, tuple(range(model.nq))), Wanted("qvel", rows, tuple(range(model.nv)))]
+        if self._blueprint.sensors:
+            wanted.append(Wanted("sensordata", rows, tuple(range(model.nsensordata))))
+        done = self.cards[0].run(Job(theta, starts, each, each, qpos, qvel, np.zeros(count), wanted))
+        values = [to_host(part) for part in done.values]
+        return Rollouts(values[0], values[1], values[2] if self._blueprint.sensors else None, done.completed)
+
+    def predict(
+        self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
+    ) -> Predicted:
+        """See `Engine.predict`."""
+        count, clips, cards = len(theta), len(starts.lengths), len(self.cards)
+        record = sum(8 * one.rows.shape[1] * len(one.columns) for one in wanted)
+        at_once = self.cards[0].at_once(record)
+        shared = cards if count * clips >= cards * LEAST else 1
+        turns = max(shared, -(-count // max(1, at_once // clips))), -(-clips // at_once)
+        if turns == (1, 1):
+            return _in_order(self.cards[0].run(self.job(theta, starts, errors, wanted)), count)
+        return predicted_in_parts(turns, theta, starts, errors, wanted, self._dealt)
+
+    def upon(self, model: mujoco.MjModel) -> GpuEngine:
+        """See `Engine.upon`."""
+        about = self._blueprint
+        return GpuEngine(model, about.edits.upon(model), about.input_spec, about.sensors, self._devices)
+
+    def _dealt(self, calls: Sequence[Call]) -> list[Predicted]:
+        """The parts of a prediction, dealt to the cards; their numbers come together on the first."""
+        cards = self.cards
+
+        def in_turn(first: int) -> list[Predicted]:
+            mine = calls[first :: len(cards)]
+            return [_in_order(cards[first].run(self.job(*call)), len(call[0])) for call in mine]
+
+        with ThreadPoolExecutor(len(cards)) as threads:
+            by_card = list(threads.map(in_turn, range(len(cards))))
+        done = [by_card[i % len(cards)][i // len(cards)] for i in range(len(calls))]
+        return [candidates_last(Predicted(tuple(map(_gathered, p.values)), p.completed)) for p in done]
+
+    def job(
+        self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
+    ) -> Job:
+        """All rollouts of a prediction, in the order (candidates, clips)."""
+        model, count, clips = self._blueprint.model, len(theta), len(starts.lengths)
+        qpos, qvel = starts.states(model, count, errors)
+        return Job(
+            theta=theta,
+            starts=starts,
+            candidate=np.repeat(np.arange(count), clips),
+            clip=np.tile(np.arange(clips), count),
+            qpos=qpos.reshape(-1, model.nq),
+            qvel=qvel.reshape(-1, model.nv),
+            delays=self._blueprint.edits.delays(theta) / model.opt.timestep,
+            wanted=wanted,
+        )
+
+
+def _in_order(done: Predicted, count: int) -> Predicted:
+    """The numbers of all rollouts of p candidates as (p, c, ...)."""
+    values = tuple(part.reshape(count, -1, *part.shape[1:]) for part in done.values)
+    return Predicted(values, done.completed.reshape(count, -1))
+
+
+def visible_cards() -> list[str]:
+    """Warp's names of the cards that this process can use.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    names = [str(device.alias) for device in wp.get_cuda_devices()]
+    if not names:
+        raise ConfigError("no graphics card that CUDA can use; take the engine 'cpu'")
+    return names
+
+
+def _gathered(values: AnyArray) -> AnyArray:
+    """An array on the first card; numpy's stay where they are."""
+    if isinstance(values, np.ndarray):
+        return values
+    import cupy  # pyright: ignore[reportMissingImports]
+
+    with cupy.cuda.Device(0):
+        return values if values.device.id == 0 else cupy.array(values)

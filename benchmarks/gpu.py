@@ -1,0 +1,209 @@
+"""Matching cost on graphics cards: agreement with the CPU engine, and steps a second against worlds.
+
+    python benchmarks/gpu.py [--worlds 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
+
+"bare" replays the captured step of mujoco-warp on the same worlds under the same inputs,
+and nothing else. The CPU beside it evaluates the same cost of fewer candidates with all cores.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+import warp as wp
+from common import PROJECT, multisine, show, simulated
+from matching_cost import cube_toss, pendulum
+
+from amhe_cli.core.log import Log
+from amhe_cli.engine.gpu.card import Card
+from amhe_cli.engine.gpu.engine import GpuEngine
+from amhe_cli.engine.gpu.worlds import bytes_per_world
+from amhe_cli.engine.open import open_engine
+from amhe_cli.engine.rollout import Engine
+from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.logs import read_log
+from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.system.system import System
+
+CLIPS = 16
+JOINTS = 12
+
+
+def go1_push() -> tuple[System, list[Log]]:
+    """The README's demo: a Go1 pushes a box, with contacts everywhere."""
+    system = System.load("go1_push")
+    return system, [read_log(PROJECT / "examples" / "logs" / "t1.mcap", system)]
+
+
+def arm() -> tuple[System, list[Log]]:
+    """Four legs of three servo joints on a fixed base; armature, damping and friction of each are unknown."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep, spec.option.integrator = 0.0025, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for leg in range(JOINTS // 3):
+        parent = spec.worldbody.add_body(name=f"base{leg}", pos=[0.3 * leg, 0.0, 1.0])
+        parent.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.02, 0, 0], contype=0, conaffinity=0)
+        for joint, axis in enumerate(([1, 0, 0], [0, 1, 0], [0, 1, 0])):
+            name, k = f"j{3 * leg + joint}", 0.213 if joint else 0.08
+            parent = parent.add_body(name=f"link_{name}", pos=[0, 0, -k if joint == 2 else 0])
+            parent.add_joint(name=name, axis=axis, armature=0.01, damping=0.1, frictionloss=0.1)
+            parent.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[0, 0, 0, 0, 0, -k], size=[0.02, 0, 0],
+                mass=0.6, contype=0, conaffinity=0,
+            )  # fmt: skip
+            servo = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            servo.set_to_position(kp=20.0, kv=0.5)
+    names = [f"j{i}" for i in range(JOINTS)]
+    words = {"armature": 0.01, "damping": 0.1, "friction_loss": 0.1}
+    parameters = {
+        f"{word}_{name}": {"nominal": value, "targets": [{"set": word, "joint": name}]}
+        for name in names
+        for word, value in words.items()
+    }
+    signals = {
+        "joints": {"topic": "/joint_states", "joints": names, "noise": {"position": 0.001}},
+        "command": {"topic": "/command", "actuators": names, "quantity": "position"},
+    }
+    system = System.from_model(spec, parameters=parameters, signals=signals, name="arm")
+    rng = np.random.default_rng(0)
+    each = [multisine(np.random.default_rng(i), 0.4) for i in range(JOINTS)]
+    command = lambda t: np.concatenate([np.atleast_1d(one(t)) for one in each])  # noqa: E731
+    return system, [simulated(system, system.space.nominal, command, 20.0, rng, state_hz=400.0)]
+
+
+PROBLEMS: dict[str, Callable[[], tuple[System, list[Log]]]] = {
+    "pendulum": pendulum,
+    "cube_toss": cube_toss,
+    "go1_push": go1_push,
+    "arm": arm,
+}
+
+
+def matching(system: System, logs: list[Log], engine: Engine) -> MatchingCost:
+    """The cost on clips as SPI draws them."""
+    pool = ClipPool(system, [whole(log) for log in logs], system.settings.clips)
+    return MatchingCost(system, pool.draw(np.random.default_rng(1), CLIPS), engine, system.settings.cost)
+
+
+def on_device(system: System, device: str) -> GpuEngine:
+    """The engine on one device."""
+    return GpuEngine(system.model, system.edits, system.input_spec, system.senses, [device])
+
+
+def agreement(name: str, device: str, cores: int) -> list[str]:
+    """Costs, their order, and slopes of both engines at the same candidates."""
+    system, logs = PROBLEMS[name]()
+    one = matching(system, logs, open_engine(system, threads=cores))
+    other = matching(system, logs, on_device(system, device))
+    rng, d = np.random.default_rng(2), len(system.space)
+    z = 0.2 * rng.standard_normal((64, d))
+    costs = one.costs(z), other.costs(z)
+    ranks = [np.argsort(np.argsort(c)) for c in costs]
+    predicted = [c.residuals(z[:8]).flat for c in (one, other)]
+    away = np.abs(predicted[1] - predicted[0])
+    steps = np.concatenate((0.05 * np.eye(d), -0.05 * np.eye(d)))
+    slopes = []
+    for cost in (one, other):
+        flat = cost.residuals(steps).flat
+        slopes.append((flat[:d] - flat[d:]).reshape(d, -1))
+    cosine = [float(a @ b / np.sqrt((a @ a) * (b @ b))) for a, b in zip(*slopes, strict=True) if a @ a > 0]
+    other_cost = np.abs(costs[1] / costs[0] - 1.0)
+    return [
+        name, f"{np.median(other_cost):.1e}", f"{other_cost.max():.1e}",
+        f"{np.corrcoef(*ranks)[0, 1]:.4f}", f"{np.median(away):.1e}", f"{np.quantile(away, 0.99):.1e}",
+        f"{np.median(cosine):.5f}", f"{min(cosine):.5f}",
+    ]  # fmt: skip
+
+
+def timed(call: Callable[[], object], repetitions: int = 3) -> float:
+    """Median seconds."""
+    call()
+    taken = []
+    for _ in range(repetitions):
+        start = time.perf_counter()
+        call()
+        taken.append(time.perf_counter() - start)
+    return float(np.median(taken))
+
+
+def speed(name: str, worlds: int, device: str, cores: int) -> list[str]:
+    """Steps a second of the cost on the card, of bare stepping, and of the cost on all cores."""
+    system, logs = PROBLEMS[name]()
+    engine = on_device(system, device)
+    cost = matching(system, logs, engine)
+    rng, d = np.random.default_rng(2), len(system.space)
+    z = 0.1 * rng.standard_normal((worlds // CLIPS, d))
+    lengths = cost.clips.starts.lengths
+    steps = int(lengths.max()) * len(z) * len(lengths)
+    first = time.perf_counter()
+    cost.costs(z)
+    first = time.perf_counter() - first
+    full = timed(lambda: cost.costs(z))
+    card: Card = engine.cards[0]
+    set_ = card.worlds(worlds)
+
+    job = engine.job(cost.system.space.theta_of(z), cost.clips.starts, None, ())
+
+    def bare() -> float:
+        with set_.stream():
+            inputs, _ = set_.prepare(job, [], int(lengths.max()))
+        wp.synchronize_device(device)
+        start = time.perf_counter()
+        for _ in range(int(lengths.max())):
+            for launch in inputs:
+                launch.run()
+            set_.step()
+        wp.synchronize_device(device)
+        return time.perf_counter() - start
+
+    bare()
+    alone = float(np.median([bare() for _ in range(3)]))
+    beside = matching(system, logs, open_engine(system, threads=cores))
+    few = z[: max(1, min(len(z), 1024 // CLIPS))]
+    host = timed(lambda: beside.costs(few))
+    cpu = int(lengths.sum()) * len(few) / host
+    memory = bytes_per_world(card.blueprint, set_.room, device)
+    return [
+        name, f"{worlds:,}", f"{steps / alone / 1e6:.2f} M", f"{steps / full / 1e6:.2f} M",
+        f"{alone / full:.2f}",
+        f"{cpu / 1e6:.3f} M", f"{steps / full / cpu:.1f}x", f"{memory / 1024:.0f} KiB", f"{first:.1f} s",
+        f"{set_.room.contacts}/{set_.room.rows}",
+    ]  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--worlds", default="1024,4096,8192,32768")
+    parser.add_argument("--problems", default=",".join(PROBLEMS))
+    parser.add_argument("--device", default="cuda:0")
+    parser.add_argument("--cores", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--no-agreement", action="store_true")
+    asked = parser.parse_args()
+    names = asked.problems.split(",")
+    if not asked.no_agreement:
+        show(
+            "Agreement of the engines, 64 candidates about the nominal",
+            ("system", "cost", "worst", "rank corr.", "residual [sd]", "99 %", "slopes' cosine", "worst"),
+            [agreement(name, asked.device, asked.cores) for name in names],
+        )
+    lines = []
+    for name in names:
+        for worlds in map(int, asked.worlds.split(",")):
+            lines.append(speed(name, worlds, asked.device, asked.cores))
+            print(*lines[-1], flush=True)
+    show(
+        f"Matching cost on {wp.get_device(asked.device).name}, {asked.cores} CPU cores beside it",
+        (
+            "system", "worlds", "bare steps/s", "cost steps/s", "bare/cost", "CPU cost", "faster", "a world",
+            "first", "room",
+        ),
+        lines,
+    )  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""The engine of graphics cards, on warp's processor device: turns, several cards, buffers, refusals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.cli.main import run
+from amhe_cli.core.arrays import to_host
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.engine.gpu import card
+from amhe_cli.engine.gpu import engine as gpu
+from amhe_cli.engine.gpu.engine import GpuEngine
+from amhe_cli.engine.gpu.worlds import Room
+from amhe_cli.engine.open import open_engine
+from amhe_cli.engine.rollout import Starts, Wanted
+from amhe_cli.system.system import System
+
+pytestmark = pytest.mark.slow  # warp compiles its kernels, which takes half a minute the first time
+
+PENDULUM = System.load("pendulum")
+CUBE = System.load("cube_toss")
+
+
+def on(system: System, *devices: str) -> GpuEngine:
+    return GpuEngine(system.model, system.edits, system.input_spec, system.senses, devices or ("cpu",))
+
+
+def call(system: System, count: int = 5, clips: int = 4) -> tuple[Any, ...]:
+    """A prediction of candidates on clips that begin above the floor, or at rest."""
+    model, rng, horizon = system.model, np.random.default_rng(0), 20
+    qpos = np.tile(model.qpos0, (clips, 1))
+    if system is CUBE:
+        qpos[:, :3] = (0.0, 0.0, 0.05)
+    starts = Starts(
+        qpos=qpos,
+        qvel=0.1 * rng.normal(size=(clips, model.nv)),
+        inputs=rng.normal(size=(clips, horizon, model.nu)),
+        history=0,
+        delayed=np.zeros(model.nu, dtype=bool),
+        lengths=np.full(clips, horizon),
+        first_index=np.arange(model.nv),
+        first_sd=np.full(model.nv, 0.01),
+    )
+    theta = system.space.theta_of(rng.normal(0.0, 0.3, (count, len(system.space))))
+    errors = rng.normal(size=(count, clips, model.nv))
+    wanted = [Wanted("qpos", rng.integers(0, horizon, (clips, 6)), tuple(range(model.nq)))]
+    return theta, starts, errors, wanted
+
+
+def test_a_prediction_in_turns_is_that_of_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments = call(PENDULUM)
+    (whole,) = on(PENDULUM).predict(*arguments).values
+    for at_once in (3, 8):
+        monkeypatch.setattr(card, "WITHOUT_CARD", at_once)
+        (parts,) = on(PENDULUM).predict(*arguments).values
+        np.testing.assert_array_equal(parts, whole)
+
+
+def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu, "LEAST", 4)
+    arguments = call(PENDULUM)
+    (one,), (three,) = (on(PENDULUM, *n * ["cpu"]).predict(*arguments).values for n in (1, 3))
+    np.testing.assert_array_equal(three, one)
+
+
+def test_buffers_that_are_too_small_are_made_larger(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A cube on the floor touches it at four corners."""
+    arguments = call(CUBE)
+    (expected,) = open_engine(CUBE).predict(*arguments).values
+    monkeypatch.setattr(card, "first_room", lambda model: Room(1, 2))
+    found = on(CUBE).predict(*arguments)
+    assert found.completed.all()
+    np.testing.assert_allclose(to_host(found.values[0]), expected, atol=1e-4)
+    monkeypatch.setattr(card, "DOUBLINGS", 0)
+    assert not on(CUBE).predict(*arguments).completed.all(), "contacts were left out, and it is marked"
+
+
+def test_an_estimate_is_that_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gpu, "visible_cards", lambda: ["cpu"])
+    log = amhe.read_log(Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap", PENDULUM)
+    cpu, warp = (amhe.identify(PENDULUM, log, engine=kind, threads=1, seed=0) for kind in ("cpu", "gpu"))
+    for name, one in cpu.parameters.items():
+        other = warp.parameters[name]
+        assert abs(other.estimate - one.estimate) < 0.2 * one.sd, name
+        assert other.sd == pytest.approx(one.sd, rel=0.1), name
+        assert other.verdict == one.verdict, name
+
+
+def test_a_model_that_mujoco_warp_cannot_simulate_is_refused() -> None:
+    spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))  # type: ignore[operator]
+    spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
+    model = spec.compile()
+    with pytest.raises(ConfigError, match="mujoco-warp cannot simulate this model: .*PGS.*; take the engine"):
+        GpuEngine(model, PENDULUM.edits.upon(model), PENDULUM.input_spec, False, ["cpu"])
+
+
+def test_without_a_card_the_command_says_so_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("warp.get_cuda_devices", list)
+    log = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
+    assert run(["identify", str(log), "--engine", "gpu", "-o", str(tmp_path / "out")]) == 1
+    (line,) = capsys.readouterr().err.strip().splitlines()
+    assert line == "amhe identify: error: no graphics card that CUDA can use; take the engine 'cpu'"
