@@ -23,6 +23,11 @@ def owned(name: str, owner: str) -> str:
     return f"{name}[{owner}]"
 
 
+def owner_free(name: str) -> str:
+    """Name of the parameter that an unknown is a value of; see `owned`."""
+    return name.partition("[")[0]
+
+
 def named(logs: Sequence[Log]) -> list[Log]:
     """The logs, with names for the values of their own: those of their files, numbered if need be."""
     taken = {owner for log in logs for owner in log.own.values() if owner}

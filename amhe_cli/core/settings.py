@@ -71,6 +71,25 @@ class CostSettings(SettingsGroup):
     without impacts there, or where the mean over many windows counts."""
 
 
+class RulerSettings(SettingsGroup):
+    """How far numbers of the model that are taken as exact may be off (sd): what a data sheet is worth.
+
+    Where such a number acts in the rollouts and is no parameter, estimates are widened by what it would do to
+    them. 0: it was measured, and is exact.
+    """
+
+    gain: Share = 0.1
+    """Gain of an actuator, as a share of it."""
+    force_limit: Share = 0.2
+    """Limit of an actuator's or a joint's force, as a share of it."""
+    ctrl_limit: Share = 0.2
+    """Limit of an actuator's control, as a share of it."""
+    joint_limit: Share = 0.01
+    """Either end of a joint's range, as a share of the range."""
+    center_of_mass: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01
+    """Centre of mass of a body whose mass is a parameter, along each axis [m]."""
+
+
 class IdentifySettings(SettingsGroup):
     """SPI: offline identification over all clips."""
 
@@ -94,6 +113,8 @@ class IdentifySettings(SettingsGroup):
     model_error: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """What the model itself gets wrong of a parameter (sd, as a share of it; of a linear one in prior sd), as
     logs with known parameters show. No log averages it away: it is added to the noise's sd."""
+    rulers: RulerSettings = RulerSettings()
+    """How far numbers of the model that are taken as exact may be off."""
     bootstrap: Annotated[int, Field(ge=0)] = 200
     """Resamples of the clip bootstrap."""
     profile_points: Annotated[int, Field(ge=0)] = 11

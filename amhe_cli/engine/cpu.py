@@ -105,9 +105,10 @@ class CpuEngine:
         values = tuple(one.pick(rollouts, count) for one in wanted)
         return Predicted(values, rollouts.completed.reshape(count, clips))
 
-    def upon(self, model: mujoco.MjModel) -> CpuEngine:
+    def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> CpuEngine:
         """See `Engine.upon`."""
-        return CpuEngine(model, self._edits.upon(model), self._input_spec, self._threads, self._sensors)
+        edits = edits or self._edits.upon(model)
+        return CpuEngine(model, edits, self._input_spec, self._threads, self._sensors)
 
     def _ready(self, count: int) -> mujoco.batch.Batch:
         """The pool, grown to at least `count` simulations."""

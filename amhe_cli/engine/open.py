@@ -95,8 +95,7 @@ def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]
     Returns:
         Name of the variant -> its engine; empty for a model that cannot collide.
     """
-    collides = model.npair > 0 or (model.geom_contype.any() and model.geom_conaffinity.any())
-    if not collides:
+    if not _collides(model):
         return {}
     return {
         "contacts twice as soft": engine.upon(_with_time_constant(model, 2.0)),
@@ -111,3 +110,26 @@ def _with_time_constant(model: mujoco.MjModel, factor: float) -> mujoco.MjModel:
         soft = solref[:, 0] > 0.0
         solref[soft, 0] = np.maximum(factor * solref[soft, 0], 2.0 * model.opt.timestep)
     return changed
+
+
+def finer_step(engine: Engine, model: mujoco.MjModel) -> tuple[Engine, int]:
+    """The same engine on a model of half the time step, and the order of the integrator's error in it."""
+    changed = copy.copy(model)
+    changed.opt.timestep *= 0.5
+    return engine.upon(changed), 4 if model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4 else 1
+
+
+def finer_solver(engine: Engine, model: mujoco.MjModel) -> Engine | None:
+    """The same engine with a solver that goes on for longer; None for a model without constraints."""
+    constrained = model.jnt_limited.any() or model.dof_frictionloss.any() or model.neq or _collides(model)
+    if not constrained:
+        return None
+    changed = copy.copy(model)
+    changed.opt.iterations *= 10
+    changed.opt.ls_iterations *= 10
+    changed.opt.tolerance *= 1e-3
+    return engine.upon(changed)
+
+
+def _collides(model: mujoco.MjModel) -> bool:
+    return bool(model.npair > 0 or (model.geom_contype.any() and model.geom_conaffinity.any()))

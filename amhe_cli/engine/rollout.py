@@ -16,6 +16,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from amhe_cli.engine.states import integrated
+from amhe_cli.system.edits import ModelEdits
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,6 +73,15 @@ class Starts:
             qvel=self.qvel[clips],
             inputs=self.inputs[clips],
             lengths=self.lengths[clips],
+        )
+
+    def at_half_steps(self) -> Starts:
+        """The same starts for a model of half the time step: each input is held for two steps."""
+        return replace(
+            self,
+            inputs=np.repeat(self.inputs, 2, axis=1),
+            history=2 * self.history,
+            lengths=2 * self.lengths,
         )
 
     def states(
@@ -131,6 +141,10 @@ class Wanted:
     def of(self, clips: IntArray) -> Wanted:
         """The wanted numbers of some of the clips."""
         return replace(self, rows=self.rows[clips])
+
+    def at_half_steps(self) -> Wanted:
+        """The same instants for a model of half the time step: instant k + 1 becomes 2 k + 2."""
+        return replace(self, rows=2 * self.rows + 1)
 
     def pick(self, rollouts: Rollouts, count: int) -> FloatArray:
         """The numbers of p candidates, shape (p, c, s, k), from rollouts in the order (p, c)."""
@@ -252,6 +266,11 @@ class Engine(Protocol):
         """
         ...
 
-    def upon(self, model: mujoco.MjModel) -> Engine:
-        """The same engine, its threads and workers included, on another model of the same layout."""
+    def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> Engine:
+        """The same engine, its threads and workers included, on another model of the same layout.
+
+        Args:
+            model: The model.
+            edits: How theta is written into it; None: as before.
+        """
         ...

@@ -92,9 +92,10 @@ class SpreadEngine:
             parts, theta, starts, errors, wanted, lambda each: self._gathered(_predict, each)
         )
 
-    def upon(self, model: mujoco.MjModel) -> SpreadEngine:
+    def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> SpreadEngine:
         """See `Engine.upon`."""
-        return SpreadEngine(self._executor, model, self._edits.upon(model), self._input_spec, self._sensors)
+        edits = edits or self._edits.upon(model)
+        return SpreadEngine(self._executor, model, edits, self._input_spec, self._sensors)
 
     def _gathered(self, function: Callable[..., T], parts: Sequence[tuple[Any, ...]]) -> list[T]:
         """Results of all parts, in their order."""

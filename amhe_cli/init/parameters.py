@@ -60,7 +60,7 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
         *_joint_parameters(model, joints),
         *_masses(model, joints, signals),
         *_frictions(model, signals),
-        *(gains or _gain(moved)),
+        *(gains or _gain(model, moved)),
         *(_delay(model.opt.timestep) if moved else ()),
     ]
 
@@ -258,15 +258,23 @@ def _kin(name: str) -> str:
     return "_".join(bare) or name
 
 
-def _gain(actuators: Sequence[str]) -> list[Guess]:
+def _gain(model: mujoco.MjModel, actuators: Sequence[str]) -> list[Guess]:
     if not actuators:
         return []
-    targets = [{"actuator": name, "set": "gain", "mode": "scale"} for name in actuators]
+    targets: list[dict[str, Any]] = [{"actuator": name, "set": "gain", "mode": "scale"} for name in actuators]
+    limited = [target for target in targets if model.actuator(target["actuator"]).forcelimited[0]]
+    for target in limited:
+        target["carry_limit"] = True
     entry = _entry(1.0, False, targets, GAIN_SD) | {"unit": "-"}
     why = (
         "factor on all actuator gains: masses and torques are relative to it, and position control does not "
         "determine it; delete it if the gains were measured"
     )
+    if limited:
+        why += (
+            "; carry_limit: limits of force follow it, as with a wrong torque constant; a parameter of its "
+            "own with {set: force_limit} makes them unknown"
+        )
     return [Guess("gain_scale", entry, why)]
 
 

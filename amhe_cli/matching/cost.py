@@ -10,8 +10,9 @@ estimation and the design of probes all use it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +23,7 @@ from amhe_cli.core.each_log import same_values, values_on
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.settings import CostSettings
 from amhe_cli.core.statistics import pseudo_huber, trimmed_mean
-from amhe_cli.engine.rollout import Engine, Predicted, Starts, Wanted
+from amhe_cli.engine.rollout import Engine, Predicted, Rollouts, Starts, Wanted
 from amhe_cli.matching.readings import averaged, reading_of, state_errors
 from amhe_cli.matching.windows import Clips, Observed, prepare
 from amhe_cli.system.system import Channel, System
@@ -54,6 +55,16 @@ class Residuals:
         return to_host(self.stacked)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class RolledOut:
+    """Rollouts of some clips under one theta (d,), with their inputs (c, H, nu) and lengths (c,)."""
+
+    theta: FloatArray
+    inputs: FloatArray
+    lengths: IntArray
+    rollouts: Rollouts
+
+
 class MatchingCost:
     """How well candidate parameters explain a fixed set of clips.
 
@@ -77,6 +88,24 @@ class MatchingCost:
         self.clips: Clips = prepare(system, windows, noise_scale or {}, settings.smoothing)
         self._alike = _alike([window.log for window in windows])
         self._wanted = [observed.wanted for observed in self.clips.observed]
+
+    def upon(self, engine: Engine, system: System | None = None) -> MatchingCost:
+        """The same clips rolled out by another engine.
+
+        Args:
+            engine: The engine.
+            system: The system with further parameters, for an engine that knows them; None: as before.
+        """
+        other = copy.copy(self)
+        other.engine, other.system = engine, system or self.system
+        return other
+
+    def at_half_steps(self, engine: Engine) -> MatchingCost:
+        """The same clips rolled out by an engine on a model of half the time step."""
+        other = self.upon(engine)
+        other.clips = replace(self.clips, starts=self.clips.starts.at_half_steps())
+        other._wanted = [wanted.at_half_steps() for wanted in self._wanted]
+        return other
 
     @property
     def nx(self) -> int:
@@ -104,6 +133,27 @@ class MatchingCost:
             own_wanted = [one.of(clips) for one in self._wanted]
             parts.append(self._shown(values, self.clips.starts.of(clips), own_first, own_wanted))
         return _in_order(parts, np.argsort(np.concatenate([clips for _, clips in self._alike])))
+
+    def rolled_out(self, z: FloatArray, first: FloatArray | None) -> Iterator[RolledOut]:
+        """Whole rollouts of one candidate, those together on which the parameters have the same values.
+
+        Args:
+            z: The candidate, shape (d,).
+            first: First-state errors in units of their sd, shape (c, nx); None: none.
+        """
+        system = self.system
+        theta = system.space.theta_of(system.space.clip(z))[None]
+        for log, clips in self._alike:
+            values = values_on(log, system.edits.space, system.space, theta)
+            starts = self.clips.starts.of(clips)
+            own = None if first is None else first[None, clips]
+            if (errors := state_errors(system, values, starts)) is not None:
+                own = errors if own is None else own + errors
+            qpos, qvel = starts.states(system.model, 1, own)
+            inputs = starts.inputs_under(system.edits.delays(values) / system.dt)
+            every = np.repeat(values, len(clips), axis=0)
+            rollouts = self.engine.rollout(every, qpos[0], qvel[0], inputs, starts.lengths)
+            yield RolledOut(values[0], inputs, starts.lengths, rollouts)
 
     def _shown(
         self, theta: FloatArray, starts: Starts, first: FloatArray | None, wanted: Sequence[Wanted]

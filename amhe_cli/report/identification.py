@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import shutil
 from collections.abc import Mapping
 from dataclasses import asdict, replace
@@ -16,9 +17,11 @@ from amhe_cli.core.belief_file import belief_text
 from amhe_cli.core.files import filling, json_text, plain
 from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.offline.result import HeldOut, Identification, OwnSpread, known_together
+from amhe_cli.estimation.offline.verdicts import RESTS
 from amhe_cli.report import numbers
 from amhe_cli.report.bodies import body_table
-from amhe_cli.report.identification_page import MAX_COMBINATIONS, error_rows, identification_page
+from amhe_cli.report.held_out import error_rows
+from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.export import identified_assets, identified_xml
 from amhe_cli.system.system import System
@@ -110,9 +113,8 @@ def print_identification(
         console.print()
     if result.belief.fixed:
         console.print(f"fixed: {numbers.named(result.belief.fixed)}")
-    for parameter in result.parameters:
-        if parameter.verdict != "identified" and parameter.reasons:
-            console.print(f"{parameter.name}: {parameter.reasons[0]}", style="dim")
+    for reason, names in _first_reasons(result).items():
+        console.print(f"{', '.join(names)}: {reason}", style="dim")
     for spread in result.spreads:
         console.print(spread_line(spread))
     for c in known_together(result)[:MAX_COMBINATIONS]:
@@ -136,6 +138,17 @@ def _print_parameters(result: Identification, console: Console) -> None:
             break
     console.width = max(width, console.width)
     console.print(table)
+
+
+def _first_reasons(result: Identification) -> dict[str, list[str]]:
+    """First reasons of verdicts but 'identified', and what intervals rest on: reason -> parameters."""
+    found: dict[str, list[str]] = {}
+    for p in result.parameters:
+        if p.reasons and p.verdict == "identified" and p.reasons[0].startswith(RESTS):
+            found.setdefault(p.reasons[0].partition(": ")[0], []).append(p.name)
+        elif p.reasons and p.verdict != "identified":
+            found.setdefault(p.reasons[0], []).append(p.name)
+    return found
 
 
 def parameter_table(result: Identification) -> Table:
@@ -181,5 +194,9 @@ def held_out_line(held_out: HeldOut | None) -> str:
     if held_out is None:
         return "nothing was held out, so the fit is not validated"
     parts = [f"cost {held_out.initial_cost:.3g} -> {held_out.cost:.3g}"]
+    if math.isfinite(held_out.fitted_cost):
+        parts[0] += (
+            f" (with first states fitted {held_out.initial_fitted_cost:.3g} -> {held_out.fitted_cost:.3g})"
+        )
     parts += [f"{name} {before} -> {after}" for name, before, after in error_rows(held_out)]
     return f"{held_out.clips} clip{'s' * (held_out.clips != 1)}: {', '.join(parts)}"

@@ -13,13 +13,13 @@ from amhe_cli.core.statistics import Z90
 from amhe_cli.estimation.offline.result import (
     VERDICTS,
     Fit,
-    HeldOut,
     Identification,
     ParameterResult,
     known_together,
 )
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.bodies import body_table
+from amhe_cli.report.held_out import held_out_sections, held_out_statement
 from amhe_cli.report.page import Fold, Section, Statement, Tone, cell, fixed_statement, result_page
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
@@ -70,6 +70,8 @@ def headline(result: Identification) -> str:
     total = len(result.parameters)
     if count == total:
         return "All parameters are identified." if total > 1 else "The parameter is identified."
+    if result.unexplained:
+        return f"No parameter is identified: {result.unexplained[0]}."
     if count == 0:
         return "No parameter is identified by these logs."
     return f"{count} of {total} parameters {'is' if count == 1 else 'are'} identified."
@@ -79,7 +81,8 @@ def statements(result: Identification) -> list[Statement]:
     """What a reader should know before using a number, most important first."""
     return [
         *_stopped(result),
-        *_validation(result.held_out),
+        *_unexplained(result),
+        *held_out_statement(result.held_out),
         *_verdicts(result.parameters),
         *_combinations(result),
         *fixed_statement(result.belief.fixed),
@@ -93,40 +96,9 @@ def _stopped(result: Identification) -> Iterator[Statement]:
         yield Statement("bad", "The search was interrupted: the values are the best that it had found.")
 
 
-def _validation(held_out: HeldOut | None) -> Iterator[Statement]:
-    if held_out is None or held_out.clips == 0:
-        yield Statement(
-            "bad", "Nothing was held out, so nothing shows that the values predict data that were not fitted."
-        )
-        return
-    clips = (
-        f"{held_out.clips} clips that were not fitted" if held_out.clips > 1 else "a clip that was not fitted"
-    )
-    costs = f"from {held_out.initial_cost:.3g} to {held_out.cost:.3g}"
-    if held_out.cost < held_out.initial_cost:
-        yield Statement("good", f"On {clips} the cost falls {costs}{_errors(held_out)}.")
-    else:
-        yield Statement(
-            "bad",
-            f"On {clips} the cost does not fall ({costs}): the values do not predict unseen data better "
-            "than the initial ones. Find out why before you use them.",
-        )
-
-
-def _errors(held_out: HeldOut) -> str:
-    return "".join(
-        f", the mean {name} from {before} to {after}" for name, before, after in error_rows(held_out)
-    )
-
-
-def error_rows(held_out: HeldOut) -> list[tuple[str, str, str]]:
-    """Name, initial and identified value of each error that the system measures, as texts."""
-    h, length, angle = held_out, numbers.length, numbers.angle
-    rows = [
-        ("position error", length(h.initial_position_error_m), length(h.position_error_m)),
-        ("orientation error", angle(h.initial_orientation_error_rad), angle(h.orientation_error_rad)),
-    ]
-    return [row for row in rows if row[2] != numbers.MISSING]
+def _unexplained(result: Identification) -> Iterator[Statement]:
+    for text in result.unexplained:
+        yield Statement("bad", f"{text[0].upper()}{text[1:]}.")
 
 
 def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
@@ -170,7 +142,7 @@ def _sections(result: Identification, truth: Mapping[str, float]) -> Iterator[Se
     if result.combinations:
         yield _combination_section(result)
     if result.held_out:
-        yield Section("Validation on clips that were not fitted", table=_validation_table(result.held_out))
+        yield from held_out_sections(result.held_out)
     if result.fits:
         yield _fit_section(result.fits)
     if result.noise_scale:
@@ -283,13 +255,6 @@ def _combination_section(result: Identification) -> Section:
         "than either, and another stays poorly known.",
         table=Table(("combination", "sd", "shrinkage", ""), ("name", STRONG, NUMBER, "soft"), rows),
     )
-
-
-def _validation_table(held_out: HeldOut) -> Table:
-    clips = f"{held_out.clips} clip{'s' * (held_out.clips != 1)}"
-    rows = [("matching cost", f"{held_out.initial_cost:.4g}", f"{held_out.cost:.4g}")]
-    rows += [(f"mean {name}", before, after) for name, before, after in error_rows(held_out)]
-    return Table((clips, "initial", "identified"), ("", f"{NUMBER} soft", STRONG), rows)
 
 
 def _residual_table(noise_scale: Mapping[str, float]) -> Table:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import mujoco
@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from amhe_cli.system.calibration import SignalCalibration
 
 _BODY_FIELDS = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
+
+
+#: Whether a value is set into a number, multiplied onto it or added to it.
+Mode = Literal["value", "scale", "add"]
 
 
 class Edit(Protocol):
@@ -54,13 +58,14 @@ class ScalarEdit:
         column: Column of theta.
         written: The numbers that the parameter sets.
         mode: Whether it is set into them, multiplied onto them or added to them.
-        carried: Bodies whose inertia is scaled with their mass.
+        carried: For some of the written, numbers that are scaled with them: inertia with mass, a servo's
+            limit of force with its gain.
     """
 
     column: int
     written: tuple[Cells, ...]
-    mode: Literal["value", "scale", "add"]
-    carried: tuple[int, ...] = ()
+    mode: Mode
+    carried: Mapping[Cells, tuple[Cells, ...]] = field(default_factory=dict)
 
     @property
     def columns(self) -> Sequence[int]:
@@ -69,8 +74,8 @@ class ScalarEdit:
 
     @property
     def cells(self) -> tuple[Cells, ...]:
-        """The numbers that are set, and the inertias that follow."""
-        return self.written + tuple(Cells("body_inertia", row, (0, 1, 2)) for row in self.carried)
+        """The numbers that are set, and those that follow."""
+        return self.written + tuple(cells for following in self.carried.values() for cells in following)
 
     def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
         """See `Edit.write`."""
@@ -83,8 +88,8 @@ class ScalarEdit:
                 new = np.broadcast_to(cells.factor * wide, old.shape)
             else:
                 new = old * wide if self.mode == "scale" else old + cells.factor * wide
-            if cells.field == "body_mass" and cells.row in self.carried:
-                arrays["body_inertia"][:, cells.row] *= (new / old)[:, None]
+            for following in self.carried.get(cells, ()):
+                arrays[following.field][following.index] *= (new / old).reshape(len(theta), 1)
             array[cells.index] = new
 
 
@@ -127,8 +132,8 @@ class PseudoInertiaEdit:
     def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
         """See `Edit.write`."""
         numbers = body_numbers(self.factor(theta))
-        for field, values in zip(_BODY_FIELDS, numbers, strict=True):
-            arrays[field][:, self.body] = values
+        for name, values in zip(_BODY_FIELDS, numbers, strict=True):
+            arrays[name][:, self.body] = values
 
 
 def inputs_of_set_const() -> frozenset[str]:
@@ -219,6 +224,15 @@ class ModelEdits:
         """Mass, centre of mass and inertia of each such body for candidates theta (n, d)."""
         for name, edit in self.bodies.items():
             yield name, inertia_about_com(edit.factor(self._whole(theta)))
+
+    def extended(
+        self, model: mujoco.MjModel, more: Sequence[tuple[Parameter, tuple[Cells, ...], Mode]]
+    ) -> ModelEdits:
+        """These edits upon a model of the same layout, and after them those of further parameters."""
+        space = ParameterSpace((*self._all.parameters, *(parameter for parameter, _, _ in more)))
+        scalar = (ScalarEdit(len(self._all) + i, cells, mode) for i, (_, cells, mode) in enumerate(more))
+        edits = (*self._edits, *scalar)
+        return ModelEdits(model, space, edits, self._delay_column, self.fixed, self._calibration)
 
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
         """Each parameter that sets plain numbers, with all of them."""

@@ -92,6 +92,9 @@ def _loadable(moments: FloatArray) -> FloatArray:
 def _write(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, row: int) -> None:
     """Write one row of a compiled array into the element that it came from."""
     kind, attribute = field.split("_", 1)
+    if field == "jnt_actfrcrange":
+        _with_id(spec.joints, row).actfrcrange = model.jnt_actfrcrange[row]
+        return
     if kind in ("dof", "jnt"):
         joint = _with_id(spec.joints, int(model.dof_jntid[row]) if kind == "dof" else row)
         value = float(getattr(model, field)[row])
@@ -102,7 +105,8 @@ def _write(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, row: int) -> 
             setattr(joint, attribute, value)
         return
     elements = {"geom": spec.geoms, "pair": spec.pairs, "actuator": spec.actuators}[kind]
-    setattr(_with_id(elements, row), attribute, getattr(model, field)[row])
+    owner = int(np.flatnonzero(model.actuator_ctrladr == row)[0]) if attribute == "ctrlrange" else row
+    setattr(_with_id(elements, owner), attribute, getattr(model, field)[row])
 
 
 def _with_id(elements: Any, row: int) -> Any:

@@ -42,6 +42,7 @@ class TargetEntry(_Entry):
     axis: Literal["x", "y", "z", "all", "roll", "pitch", "yaw"] | None = None
     mode: Literal["value", "scale", "add"] = "value"
     carry_inertia: bool = True
+    carry_limit: bool = False
 
 
 class ParameterEntry(_Entry):

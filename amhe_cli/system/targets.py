@@ -231,10 +231,23 @@ def _joint(field: str) -> Mapping:
 
 
 def _gain(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    """Gain of a motor or servo; a servo's bias holds the same gain, negated, and must follow it."""
+    """Gain of a motor or servo."""
     name = model.actuator(row).name
-    if int(model.actuator_gaintype[row]) != mujoco.mjtGain.mjGAIN_FIXED:
+    if entry.carry_limit:
+        _force_limit(model, row, entry)  # refused where there is none
+    cells = gain_cells(model, row)
+    if not cells:
         raise ConfigError(f"actuator {name!r} has no fixed gain: only motors and servos have one to set")
+    return cells
+
+
+def gain_cells(model: mujoco.MjModel, row: int) -> list[Cells]:
+    """Gain of an actuator; none where it is not fixed.
+
+    A servo's bias holds the same gain, negated, and must follow it.
+    """
+    if int(model.actuator_gaintype[row]) != mujoco.mjtGain.mjGAIN_FIXED:
+        return []
     gain, bias = model.actuator_gainprm[row, 0], model.actuator_biasprm[row]
     cells = [Cells("actuator_gainprm", row, (0,))]
     if int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE and gain:
@@ -257,6 +270,35 @@ def _of_signal(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cell
     raise NotImplementedError
 
 
+def range_cells(model: mujoco.MjModel, field: str, row: int) -> list[Cells]:
+    """Both ends of a range about zero, or its upper end alone where it begins at zero."""
+    lower = getattr(model, field)[row, 0]
+    return [Cells(field, row, (1,)), *([Cells(field, row, (0,), -1.0)] if lower else [])]
+
+
+def _force_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    if not model.actuator_forcelimited[row]:
+        raise ConfigError(
+            f"actuator {model.actuator(row).name!r} has no forcerange in the model; give it one"
+        )
+    return range_cells(model, "actuator_forcerange", row)
+
+
+def _joint_force_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    if not model.jnt_actfrclimited[row]:
+        raise ConfigError(
+            f"joint {model.joint(row).name!r} has no actuatorfrcrange in the model; give it one"
+        )
+    return range_cells(model, "jnt_actfrcrange", row)
+
+
+def _ctrl_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    ctrl = int(model.actuator_ctrladr[row])
+    if model.actuator_ctrlnum[row] != 1 or not model.actuator_ctrllimited[ctrl]:
+        raise ConfigError(f"actuator {model.actuator(row).name!r} has no ctrlrange in the model; give it one")
+    return range_cells(model, "actuator_ctrlrange", ctrl)
+
+
 #: Words of `set:` that set plain numbers.
 SETTERS: Mapping[str, Setter] = {
     "mass": Setter("kg", {"body": _mass}, positive=True),
@@ -277,6 +319,8 @@ SETTERS: Mapping[str, Setter] = {
     "bias": Setter("-", {"signal": _of_signal}, lower=-inf),
     "frame": Setter("-", {"signal": _of_signal}, lower=-inf),
     "band": Setter("Hz", {"signal": _of_signal}, positive=True),
+    "force_limit": Setter("N m", {"actuator": _force_limit, "joint": _joint_force_limit}, positive=True),
+    "ctrl_limit": Setter("-", {"actuator": _ctrl_limit}, positive=True),
 }
 #: Words that need more than plain numbers, with their selectors.
 SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": []}

@@ -17,7 +17,7 @@ from amhe_cli.system.calibration import CalibrationNumber, SignalCalibration
 from amhe_cli.system.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.inertia import PSEUDO_NAMES
 from amhe_cli.system.schema import Description, ParameterEntry, SystemEntry, TargetEntry
-from amhe_cli.system.targets import SETTERS, Cells, cells_of, id_of, rows_of, selector_of
+from amhe_cli.system.targets import SETTERS, Cells, cells_of, range_cells, rows_of, selector_of
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
 LOG_PRIOR_SD = 0.5
@@ -27,8 +27,8 @@ LOG_RANGE = 10.0
 PSEUDO_BOUNDS, PSEUDO_PRIOR_SD = (-1.0, 1.0), 0.25
 #: Targets that need the general form of a body's equations of motion (MuJoCo's simple="false").
 _GENERAL = ("center_of_mass", "pseudo_inertia")
-#: Mass first, because the inertia that it carries along may be set afterwards.
-_ORDER = {"mass": 0, "pseudo_inertia": 0}
+#: Mass and gain first, because the inertia and the limit that they carry along may be set afterwards.
+_ORDER = {"mass": 0, "pseudo_inertia": 0, "gain": 0}
 
 
 def generalise(spec: mujoco.MjSpec, entry: SystemEntry) -> None:
@@ -105,9 +105,7 @@ def _add_plain(
                 file.problem(here, "there is one common command delay, and it is already a parameter")
             found.delay_column = column
             continue
-        carried = target.set == "mass" and target.carry_inertia
-        bodies = tuple(c.row for c in cells) if carried else ()
-        edit = ScalarEdit(column, tuple(cells), target.mode, bodies)
+        edit = ScalarEdit(column, tuple(cells), target.mode, _carried(target, cells, model))
         if numbers:
             found.calibrated.append(edit)
         else:
@@ -127,6 +125,18 @@ def _add_plain(
         found.parameters.append(parameter)
     except ConfigError as error:
         file.problem(place, str(error))
+
+
+def _carried(
+    target: TargetEntry, cells: list[Cells], model: mujoco.MjModel
+) -> dict[Cells, tuple[Cells, ...]]:
+    """Numbers that scale with those that a target sets."""
+    if target.set == "mass" and target.carry_inertia:
+        return {c: (Cells("body_inertia", c.row, (0, 1, 2)),) for c in cells}
+    if target.set == "gain" and target.carry_limit:
+        gains = [c for c in cells if c.field == "actuator_gainprm"]
+        return {c: tuple(range_cells(model, "actuator_forcerange", c.row)) for c in gains}
+    return {}
 
 
 def _add_pseudo(
@@ -248,12 +258,19 @@ def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str
         return "s"
     unit = SETTERS[target.set].unit
     slides = {"N m s/rad": "N s/m", "kg m^2": "kg", "N m": "N", "N m/rad": "N/m"}
-    if target.joint and cells and target.signal is None:
-        row = (
-            id_of(model, "joint", target.joint)
-            if cells[0].field.startswith("jnt_")
-            else int(model.dof_jntid[cells[0].row])
-        )
-        if int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_SLIDE:
-            return slides.get(unit, unit)
-    return unit
+    joint = _joint_of(cells[0], model) if cells and target.signal is None else None
+    slid = joint is not None and int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_SLIDE
+    return slides.get(unit, unit) if slid else unit
+
+
+def _joint_of(cells: Cells, model: mujoco.MjModel) -> int | None:
+    """Row of the joint whose numbers these are, or those of its actuator; None for others."""
+    if cells.field.startswith("jnt_"):
+        return cells.row
+    if cells.field.startswith("dof_"):
+        return int(model.dof_jntid[cells.row])
+    driven = cells.field == "actuator_forcerange" and model.actuator_trntype[cells.row] in (
+        mujoco.mjtTrn.mjTRN_JOINT,
+        mujoco.mjtTrn.mjTRN_JOINTINPARENT,
+    )
+    return int(model.actuator_trnid[cells.row, 0]) if driven else None

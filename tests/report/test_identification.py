@@ -161,7 +161,7 @@ def test_words_warn_when_validation_does_not_improve() -> None:
     text = stated(identification(held_out=HeldOut(3, 2.0, 1.9, nan, nan, nan, nan)))
     assert "do not predict unseen data better" in text
     good = stated(identification(held_out=HeldOut(1, 1.0, 9.0, 0.009, 0.042, 0.02, 0.3)))
-    assert "On a clip that was not fitted the cost falls from 9 to 1" in good
+    assert "On a clip that was not fitted the cost goes from 9 to 1 from recorded first states" in good
     assert "the mean position error from 42 mm to 9 mm" in good
 
 

@@ -18,7 +18,8 @@ MODEL = """
       <site name="grip" pos="0.1 0 0.05"/>
     </body>
     <body name="arm" pos="1 0 1">
-      <joint name="hip" axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.05" stiffness="2"/>
+      <joint name="hip" axis="0 1 0" damping="0.1" armature="0.01" frictionloss="0.05" stiffness="2"
+             actuatorfrcrange="-6 6"/>
       <geom name="upper" type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/>
       <body name="hand" pos="0 0 -0.3">
         <joint name="knee" axis="0 1 0" damping="0.3"/>
@@ -35,8 +36,8 @@ MODEL = """
   </worldbody>
   <contact><pair name="slide" geom1="upper" geom2="table" solref="0.02 1"/></contact>
   <actuator>
-    <position name="hip_servo" joint="hip" kp="20" kv="1"/>
-    <motor name="knee_motor" joint="knee" gear="3"/>
+    <position name="hip_servo" joint="hip" kp="20" kv="1" forcerange="-5 5"/>
+    <motor name="knee_motor" joint="knee" gear="3" forcerange="0 3" ctrlrange="-1 1"/>
     <velocity name="knee_speed" joint="knee" kv="2"/>
     <muscle name="muscle" joint="knee" lengthrange="0.1 0.2"/>
     <pid name="two" joint="hip"/>

@@ -37,6 +37,11 @@ TARGETS = {  # target: (keys, theta, field, index, expected)
     "{actuator: knee_motor, set: gain}": ("", 2.0, "actuator_gainprm", (1, 0), 2.0),
     "{actuator: knee_speed, set: gain}": ("", 4.0, "actuator_biasprm", (2, 2), -4.0),
     "{actuator: hip_servo, set: actuator_damping}": ("", 3.0, "actuator_biasprm", (0, 2), -3.0),
+    "{actuator: hip_servo, set: force_limit}": ("", 4.0, "actuator_forcerange", 0, [-4.0, 4.0]),
+    "{actuator: knee_motor, set: force_limit, mode: scale}": ("", 2.0, "actuator_forcerange", 1, [0.0, 6.0]),
+    "{joint: hip, set: force_limit}": ("", 2.0, "jnt_actfrcrange", 1, [-2.0, 2.0]),
+    "{actuator: knee_motor, set: ctrl_limit}": ("", 0.5, "actuator_ctrlrange", 1, [-0.5, 0.5]),
+    "{actuator: hip_servo, set: gain, carry_limit: true}": ("", 30.0, "actuator_forcerange", 0, [-7.5, 7.5]),
 }
 
 
@@ -74,6 +79,17 @@ def test_mass_carries_its_inertia_along_unless_told_not_to(with_target: Write) -
     alone = System.load(with_target("{body: box, set: mass, carry_inertia: false}"))
     heavy = alone.edits.apply(alone.model, np.array([6.0]))
     np.testing.assert_array_equal(heavy.body_inertia[1], alone.model.body_inertia[1])
+
+
+def test_a_limit_stays_unless_the_gain_carries_it(with_target: Write) -> None:
+    alone = System.load(with_target("{actuator: hip_servo, set: gain}"))
+    strong = alone.edits.apply(alone.model, np.array([30.0]))
+    np.testing.assert_array_equal(strong.actuator_forcerange[0], [-5.0, 5.0])
+
+
+def test_a_limit_of_force_has_the_unit_of_its_joint(with_target: Write) -> None:
+    system = System.load(with_target("{actuator: hip_servo, set: force_limit}"))
+    assert (system.space.parameters[0].unit, system.space.nominal[0]) == ("N m", 5.0)
 
 
 def test_mass_and_inertia_scale_compose_in_either_order(written: Write) -> None:
@@ -221,6 +237,10 @@ REFUSED = {
     "{actuator: muscle, set: gain}": "no fixed gain",
     "{actuator: two, set: gain}": "no fixed gain",
     "{actuator: knee_motor, set: actuator_damping}": "is a motor",
+    "{actuator: knee_speed, set: force_limit}": "'knee_speed' has no forcerange",
+    "{joint: knee, set: force_limit}": "'knee' has no actuatorfrcrange",
+    "{actuator: hip_servo, set: ctrl_limit}": "'hip_servo' has no ctrlrange",
+    "{actuator: knee_speed, set: gain, carry_limit: true}": "'knee_speed' has no forcerange",
     "{pair: [box, floor], set: sliding_friction}": "no contact pair between 'box' and 'floor'",
     "{pair: slip, set: sliding_friction}": "no pair 'slip' (did you mean 'slide'?)",
     "{set: command_delay}": "give a nominal value",

@@ -66,11 +66,11 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
         "12:9: no body 'boxx' (did you mean 'box'?); there is: arm, ball, box, hand, marker, table, world",
         "13:9: no target 'sliding_frction' (did you mean 'sliding_friction'?); there is: actuator_damping, "
         "armature, band, bias, center_of_mass, command_delay, contact_damping_ratio, "
-        "contact_time_constant, damping, frame, friction_loss, gain, inertia, mass, pseudo_inertia, "
-        "rolling_friction, scale, sliding_friction, stiffness, torsional_friction",
+        "contact_time_constant, ctrl_limit, damping, force_limit, frame, friction_loss, gain, inertia, mass, "
+        "pseudo_inertia, rolling_friction, scale, sliding_friction, stiffness, torsional_friction",
         "15:12: scale is 'logg'; 'log' or 'linear' would be valid",
-        "16:42: no key 'mod' (did you mean 'mode'?); there is: actuator, axis, body, carry_inertia, geom, "
-        "joint, mode, pair, quantity, set, signal",
+        "16:42: no key 'mod' (did you mean 'mode'?); there is: actuator, axis, body, carry_inertia, "
+        "carry_limit, geom, joint, mode, pair, quantity, set, signal",
         "17:3: parameters.stray lacks the key 'targets'",
         "19:3: no quantity 'positon' (did you mean 'position'?); there is: angular_velocity, effort, force, "
         "linear_acceleration, linear_velocity, orientation, position, torque, value, velocity",

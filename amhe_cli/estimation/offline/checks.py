@@ -11,12 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray
 from amhe_cli.core.each_log import acting
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.engine.open import contact_variants
-from amhe_cli.estimation.core.information import Information, information, objective
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.posterior import (
     Disagreement,
@@ -29,9 +27,7 @@ from amhe_cli.estimation.offline.posterior import (
 )
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
-from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, Shift, share, size
-from amhe_cli.estimation.offline.widening import beyond_chance
-from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, share, size
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -40,6 +36,9 @@ logger = logging.getLogger(__name__)
 UNSETTLED, MOVING = 2.0, 1.0
 #: Residuals of this many noise sd are a wrong model.
 MISFIT = 3.0
+#: Residuals of this many times the declared noise make every number the model's, unless they are noise:
+#: their autocorrelation time is below so many samples.
+MISSED, WHITE = 5.0, 2.0
 HALVES = "the first and second half of the logs"
 #: Iterations that each half gets to find its own estimate, and the clips that it must have.
 REFITS, FEWEST_CLIPS = 2, 3
@@ -108,47 +107,6 @@ def _later_logs(clips: Sequence[Window]) -> BoolArray:
     return np.array([2 * order[id(w.log)] >= len(order) > 1 for w in clips])
 
 
-def shifts_of(problem: Problem, finding: Finding, fit: FinalFit) -> list[Shift]:
-    """Where the estimate would move if unmeasured details of contact were others.
-
-    A detail that the log itself contradicts, even with another estimate and other first states, is changed
-    only as far as the log allows: to where the misfit would have risen by SURPRISE squared.
-    """
-    system, prior = problem.system, problem.system.space.prior_precision
-    least = _misfit(fit, fit.slopes.cost, fit.found, fit.posterior.step)
-    shifts = []
-    for name, engine in contact_variants(problem.engine, system.model).items():
-        cost = MatchingCost(system, problem.clips, engine, problem.settings.cost, fit.scale)
-        slopes, first = fit.slopes, fit.slopes.first.mean[None]
-        residuals = cost.residuals(finding.z[None], first if first.shape[2] else None)
-        both = slopes.completed & residuals.completed[0]
-        shifted = slopes.residual + residuals.flat[0] - slopes.centre
-        moved = information(replace(slopes, residual=shifted, completed=both))
-        there = posterior(finding.z, moved, fit.weight * both, prior)
-        rise = _misfit(fit, cost, moved, there.step) - least
-        share = allowed(rise)
-        label = name if share == 1.0 else f"{name}, as far as the log allows it,"
-        move = share * (there.step - fit.posterior.step)
-        spread = 0.5 * beyond_chance(fit.posterior.covariance, move)
-        shifts.append(Shift(f"{label} would move it by {{}}", move, spread))
-    return shifts
-
-
-def allowed(rise: float) -> float:
-    """Share of a change of the model that raises the misfit by no more than SURPRISE squared.
-
-    Misfit rises with the square of the change; where all of the change raises it by less, it is 1.
-    """
-    return SURPRISE / float(np.sqrt(max(rise, SURPRISE**2)))
-
-
-def _misfit(fit: FinalFit, cost: MatchingCost, found: Information, step: FloatArray) -> float:
-    """Weighted squared residuals a step (d,) from the estimate, first states moved along."""
-    z, first = cost.system.space.clip(fit.z + step)[None], found.first(step[None])
-    residuals = cost.residuals(z, first if first.shape[2] else None)
-    return float(objective(cost, residuals, first, fit.times, fit.weight)[0])
-
-
 def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
     """Warn of a search that stopped on its way; on a rough cost the steps never get short."""
     space = problem.system.space
@@ -172,12 +130,37 @@ def _stalled(finding: Finding, fit: FinalFit) -> bool:
 
 def report_misfit(system: System, fit: FinalFit) -> None:
     """Warn of channels that the model does not explain."""
-    for key, scale in fit.scale.items():
+    for key, (scale, white) in _misfits(fit).items():
         if scale > MISFIT:
+            missing = f"something is missing in it ({', '.join(suspects(system))}), or "
             logger.warning(
-                f"the model misses {key} by {scale:.1f} times its declared noise: something is missing in it "
-                f"({', '.join(suspects(system))}), or the noise is declared too small"
+                f"the model misses {key} by {scale:.1f} times its declared noise: {missing * (not white)}"
+                f"the noise is declared too small"
             )
+
+
+def unexplained(system: System, fit: FinalFit) -> tuple[str, ...]:
+    """Channels that the model misses by so much that no value can be believed, and what to do.
+
+    Residuals that are large but independent are noise, however little was declared.
+    """
+    found = []
+    noise = {channel.key: channel.noise or 0.0 for channel in system.channels}
+    for key, (scale, white) in sorted(_misfits(fit).items(), key=lambda item: -item[1][0]):
+        if scale > MISSED and not white:
+            quantity = key.rsplit(".", 1)[1]
+            found.append(
+                f"the model misses {key} by {scale:.0f} times its noise: free what it may lack "
+                f"({', '.join(suspects(system))}); if it cannot be better, declare what it misses, "
+                f"noise: {{{quantity}: {scale * noise[key]:.2g}}}"
+            )
+    return tuple(found)
+
+
+def _misfits(fit: FinalFit) -> dict[str, tuple[float, bool]]:
+    """For each channel, residual sd over declared noise, and whether the residuals are white."""
+    keys = [observed.channel.key for observed in fit.slopes.cost.clips.observed]
+    return {key: (fit.scale.get(key, 1.0), time < WHITE) for key, time in zip(keys, fit.times, strict=True)}
 
 
 def suspects(system: System) -> list[str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,10 +19,12 @@ from amhe_cli.estimation.offline.checks import (
     report_drift,
     report_misfit,
     report_unsettled,
-    shifts_of,
+    unexplained,
 )
 from amhe_cli.estimation.offline.cma import CmaState
+from amhe_cli.estimation.offline.combinations import combinations
 from amhe_cli.estimation.offline.fits import fits
+from amhe_cli.estimation.offline.held_out import judge, validate
 from amhe_cli.estimation.offline.posterior import (
     TURNS,
     Disagreement,
@@ -31,8 +35,9 @@ from amhe_cli.estimation.offline.posterior import (
     final_fit,
 )
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.result import ClipCount, HeldOut, Identification
-from amhe_cli.estimation.offline.verdicts import Evidence, Shift, combinations, profiles, verdicts
+from amhe_cli.estimation.offline.result import ClipCount, Identification
+from amhe_cli.estimation.offline.shifts import shifts_of
+from amhe_cli.estimation.offline.verdicts import Evidence, Shift, profiles, verdicts
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.offline.widening import (
     along_vectors,
@@ -42,10 +47,11 @@ from amhe_cli.estimation.offline.widening import (
     repeated,
     variances,
 )
-from amhe_cli.matching.cost import MatchingCost
+
+logger = logging.getLogger(__name__)
 
 #: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
-PARTS, RESERVE = 6, 3
+PARTS, RESERVE = 7, 3
 
 
 def conclude(problem: Problem, finding: Finding, validation: list[Window], watch: Watch) -> Identification:
@@ -55,13 +61,32 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         problem: The problem that was searched.
         finding: Result of the search.
         validation: Clips that were not fitted.
-        watch: Shows progress, and decides for which of the slow checks there is time: the comparison of the
-            logs' halves, shifts under other models, profiles. After an interruption there is for none.
+        watch: Shows progress, and decides for which of the slow checks there is time: held-out clips from
+            fitted first states, the comparison of the logs' halves, shifts under other models, profiles.
+            After an interruption there is for none.
     """
     system = problem.system
-    evidence = _evidence(problem, finding, watch)
+    watch.enter("covariance")
+    fit = final_fit(problem, finding, watch)
+    held_out, against = validate(problem, validation, finding), ()
+    if held_out and watch.allows("held-out clips from fitted first states", problem.linearisation):
+        judged = judge(problem, validation, fit)
+        against = judged.against
+        held_out = replace(
+            held_out,
+            fitted_cost=judged.cost,
+            initial_fitted_cost=judged.initial_cost,
+            noise_scale=judged.noise_scale,
+            errors=judged.errors,
+        )
+        for text in judged.against:
+            logger.warning(
+                f"{text}: no value is called identified; compare measured with predicted in the report, "
+                f"and free what the model may lack"
+            )
+    evidence = _evidence(problem, finding, fit, against, watch)
     watch.report_skipped()
-    watch.enter("validation")
+    watch.enter("figures")
     return Identification(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",
@@ -69,7 +94,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         belief=belief_of(system, finding.z, evidence.covariance),
         correlations=correlation(evidence.covariance),
         combinations=combinations(system.space, evidence.covariance, problem.active),
-        held_out=validate(problem, validation, finding),
+        held_out=held_out,
         iterations=finding.record,
         rollouts=sum(i.rollouts for i in finding.record),
         diverged=sum(i.diverged for i in finding.record),
@@ -79,7 +104,8 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
             motionless=problem.pool.motionless,
             across_gaps=problem.pool.across_gaps,
         ),
-        noise_scale=evidence.noise_scale,
+        noise_scale=fit.scale,
+        unexplained=tuple(evidence.unexplained),
         fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
         interrupted=watch.interrupted,
         bodies=body_numbers(system, finding.z, evidence.covariance, problem.rng(5)),
@@ -87,11 +113,11 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     )
 
 
-def _evidence(problem: Problem, finding: Finding, watch: Watch) -> Evidence:
+def _evidence(
+    problem: Problem, finding: Finding, fit: FinalFit, against: Sequence[str], watch: Watch
+) -> Evidence:
     """All that is known about how accurate the estimate is."""
     space, setting, once = problem.system.space, problem.settings.identify, problem.linearisation
-    watch.enter("covariance")
-    fit = final_fit(problem, finding, watch)
     own = fit.posterior.covariance
     doubled = own
     if watch.affords(once):
@@ -102,7 +128,7 @@ def _evidence(problem: Problem, finding: Finding, watch: Watch) -> Evidence:
     report_misfit(problem.system, fit)
     report_unsettled(problem, finding, fit)
     report_drift(space, compared)
-    shifts = shifts_of(problem, finding, fit) if watch.allows("shifts under other models", once) else []
+    shifts = shifts_of(problem, fit) if watch.allows("shifts under other models", once) else []
     again = repeated(fit)
     covariance = own + _systematic(problem, fit, compared, shifts, doubled, again)
     points = setting.profile_points
@@ -110,6 +136,7 @@ def _evidence(problem: Problem, finding: Finding, watch: Watch) -> Evidence:
     return Evidence(
         z=finding.z,
         covariance=covariance,
+        own_sd=fit.posterior.sd,
         active=problem.active,
         idle=problem.idle,
         step_ratio=np.where(problem.active, np.sqrt(np.diag(own) / np.diag(doubled)), np.nan),
@@ -126,7 +153,8 @@ def _evidence(problem: Problem, finding: Finding, watch: Watch) -> Evidence:
             problem.active,
             points if watch.allows("cost profiles", rollouts) else 0,
         ),
-        noise_scale=fit.scale,
+        unexplained=(*against, *unexplained(problem.system, fit)),
+        rough=problem.rough,
         repeats=np.sqrt(1.0 + np.diag(again) / np.diag(own)),
     )
 
@@ -157,25 +185,3 @@ def _systematic(
     wanted[: problem.active.sum()] += declared[problem.active] ** 2
     errors = [*(shift.spread for shift in shifts), fit.posterior.step]
     return in_directions(found, wanted, again) + along_vectors(own, errors)
-
-
-def validate(problem: Problem, windows: list[Window], finding: Finding) -> HeldOut | None:
-    """Costs and errors on clips that were not fitted, from their recorded first states."""
-    if not windows:
-        return None
-    cost = MatchingCost(problem.system, windows, problem.engine, problem.settings.cost)
-    z = np.stack((finding.z, np.zeros_like(finding.z)))
-    costs, position, orientation = cost.costs(z), cost.errors(z, "position"), cost.errors(z, "orientation")
-    return HeldOut(
-        clips=len(windows),
-        cost=float(costs[0]),
-        initial_cost=float(costs[1]),
-        position_error_m=_mean(position[0]),
-        initial_position_error_m=_mean(position[1]),
-        orientation_error_rad=_mean(orientation[0]),
-        initial_orientation_error_rad=_mean(orientation[1]),
-    )
-
-
-def _mean(errors: FloatArray) -> float:
-    return float(errors.mean()) if errors.size and not np.isnan(errors).all() else float("nan")

@@ -18,7 +18,8 @@ from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
 from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
 from amhe_cli.estimation.offline.cma import CmaState
-from amhe_cli.estimation.offline.conclude import PARTS, RESERVE, conclude, validate
+from amhe_cli.estimation.offline.conclude import PARTS, RESERVE, conclude
+from amhe_cli.estimation.offline.held_out import fitted_costs, validate
 from amhe_cli.estimation.offline.posterior import Finding
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Identification
@@ -205,11 +206,14 @@ _BAD = 4.0
 def _needs_rescue(problem: Problem, finding: SearchState, validation: list[Window]) -> bool:
     """Whether the held-out cost stayed bad, or got worse by more than its scatter.
 
-    A search that begins at the truth cannot gain.
+    A search that begins at the truth cannot gain. From recorded first states, whose noise is in the cost, a
+    right model may look bad: where it does, the first states are fitted.
     """
     found = validate(problem, validation, finding)
-    if found is None:
+    if found is None or not _bad(found.initial_cost, found.cost):
         return False
-    if found.cost > _BAD:
-        return found.cost > 0.98 * found.initial_cost
-    return found.cost > 1.2 * found.initial_cost
+    return _bad(*fitted_costs(problem, validation, finding))
+
+
+def _bad(initial: float, found: float) -> bool:
+    return found > 0.98 * initial if found > _BAD else found > 1.2 * initial

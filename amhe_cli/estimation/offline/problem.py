@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.each_log import owner_free
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
 from amhe_cli.engine.rollout import Engine
@@ -134,7 +135,7 @@ class Problem:
         space, delay, dt = self.system.space, self.system.edits.delay, self.system.dt
         theta = np.array(space.nominal)
         for column, name in enumerate(space.names):
-            if delay is not None and name.partition("[")[0] == delay:  # a log may have its own
+            if delay is not None and owner_free(name) == delay:  # a log may have its own
                 theta[column] = (np.floor(theta[column] / dt + 1e-6) + 0.5) * dt
         return space.z_of(theta)
 
@@ -169,14 +170,12 @@ class Problem:
 
     def _states(self, cost: MatchingCost, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions (n, nq) and inputs (n, nu) at every step of the clips' rollouts under z (d,)."""
-        system, starts = self.system, cost.clips.starts
-        theta = system.space.theta_of(system.space.clip(z))[None]
-        qpos, qvel = starts.states(system.model, 1, None)
-        inputs = starts.inputs_under(system.edits.delays(theta) / system.dt)
-        every = np.repeat(theta, len(starts.lengths), axis=0)
-        states = self.engine.rollout(every, qpos[0], qvel[0], inputs, starts.lengths).qpos
-        inside = np.arange(starts.horizon) < starts.lengths[:, None]
-        return states[inside], inputs[inside]
+        qpos, inputs = [], []
+        for done in cost.rolled_out(z, None):
+            inside = np.arange(done.inputs.shape[1]) < done.lengths[:, None]
+            qpos.append(done.rollouts.qpos[inside])
+            inputs.append(done.inputs[inside])
+        return np.concatenate(qpos), np.concatenate(inputs)
 
 
 def spread_floor(problem: Problem) -> FloatArray:

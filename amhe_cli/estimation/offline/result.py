@@ -97,10 +97,41 @@ class OwnSpread:
 
 
 @dataclass(frozen=True, slots=True)
+class SpanError:
+    """Mean error of one channel over a span of time of the held-out clips, before and after identification.
+
+    Of a pose it is a distance or an angle, of several joints or others the mean over them.
+
+    Args:
+        channel: Name of the channel, such as 'joints.position'.
+        unit: Unit of the errors.
+        start, end: The span, from the clips' start [s].
+        initial, identified: From the recorded first states.
+        initial_fitted, identified_fitted: With the first states fitted; NaN: not computed.
+    """
+
+    channel: str
+    unit: str
+    start: float
+    end: float
+    initial: float
+    identified: float
+    initial_fitted: float = math.nan
+    identified_fitted: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
 class HeldOut:
     """Costs and errors on clips that were not fitted, after and before identification.
 
+    Clips start from their recorded first states, whose noise is a floor under costs and errors; where a name
+    says `fitted`, from first states that were fitted to them, as those of fitted clips are.
     Errors are means over time and clips; NaN where the system measures no such quantity.
+
+    Args:
+        fitted_cost, initial_fitted_cost: NaN: not computed.
+        noise_scale: Channel -> residual sd over declared noise sd, first states fitted.
+        errors: Each channel's error over all of the clips, then over spans of time.
     """
 
     clips: int
@@ -110,6 +141,10 @@ class HeldOut:
     initial_position_error_m: float
     orientation_error_rad: float
     initial_orientation_error_rad: float
+    fitted_cost: float = math.nan
+    initial_fitted_cost: float = math.nan
+    noise_scale: Mapping[str, float] = field(default_factory=dict)
+    errors: tuple[SpanError, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,6 +233,7 @@ class Identification:
     clips: ClipCount
     noise_scale: Mapping[str, float]  # channel -> residual sd over declared noise sd
     fits: tuple[Fit, ...]
+    unexplained: tuple[str, ...] = ()  # why no value can be believed
     interrupted: bool = False
     logs: tuple[str, ...] = field(default=())
     spreads: tuple[OwnSpread, ...] = ()

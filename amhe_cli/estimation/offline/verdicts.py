@@ -11,12 +11,12 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import Z90, correlation
 from amhe_cli.estimation.offline.posterior import Disagreement
-from amhe_cli.estimation.offline.result import Combination, ParameterResult
+from amhe_cli.estimation.offline.result import ParameterResult
 
 #: Shrinkage below which the data say nothing, and from which they determine.
 NOTHING, DETERMINED = 0.3, 0.8
-#: Residuals of this many times the declared noise make every number the model's.
-MISSED = 5.0
+#: Shrinkage that what the model assumes must leave.
+HALVED = 0.5
 #: Ratio of the sd to that at a doubled step that a linearisation may show.
 LINEAR = (0.7, 1.4)
 #: Disagreements beyond this many sd are no chance. They widen the sd; from NOTED, a share of the value,
@@ -28,8 +28,8 @@ TOGETHER = 0.9
 COUNTS = 0.5
 #: Factor on the sd from which residuals that repeat are a reason.
 REPEATED = 2.0
-#: Smallest exponent of a combination: a smaller one rounds to 0.
-EXPONENT = 0.05
+#: Beginning of the reason of an interval that rests on a number which is taken as exact.
+RESTS = "it rests on"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,11 +41,13 @@ class Shift:
         z: The move, shape (d,) in z.
         spread: What of it counts as one standard deviation: a vector along which it adds its own covariance,
             shape (d,); 0 where chance explains the move.
+        assumed: It moves because a number is assumed, not because something speaks against the model.
     """
 
     text: str
     z: FloatArray
     spread: FloatArray
+    assumed: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,6 +57,7 @@ class Evidence:
     Args:
         z: The estimate.
         covariance: Posterior covariance, shape (d, d).
+        own_sd: Posterior sd before anything widened it.
         active: Parameters that the logs depend on.
         idle: Why the logs do not depend on the others, by name.
         step_ratio: Posterior sd over that at a doubled step.
@@ -62,12 +65,14 @@ class Evidence:
         disagreements: Name of a comparison -> difference between two parts of the data.
         shifts: What changes of the model would do to the estimate.
         profiles: Column -> (theta values (K,), costs (K,)).
-        noise_scale: Channel -> residual sd over declared noise sd.
         repeats: Factor by which residuals that repeat have widened the sd that noise alone gives.
+        unexplained: What speaks against every value, in words.
+        rough: The response jitters, as behind contacts.
     """
 
     z: FloatArray
     covariance: FloatArray
+    own_sd: FloatArray
     active: np.ndarray
     idle: Mapping[str, str]
     step_ratio: FloatArray
@@ -75,8 +80,14 @@ class Evidence:
     disagreements: Mapping[str, Disagreement]
     shifts: Sequence[Shift]
     profiles: Mapping[int, tuple[FloatArray, FloatArray]]
-    noise_scale: Mapping[str, float]
     repeats: FloatArray
+    unexplained: Sequence[str]
+    rough: bool
+
+    @property
+    def shrinkage(self) -> FloatArray:
+        """1 - posterior sd / prior sd of each parameter, shape (d,)."""
+        return 1.0 - np.sqrt(np.diag(self.covariance))
 
 
 def verdicts(space: ParameterSpace, evidence: Evidence) -> tuple[ParameterResult, ...]:
@@ -89,7 +100,7 @@ def _parameter(space: ParameterSpace, evidence: Evidence, i: int) -> ParameterRe
     sd = float(np.sqrt(evidence.covariance[i, i]))
     estimate = float(space.theta_of(evidence.z)[i])
     low, high = _interval(space, evidence.z, sd, i)
-    verdict, reasons = _verdict(space, evidence, i, 1.0 - sd)
+    verdict, reasons = _verdict(space, evidence, i)
     slope = (estimate if p.log else 1.0) * p.prior_sd
     return ParameterResult(
         name=p.name,
@@ -120,32 +131,86 @@ def _interval(space: ParameterSpace, z: FloatArray, sd: float, i: int) -> tuple[
     return ends[0], ends[1]
 
 
-def _verdict(
-    space: ParameterSpace, evidence: Evidence, i: int, shrinkage: float
-) -> tuple[str, tuple[str, ...]]:
-    if not evidence.active[i]:
-        return "prior", (f"{evidence.idle[space.names[i]]}: not identifiable, held at its prior",)
-    if shrinkage < NOTHING and abs(evidence.z[i]) > 1.0:
-        away = f"it is {abs(evidence.z[i]):.1f} prior sd from its prior although the logs hardly determine it"
-        return "model-sensitive", (away, *_bound(space, evidence, i))
-    if shrinkage < NOTHING:
-        return "prior", (
-            "the logs hardly narrow it down: the value is your prior",
-            *_bound(space, evidence, i),
+def _verdict(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, tuple[str, ...]]:
+    """The first rule that gives a reason, and else 'identified'."""
+    for verdict, rule in RULES:
+        if reasons := rule(space, evidence, i):
+            return verdict, (*reasons, *_bound(space, evidence, i))
+    return "identified", (*_bound(space, evidence, i), *_remarks(space, evidence, i))
+
+
+def _unfelt(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    if evidence.active[i]:
+        return ()
+    return (f"{evidence.idle[space.names[i]]}: not identifiable, held at its prior",)
+
+
+def _strayed(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    away = abs(evidence.z[i])
+    if evidence.shrinkage[i] >= NOTHING or away <= 1.0:
+        return ()
+    return (f"it is {away:.1f} prior sd from its prior although the logs hardly determine it",)
+
+
+def _open(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    if evidence.shrinkage[i] >= NOTHING:
+        return ()
+    return ("the logs hardly narrow it down: the value is your prior",)
+
+
+def _unexplained(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    return tuple(evidence.unexplained)
+
+
+def _jagged(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    """The sd itself is rough, because the response is no straight line over the width of the samples."""
+    ratio = evidence.step_ratio[i]
+    if not np.isfinite(ratio) or LINEAR[0] <= ratio <= LINEAR[1]:
+        return ()
+    changes = f"its sd changes {1.0 / ratio:.2f}x when the step is doubled"
+    if evidence.rough:
+        return (
+            f"the response is jagged ({changes}): the value hangs on details of contact; the sd is rough",
         )
-    sensitive = _sensitivities(space, evidence, i)
-    if sensitive:
-        return "model-sensitive", (*sensitive, *_bound(space, evidence, i))
-    allowed = _contradictions(space, evidence, i, NOTED, NOTABLE)
-    reasons = (
-        *_bound(space, evidence, i),
+    return (f"the response bends within the interval ({changes}): the sd is rough; more data narrow it",)
+
+
+def _contradicted(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    return _contradictions(space, evidence, i, NOTABLE, np.inf)
+
+
+def _narrowed(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    """What is assumed widens the interval, and is a remark; what the logs themselves leave open decides."""
+    assumed = sum(float(shift.spread[i]) ** 2 for shift in evidence.shifts if shift.assumed)
+    shrinkage = float(evidence.shrinkage[i])
+    left = float(np.sqrt(max((1.0 - shrinkage) ** 2 - assumed, evidence.own_sd[i] ** 2)))
+    if 1.0 - left >= DETERMINED and shrinkage >= HALVED:
+        return ()
+    return (*_remarks(space, evidence, i), f"the logs narrow the prior by {shrinkage:.0%} only")
+
+
+#: Verdicts and the rules that give them, in their order; a rule that does not apply gives no reason. Where
+#: none applies, the parameter is identified.
+RULES: tuple[tuple[str, Callable[[ParameterSpace, Evidence, int], tuple[str, ...]]], ...] = (
+    ("prior", _unfelt),
+    ("model-sensitive", _strayed),
+    ("prior", _open),
+    ("model-sensitive", _unexplained),
+    ("model-sensitive", _jagged),
+    ("model-sensitive", _contradicted),
+    ("weak", _narrowed),
+)
+
+
+def _remarks(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    """What the sd allows for, and with what a parameter is known together."""
+    noted = _contradictions(space, evidence, i, NOTED, NOTABLE)
+    return (
+        *_rests(space, evidence, i),
         *_partners(space, evidence, i),
-        *(f"{text}, which the sd allows for" for text in allowed),
+        *(f"{text}, which the sd allows for" for text in noted),
         *_repeats(evidence, i),
     )
-    if shrinkage < DETERMINED:
-        return "weak", (*reasons, f"the logs narrow the prior by {shrinkage:.0%} only")
-    return "identified", reasons
 
 
 def _repeats(evidence: Evidence, i: int) -> tuple[str, ...]:
@@ -170,24 +235,6 @@ def _bound(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]
     return ()
 
 
-def _sensitivities(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
-    """Reasons to distrust the number although the data narrow it down."""
-    ratio = evidence.step_ratio[i]
-    jagged = (
-        f"the response is jagged (its sd changes {1.0 / ratio:.2f}x when the step is doubled): the value "
-        f"hangs on details that the model gets wrong; the sd is rough"
-    )
-    rough = np.isfinite(ratio) and not LINEAR[0] <= ratio <= LINEAR[1]
-    worst = max(evidence.noise_scale, key=lambda key: evidence.noise_scale[key], default="")
-    missed = (
-        f"the model misses {worst} by {evidence.noise_scale[worst]:.0f} times its noise"
-        if worst and evidence.noise_scale[worst] > MISSED
-        else ""
-    )
-    found = ([missed] if missed else []) + ([jagged] if rough else [])
-    return (*found, *_contradictions(space, evidence, i, NOTABLE, np.inf))
-
-
 def _contradictions(
     space: ParameterSpace, evidence: Evidence, i: int, least: float, most: float
 ) -> tuple[str, ...]:
@@ -201,9 +248,22 @@ def _contradictions(
     found += [
         shift.text.format(size(space, i, shift.z[i]))
         for shift in evidence.shifts
-        if abs(shift.spread[i]) > COUNTS * sd and least <= share(space, i, shift.z[i]) < most
+        if not shift.assumed
+        and abs(shift.spread[i]) > COUNTS * sd
+        and least <= share(space, i, shift.z[i]) < most
     ]
     return tuple(found)
+
+
+def _rests(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    """Numbers taken as exact that the sd owes much to, the largest first."""
+    least = COUNTS * float(np.sqrt(evidence.covariance[i, i]))
+    found = [s for s in evidence.shifts if s.assumed and abs(s.spread[i]) > least]
+    found.sort(key=lambda shift: -abs(shift.spread[i]))
+    sizes = (size(space, i, s.spread[i]).lstrip("+-") for s in found)
+    return tuple(
+        f"{s.text.format(text)}, which the sd allows for" for s, text in zip(found, sizes, strict=True)
+    )
 
 
 def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
@@ -224,52 +284,6 @@ def size(space: ParameterSpace, i: int, dz: float) -> str:
     """A step in z in words: a percentage for log-scaled parameters, in the unit for linear ones."""
     p = space.parameters[i]
     return f"{np.expm1(dz * p.prior_sd):+.0%}" if p.log else f"{dz * p.prior_sd:+.2g} {p.unit}"
-
-
-def combinations(
-    space: ParameterSpace, covariance: FloatArray, active: np.ndarray
-) -> tuple[Combination, ...]:
-    """Products of log-scaled parameters that are known much better, or worse, than each alone.
-
-    For every strongly correlated pair, the eigenvectors of its covariance in log(theta): the sharp one is
-    what the data determine, the blunt one what they leave open.
-    """
-    matrix = correlation(covariance)
-    phi = covariance * np.outer(space.prior_sd, space.prior_sd)
-    found = []
-    for i in range(len(space)):
-        for j in range(i + 1, len(space)):
-            together = active[i] and active[j] and abs(matrix[i, j]) > TOGETHER
-            if together and space.log[i] and space.log[j]:
-                found += _pair(space, phi, (i, j))
-    return tuple(found)
-
-
-def _pair(space: ParameterSpace, phi: FloatArray, pair: tuple[int, int]) -> list[Combination]:
-    block = phi[np.ix_(pair, pair)]
-    values, vectors = np.linalg.eigh(block)
-    result = []
-    for value, vector in zip(values, vectors.T, strict=True):
-        powers = vector / vector[np.argmax(np.abs(vector))]
-        prior = np.sqrt(((powers * space.prior_sd[list(pair)]) ** 2).sum())
-        sd = float(np.sqrt(value) * np.linalg.norm(powers))
-        if np.abs(powers).min() >= EXPONENT:
-            text = _product([space.names[i] for i in pair], powers)
-            result.append(Combination(text, sd, 1.0 - sd / float(prior)))
-    return result
-
-
-def _product(names: Sequence[str], powers: FloatArray) -> str:
-    """'mass * friction^0.9', 'gain / mass'."""
-    factors = sorted(zip(map(float, powers), names, strict=True), reverse=True)
-    text = _power(factors[0][1], factors[0][0])
-    for power, name in factors[1:]:
-        text += f" {'*' if power > 0.0 else '/'} {_power(name, abs(power))}"
-    return text
-
-
-def _power(name: str, power: float) -> str:
-    return name if abs(power - 1.0) < 0.05 else f"{name}^{power:.1f}"
 
 
 def profiles(

@@ -65,7 +65,7 @@ def test_what_the_model_has_wrong_is_added_and_moves_nothing(pendulum, swing):
     assert after[0] == pytest.approx(np.hypot(before[0], 0.05), rel=1e-6)
     # mass and armature are known as one moment of inertia, which stays known
     sharp, kept = (np.linalg.eigvalsh(result.belief.covariance)[0] for result in (plain, honest))
-    assert kept == pytest.approx(sharp, rel=0.1)
+    assert kept == pytest.approx(sharp, rel=0.2)
     np.testing.assert_allclose(after[1], before[1], rtol=0.01)
 
 
@@ -128,7 +128,8 @@ def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, c
     assert len(result.iterations) <= 1
     assert caplog.text.count("stopped the search") == 1
     skipped = "comparison of the logs' halves, shifts under other models, cost profiles"
-    assert caplog.text.count(f"left no time for: {skipped}") == 1
+    first = "left no time for: held-out clips from fitted first states"
+    assert caplog.text.count(f"{first}, {skipped}") == 1
     assert result.held_out is not None and not result.parameters[0].profile
 
 
@@ -280,7 +281,7 @@ def test_a_rescue_gives_back_nothing_worse(pendulum, swing):
 
 
 @pytest.mark.parametrize(
-    ("initial", "found", "rescued"),
+    ("initial", "found", "bad"),
     [
         (1.30, 1.38, False),  # the prior was right: a search cannot beat it, and scatters
         (1.3, 1.7, True),
@@ -289,9 +290,11 @@ def test_a_rescue_gives_back_nothing_worse(pendulum, swing):
         (60.0, 30.0, False),  # bad, and on its way
     ],
 )
-def test_another_search_is_for_bad_fits(monkeypatch, initial: float, found: float, rescued: bool) -> None:
+def test_another_search_is_for_bad_fits(monkeypatch, initial: float, found: float, bad: bool) -> None:
     from amhe_cli.estimation.offline import identification
 
-    held_out = SimpleNamespace(cost=found, initial_cost=initial)
-    monkeypatch.setattr(identification, "validate", lambda *_: held_out)
-    assert identification._needs_rescue(*(Any,) * 3) is rescued
+    recorded = SimpleNamespace(cost=found, initial_cost=initial)
+    monkeypatch.setattr(identification, "validate", lambda *_: recorded)
+    for fitted, rescued in (((initial, found), bad), ((1.0, 1.0), False)):
+        monkeypatch.setattr(identification, "fitted_costs", lambda *_, fitted=fitted: fitted)
+        assert identification._needs_rescue(*(Any,) * 3) is rescued, "bad from fitted first states, too"

@@ -9,9 +9,10 @@ import pytest
 
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90
+from amhe_cli.estimation.offline.combinations import combinations
 from amhe_cli.estimation.offline.posterior import Disagreement
 from amhe_cli.estimation.offline.result import ParameterResult
-from amhe_cli.estimation.offline.verdicts import Evidence, Shift, combinations, profiles, verdicts
+from amhe_cli.estimation.offline.verdicts import Evidence, Shift, profiles, verdicts
 
 #: Two log-scaled parameters and a linear one; z = 1 is a factor of exp(0.5), or 0.2 m.
 SPACE = ParameterSpace(
@@ -28,6 +29,7 @@ def evidence(sd: float = 0.05, **changes: Any) -> Evidence:
     plain: dict[str, Any] = {
         "z": np.array([0.4, -0.2, 0.1]),
         "covariance": sd**2 * np.eye(3),
+        "own_sd": np.full(3, sd),
         "active": np.ones(3, dtype=bool),
         "idle": {"mass": "no measurement in these logs depends on it"},
         "step_ratio": np.ones(3),
@@ -35,8 +37,9 @@ def evidence(sd: float = 0.05, **changes: Any) -> Evidence:
         "disagreements": {},
         "shifts": [],
         "profiles": {},
-        "noise_scale": {"box.position": 1.1},
         "repeats": np.ones(3),
+        "unexplained": (),
+        "rough": False,
     }
     return Evidence(**{**plain, **changes})
 
@@ -101,15 +104,30 @@ def test_a_value_far_from_its_prior_that_the_logs_hardly_determine_is_model_sens
 def test_an_sd_that_depends_on_the_step_is_model_sensitive(ratio: float, verdict: str) -> None:
     result = mass(evidence(step_ratio=np.array([ratio, 1.0, 1.0])))
     assert result.verdict == verdict
-    assert any("jagged" in reason for reason in result.reasons) == (verdict == "model-sensitive")
+    assert any("doubled" in reason for reason in result.reasons) == (verdict == "model-sensitive")
     assert mass(evidence(step_ratio=np.full(3, np.nan))).verdict == "identified", "it was not computed"
 
 
-def test_residuals_of_many_times_their_noise_make_every_number_model_sensitive() -> None:
-    assert mass(evidence(noise_scale={"box.position": 4.9})).verdict == "identified"
-    for result in verdicts(SPACE, evidence(noise_scale={"box.position": 1.0, "box.orientation": 6.0})):
-        assert result.verdict == "model-sensitive"
-        assert result.reasons == ("the model misses box.orientation by 6 times its noise",)
+def test_what_speaks_against_the_model_makes_every_number_model_sensitive() -> None:
+    for result in verdicts(SPACE, evidence(unexplained=["held-out clips fit worse"])):
+        assert (result.verdict, result.reasons) == ("model-sensitive", ("held-out clips fit worse",))
+
+
+def test_only_a_model_that_touches_hangs_on_contact() -> None:
+    bent = np.array([0.5, 1.0, 1.0])
+    assert "details of contact" in mass(evidence(step_ratio=bent, rough=True)).reasons[0]
+    assert "contact" not in mass(evidence(step_ratio=bent)).reasons[0]
+
+
+def test_an_assumed_number_widens_and_is_named_but_leaves_the_logs_their_say() -> None:
+    wide = 0.3**2 * np.eye(3)
+    rests = Shift("it rests on the gain (4): {} open", np.full(3, 0.29), np.full(3, 0.29), assumed=True)
+    result = mass(evidence(covariance=wide, shifts=[rests]))
+    assert result.verdict == "identified" and result.shrinkage == pytest.approx(0.7)
+    assert result.reasons == ("it rests on the gain (4): 16% open, which the sd allows for",)
+    assert mass(evidence(covariance=wide)).verdict == "weak", "not assumed, but open"
+    much = Shift(rests.text, np.full(3, 0.6), np.full(3, 0.6), assumed=True)
+    assert mass(evidence(covariance=0.61**2 * np.eye(3), shifts=[much])).verdict == "weak"
 
 
 @pytest.mark.parametrize(

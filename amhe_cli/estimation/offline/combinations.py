@@ -1,0 +1,62 @@
+"""Products of parameters that are known better, or worse, than each of their factors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.statistics import correlation
+from amhe_cli.estimation.offline.result import Combination
+from amhe_cli.estimation.offline.verdicts import TOGETHER
+
+#: Smallest exponent of a combination: a smaller one rounds to 0.
+EXPONENT = 0.05
+
+
+def combinations(
+    space: ParameterSpace, covariance: FloatArray, active: np.ndarray
+) -> tuple[Combination, ...]:
+    """Products of log-scaled parameters that are known much better, or worse, than each alone.
+
+    For every strongly correlated pair, the eigenvectors of its covariance in log(theta): the sharp one is
+    what the data determine, the blunt one what they leave open.
+    """
+    matrix = correlation(covariance)
+    phi = covariance * np.outer(space.prior_sd, space.prior_sd)
+    found = []
+    for i in range(len(space)):
+        for j in range(i + 1, len(space)):
+            together = active[i] and active[j] and abs(matrix[i, j]) > TOGETHER
+            if together and space.log[i] and space.log[j]:
+                found += _pair(space, phi, (i, j))
+    return tuple(found)
+
+
+def _pair(space: ParameterSpace, phi: FloatArray, pair: tuple[int, int]) -> list[Combination]:
+    block = phi[np.ix_(pair, pair)]
+    values, vectors = np.linalg.eigh(block)
+    result = []
+    for value, vector in zip(values, vectors.T, strict=True):
+        powers = vector / vector[np.argmax(np.abs(vector))]
+        prior = np.sqrt(((powers * space.prior_sd[list(pair)]) ** 2).sum())
+        sd = float(np.sqrt(value) * np.linalg.norm(powers))
+        if np.abs(powers).min() >= EXPONENT:
+            text = _product([space.names[i] for i in pair], powers)
+            result.append(Combination(text, sd, 1.0 - sd / float(prior)))
+    return result
+
+
+def _product(names: Sequence[str], powers: FloatArray) -> str:
+    """'mass * friction^0.9', 'gain / mass'."""
+    factors = sorted(zip(map(float, powers), names, strict=True), reverse=True)
+    text = _power(factors[0][1], factors[0][0])
+    for power, name in factors[1:]:
+        text += f" {'*' if power > 0.0 else '/'} {_power(name, abs(power))}"
+    return text
+
+
+def _power(name: str, power: float) -> str:
+    return name if abs(power - 1.0) < 0.05 else f"{name}^{power:.1f}"

@@ -1,0 +1,241 @@
+"""Where an estimate would move if what the model takes as exact were otherwise.
+
+The residuals of a changed model, with the slopes of the model itself, give the estimate that it would have
+led to. A change that the log contradicts, even with another estimate and other first states, counts only as
+far as the log allows it: to where the misfit would have risen by SURPRISE squared.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.each_log import owner_free
+from amhe_cli.engine.open import contact_variants, finer_solver, finer_step
+from amhe_cli.estimation.core.information import Information, gauss_newton_step, information, objective
+from amhe_cli.estimation.offline.posterior import FinalFit, posterior
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.verdicts import RESTS, SURPRISE, Shift
+from amhe_cli.estimation.offline.widening import beyond_chance
+from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.system.rulers import Acting, Ruler, acting, joined, rulers_of, with_rulers
+
+logger = logging.getLogger(__name__)
+
+#: Share of the misfit that a shorter time step must explain to be recommended.
+EXPLAINS = 0.1
+#: First change of a ruler, in its sd; where contacts jitter, it is all of the sd.
+SMALL = 0.05
+#: Weight of a ruler in a combination from which it is named.
+JOINED = 0.4
+#: States of the rollouts that are examined for what acts in them, about.
+EXAMINED = 1000
+
+
+def shifts_of(problem: Problem, fit: FinalFit) -> list[Shift]:
+    """Where the estimate would move under other contacts, a finer simulation, and other rulers."""
+    about = _Neighbourhood(fit, problem.system.space.prior_precision)
+    return [*_contacts(problem, about), *_simulation(problem, about), *_rulers(problem, about)]
+
+
+def allowed(rise: float) -> float:
+    """Share of a change of the model that raises the misfit by no more than SURPRISE squared.
+
+    Misfit rises with the square of the change; where all of the change raises it by less, it is 1.
+    """
+    return SURPRISE / float(np.sqrt(max(rise, SURPRISE**2)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Move:
+    """Where a change of the model moves the estimate.
+
+    Args:
+        z: The move, shape (d,).
+        share: Share of the change that the log allows.
+        rise: Rise of the misfit under all of the change, as a share of it.
+    """
+
+    z: FloatArray
+    share: float
+    rise: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Neighbourhood:
+    """The estimate, and the estimates that changed residuals lead to."""
+
+    fit: FinalFit
+    prior: FloatArray
+
+    def residuals(self, cost: MatchingCost, extra: FloatArray) -> tuple[FloatArray, BoolArray]:
+        """Residuals (k, c, R) at the estimate, further columns of z being `extra` (k, r); which completed."""
+        first = np.repeat(self.fit.slopes.first.mean[None], len(extra), axis=0)
+        z = np.concatenate((np.repeat(self.fit.z[None], len(extra), axis=0), extra), axis=1)
+        found = cost.residuals(z, first if first.shape[2] else None)
+        return found.flat, found.completed
+
+    def followed(self, change: FloatArray, completed: BoolArray) -> tuple[FloatArray, Information]:
+        """Step (d,) to the estimate that a change (c, R) of the residuals leads to, and its information."""
+        slopes = self.fit.slopes
+        both = slopes.completed & completed
+        found = information(replace(slopes, residual=slopes.residual + change, completed=both))
+        return posterior(self.fit.z, found, self.fit.weight * both, self.prior).step, found
+
+    def misfits(
+        self, cost: MatchingCost, steps: FloatArray, first: FloatArray, extra: FloatArray
+    ) -> FloatArray:
+        """Weighted squared residuals (k,) after steps (k, d), first states (k, c, nx) moved along."""
+        z = np.concatenate((self.fit.z + steps, extra), axis=1)
+        residuals = cost.residuals(cost.system.space.clip(z), first if first.shape[2] else None)
+        return objective(cost, residuals, first, self.fit.times, self.fit.weight)
+
+    def moved(self, cost: MatchingCost) -> _Move:
+        """Move of the estimate under the engine of `cost`, as far as the log allows it."""
+        fit, none = self.fit, np.zeros((1, 0))
+        flat, completed = self.residuals(cost, none)
+        step, found = self.followed(flat[0] - fit.slopes.centre, completed[0])
+        here = fit.posterior.step[None]
+        least = float(self.misfits(fit.slopes.cost, here, fit.found.first(here), none)[0])
+        rise = float(self.misfits(cost, step[None], found.first(step[None]), none)[0]) - least
+        return _Move(allowed(rise) * (step - here[0]), allowed(rise), rise / least)
+
+    def beyond_sd(self, move: FloatArray) -> FloatArray:
+        """The move (d,), or none where it stays within the sd of every parameter."""
+        return move if (np.abs(move) > self.fit.posterior.sd).any() else np.zeros_like(move)
+
+
+def _contacts(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
+    """Other contacts. Half of the move beyond chance counts as an sd: none of them is known to be right."""
+    for name, engine in contact_variants(problem.engine, problem.system.model).items():
+        move = about.moved(about.fit.slopes.cost.upon(engine))
+        label = name if move.share == 1.0 else f"{name}, as far as the log allows it,"
+        spread = 0.5 * beyond_chance(about.fit.posterior.covariance, move.z)
+        yield Shift(f"{label} would move it by {{}}", move.z, spread)
+
+
+def _simulation(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
+    """Half the time step, and a solver that goes on for longer."""
+    cost, option = about.fit.slopes.cost, problem.system.model.opt
+    engine, order = finer_step(problem.engine, problem.system.model)
+    move = about.moved(cost.at_half_steps(engine))
+    half = f"{500.0 * option.timestep:g} ms"
+    text = f"it depends on the time step: at {half} it would move by {{}}; run the model at {half}"
+    # an error of order n falls to 2^-n of itself: this is the rest of the way to a step of zero
+    yield Shift(text, move.z, about.beyond_sd(move.z / (1.0 - 0.5**order)))
+    if move.rise < -EXPLAINS:
+        logger.warning(
+            f"the time step is too long: at {half} the model explains {-move.rise:.0%} of what it misses "
+            f"of the logs; run it at {half}"
+        )
+    if (engine := finer_solver(problem.engine, problem.system.model)) is not None:
+        move = about.moved(cost.upon(engine))
+        text = (
+            f"it depends on the solver's {option.iterations} iterations: with more it would move by {{}}; "
+            f"give the model more, and a smaller tolerance"
+        )
+        yield Shift(text, move.z, about.beyond_sd(move.z))
+
+
+def _rulers(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
+    """Numbers that the model takes as exact, each with what a data sheet is worth as its prior.
+
+    As nuisances r ~ N(0, 1) beside z they have slopes, a posterior N(m, S) and a gain A: the estimate moves
+    by A r. It was found at r = 0 and stays there, so that A (S + m m') A' is what they add to its covariance.
+    Each eigenvector of S + m m' is a shift: of rulers that the log knows only together, one.
+    """
+    names = problem.system.space.names
+    felt = {owner_free(name) for name, active in zip(names, problem.active, strict=True) if active}
+    rulers = rulers_of(problem.system, _acting(problem, about.fit), felt)
+    if not rulers:
+        return
+    nuisances = _Nuisances(problem, about, rulers)
+    found = nuisances.joint(nuisances.slopes(None))
+    # samples that leave the ridge along which z follows a ruler would bend, and pass for information
+    found = nuisances.joint(nuisances.slopes(found))
+    known, mean, moves = nuisances.posterior(found)
+    values, vectors = np.linalg.eigh(known + np.outer(mean, mean))
+    for value, vector in zip(values, vectors.T, strict=True):
+        move = np.sqrt(value) * (moves @ vector)
+        together = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > JOINED]
+        yield Shift(_rests([rulers[i] for i in together]), move, about.beyond_sd(move), assumed=True)
+
+
+class _Nuisances:
+    """Rulers as further unknowns r beside z, in units of their sd."""
+
+    def __init__(self, problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) -> None:
+        self._fit, self._count, self._d = about.fit, len(rulers), len(about.fit.z)
+        system = with_rulers(problem.system, rulers)
+        self._cost = about.fit.slopes.cost.upon(problem.engine.upon(system.model, system.edits), system)
+        self._rough = problem.rough
+        self._prior = np.eye(self._d + self._count)
+        self._prior[: self._d, : self._d] = about.prior
+
+    def slopes(self, follow: Information | None) -> FloatArray:
+        """Slopes of the residuals by r, shape (c, k, R).
+
+        Args:
+            follow: Samples of r are accompanied by what z and the first states do along with it, according
+                to this information on z and r; None: they are small, and alone.
+        """
+        fit, d, k = self._fit, self._d, self._count
+        moves, turns = np.zeros((d, k)), np.zeros((*fit.slopes.first.mean.shape, k))
+        if follow is not None:
+            moves = self.posterior(follow)[2]
+            turns = follow.nuisance_gain[..., :d] @ moves + follow.nuisance_gain[..., d:]
+        size = 1.0 if follow is not None or self._rough else SMALL
+        steps = size * np.concatenate((np.eye(k), -np.eye(k)))
+        z = np.concatenate((fit.z + steps @ moves.T, steps), axis=1)
+        first = fit.slopes.first.mean + np.einsum("pk,cxk->pcx", steps, turns)
+        residuals = self._cost.residuals(z, first if first.shape[2] else None)
+        change = np.einsum("pk,pcr->ckr", steps, residuals.flat) / (2.0 * size**2)
+        gz, gx = np.split(fit.slopes.gain, [d], axis=1)
+        return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
+
+    def joint(self, slopes: FloatArray) -> Information:
+        """Information of the clips on z and r together, from the slopes by r (c, K, R)."""
+        own, d = self._fit.slopes, self._d
+        return information(
+            replace(own, gain=np.concatenate((own.gain[:, :d], slopes, own.gain[:, d:]), axis=1))
+        )
+
+    def posterior(self, found: Information) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Covariance (K, K) and mean (K,) of r, and how z follows r (d, K)."""
+        d, weight = self._d, self._fit.weight
+        matrix = np.einsum("c,cij->ij", weight, found.matrix)
+        score = np.einsum("c,ci->i", weight, found.score)
+        away = np.concatenate((self._fit.z, np.zeros(self._count)))
+        step, precision = gauss_newton_step(matrix, score, self._prior, away)
+        moves = -sealed(np.linalg.solve(precision[:d, :d], precision[:d, d:]))
+        return sealed(np.linalg.inv(precision)[d:, d:]), step[d:], moves
+
+
+def _rests(rulers: Sequence[Ruler]) -> str:
+    """'it rests on the force limit of servo3 (0.5), which acts in 12 % of the steps: ...'."""
+    parts = []
+    for ruler in rulers:
+        acts = "" if ruler.acts is None else f", which acts in {100.0 * ruler.acts:.2g} % of the steps"
+        parts.append(f"{ruler.name}{acts}")
+    known = " and ".join(dict.fromkeys(ruler.change for ruler in rulers))
+    return f"{RESTS} {', and '.join(parts)}: known to {known}, that leaves {{}} open"
+
+
+def _acting(problem: Problem, fit: FinalFit) -> Acting:
+    """What acts in the rollouts at the estimate."""
+    system, cost, found = problem.system, fit.slopes.cost, []
+    most = max(1, EXAMINED // len(cost.clips.windows))  # of each clip
+    for done in cost.rolled_out(fit.z, fit.slopes.first.mean if fit.slopes.first.mean.size else None):
+        inside = np.arange(done.inputs.shape[1] - 1) < (done.lengths * done.rollouts.completed)[:, None] - 1
+        clips, rows = np.nonzero(inside)
+        some = np.arange(0, len(rows), max(1, len(rows) // (most * len(done.lengths))))
+        clips, rows = clips[some], rows[some]
+        # row k of the states is the instant k + 1, when input k + 1 begins to act
+        qpos, qvel = done.rollouts.qpos[clips, rows], done.rollouts.qvel[clips, rows]
+        model = system.edits.apply(system.model, done.theta)
+        found.append(acting(model, system.input_spec, qpos, qvel, done.inputs[clips, rows + 1]))
+    return joined(found)

@@ -1,0 +1,98 @@
+"""What a page says of clips that were not fitted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from amhe_cli.estimation.offline.result import HeldOut, SpanError
+from amhe_cli.report import numbers
+from amhe_cli.report.page import Section, Statement
+from amhe_cli.report.tables import NUMBER, STRONG, Table
+
+
+def held_out_statement(held_out: HeldOut | None) -> Iterator[Statement]:
+    """What held-out clips say of the values, in a sentence."""
+    if held_out is None or held_out.clips == 0:
+        yield Statement(
+            "bad", "Nothing was held out, so nothing shows that the values predict data that were not fitted."
+        )
+        return
+    clips = (
+        f"{held_out.clips} clips that were not fitted" if held_out.clips > 1 else "a clip that was not fitted"
+    )
+    costs = f"from {held_out.initial_cost:.3g} to {held_out.cost:.3g} from recorded first states"
+    falls = held_out.cost < held_out.initial_cost
+    if math.isfinite(held_out.fitted_cost):
+        costs += (
+            f", and from {held_out.initial_fitted_cost:.3g} to {held_out.fitted_cost:.3g} from fitted ones"
+        )
+        falls |= held_out.fitted_cost < held_out.initial_fitted_cost
+    if falls:
+        yield Statement("good", f"On {clips} the cost goes {costs}{_errors(held_out)}.")
+    else:
+        yield Statement(
+            "mixed",
+            f"On {clips} the cost does not fall ({costs}): the values do not predict unseen data better "
+            "than the initial ones.",
+        )
+
+
+def held_out_sections(held_out: HeldOut) -> Iterator[Section]:
+    """Costs and errors on held-out clips, and errors over time."""
+    yield Section("Validation on clips that were not fitted", table=_validation_table(held_out))
+    if held_out.errors:
+        yield Section(
+            "Error over time, on clips that were not fitted",
+            text="Mean errors over spans of time from the clips' start: from the recorded first state, as "
+            "you would predict, and with the first state fitted, as those of fitted clips are. What is left "
+            "then is not the noise of the first sample.",
+            table=_span_table(held_out.errors),
+        )
+
+
+def _errors(held_out: HeldOut) -> str:
+    return "".join(
+        f", the mean {name} from {before} to {after}" for name, before, after in error_rows(held_out)
+    )
+
+
+def error_rows(held_out: HeldOut) -> list[tuple[str, str, str]]:
+    """Name, initial and identified value of each error that the system measures, as texts."""
+    h, length, angle = held_out, numbers.length, numbers.angle
+    rows = [
+        ("position error", length(h.initial_position_error_m), length(h.position_error_m)),
+        ("orientation error", angle(h.initial_orientation_error_rad), angle(h.orientation_error_rad)),
+    ]
+    whole = {one.channel: one for one in reversed(h.errors)}
+    rows += [
+        (f"{one.channel} error", f"{one.initial:.3g} {one.unit}", f"{one.identified:.3g} {one.unit}")
+        for key, one in sorted(whole.items())
+        if key.endswith(".position") and one.unit in ("rad", "rad or m")
+    ]
+    return [row for row in rows if row[2] != numbers.MISSING]
+
+
+def _validation_table(held_out: HeldOut) -> Table:
+    clips = f"{held_out.clips} clip{'s' * (held_out.clips != 1)}"
+    rows = [("cost, from recorded first states", f"{held_out.initial_cost:.4g}", f"{held_out.cost:.4g}")]
+    if math.isfinite(held_out.fitted_cost):
+        fitted = (f"{held_out.initial_fitted_cost:.4g}", f"{held_out.fitted_cost:.4g}")
+        rows.append(("cost, with first states fitted", *fitted))
+    rows += [(f"mean {name}", before, after) for name, before, after in error_rows(held_out)]
+    return Table((clips, "initial", "identified"), ("", f"{NUMBER} soft", STRONG), rows)
+
+
+def _span_table(errors: Sequence[SpanError]) -> Table:
+    rows = [
+        (
+            f"{one.channel} [{one.unit}]",
+            f"{one.start:.3g} to {one.end:.3g} s",
+            *(f"{value:.3g}" for value in (one.initial, one.identified)),
+            *(f"{value:.3g}" for value in (one.initial_fitted, one.identified_fitted)),
+        )
+        for one in errors
+    ]
+    columns = ("recorded: initial", "identified", "fitted: initial", "identified ")
+    soft = f"{NUMBER} soft"
+    return Table(("channel", "span", *columns), ("name", "", soft, STRONG, soft, STRONG), rows)

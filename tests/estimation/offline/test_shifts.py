@@ -1,0 +1,194 @@
+"""Where an estimate moves if what the model takes as exact were otherwise, and what of that counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from amhe_cli.core.each_log import searched
+from amhe_cli.core.log import Log
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
+from amhe_cli.estimation.offline.posterior import final_fit
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.result import Identification, ParameterResult
+from amhe_cli.estimation.offline.shifts import shifts_of
+from amhe_cli.estimation.offline.verdicts import Shift
+from amhe_cli.system.load import find_system
+from amhe_cli.system.system import System
+from tests.estimation.offline.conftest import CHEAP, NOISE, TRUTH, as_trajectory
+
+Change = Callable[[mujoco.MjModel], None]
+
+
+def unchanged(model: mujoco.MjModel) -> None:
+    """The plant is the model."""
+
+
+def strong_servo(model: mujoco.MjModel) -> None:
+    """The servo's torque constant is 12 % larger than its data sheet says."""
+    model.actuator_gainprm[:, 0] *= 1.12
+    model.actuator_biasprm[:, 1] *= 1.12
+
+
+def weak_limit(model: mujoco.MjModel) -> None:
+    """The servo gives 20 % less torque than its data sheet says."""
+    model.actuator_forcerange[:] *= 0.8
+
+
+def finer(model: mujoco.MjModel) -> None:
+    """The world takes finer steps than the model."""
+    model.opt.timestep *= 0.25
+
+
+def pendulum(limit: float, free: bool = False, step: float = 0.002, **rulers: float) -> System:
+    """The bundled pendulum, with a limit of its servo's torque [N m], which may be free, and rulers."""
+    spec = mujoco.MjSpec.from_file(str(find_system("pendulum") / "scene.xml"))
+    spec.actuators[0].forcerange = [-limit, limit]
+    spec.option.timestep = step
+    bundled = System.load("pendulum")
+    settings = {
+        **CHEAP,
+        "identify": {**CHEAP["identify"], "rulers": {"gain": 0, "center_of_mass": 0, **rulers}},
+    }
+    names = ("load_mass", "damping", "friction_loss", "armature")
+    targets = ({"body": "load", "set": "mass"}, *({"joint": "hinge", "set": n} for n in names[1:]))
+    return System.from_model(
+        spec,
+        parameters={
+            p.name: {"nominal": p.nominal, "prior_sd": p.prior_sd, "targets": [target]}
+            for p, target in zip(bundled.space.parameters, targets, strict=True)
+        }
+        | ({"limit": {"targets": [{"actuator": "servo", "set": "force_limit"}]}} if free else {}),
+        signals={
+            "joints": {"joints": ["hinge"], "noise": {"position": NOISE[0], "velocity": NOISE[1]}},
+            "command": {"actuators": ["servo"], "quantity": "position"},
+        },
+        settings=settings,
+    )
+
+
+def swing(system: System, change: Change, seconds: float = 4.0, reach: float = 0.35) -> Log:
+    """A log of the plant that `change` makes of the model, at TRUTH; states are sampled at 100 Hz."""
+    model = system.edits.apply(system.model, TRUTH)
+    change(model)
+    data, rng = mujoco.MjData(model), np.random.default_rng(3)
+    steps, substeps = round(seconds / system.dt), round(system.dt / model.opt.timestep)
+    hertz, phase = rng.uniform(0.2, 2.5, 6), rng.uniform(0.0, 6.28, 6)
+    states = np.empty((steps + 1, 3))
+    for step in range(steps + 1):
+        held = np.floor(step * system.dt / 0.02 + 1e-9) * 0.02
+        data.ctrl[0] = reach * np.sin(2.0 * np.pi * hertz * held + phase).sum()
+        states[step] = data.qpos[0], data.qvel[0], data.ctrl[0]
+        for _ in range(substeps):
+            mujoco.mj_step(model, data)
+    states[:, :2] += rng.normal(0.0, NOISE, (steps + 1, 2))
+    return as_trajectory(states, system.dt, every=round(0.01 / system.dt))
+
+
+def shifts(system: System, log: Log) -> list[Shift]:
+    """The shifts at the truth, which moves the estimate by its step to the minimum."""
+    problem = Problem(system, ClipPool(system, [whole(log)], system.settings.clips), open_engine(system), 0)
+    state = search.restart(problem, system.space.z_of(TRUTH))
+    return shifts_of(problem, final_fit(problem, state))
+
+
+def about(found: list[Shift], word: str) -> Shift:
+    (one,) = (shift for shift in found if word in shift.text)
+    return one
+
+
+def of(result: Identification, name: str) -> ParameterResult:
+    return next(p for p in result.parameters if p.name == name)
+
+
+def held(result: Identification) -> bool:
+    return all(p.lower <= true <= p.upper for p, true in zip(result.parameters, TRUTH, strict=True))
+
+
+def test_only_rulers_that_act_move_anything() -> None:
+    system = pendulum(50.0, gain=0.1, center_of_mass=0.01)
+    names = [shift.text for shift in shifts(system, swing(system, unchanged)) if shift.assumed]
+    assert len(names) == 4, "one gain, and three coordinates of a centre of mass"
+    assert any("the gain of servo (4)" in name for name in names)
+    assert any("the centre of mass of load along z" in name for name in names)
+    assert not any("limit" in name for name in names), "it reaches neither of its two"
+
+
+def test_a_limit_that_acts_is_named_with_its_value_and_share() -> None:
+    system = pendulum(limit=1.1)
+    shift = about(shifts(system, swing(system, unchanged)), "limit")
+    assert "the force limit of servo (1.1), which acts in" in shift.text and "% of the steps" in shift.text
+    assert shift.assumed
+
+
+def test_rulers_of_logs_with_known_values_move_what_is_searched() -> None:
+    system = pendulum(1.1)
+    log = swing(system, unchanged).with_(known={"damping": TRUTH[1]})
+    fewer = replace(system, space=searched(system.space, [log]))
+    problem = Problem(fewer, ClipPool(fewer, [whole(log)], system.settings.clips), open_engine(system), 0)
+    state = search.restart(problem, fewer.space.z_of(np.delete(TRUTH, 1)))
+    shift = about(shifts_of(problem, final_fit(problem, state)), "limit")
+    assert shift.z.shape == (3,) and shift.z[0] > 0.0
+
+
+def test_what_a_parameter_sets_is_no_ruler() -> None:
+    free = pendulum(1.1, free=True)
+    problem = Problem(
+        free,
+        ClipPool(free, [whole(swing(pendulum(1.1), unchanged))], free.settings.clips),
+        open_engine(free),
+        0,
+    )
+    state = search.restart(problem, free.space.z_of(np.append(TRUTH, 1.1)))
+    assert not any(shift.assumed for shift in shifts_of(problem, final_fit(problem, state)))
+
+
+@pytest.mark.parametrize(
+    ("limit", "more", "change", "word"),
+    [
+        (50.0, {"gain": 0.1}, strong_servo, "the gain of servo (4)"),
+        (1.1, {}, weak_limit, "the force limit of servo (1.1)"),
+    ],
+)
+def test_a_wrong_ruler_is_told_and_the_interval_holds(
+    limit: float, more: dict[str, Any], change: Change, word: str
+) -> None:
+    system = pendulum(limit, **more)
+    wrong = identify(system, [swing(system, change)], None, IdentifyOptions())
+    assert held(wrong)
+    assert any(word in reason for p in wrong.parameters for reason in p.reasons)
+
+
+def test_a_world_of_finer_steps_is_held_and_the_step_is_recommended(caplog: pytest.LogCaptureFixture) -> None:
+    system = pendulum(50.0, step=0.0025)
+    wrong = identify(system, [swing(system, finer)], None, IdentifyOptions())
+    assert held(wrong)
+    assert "the time step is too long: at 1.25 ms the model explains" in caplog.text
+    caplog.clear()
+    shifts(system, swing(system, unchanged))
+    assert "time step" not in caplog.text
+
+
+def test_an_exact_ruler_that_is_assumed_leaves_an_estimate_identified() -> None:
+    system = pendulum(50.0, gain=0.1)
+    twin = identify(system, [swing(system, unchanged)], None, IdentifyOptions())
+    mass = of(twin, "load_mass")
+    assert held(twin) and mass.verdict == "identified"
+    assert mass.sd / mass.estimate == pytest.approx(0.1, abs=0.04), "no log of positions knows torques better"
+    assert "it rests on the gain of servo (4): known to 10%" in mass.reasons[0]
+
+
+def test_a_limit_as_a_parameter_is_found() -> None:
+    system = pendulum(1.1, free=True)
+    log = swing(pendulum(1.1), weak_limit)
+    limit = of(identify(system, [log], None, IdentifyOptions()), "limit")
+    assert limit.estimate == pytest.approx(0.88, rel=0.05)
+    assert limit.lower < 0.88 < limit.upper
