@@ -45,7 +45,7 @@ class Scored:
     Args:
         residuals: Residuals in the noise of the cost that was given, each channel (1, c, samples, k).
         losses: Robust loss of each channel, shape (c,) each; infinite where the clip diverged.
-        misfit: The losses as of independent samples, and the squared first-state errors, shape (c,).
+        first: Squared first-state errors, shape (c,).
         times: Autocorrelation time of each channel's residuals, in samples.
         information: What the clips know of z.
     """
@@ -53,8 +53,14 @@ class Scored:
     residuals: Residuals
     losses: list[FloatArray]
     times: tuple[float, ...]
-    misfit: FloatArray
+    first: FloatArray
     information: Information
+
+    def misfit(self, times: Sequence[float]) -> FloatArray:
+        """Losses as of independent samples for some autocorrelation times, and first-state errors, (c,)."""
+        return self.first + np.sum(
+            [loss / time for loss, time in zip(self.losses, times, strict=True)], axis=0
+        )
 
 
 def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArray) -> Scored:
@@ -73,8 +79,8 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
     tried = LINE[:, None, None] * found.nuisance
     residuals = cost.residuals(np.repeat(z[None], len(LINE), axis=0), tried if nx else None)
     losses = cost.losses(residuals)
-    total = np.einsum("pcx,pcx->pc", tried, tried)
-    times = channel_times(cost, found.residual, slopes.completed)
+    errors = np.einsum("pcx,pcx->pc", tried, tried)
+    total, times = errors, channel_times(cost, found.residual, slopes.completed)
     for loss, time in zip(losses, times, strict=True):
         total = total + loss / time
     total = np.where(residuals.completed, total, np.inf)
@@ -82,7 +88,7 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
     done = residuals.completed[best]
     kept = tuple(to_host(values)[best][None] for values in residuals.values)
     own = [np.where(done, one[best], np.inf) for one in losses]
-    return Scored(Residuals(kept, done[None]), own, times, total[best], found)
+    return Scored(Residuals(kept, done[None]), own, times, errors[best], found)
 
 
 def validate(problem: Problem, windows: Sequence[Window], finding: Finding) -> HeldOut | None:
@@ -145,7 +151,11 @@ def judge(problem: Problem, windows: Sequence[Window], fit: FinalFit) -> Judged:
     declared = [fit.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     costs = [float(cost.rescaled(one.residuals, declared)[0]) for one in (now, before)]
     against = []
-    if worse(now.misfit - before.misfit, now.information.matrix, fit.posterior.covariance, fit.z):
+    # residuals of wrong values repeat more: with a time of its own, each would count by another measure
+    times = [max(pair) for pair in zip(now.times, before.times, strict=True)]
+    if worse(
+        now.misfit(times) - before.misfit(times), now.information.matrix, fit.posterior.covariance, fit.z
+    ):
         against.append(
             f"held-out clips fit worse than under the prior: with first states fitted, their cost goes from "
             f"{costs[1]:.3g} to {costs[0]:.3g}"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log, Series
-from amhe_cli.estimation.offline.held_out import misses_more, worse
+from amhe_cli.estimation.offline.held_out import Scored, misses_more, worse
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.result import Identification
 from amhe_cli.system.system import System
@@ -113,3 +114,18 @@ def test_held_out_clips_scatter_as_fitted_ones_do() -> None:
     assert misses_more(np.array([40.0]), np.array([1.0, 30.0, 2.0])) is None, (
         "clips differ as much among them"
     )
+
+
+def test_wrong_values_do_not_gain_by_residuals_that_repeat() -> None:
+    """Far from the truth residuals repeat, and a time of their own would make them count for little."""
+    missed, noise = 6.0, 1.0
+    before, now = (scored_as(loss, time) for loss, time in ((missed, 30.0), (noise, 1.0)))
+    times = [max(now.times[0], before.times[0])]
+    assert (now.misfit(times) < before.misfit(times)).all()
+    assert now.misfit(times) == pytest.approx(2.0 + 70.0 * noise / 30.0)
+
+
+def scored_as(loss: float, time: float) -> Scored:
+    """Three clips of 70 samples with one loss a sample, and squared first-state errors of 2."""
+    none: Any = None
+    return Scored(none, [np.full(3, 70.0 * loss)], (time,), np.full(3, 2.0), none)
