@@ -108,7 +108,8 @@ class Starts:
     def inputs_under(self, delays: FloatArray) -> FloatArray:
         """Inputs of p candidates under command delays [steps] (p,), shape (p * c, H, nu).
 
-        A fraction of a step is interpolated, so that a cost is continuous in the delay.
+        A fraction of a step is interpolated, so that a cost is continuous in the delay. Beyond its ends the
+        history holds its first and last input, so that delays may be negative.
         """
         horizon, prompt = self.horizon, self.inputs[:, self.history :]
         whole, fraction = np.divmod(delays, 1.0)
@@ -117,9 +118,8 @@ class Starts:
             if steps == 0 and part == 0.0:
                 taken.append(prompt)
                 continue
-            late = self.history - steps
-            now = self.inputs[:, late : late + horizon]
-            before = self.inputs[:, late - 1 : late - 1 + horizon]
+            rows = self.history - steps + np.arange(horizon)
+            now, before = (self.inputs[:, np.clip(r, 0, self.inputs.shape[1] - 1)] for r in (rows, rows - 1))
             taken.append(np.where(self.delayed, (1.0 - part) * now + part * before, prompt))
         return np.concatenate(taken)
 

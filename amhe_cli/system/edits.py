@@ -228,11 +228,16 @@ class ModelEdits:
     def extended(
         self, model: mujoco.MjModel, more: Sequence[tuple[Parameter, tuple[Cells, ...], Mode]]
     ) -> ModelEdits:
-        """These edits upon a model of the same layout, and after them those of further parameters."""
+        """These edits upon a model of the same layout, and after them those of further parameters.
+
+        One that sets no numbers is the common command delay.
+        """
         space = ParameterSpace((*self._all.parameters, *(parameter for parameter, _, _ in more)))
         scalar = (ScalarEdit(len(self._all) + i, cells, mode) for i, (_, cells, mode) in enumerate(more))
+        late = next((len(self._all) + i for i, (_, cells, _) in enumerate(more) if not cells), None)
+        delay = self._delay_column if late is None else late
         edits = (*self._edits, *scalar)
-        return ModelEdits(model, space, edits, self._delay_column, self.fixed, self._calibration)
+        return ModelEdits(model, space, edits, delay, self.fixed, self._calibration)
 
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
         """Each parameter that sets plain numbers, with all of them."""

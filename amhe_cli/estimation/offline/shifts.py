@@ -158,6 +158,12 @@ def _rulers(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
     # samples that leave the ridge along which z follows a ruler would bend, and pass for information
     found = nuisances.joint(nuisances.slopes(found))
     known, mean, moves = nuisances.posterior(found)
+    for ruler, wanted, sd in zip(rulers, mean, np.sqrt(known.diagonal()), strict=True):
+        if abs(wanted) > SURPRISE * sd:
+            logger.warning(
+                f"the logs speak against {ruler.name}: they want {wanted:+.1f} times {ruler.change} "
+                f"of change ({abs(wanted) / sd:.0f} sd); measure it, or make it a parameter"
+            )
     values, vectors = np.linalg.eigh(known + np.outer(mean, mean))
     for value, vector in zip(values, vectors.T, strict=True):
         move = np.sqrt(value) * (moves @ vector)

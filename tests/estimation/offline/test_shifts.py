@@ -56,7 +56,10 @@ def pendulum(limit: float, free: bool = False, step: float = 0.002, **rulers: fl
     bundled = System.load("pendulum")
     settings = {
         **CHEAP,
-        "identify": {**CHEAP["identify"], "rulers": {"gain": 0, "center_of_mass": 0, **rulers}},
+        "identify": {
+            **CHEAP["identify"],
+            "rulers": {"gain": 0, "center_of_mass": 0, "command_delay": 0, **rulers},
+        },
     }
     names = ("load_mass", "damping", "friction_loss", "armature")
     targets = ({"body": "load", "set": "mass"}, *({"joint": "hinge", "set": n} for n in names[1:]))
@@ -175,6 +178,21 @@ def test_a_world_of_finer_steps_is_held_and_the_step_is_recommended(caplog: pyte
     caplog.clear()
     shifts(system, swing(system, unchanged))
     assert "time step" not in caplog.text
+
+
+def test_commands_that_act_late_are_found_and_the_interval_holds(caplog: pytest.LogCaptureFixture) -> None:
+    system = pendulum(50.0, command_delay=0.005)
+    prompt = swing(system, unchanged)
+    exact = about(shifts(system, prompt), "commands that act at once")
+    assert np.abs(exact.z).max() < 0.05, "the log knows when they act"
+    assert "speak against" not in caplog.text
+    acted = prompt["command.position"]
+    early = replace(acted, values=np.roll(acted.values, -3, axis=0))  # logged 6 ms before they act
+    late = replace(prompt, series={**prompt.series, "command.position": early})
+    found = identify(system, [late], None, IdentifyOptions())
+    assert held(found)
+    (text,) = (line for line in caplog.messages if "speak against commands that act at once" in line)
+    assert "want +1." in text and "times 5 ms" in text
 
 
 def test_an_exact_ruler_that_is_assumed_leaves_an_estimate_identified() -> None:
