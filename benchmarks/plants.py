@@ -7,7 +7,7 @@ the prior. Its twin's plant differs from the model in nothing else; the wrong on
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mujoco
@@ -15,6 +15,7 @@ import numpy as np
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.settings import RulerSettings
 
 #: Settings of all problems: short clips, and no more searching than a small problem needs.
 SMALL = {
@@ -39,6 +40,15 @@ class Case:
     system: amhe.System
     logs: tuple[amhe.Log, ...]
     truth: dict[str, float]
+
+    def exact(self) -> Case:
+        """The same for a user who has measured what the model takes as exact."""
+        settings = self.system.settings
+        known = settings.identify.rulers.model_copy(update=dict.fromkeys(RulerSettings.model_fields, 0.0))
+        identify = settings.identify.model_copy(update={"rulers": known})
+        return replace(
+            self, system=replace(self.system, settings=settings.model_copy(update={"identify": identify}))
+        )
 
 
 @dataclass(frozen=True)
