@@ -158,8 +158,8 @@ def _rulers(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
     # samples that leave the ridge along which z follows a ruler would bend, and pass for information
     found = nuisances.joint(nuisances.slopes(found))
     known, mean, moves = nuisances.posterior(found)
-    for ruler, wanted, sd in zip(rulers, mean, np.sqrt(known.diagonal()), strict=True):
-        if abs(wanted) > SURPRISE * sd:
+    for ruler, wanted, sd, along in zip(rulers, mean, np.sqrt(known.diagonal()), moves.T, strict=True):
+        if abs(wanted) > SURPRISE * sd and about.beyond_sd(wanted * along).any():
             logger.warning(
                 f"the logs speak against {ruler.name}: they want {wanted:+.1f} times {ruler.change} "
                 f"of change ({abs(wanted) / sd:.0f} sd); measure it, or make it a parameter"
