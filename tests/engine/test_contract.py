@@ -15,10 +15,12 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.arrays import to_host
+from amhe_cli.core.parameters import Parameter
 from amhe_cli.engine import cpu
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Starts, Wanted
 from amhe_cli.system.system import System
+from amhe_cli.system.targets import Cells
 from tests.conftest import MODELS
 
 #: How every engine is opened; `spread` gives it two worker processes, `warp` is that of graphics cards on
@@ -283,3 +285,16 @@ def test_the_same_engine_upon_another_model(opened: Open) -> None:
     assert type(moved) is type(expected)
     np.testing.assert_array_equal(moved.rollout(*call).qpos[:, :5], expected.rollout(*call).qpos[:, :5])
     assert (moved.rollout(*call).qpos[:, 4] != opened(PENDULUM).rollout(*call).qpos[:, 4]).any()
+
+
+def test_the_same_engine_with_further_parameters(opened: Open) -> None:
+    limit = Parameter("limit", "-", 1.0, 0.01, 10.0, log=True, prior_sd=0.2)
+    ends = (Cells("actuator_forcerange", 0, (1,)), Cells("actuator_forcerange", 0, (0,), -1.0))
+    wider = PENDULUM.edits.extended(PENDULUM.model, [(limit, ends, "scale")])
+    theta, *rest = some()
+    engine, plain = opened(PENDULUM).upon(PENDULUM.model, wider), opened(PENDULUM).rollout(theta, *rest)
+    weak, same = (
+        engine.rollout(np.column_stack((theta, np.full(len(theta), value))), *rest) for value in (0.01, 1.0)
+    )
+    np.testing.assert_array_equal(same.qpos[:, :5], plain.qpos[:, :5])
+    assert (weak.qpos[:, 4] != plain.qpos[:, 4]).any()

@@ -85,10 +85,11 @@ class GpuEngine:
             return _in_order(self.cards[0].run(self.job(theta, starts, errors, wanted)), count)
         return predicted_in_parts(turns, theta, starts, errors, wanted, self._dealt)
 
-    def upon(self, model: mujoco.MjModel) -> GpuEngine:
+    def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> GpuEngine:
         """See `Engine.upon`."""
         about = self._blueprint
-        return GpuEngine(model, about.edits.upon(model), about.input_spec, about.sensors, self._devices)
+        edits = edits or about.edits.upon(model)
+        return GpuEngine(model, edits, about.input_spec, about.sensors, self._devices)
 
     def _dealt(self, calls: Sequence[Call]) -> list[Predicted]:
         """The parts of a prediction, dealt to the cards; their numbers come together on the first."""
