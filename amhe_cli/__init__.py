@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from amhe_cli.api.identify import Result, identify
     from amhe_cli.api.runs import probe, run
     from amhe_cli.core.errors import AmheError
+    from amhe_cli.core.limits import limit
     from amhe_cli.core.log import Log
     from amhe_cli.core.parameters import Belief
     from amhe_cli.estimation.online.horizon import Estimate
@@ -36,6 +37,7 @@ _HOMES = {
     "System": "amhe_cli.system.system",
     "convert": "amhe_cli.logs.convert",
     "identify": "amhe_cli.api.identify",
+    "limit": "amhe_cli.core.limits",
     "probe": "amhe_cli.api.runs",
     "read_log": "amhe_cli.logs.read",
     "run": "amhe_cli.api.runs",
@@ -53,6 +55,7 @@ __all__ = [
     "__version__",
     "convert",
     "identify",
+    "limit",
     "probe",
     "read_log",
     "run",

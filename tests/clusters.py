@@ -11,14 +11,21 @@ from pathlib import Path
 
 
 class Cluster:
-    """A real scheduler and workers of this machine, each a process of its own."""
+    """A real scheduler and workers of this machine, each a process of its own.
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    Args:
+        folder: Folder of its log.
+        options: Options of all of its processes, such as those of TLS.
+    """
+
+    def __init__(self, folder: Path, options: tuple[str, ...] = (), protocol: str = "tcp") -> None:
+        self._folder, self._options = folder, options
         self._processes: list[subprocess.Popen[bytes]] = []
         ready = folder / "scheduler.json"
         self._start(
             "scheduler",
+            "--protocol",
+            protocol,
             "--port",
             "0",
             "--no-dashboard",
@@ -51,7 +58,7 @@ class Cluster:
             process.wait()
 
     def _start(self, what: str, *options: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "distributed.cli.dask_" + what, *options]
+        command = [sys.executable, "-m", "distributed.cli.dask_" + what, *options, *self._options]
         root = str(Path(__file__).parents[1])
         log = (self._folder / "log.txt").open("ab")
         process = subprocess.Popen(

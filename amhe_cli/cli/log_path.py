@@ -66,3 +66,26 @@ def one_episode(ctx: click.Context, param: click.Parameter, path: Path | None) -
 
 #: A log that must exist (exit code 2 if not); whether it can be read is the reader's word (4).
 LOG = _LogPath(exists=True, readable=False, path_type=Path)
+
+
+def _set_limits(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> None:
+    from amhe_cli.core.errors import ConfigError
+    from amhe_cli.core.limits import limit
+
+    pairs = [text.partition("=") for text in given]
+    try:
+        ctx.with_resource(limit(**{name: int(number) for name, _, number in pairs}))
+    except (ConfigError, ValueError) as error:
+        raise click.BadParameter(str(error), ctx, param) from None
+
+
+#: Limits on what reading a log may cost; they hold as long as the command.
+limits = click.option(
+    "--limit",
+    multiple=True,
+    metavar="NAME=N",
+    is_eager=True,
+    expose_value=False,
+    callback=_set_limits,
+    help="Set a limit on what reading a log may cost, such as topics=20000. Repeatable.",
+)

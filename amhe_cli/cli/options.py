@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from amhe_cli import __version__
-from amhe_cli.cli import completion
+from amhe_cli.cli import completion, log_path
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -192,11 +192,15 @@ def system_or(default: str) -> Callable[[F], F]:
 
 system = system_or("named by the log, else go1_push")
 
-msg_path = click.option(
-    "--msg-path",
-    type=EXISTING_FOLDER,
-    metavar="DIR",
-    help="Folder of .msg files, for message types that the log does not define itself.",
+
+msg_path = stacked(
+    click.option(
+        "--msg-path",
+        type=EXISTING_FOLDER,
+        metavar="DIR",
+        help="Folder of .msg files, for message types that the log does not define itself.",
+    ),
+    log_path.limits,
 )
 
 

@@ -87,7 +87,10 @@ def _begin() -> None:
 
 @contextmanager
 def remote(address: str) -> Iterator[Executor]:
-    """The workers of a dask scheduler, such as tcp://host:8786; the work of one that dies is done by another.
+    """The workers of a dask scheduler; the work of one that dies is done by another.
+
+    Args:
+        address: Its address, such as tcp://host:8786 or tls://host:8786.
 
     Raises:
         ConfigError: The extra is not installed, or the address is none.
@@ -104,6 +107,10 @@ def remote(address: str) -> Iterator[Executor]:
         client = Client(address, timeout=PATIENCE, set_as_default=False)
     except ValueError as error:
         raise ConfigError(f"`cluster` {address}: {error}; write tcp://HOST:8786") from None
+    except TypeError:  # a TLS address without certificates
+        raise ConfigError(
+            f"`cluster` {address}: dask's configuration names no certificates for TLS (docs/scaling.md)"
+        ) from None
     except (OSError, AssertionError):  # AssertionError: dask's own thread did not start in 10 s
         raise AmheError(
             f"no scheduler answers at {address} within {PATIENCE:g} s: start one with `dask scheduler`, "

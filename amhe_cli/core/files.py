@@ -14,6 +14,18 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from amhe_cli.core.errors import ConfigError
+
+
+def check_regular(path: Path) -> None:
+    """Refuse a pipe or a device, on which reading may wait for ever.
+
+    Raises:
+        ConfigError: There is such a thing at `path`.
+    """
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise ConfigError(f"{path}: a pipe or a device, no file; save its content in a file")
+
 
 @contextmanager
 def whole(path: Path) -> Iterator[BinaryIO]:

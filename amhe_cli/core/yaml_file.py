@@ -14,15 +14,28 @@ from typing import Any
 import yaml
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.files import check_regular
+from amhe_cli.core.limits import beyond, limits
 
 #: Keys and list indices from the top of a file to one of its values.
 Place = tuple[str | int, ...]
+
+_DEEPEST = 50
+_TOO_DEEP = f"nested deeper than {_DEEPEST} levels, or within itself"
 
 
 class _Loader(yaml.SafeLoader):
     """SafeLoader with the scalars of YAML 1.2's core schema."""
 
     yaml_implicit_resolvers: dict = {}  # noqa: RUF012 (PyYAML's own registry, filled below)
+    _values = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        """Compose one value, within the limit of a file."""
+        self._values += 1
+        if self._values > limits().yaml_values:
+            raise yaml.YAMLError(beyond("yaml_values", "its values are"))
+        return super().compose_node(parent, index)
 
 
 def _decimal(loader: yaml.SafeLoader, node: Any) -> int:
@@ -95,7 +108,10 @@ class YamlFile:
             raise ConfigError("\n".join(sorted(self._problems, key=lambda text: self._problems[text])))
 
     def _composed(self) -> yaml.Node | None:
+        check_regular(self.path)
         try:
+            if self.path.stat().st_size > limits().yaml_mib * 2**20:
+                raise ConfigError(f"{self.path}: {beyond('yaml_mib', 'its size is')}")
             node = yaml.compose(self.path.read_text(encoding="utf-8"), _Loader)
         except OSError as error:
             raise ConfigError(f"{self.path}: {error.strerror or error}") from None
@@ -105,7 +121,10 @@ class YamlFile:
             mark = getattr(error, "problem_mark", None)
             where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
             raise ConfigError(f"{self.path}{where}: not valid YAML: {_message_of(error)}") from None
+        except RecursionError:
+            raise ConfigError(f"{self.path}: {_TOO_DEEP}") from None
         if node is not None:
+            self._check_size(node)
             self._drop_duplicates(node)
         return node
 
@@ -119,6 +138,25 @@ class YamlFile:
             raise ConfigError(f"{where}: not valid YAML: {_message_of(error)}") from None
         finally:
             loader.dispose()
+
+    def _check_size(self, root: yaml.Node) -> None:
+        """Refuse what aliases and merges unfold to too much; a node that many name counts each time."""
+        sizes: dict[int, int] = {}
+        waiting: list[tuple[yaml.Node, int]] = [(root, 0)]
+        while waiting:
+            node, depth = waiting.pop()
+            parts = node.value if isinstance(node, yaml.CollectionNode) else []
+            below = [one for part in parts for one in (part if isinstance(part, tuple) else (part,))]
+            missing = [one for one in below if id(one) not in sizes]
+            if missing and depth < _DEEPEST:
+                waiting += [(node, depth), *((one, depth + 1) for one in missing)]
+                continue
+            if missing:
+                mark = node.start_mark
+                raise ConfigError(f"{self.path}:{mark.line + 1}:{mark.column + 1}: {_TOO_DEEP}")
+            sizes[id(node)] = 1 + sum(sizes[id(one)] for one in below)
+        if sizes[id(root)] > limits().yaml_values:
+            raise ConfigError(f"{self.path}: {beyond('yaml_values', 'what its aliases unfold to is')}")
 
     def _drop_duplicates(self, root: yaml.Node) -> None:
         waiting, seen = [root], set()

@@ -130,6 +130,43 @@ def test_a_cluster_gives_the_same_cells_as_this_machine(done: Path, tmp_path: Pa
     assert cells_of(Path("out")) == cells_of(done)
 
 
+@pytest.fixture
+def certificates(tmp_path: Path) -> dict[str, str]:
+    """An authority and a certificate that it signed, made as docs/scaling.md says, by dask's names."""
+    if shutil.which("openssl") is None:
+        pytest.skip("needs openssl")
+    commands = [
+        line
+        for line in (ROOT / "docs" / "scaling.md").read_text().splitlines()
+        if line.startswith("openssl ")
+    ]
+    assert len(commands) == 3
+    for command in commands:
+        subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True)
+    return {"ca-file": "ca.pem", "cert": "me.pem", "key": "me.key"}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
+def test_a_cluster_behind_tls(done: Path, tmp_path: Path, certificates: dict[str, str], capsys) -> None:
+    pytest.importorskip("distributed")
+    import dask
+
+    options = tuple(word for name, file in certificates.items() for word in (f"--tls-{name}", file))
+    command = ["eval", *GRID, *QUICK, "-q", "--cluster"]
+    with Cluster(tmp_path, options, "tls") as cluster:
+        assert cluster.address.startswith("tls://")
+        cluster.worker()
+        assert run([*command, cluster.address, "-o", "a"]) == 2
+        assert "names no certificates for TLS" in capsys.readouterr().err
+        plain = cluster.address.replace("tls:", "tcp:")
+        assert run([*command, plain, "-o", "b"]) == 1, "no way in without TLS"
+        ours = {"ca-file": "ca.pem", "client.cert": "me.pem", "client.key": "me.key"}
+        with dask.config.set({f"distributed.comm.tls.{name}": file for name, file in ours.items()}):
+            assert run([*command, cluster.address, "-o", "out"]) == 0
+    assert cells_of(Path("out")) == cells_of(done)
+
+
 @pytest.mark.usefixtures("no_figures")
 def test_ctrl_c_keeps_what_is_done_and_a_study_goes_on(done: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "amhe_cli", "eval", *GRID, *QUICK, "-o", "out"]

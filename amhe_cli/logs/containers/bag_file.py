@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from amhe_cli.logs.containers.compression import decompress
+from amhe_cli.logs.containers.compression import Unfolder
 from amhe_cli.logs.containers.raw import Batch, Connection, messages, normal_type, stamps
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -60,6 +60,7 @@ class BagFile:
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all), chunk by chunk."""
         chunks = self._index()
+        unfolder = Unfolder(len(self._data))
         loose: list[_Row] = []
         position = len(MAGIC)
         while position < len(self._data):
@@ -76,7 +77,7 @@ class BagFile:
             position = record.stop
             if record.op == _CHUNK:
                 position, index = self._index_after(position)
-                yield from self._emit(*self._chunk(record, index), topics)
+                yield from self._emit(*self._chunk(record, index, unfolder), topics)
             elif record.op == _MESSAGE:
                 loose += _message(record, record.start, 0)
             elif record.op == _CONNECTION:
@@ -143,12 +144,14 @@ class BagFile:
         self._by_id[number] = connection
         self.connections.append(connection)
 
-    def _chunk(self, record: _Record, index: dict[int, dict[int, int]] | None) -> tuple[bytes, list[_Row]]:
+    def _chunk(
+        self, record: _Record, index: dict[int, dict[int, int]] | None, unfolder: Unfolder
+    ) -> tuple[bytes, list[_Row]]:
         try:
             kind, size = record.fields[b"compression"].decode(), _U32.unpack(record.fields[b"size"])[0]
             if record.start == record.stop:
                 return b"", []  # still being written when the recorder stopped: its messages follow
-            data = decompress(kind, self._data[record.start : record.stop], size)
+            data = unfolder.unfold(kind, self._data[record.start : record.stop], size)
         except (ValueError, KeyError, struct.error) as error:
             self.problems.append(f"a chunk at byte {record.start} is lost: {error}")
             return b"", []

@@ -9,31 +9,47 @@ from typing import BinaryIO
 import lz4.frame
 import zstandard
 
-#: Largest piece of a log [bytes] that is unfolded into memory at once.
-LIMIT = 2**30
+from amhe_cli.core.errors import LogError
+from amhe_cli.core.limits import beyond, limits
 
 
-def decompress(kind: str, data: bytes | memoryview, size: int | None = None) -> bytes:
-    """Unfold one piece of a log.
+class Unfolder:
+    """Unfolds the pieces of one log within the limits `piece_mib` and `growth`.
 
     Args:
-        kind: 'zstd', 'lz4' (frames), 'bz2', or '' / 'none'.
-        data: The compressed bytes.
-        size: Size it must have once unfolded [bytes], where known.
-
-    Raises:
-        ValueError: If the piece is damaged, of another size, or larger than LIMIT.
+        size: Size of the log [bytes].
     """
-    bound = LIMIT if size is None else size
-    if bound > LIMIT:
-        raise ValueError(f"a piece of {bound / 2**30:.1f} GiB exceeds the limit of {LIMIT / 2**30:.0f} GiB")
-    try:
-        unfolded = _unfold(kind, data, bound)
-    except (zstandard.ZstdError, RuntimeError, EOFError, OSError) as error:
-        raise ValueError(f"damaged {kind} data: {error}") from error
-    if len(unfolded) > bound or (size is not None and len(unfolded) != size):
-        raise ValueError(f"{kind or 'plain'} data unfold to {len(unfolded)} bytes instead of {bound}")
-    return unfolded
+
+    def __init__(self, size: int) -> None:
+        self._left = max(limits().piece, limits().growth * size)
+
+    def unfold(self, kind: str, data: bytes | memoryview, size: int | None = None) -> bytes:
+        """Unfold one piece of a log.
+
+        Args:
+            kind: 'zstd', 'lz4' (frames), 'bz2', or '' / 'none'.
+            data: The compressed bytes.
+            size: Size it must have once unfolded [bytes], where known.
+
+        Raises:
+            ValueError: If the piece is damaged, of another size, or beyond `piece_mib`.
+            LogError: If all pieces together are beyond `growth`.
+        """
+        bound = limits().piece if size is None else size
+        if bound > limits().piece:
+            raise ValueError(beyond("piece_mib", f"a piece of {bound / 2**20:.0f} MiB is"))
+        try:
+            unfolded = _unfold(kind, data, bound)
+        except (zstandard.ZstdError, RuntimeError, EOFError, OSError) as error:
+            raise ValueError(f"damaged {kind} data: {error}") from error
+        if size is None and len(unfolded) > bound:
+            raise ValueError(beyond("piece_mib", "a piece is"))
+        if size is not None and len(unfolded) != size:
+            raise ValueError(f"{kind or 'plain'} data unfold to {len(unfolded)} bytes instead of {size}")
+        self._left -= len(unfolded)
+        if self._left < 0:
+            raise LogError(beyond("growth", "what it unfolds to is, as a multiple of its size,"))
+        return unfolded
 
 
 def _unfold(kind: str, data: bytes | memoryview, bound: int) -> bytes:
@@ -51,14 +67,14 @@ def _unfold(kind: str, data: bytes | memoryview, bound: int) -> bytes:
     raise ValueError(f"compression {kind!r} is not known; known are zstd, lz4, bz2")
 
 
-def decompress_start(kind: str, data: bytes, size: int) -> bytes:
+def unfold_start(kind: str, data: bytes, size: int) -> bytes:
     """Unfold as much as possible, and at most `size` bytes, of a piece whose end is missing.
 
     Raises:
         ValueError: If what is there is damaged, or of a kind that cannot be read in part.
     """
-    if size > LIMIT:
-        raise ValueError(f"a piece of {size / 2**30:.1f} GiB exceeds the limit of {LIMIT / 2**30:.0f} GiB")
+    if size > limits().piece:
+        raise ValueError(beyond("piece_mib", f"a piece of {size / 2**20:.0f} MiB is"))
     try:
         if kind in ("", "none"):
             return data[:size]
@@ -76,16 +92,16 @@ def unfold_file(source: Path, target: BinaryIO) -> None:
     """Unfold a zstd file into `target`.
 
     Raises:
-        ValueError: If it is damaged, or unfolds to more than LIMIT or 100 times its size.
+        ValueError: If it is damaged, or unfolds beyond the limits `piece_mib` and `growth`.
     """
-    bound = max(LIMIT, 100 * source.stat().st_size)
+    bound = max(limits().piece, limits().growth * source.stat().st_size)
     written = 0
     try:
         with source.open("rb") as packed, zstandard.ZstdDecompressor().stream_reader(packed) as stream:
             while piece := stream.read(2**20):
                 written += len(piece)
                 if written > bound:
-                    raise ValueError(f"{source.name} unfolds to more than {bound} bytes")
+                    raise ValueError(beyond("growth", f"what {source.name} unfolds to is, times its size,"))
                 target.write(piece)
     except zstandard.ZstdError as error:
         raise ValueError(f"{source.name}: damaged zstd data: {error}") from error

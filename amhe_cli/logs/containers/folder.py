@@ -9,18 +9,19 @@ from pathlib import Path, PurePath
 from tempfile import NamedTemporaryFile
 from typing import Any
 
-import yaml
-
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.files import check_regular
+from amhe_cli.core.limits import beyond, limits
+from amhe_cli.core.yaml_file import YamlFile
 from amhe_cli.logs.containers import bag_file, lerobot, mcap_file, sqlite_file
-from amhe_cli.logs.containers.compression import decompress, unfold_file
+from amhe_cli.logs.containers.compression import Unfolder, unfold_file
 from amhe_cli.logs.containers.foreign import foreign
 from amhe_cli.logs.containers.raw import Batch, Connection, LogFile, batch_of, readable
 from amhe_cli.logs.containers.table_file import TableFile
 from amhe_cli.logs.containers.table_formats import open_tables
 
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_METADATA_LIMIT = 2**24
+_BATCH_BYTES = 2**25
 #: Endings of the tables that make a folder a log; a single file may have any name.
 _TABLES = (".csv", ".tsv", ".npz", ".npy", ".parquet", ".feather", ".h5", ".hdf5")
 
@@ -41,6 +42,7 @@ class StoredLog:
         files: Parts of the log, in order.
         notes: Defects of the folder, in words.
         packed: Each message is compressed by itself (rosbag2's compression mode 'message').
+        size: Size of its files [bytes].
         watch: Called with each batch before it is yielded.
     """
 
@@ -48,6 +50,7 @@ class StoredLog:
     files: tuple[LogFile, ...]
     notes: tuple[str, ...] = ()
     packed: bool = False
+    size: int = 0
     watch: Callable[[Batch], None] | None = None
 
     @property
@@ -60,11 +63,17 @@ class StoredLog:
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all)."""
+        unfolder = Unfolder(self.size)
         for file in self.files:
             for batch in file.batches(topics):
+                _check_topics(file)
                 if self.watch is not None:
                     self.watch(batch)
-                yield _unpacked(batch) if self.packed else batch
+                if self.packed:
+                    yield from _unpacked(batch, unfolder)
+                else:
+                    yield batch
+            _check_topics(file)
 
     @property
     def connections(self) -> list[Connection]:
@@ -96,6 +105,7 @@ def open_log(path: Path) -> StoredLog:
     if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
         raise LogError(f"{path}: a YAML file is no log; as a data set it lists logs: name one of them")
     if not path.is_dir():
+        check_regular(path)
         return StoredLog(path, tuple(_open_tables(path)) or (_open_file(path),))
     metadata = path / "metadata.yaml"
     if not metadata.exists():
@@ -119,6 +129,7 @@ def _open_tables(path: Path) -> list[LogFile]:
 
 
 def _open_file(path: Path) -> LogFile:
+    check_regular(path)
     with path.open("rb") as file:
         head = file.read(16)
     if not head:
@@ -182,30 +193,36 @@ def _open_parts(path: Path, parts: list[Path], notes: list[str], packed: bool) -
             notes.append(str(error))
     if not files:
         raise LogError(f"{path}: none of its files can be read: {notes[-1]}")
-    return StoredLog(path, tuple(files), tuple(notes), packed)
+    return StoredLog(path, tuple(files), tuple(notes), packed, sum(part.stat().st_size for part in parts))
 
 
 def _information(metadata: Path) -> dict[str, Any]:
-    if metadata.stat().st_size > _METADATA_LIMIT:
-        raise LogError(f"{metadata}: too large to be a rosbag2 metadata.yaml")
     try:
-        information = yaml.safe_load(metadata.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        information = YamlFile(metadata).own["rosbag2_bagfile_information"]
         files = information["relative_file_paths"]
-    except (yaml.YAMLError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (ConfigError, KeyError, TypeError) as error:
+        why = f" ({str(error).removeprefix(f'{metadata}:')})" if isinstance(error, ConfigError) else ""
         raise LogError(
-            f"{metadata}: not a rosbag2 metadata.yaml; remove it to read the files beside it as they are"
+            f"{metadata}: not a rosbag2 metadata.yaml{why}; remove it to read the files beside it as they are"
         ) from error
     if not isinstance(files, list) or not files or not all(isinstance(name, str) for name in files):
         raise LogError(f"{metadata}: it names no file")
     return information
 
 
-def _unpacked(batch: Batch) -> Batch:
+def _check_topics(file: LogFile) -> None:
+    if len(file.connections) > limits().topics:
+        raise LogError(beyond("topics", f"{len(file.connections)} topics are"))
+
+
+def _unpacked(batch: Batch, unfolder: Unfolder) -> Iterator[Batch]:
+    """The batch with its messages unfolded, in as many batches as it then takes."""
     ends = batch.starts + batch.lengths
-    payloads = [
-        decompress("zstd", batch.buffer[start:end].tobytes())
-        for start, end in zip(batch.starts.tolist(), ends.tolist(), strict=True)
-    ]
-    return replace(
-        batch_of(batch.connection, [], [], payloads), log_ns=batch.log_ns, publish_ns=batch.publish_ns
-    )
+    begin, payloads, size = 0, [], 0
+    for i, (start, end) in enumerate(zip(batch.starts.tolist(), ends.tolist(), strict=True), start=1):
+        payloads.append(unfolder.unfold("zstd", batch.buffer[start:end].tobytes()))
+        size += len(payloads[-1])
+        if size > _BATCH_BYTES or i == ends.size:
+            stamped = {"log_ns": batch.log_ns[begin:i], "publish_ns": batch.publish_ns[begin:i]}
+            yield replace(batch_of(batch.connection, [], [], payloads), **stamped)
+            begin, payloads, size = i, [], 0

@@ -18,6 +18,7 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Metadata, Schema
 from numpy.typing import NDArray
 
+from amhe_cli.logs.containers.compression import Unfolder
 from amhe_cli.logs.containers.mcap_index import MAGIC as MAGIC
 from amhe_cli.logs.containers.mcap_index import (
     PARSE_ERRORS,
@@ -64,12 +65,12 @@ class McapFile:
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all), chunk by chunk."""
-        found = self._found
+        found, unfolder = self._found, Unfolder(len(self._data))
         self.problems += found.problems
         for piece in found.pieces:
             if not piece.is_chunk:
                 yield from self._records(self._data, piece.start, piece.stop, topics)
-            elif (data := self._unfold(piece)) is not None:
+            elif (data := self._unfold(piece, unfolder)) is not None:
                 yield from self._records(data, 0, len(data), topics)
         if found.cut is not None and (data := self._unfold_start(found.cut)):
             yield from self._records(data, 0, len(data), topics)
@@ -78,9 +79,9 @@ class McapFile:
 
     def read_metadata(self) -> dict[str, str]:
         """The record named 'amhe', without decoding any message."""
-        found = self._found
+        found, unfolder = self._found, Unfolder(len(self._data))
         for piece in found.pieces if not found.intact else ():  # is a chunk to blame?
-            if piece.is_chunk and self._unfold(piece) is None:
+            if piece.is_chunk and self._unfold(piece, unfolder) is None:
                 break
         self._note_metadata(found)
         return self.metadata
@@ -115,10 +116,10 @@ class McapFile:
             if record.name == "amhe":
                 self.metadata |= record.metadata
 
-    def _unfold(self, chunk: Piece) -> bytes | None:
+    def _unfold(self, chunk: Piece, unfolder: Unfolder) -> bytes | None:
         """Records of a chunk; None, with a note, if it is damaged."""
         try:
-            return unfolded(self._data, chunk)
+            return unfolded(self._data, chunk, unfolder)
         except PARSE_ERRORS as error:
             self._broken_chunks += 1
             span = span_ns(self._data, chunk)
@@ -158,6 +159,8 @@ class McapFile:
                     places.append(position)
                 elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._declare(opcode, bytes(data[position + 9 : after]))
+                else:
+                    raise ValueError(f"the record at byte {position} has no place there")
                 position = after
                 if position > flush_at:
                     yield from self._flush(buffer, places, topics)
@@ -176,8 +179,9 @@ class McapFile:
         sound = heads["size"] >= _MESSAGE.itemsize - 9
         starts, heads = starts[sound], heads[sound]
         self._count(heads["log_ns"])
-        for number in np.unique(heads["channel"]).tolist():
-            mine = np.flatnonzero(heads["channel"] == number)
+        order = np.argsort(heads["channel"], kind="stable")
+        numbers, first = np.unique(heads["channel"][order], return_index=True)
+        for number, mine in zip(numbers.tolist(), np.split(order, first[1:]), strict=False):
             channel = self._by_id.get(number)
             if channel is None:
                 self.problems.append(f"{messages(mine.size)} of a channel whose declaration is lost")

@@ -19,7 +19,7 @@ from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Statistics
 
-from amhe_cli.logs.containers.compression import LIMIT, decompress, decompress_start
+from amhe_cli.logs.containers.compression import Unfolder, unfold_start
 
 MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
@@ -106,16 +106,16 @@ def contents(data: mmap) -> Contents:
     return found
 
 
-def unfolded(data: mmap, chunk: Piece) -> bytes:
+def unfolded(data: mmap, chunk: Piece, unfolder: Unfolder) -> bytes:
     """Records of a chunk, decompressed, checksum verified.
 
     Raises:
-        ValueError: If the chunk is damaged, or larger than the limit.
+        ValueError: If the chunk is damaged, or beyond the limit `piece_mib`.
     """
     if chunk.stop > len(data):
         raise ValueError("the file ends within it")
     head = _head(data, chunk)
-    records = decompress(head.kind, data[head.at : head.stop], head.size)
+    records = unfolder.unfold(head.kind, data[head.at : head.stop], head.size)
     if head.crc and zlib.crc32(records) != head.crc:
         raise ValueError("its checksum is wrong")
     return records
@@ -138,7 +138,7 @@ def unfolded_start(data: mmap, position: int) -> bytes:
     if span is None or head.stop != chunk.stop:
         raise ValueError("its header is damaged")
     # Where a machine lost power, its last pages may be there in length but not in content.
-    records = decompress_start(head.kind, data[head.at :].rstrip(b"\0"), head.size)
+    records = unfold_start(head.kind, data[head.at :].rstrip(b"\0"), head.size)
     at = 0
     while at + 9 <= len(records):
         opcode, size = RECORD.unpack_from(records, at)
@@ -243,6 +243,6 @@ def _split(data: mmap, start: int, stop: int) -> Iterator[tuple[int, int, int]]:
         opcode, size = RECORD.unpack_from(data, position)
         first = position + 9
         position = first + size
-        if size > LIMIT or position > stop or opcode == 0:
+        if position > stop or opcode == 0:
             raise ValueError(f"the record at byte {first - 9} is cut off")
         yield opcode, first, position

@@ -16,11 +16,15 @@ from tempfile import NamedTemporaryFile
 from typing import IO
 from urllib.parse import quote
 
-from amhe_cli.logs.containers.compression import LIMIT
+from amhe_cli.core.limits import limits
 from amhe_cli.logs.containers.raw import Batch, Connection, DefinitionFormat, batch_of, messages, normal_type
 
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl"}
-_BATCH = 4096
+_BATCH, _BATCH_BYTES = 4096, 2**25
+#: The content of larger files is not checked beforehand, which would take as long as the reading [bytes].
+_CHECKED = 2**30
+#: Steps of sqlite's machine: in any case, and for each byte of the file. An honest row of 20 bytes takes 30.
+_STEPS, _STEPS_A_BYTE, _STRIDE = 2 * 10**7, 50, 10**5
 
 
 class SqliteFile:
@@ -44,30 +48,39 @@ class SqliteFile:
         # Without this, sqlite refuses a file that is shorter than its header says.
         self._database.execute("PRAGMA writable_schema=ON")
         self._database.execute("PRAGMA cell_size_check=ON")
+        self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limits().piece)
+        self._steps = (_STEPS + _STEPS_A_BYTE * self._size) // _STRIDE
+        self._database.set_progress_handler(self._tired, _STRIDE)
         self._database.text_factory = lambda text: text.decode("utf-8", "replace")
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all), in the order they were recorded."""
+        self._check_tables()
         by_id = self._topics()
         suspect = self._suspect_rows()
         wanted = {number: c for number, c in by_id.items() if topics is None or c.topic in topics}
         pending: dict[int, list[tuple[int, bytes]]] = {number: [] for number in wanted}
-        read = first = last = 0
+        held = dict.fromkeys(wanted, 0)
+        read = damaged = first = last = 0
         try:
             for number, topic, stamp, data in self._rows(wanted):
                 if number in suspect or not isinstance(stamp, int) or not isinstance(data, bytes):
-                    self.problems.append(f"message {number} is damaged and left out")
+                    damaged += 1
                     continue
                 rows = pending[topic]
                 rows.append((stamp, data))
+                held[topic] += len(data)
                 first, last, read = first or stamp, stamp, read + 1
-                if len(rows) == _BATCH:
+                if len(rows) == _BATCH or held[topic] > _BATCH_BYTES:
                     yield _batch(wanted[topic], rows)
                     rows.clear()
+                    held[topic] = 0
         except sqlite3.DatabaseError:
             self.problems.append(
                 f"recovered {messages(read)} up to t = {(last - first) / 1e9:.1f} s; the rest is lost"
             )
+        if damaged:
+            self.problems.append(f"{messages(damaged)} damaged and left out")
         for topic, rows in pending.items():
             if rows:
                 yield _batch(wanted[topic], rows)
@@ -75,6 +88,23 @@ class SqliteFile:
     def read_metadata(self) -> dict[str, str]:
         """Nothing: the format has no place for it."""
         return {}
+
+    def _tired(self) -> bool:
+        """Whether sqlite is to give up: a few pages can be made to stand for endless rows."""
+        self._steps -= 1
+        return self._steps < 0
+
+    def _check_tables(self) -> None:
+        """Refuse views and computed columns: what they hold is not in the file, and has no end.
+
+        Raises:
+            ValueError: A table is none.
+        """
+        for (name,) in self._database.execute(
+            "SELECT t.name FROM pragma_table_list AS t WHERE t.name NOT LIKE 'sqlite_%' "
+            "AND (t.type != 'table' OR EXISTS (SELECT 1 FROM pragma_table_xinfo(t.name) WHERE hidden))"
+        ):
+            raise ValueError(f"{name!r} in this database is a view, or computes its content: no log has that")
 
     def _topics(self) -> dict[int, Connection]:
         definitions: dict[str, tuple[str, str, str]] = {}
@@ -107,7 +137,7 @@ class SqliteFile:
 
     def _suspect_rows(self) -> set[int]:
         """Rows whose stamp contradicts the index."""
-        if self._size > LIMIT or self._completed is not None:
+        if self._size > _CHECKED or self._completed is not None:
             return set()  # a check as long as the reading itself, or one that finds only what is known
         try:
             report = [line for (line,) in self._database.execute("PRAGMA integrity_check(1000)")]
@@ -137,7 +167,7 @@ def _completed(path: Path) -> IO[bytes] | None:
         missing = page * int.from_bytes(head[28:32], "big") - path.stat().st_size
         if len(head) == 100 and missing <= 0:
             return None
-        if len(head) < 100 or missing > LIMIT:
+        if len(head) < 100 or missing > limits().piece:
             raise ValueError("the database is cut off, and too much of it is missing")
         file.seek(0)
         copy = NamedTemporaryFile(prefix="amhe-", suffix=".db3")  # noqa: SIM115 (lives as long as the reader)

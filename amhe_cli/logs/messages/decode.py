@@ -18,8 +18,8 @@ from amhe_cli.logs.messages.split import MessageGroup
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
 
 _Bytes = NDArray[np.uint8]
-#: Layouts whose recipe is kept: where every message has its own, they must not fill the memory.
-_RECIPES = 1024
+#: Layouts whose recipe is kept, and all their fields: where each message has its own, memory must not fill.
+_RECIPES, _HELD = 1024, 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +99,7 @@ class SignalDecoder:
         self._seen: set[str] = set()
         self._parts = _Parts(values={quantity: [] for quantity in self._wanted})
         self._recipes: dict[int, tuple[Layout, list[_Columns]]] = {}
-        self.count = 0
+        self.count = self._held = 0
         self._has_header = False
         self.odd = 0
         self.not_finite: dict[str, int] = dict.fromkeys(self._wanted, 0)
@@ -109,8 +109,10 @@ class SignalDecoder:
         for group in groups:
             key = id(group.layout)
             if key not in self._recipes:
-                if len(self._recipes) >= _RECIPES:
+                if len(self._recipes) >= _RECIPES or self._held > _HELD:
                     self._recipes.clear()
+                    self._held = 0
+                self._held += group.layout.fields
                 # Holding the layout keeps its id from being given to another one.
                 self._recipes[key] = (group.layout, self._recipe(group.layout))
             for columns in self._recipes[key][1]:

@@ -5,6 +5,7 @@ Only definitions are parsed. No code is generated from them, so a log cannot exe
 
 from __future__ import annotations
 
+from collections import ChainMap
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, lru_cache
@@ -74,7 +75,7 @@ class Definitions:
                     f"{topic}: the definition of {connection.type} in the log is damaged"
                 ) from error
             own = {}
-        types = {**_bundled(connection.encoding), **self._folder, **own}
+        types = ChainMap(own, self._folder, _bundled(connection.encoding))
         if connection.type not in types:
             raise LogError(
                 f"{topic}: the log has no definition of {connection.type}; "
@@ -95,7 +96,7 @@ def _descriptors(connection: Connection, topic: str) -> Types:
 
 
 @lru_cache(maxsize=256)
-def _parse(connection: Connection) -> Types:
+def _parse(connection: Connection) -> dict[str, Any]:
     """The log's own definition; nothing where it has none or a damaged one.
 
     Raises:
@@ -130,12 +131,12 @@ def _parsed_text(connection: Connection) -> dict[str, Any]:
     return types
 
 
-def _fields(types: Mapping[str, Any]) -> Types:
+def _fields(types: Mapping[str, Any]) -> dict[str, Any]:
     return {name: fields for name, (_, fields) in types.items()}
 
 
 @cache
-def _bundled(encoding: str) -> Types:
+def _bundled(encoding: str) -> dict[str, Any]:
     store = get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.LATEST)
     types: dict[str, Any] = {name: entry[1] for name, entry in store.fielddefs.items()}
     tf = "tf2_msgs/msg/TFMessage"
@@ -144,7 +145,7 @@ def _bundled(encoding: str) -> Types:
     return types
 
 
-def _read_folder(folder: Path) -> Types:
+def _read_folder(folder: Path) -> dict[str, Any]:
     files = sorted(folder.rglob("*.msg"))
     if not files:
         raise ConfigError(f"`msg_path` {folder}: no such folder, or no .msg file in it")

@@ -23,7 +23,10 @@ from amhe_cli.logs.messages.descriptors import MalformedMessageError
 #: Strings whose content matters; of all others only the length is part of a layout.
 KEPT = {"name", "joint_names", "frame_id", "child_frame_id"}
 
-_MOST_FIELDS, _DEEPEST = 1_000_000, 50
+#: Fields of a message: in any case, for each of its bytes, and at most; and how deep they may nest.
+_FEW_FIELDS, _FIELDS_A_BYTE, _MOST_FIELDS, _DEEPEST = 1000, 2, 1_000_000, 50
+#: Bytes of a name.
+_LONGEST_NAME = 10_000
 
 #: ROS 2 gives an empty structure one byte under this name; ROS 1 gives it none.
 _FILLER = "structure_needs_at_least_one_member"
@@ -62,6 +65,7 @@ class Layout:
         strings: Path -> content; only names and frames.
         places, expected: Bytes that make a message have this layout, shape (m,).
         mask: The bits of these bytes that count, shape (m,); None: all.
+        fields: Fields that had to be looked at to find it.
     """
 
     leaves: Mapping[str, Leaf]
@@ -70,6 +74,7 @@ class Layout:
     places: IntArray
     expected: NDArray[np.uint8]
     mask: NDArray[np.uint8] | None = None
+    fields: int = 0
 
     def matches(self, rows: NDArray[np.uint8]) -> BoolArray:
         """Which of the messages (n, length) have this layout, given that the length is the same."""
@@ -117,7 +122,14 @@ def walk(message: NDArray[np.uint8], type_name: str, types: Types, encoding: str
     walker.structure("", type_name)
     walker.finish()
     places = np.array(sorted(walker.fixed), dtype=np.int64)
-    return Layout(walker.leaves, walker.counts, walker.strings, places, message[places])
+    return Layout(
+        walker.leaves, walker.counts, walker.strings, places, message[places], fields=walker.visited
+    )
+
+
+def most_fields(size: int) -> int:
+    """Fields that a message of so many bytes may have; definitions can multiply them without using a byte."""
+    return min(_MOST_FIELDS, _FEW_FIELDS + _FIELDS_A_BYTE * size)
 
 
 class _Walker:
@@ -127,7 +139,8 @@ class _Walker:
         self._cdr = encoding == "cdr"
         self._pos = self._origin = 0
         self._order = "<"
-        self._visited = 0
+        self.visited = 0
+        self._most = most_fields(len(data))
         self.leaves: dict[str, Leaf] = {}
         self.counts: dict[str, int] = {}
         self.strings: dict[str, str] = {}
@@ -161,8 +174,8 @@ class _Walker:
 
     def _field(self, path: str, description: tuple) -> None:
         # Definitions come from the log: they may nest without end, or multiply without using a byte.
-        self._visited += 1
-        if self._visited > _MOST_FIELDS or path.count(".") > _DEEPEST:
+        self.visited += 1
+        if self.visited > self._most or path.count(".") > _DEEPEST:
             raise MalformedMessageError("its definition has no end")
         kind, detail = description
         if kind == Nodetype.BASE:
@@ -198,6 +211,8 @@ class _Walker:
         length = self._length()
         start = self._skip(1, length)
         if path.split(".")[-1].split("[")[0] in KEPT:
+            if length > _LONGEST_NAME:
+                raise MalformedMessageError(f"{path} has {length} bytes")
             self.fixed |= set(range(start, start + length))
             text = self._data[start : start + length]
             self.strings[path] = (text[:-1] if self._cdr else text).decode("utf-8", "replace")

@@ -101,14 +101,15 @@ def walk(message: _Bytes, type_name: str, types: ProtobufTypes) -> Layout:
     walker.finish()
     places = np.array(sorted(walker.fixed), dtype=np.int64)
     mask = np.array([walker.fixed[place] for place in places.tolist()], dtype=np.uint8)
-    return Layout(walker.leaves, walker.counts, walker.strings, places, message[places] & mask, mask)
+    found = walker.leaves, walker.counts, walker.strings
+    return Layout(*found, places, message[places] & mask, mask, walker.visited)
 
 
 class _Walker:
     def __init__(self, data: bytes, types: ProtobufTypes) -> None:
         self._data, self._types = data, types
         self._lists: dict[str, list[Leaf]] = {}
-        self._visited = 0
+        self.visited = 0
         self.leaves: dict[str, Leaf] = {}
         self.counts: dict[str, int] = {}
         self.strings: dict[str, str] = {}
@@ -240,8 +241,8 @@ class _Walker:
             self.fixed[place] = bits
 
     def _count(self) -> None:
-        self._visited += 1
-        if self._visited > _MOST_FIELDS:
+        self.visited += 1
+        if self.visited > _MOST_FIELDS:
             raise MalformedMessageError("it has too many fields")
 
 

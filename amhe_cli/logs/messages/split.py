@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.limits import beyond, limits
 from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages import protobuf
@@ -17,7 +18,7 @@ from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.descriptors import ENCODING as PROTOBUF
 from amhe_cli.logs.messages.descriptors import MalformedMessageError
 from amhe_cli.logs.messages.json_rows import JsonRows
-from amhe_cli.logs.messages.layout import Layout, table_layout, walk
+from amhe_cli.logs.messages.layout import Layout, most_fields, table_layout, walk
 from amhe_cli.logs.messages.padding import Padding
 
 _Bytes = NDArray[np.uint8]
@@ -25,6 +26,8 @@ _Bytes = NDArray[np.uint8]
 _CACHED_LAYOUTS = 64
 #: Layouts of a protobuf topic beyond which its messages are brought to varints of one width.
 _MANY_LAYOUTS = 32
+#: Fields of all remembered layouts together.
+_CACHED_FIELDS = 1_000_000
 #: Layouts that the messages of one batch and length are matched with; further ones stand for one message.
 _NEW_LAYOUTS = 64
 
@@ -58,6 +61,7 @@ class Splitter:
             self._layouts[size] = [layout]
         self._left: list[IntArray] = []
         self._paddings: list[tuple[Layout, Padding]] = []
+        self._fields = self._cached = 0
         self.damaged = 0
         self.reason = ""
 
@@ -107,15 +111,20 @@ class Splitter:
         for layout, padding in self._paddings:
             left = yield from self._padded(layout, padding, buffer, batch, left)
         while left.size:
+            if self._fields > limits().fields:
+                self._damage(beyond("fields", "the fields of its many layouts are"), left.size)
+                return
             start = int(batch.starts[left[0]])
             message = batch.buffer[start : start + int(batch.lengths[left[0]])]
             try:
                 padding = Padding(message.tobytes(), self._connection.type, self._types)
                 layout = protobuf.walk(padding.template, self._connection.type, self._types)
             except MalformedMessageError as error:
+                self._fields += most_fields(message.size)
                 self._damage(str(error), 1)
                 left = left[1:]
                 continue
+            self._fields += layout.fields + left.size  # all that are left are held against it
             self._paddings = [*self._paddings[1 - _CACHED_LAYOUTS :], (layout, padding)]
             left = yield from self._padded(layout, padding, buffer, batch, left)
 
@@ -150,6 +159,9 @@ class Splitter:
             if self._varies():
                 self._left.append(members)
                 break
+            if self._fields > limits().fields:
+                self._damage(beyond("fields", "the fields of its many layouts are"), members.size)
+                break
             layout = self._walk(rows[0])
             if layout is None:
                 rows, members = rows[1:], members[1:]
@@ -158,7 +170,10 @@ class Splitter:
                 yield MessageGroup(layout, rows[:1], members[:1])
                 rows, members = rows[1:], members[1:]
                 continue
+            if self._cached > _CACHED_FIELDS:
+                self._layouts, self._cached = {}, 0
             known.append(layout)
+            self._cached += layout.fields
             hits = layout.matches(rows)
             yield MessageGroup(layout, rows[hits], members[hits])
             rows, members = rows[~hits], members[~hits]
@@ -167,11 +182,15 @@ class Splitter:
     def _walk(self, message: _Bytes) -> Layout | None:
         try:
             if self._connection.encoding == PROTOBUF:
-                return protobuf.walk(message, self._connection.type, self._types)
-            return walk(message, self._connection.type, self._types, self._connection.encoding)
+                layout = protobuf.walk(message, self._connection.type, self._types)
+            else:
+                layout = walk(message, self._connection.type, self._types, self._connection.encoding)
         except MalformedMessageError as error:
+            self._fields += most_fields(message.size)
             self._damage(str(error), 1)
             return None
+        self._fields += layout.fields
+        return layout
 
     def _damage(self, reason: str, count: int) -> None:
         self.damaged += count

@@ -1,0 +1,301 @@
+"""Logs made to cost memory or time: each ends soon, in a line that says what is wrong or how to allow it."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sqlite3
+import struct
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import lz4.frame
+import pytest
+import zstandard
+from mcap.writer import CompressionType, Writer
+
+from amhe_cli.core.errors import AmheError, LogError
+from amhe_cli.core.limits import limit
+from amhe_cli.logs import Survey, survey
+from amhe_cli.logs.containers.folder import open_log
+from tests.logs.log_makers import ROS2, motion, write_rosbag2
+
+#: Memory that a hostile log may take beyond what the process has [bytes].
+MEMORY = 1500 * 2**20
+#: Processor time that one may take [s], on a slow machine.
+SECONDS = 30.0
+
+
+@pytest.fixture(autouse=True)
+def _bounded() -> Iterator[None]:
+    """Fail a test that takes more memory than a bounded reader needs."""
+    pages = int(Path("/proc/self/statm").read_text().split()[0]) if Path("/proc/self/statm").exists() else 0
+    before = resource.getrlimit(resource.RLIMIT_AS)
+    if pages:
+        resource.setrlimit(resource.RLIMIT_AS, (pages * resource.getpagesize() + MEMORY, before[1]))
+    begun = time.process_time()
+    yield
+    resource.setrlimit(resource.RLIMIT_AS, before)
+    assert time.process_time() - begun < SECONDS
+
+
+def refused(path: Path) -> str:
+    """The one line that refuses a log."""
+    with pytest.raises(AmheError) as error:
+        survey(path)
+    assert "\n" not in str(error.value) and str(path) in str(error.value)
+    return str(error.value)
+
+
+def damage(found: Survey) -> str:
+    return " ".join([*found.problems, *(note for topic in found.topics for note in topic.notes)])
+
+
+def record(opcode: int, body: bytes) -> bytes:
+    return struct.pack("<BQ", opcode, len(body)) + body
+
+
+def mcap_of(path: Path, *chunks: tuple[str, int, bytes]) -> Path:
+    """An MCAP of chunks: compression, size once unfolded, bytes."""
+    body = b"".join(
+        record(6, struct.pack("<QQQI", 0, 1, size, 0) + struct.pack("<I", len(kind)) + kind.encode()
+               + struct.pack("<Q", len(packed)) + packed)
+        for kind, size, packed in chunks
+    )  # fmt: skip
+    path.write_bytes(b"\x89MCAP0\r\n" + record(1, bytes(8)) + body)
+    return path
+
+
+def zeros(kind: str, mib: int) -> bytes:
+    """So many MiB of zeros, packed without holding them."""
+    if kind == "zstd":
+        packer = zstandard.ZstdCompressor().compressobj(size=mib * 2**20)
+        return b"".join([*(packer.compress(bytes(2**20)) for _ in range(mib)), packer.flush()])
+    with lz4.frame.LZ4FrameCompressor() as packer:
+        return b"".join(
+            [packer.begin(), *(packer.compress(bytes(2**20)) for _ in range(mib)), packer.flush()]
+        )
+
+
+@pytest.mark.parametrize("kind", ["zstd", "lz4"])
+def test_a_chunk_of_zeros(kind: str, tmp_path: Path) -> None:
+    packed = zeros(kind, 1024)
+    found = survey(mcap_of(tmp_path / "log", (kind, 2**30, packed)))
+    assert "a piece of 1024 MiB is beyond the limit piece_mib = 256 (`limit` piece_mib=1024" in damage(found)
+    within = zeros(kind, 200)
+    found = survey(mcap_of(tmp_path / "log", (kind, 200 * 2**20, within)))
+    assert "has no place there" in damage(found)
+    assert "beyond the limit growth = 100" in refused(
+        mcap_of(tmp_path / "log", *[(kind, 200 * 2**20, within)] * 2)
+    )
+
+
+def test_empty_messages_without_end(tmp_path: Path) -> None:
+    packed = zstandard.compress(record(5, b"") * (2**23 // 9))
+    assert not survey(mcap_of(tmp_path / "log", ("zstd", 2**23 // 9 * 9, packed))).topics
+
+
+def test_messages_that_unfold_one_by_one(tmp_path: Path) -> None:
+    folder = write_rosbag2(tmp_path / "log", motion(ROS2, 100))
+    bomb = zeros("zstd", 96)
+    with sqlite3.connect(folder / "log.db3") as database:
+        database.execute("UPDATE messages SET data = ?", (bomb,))
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(
+        text.replace("compression_mode: ''", "compression_mode: MESSAGE").replace(
+            "compression_format: ''", "compression_format: zstd"
+        )
+    )
+    assert "beyond the limit growth = 100" in refused(folder)
+
+
+def test_messages_that_unfold_are_read_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = write_rosbag2(tmp_path / "log", motion(ROS2, 50))
+    plain = survey(folder)
+    with sqlite3.connect(folder / "log.db3") as database:
+        for number, data in database.execute("SELECT id, data FROM messages").fetchall():
+            database.execute("UPDATE messages SET data = ? WHERE id = ?", (zstandard.compress(data), number))
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(text.replace("compression_mode: ''", "compression_mode: MESSAGE"))
+    monkeypatch.setattr("amhe_cli.logs.containers.folder._BATCH_BYTES", 1000)
+    assert len(list(open_log(folder).batches(None))) > 10
+    assert survey(folder).topics == plain.topics
+
+
+TABLES = {
+    "topics": "id, name TEXT, type TEXT, serialization_format TEXT, offered_qos_profiles TEXT",
+    "message_definitions": "topic_type TEXT, encoding TEXT, encoded_message_definition TEXT, "
+    "type_description_hash TEXT",
+    "messages": "id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB",
+}
+ENDLESS = {
+    "topics": "SELECT n AS id, 't' || n AS name, 'a/msg/B' AS type, 'cdr' AS serialization_format FROM c",
+    "message_definitions": "SELECT 't' || n AS topic_type, 'ros2msg' AS encoding, "
+    "hex(zeroblob(100000000)) AS encoded_message_definition, '' AS type_description_hash FROM c",
+    "messages": "SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(1000000) AS data FROM c",
+}
+
+
+def database_of(path: Path, **instead: str) -> Path:
+    with sqlite3.connect(path) as database:
+        for name, columns in TABLES.items():
+            database.execute(instead.get(name, f"CREATE TABLE {name} ({columns})"))
+        if "topics" not in instead:
+            database.execute("INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/Float64', 'cdr', '')")
+    return path
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_tables_that_are_endless_views(name: str, tmp_path: Path) -> None:
+    count = "WITH RECURSIVE c(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM c)"
+    path = database_of(tmp_path / "log.db3", **{name: f"CREATE VIEW {name} AS {count} {ENDLESS[name]}"})
+    assert f"'{name}' in this database is a view, or computes its content" in refused(path)
+
+
+def test_columns_that_compute_their_content(tmp_path: Path) -> None:
+    columns = TABLES["messages"].replace("data BLOB", "data BLOB AS (zeroblob(500000000))")
+    path = database_of(tmp_path / "log.db3", messages=f"CREATE TABLE messages ({columns})")
+    with sqlite3.connect(path) as database:
+        database.executemany("INSERT INTO messages VALUES (?, 1, ?)", [(i, i) for i in range(50)])
+    assert "computes its content" in refused(path)
+
+
+def test_pages_that_stand_for_many(tmp_path: Path) -> None:
+    """Every page of the table's tree names the same child many times: rows without end in 50 kB."""
+    folder = write_rosbag2(tmp_path / "log", motion(ROS2, 300))
+    content = bytearray((folder / "log.db3").read_bytes())
+    size = int.from_bytes(content[16:18], "big")
+    with sqlite3.connect(folder / "log.db3") as database:
+        (root,) = database.execute("SELECT rootpage FROM sqlite_master WHERE name = 'messages'").fetchone()
+    top = size * (root - 1)
+    cells = int.from_bytes(content[top + 3 : top + 5], "big")
+    assert content[top] == 5 and cells > 10, "an interior page"
+    first_leaf = next(page for page in range(root, len(content) // size) if content[size * page] == 13)
+    levels = [root - 1, *range(first_leaf, first_leaf + 6)]
+    page = bytes(content[top : top + size])
+    for place, number in enumerate(levels):
+        copy = bytearray(page)
+        below = levels[place + 1] + 1 if place + 1 < len(levels) else first_leaf + 20
+        for cell in range(cells):
+            at = int.from_bytes(copy[12 + 2 * cell : 14 + 2 * cell], "big")
+            copy[at : at + 4] = below.to_bytes(4, "big")
+        copy[8:12] = below.to_bytes(4, "big")
+        content[size * number : size * (number + 1)] = copy
+    path = tmp_path / "log.db3"
+    path.write_bytes(content)
+    try:
+        found = damage(survey(path))
+    except LogError as error:
+        found = str(error)
+    assert found
+
+
+def cdr_log(path: Path, definition: str, payloads: list[bytes], channels: int = 1) -> Path:
+    """An MCAP of a type of our own: the payloads go round over the channels."""
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start("ros2", "test")
+        schema = writer.register_schema("a/msg/B", "ros2msg", definition.encode())
+        numbers = [writer.register_channel(f"/t{i}", "cdr", schema) for i in range(channels)]
+        for i, payload in enumerate(payloads):
+            writer.add_message(numbers[i % channels], i, b"\0\1\0\0" + payload, i)
+        writer.finish()
+    return path
+
+
+def test_definitions_that_multiply_without_using_a_byte(tmp_path: Path) -> None:
+    levels = "".join(f"\n{'=' * 80}\nMSG: a/L{i}\nL{i + 1}[100] x\n" for i in range(5))
+    definition = f"L0[100] x\n{levels}{'=' * 80}\nMSG: a/L5\nfloat64[0] s\n"
+    found = survey(cdr_log(tmp_path / "log", definition, [bytes(200 + i) for i in range(300)]))
+    assert "its definition has no end" in damage(found)
+
+
+def test_messages_that_all_differ(tmp_path: Path) -> None:
+    payloads = [struct.pack("<I", 4000 + i) + bytes(4 * (4000 + i)) for i in range(200)]
+    path = cdr_log(tmp_path / "log", "string[] s\n", payloads)
+    with limit(fields=20_000):
+        found = survey(path)
+    words = "the fields of its many layouts are beyond the limit fields = 20000 (`limit` fields=80000"
+    assert words in damage(found)
+    assert "beyond" not in damage(survey(path))
+
+
+def test_more_topics_than_a_robot_has(tmp_path: Path) -> None:
+    path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 20_000, 20_000)
+    assert "20000 topics are beyond the limit topics = 5000 (`limit` topics=20000 raises it)" in refused(path)
+    path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 6000, 1500)
+    assert len(survey(path).topics) == 1500
+
+
+def test_names_of_a_megabyte(tmp_path: Path) -> None:
+    payload = struct.pack("<I", 2**20) + b"a" * 2**20
+    found = survey(cdr_log(tmp_path / "log", "string name\n", [payload] * 20))
+    assert "name has 1048576 bytes" in damage(found)
+
+
+BOMBS = {
+    "merges": "a0: &a0 {x: 1, y: 2}\n"
+    + "".join(f"a{i}: &a{i} {{<<: [{', '.join([f'*a{i - 1}'] * 9)}]}}\n" for i in range(1, 10)),
+    "aliases": "a0: &a0 [1, 2]\n"
+    + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 9)}]\n" for i in range(1, 10)),
+    "deep": "a: " + "[" * 60 + "]" * 60,
+    "very deep": "a: " + "[" * 100_000,
+    "in itself": "a: &a [*a]",
+    "large": "a: [" + "1," * 2**22 + "]",
+    "wide": "a: [" + "1," * 2**20 + "]",
+    "many": "a: [" + "1," * 3000 + "]\nb: &b [" + "1," * 20 + "]\n" + f"c: [{'*b,' * 400}]",
+}
+
+
+@pytest.mark.parametrize("name", BOMBS)
+def test_yaml_that_unfolds(name: str, tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    (tmp_path / "log" / "metadata.yaml").write_text(f"rosbag2_bagfile_information: {{}}\n{BOMBS[name]}\n")
+    words = {"large": "yaml_mib = 4", "merges": "yaml_values", "aliases": "yaml_values"}
+    if name in ("wide", "many"):
+        with limit(yaml_values=9000):
+            assert "beyond the limit yaml_values = 9000" in refused(tmp_path / "log")
+        return
+    assert words.get(name, "nested deeper than 50 levels") in refused(tmp_path / "log")
+
+
+PLACES: dict[str, Callable[[Path], Path]] = {
+    "log": lambda path: path / "pipe",
+    "log/part.db3": lambda path: path / "log",
+    "log/metadata.yaml": lambda path: path / "log",
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_pipes_are_not_waited_for(place: str, tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    information = {"relative_file_paths": ["part.db3"], "compression_mode": ""}
+    (tmp_path / "log" / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+    pipe = tmp_path / "pipe" if place == "log" else tmp_path / place
+    pipe.unlink(missing_ok=True)
+    os.mkfifo(pipe)
+    assert "a pipe or a device" in refused(PLACES[place](tmp_path))
+
+
+def test_a_device_is_no_log() -> None:
+    assert "a pipe or a device" in refused(Path("/dev/zero"))
+
+
+def test_limits_are_known_by_name() -> None:
+    with pytest.raises(AmheError, match="no limit 'topic' .did you mean 'topics'"), limit(topic=3):
+        pass
+    with pytest.raises(AmheError, match="no whole number above zero"), limit(topics=0):
+        pass
+
+
+def test_the_command_line_sets_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from amhe_cli.cli.main import run
+
+    path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 4, 2)
+    assert run(["inspect", str(path), "--limit", "topics=1"]) == 4
+    assert "2 topics are beyond the limit topics = 1 (--limit topics=4 raises it)" in capsys.readouterr().err
+    assert run(["inspect", str(path), "--limit", "topic=1"]) == 2
+    assert run(["inspect", str(path), "--limit", "topics=x"]) == 2
+    assert run(["inspect", str(path)]) == 0
