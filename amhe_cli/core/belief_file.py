@@ -113,6 +113,12 @@ def read_belief(path: Path, system: Described | None = None, belief_anyway: bool
     mistake = _covariance_mistake(content.covariance, len(names))
     if mistake:
         file.problem(("covariance",), mistake)
+    for i, entry in enumerate(content.parameters if not mistake else ()):
+        sd, most = content.covariance[i][i] ** 0.5, _widest(entry)
+        if sd > most:
+            what = f"log({entry.name})" if entry.scale == "log" else entry.name
+            text = f"{what} has an sd of {sd:.3g}; at most {most:.3g} would be valid"
+            file.problem(("covariance", i, i), text)
     file.raise_problems()
     belief = Belief(
         system=content.system,
@@ -197,6 +203,11 @@ def _suited(belief: Belief, system: Described) -> Belief:
             logger.warning(f"this belief rests on {name} fixed at {value:g}; here it is {now} (`fix`)")
     known = belief.without([name for name in belief.names if name not in system.sets]).given(system.fixed)
     return replace(known, system=system.name, model=system.parts, sets=system.sets, fixed=system.fixed)
+
+
+def _widest(entry: _Entry) -> float:
+    """The largest sd that means anything: of a logarithm, or beside the estimate."""
+    return 50.0 if entry.scale == "log" else 1e9 * max(1.0, abs(entry.estimate))
 
 
 def _covariance_mistake(rows: list[list[float]], size: int) -> str | None:

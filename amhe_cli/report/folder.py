@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from tempfile import mkdtemp
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.files import write_whole
 
 
 def reserve(out: Path | None, command: str, force: bool) -> Path:
@@ -34,6 +36,18 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written ({error.strerror}); choose another `out`") from error
     return out
+
+
+def write_page(folder: Path, page: Callable[[], str]) -> None:
+    """Write report.html beside results that are written: a fault of the page must not cost them.
+
+    Args:
+        folder: Folder of the results.
+        page: Makes the page.
+    """
+    path = folder / "report.html"
+    path.unlink(missing_ok=True)  # that of other results
+    write_whole(path, page())
 
 
 def _fresh(path: Path) -> Path:

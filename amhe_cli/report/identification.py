@@ -20,6 +20,7 @@ from amhe_cli.estimation.offline.result import HeldOut, Identification, OwnSprea
 from amhe_cli.estimation.offline.verdicts import RESTS
 from amhe_cli.report import numbers
 from amhe_cli.report.bodies import body_table
+from amhe_cli.report.folder import write_page
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
 from amhe_cli.report.tables import NUMBER, Table, rich_table
@@ -75,7 +76,7 @@ def write_identification(
     record: Mapping[str, Any],
     provenance: dict[str, object],
 ) -> None:
-    """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html, all or none.
+    """Write belief.yaml, identified.xml (its meshes in assets/), result.json, all or none; then report.html.
 
     Args:
         folder: Folder of the files; made if it does not exist.
@@ -89,7 +90,6 @@ def write_identification(
         "belief.yaml": belief_text(replace(belief, provenance=provenance)),
         "identified.xml": identified_xml(system, system.space.with_prior(belief).nominal),
         "result.json": json_text(record),
-        "report.html": identification_page(result, record, provenance),
     }
     with filling(folder) as scratch:
         for name, text in contents.items():
@@ -100,6 +100,7 @@ def write_identification(
                 continue
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, scratch / name)
+    write_page(folder, lambda: identification_page(result, record, provenance))
 
 
 def print_identification(

@@ -16,6 +16,7 @@ from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report import figures, numbers, replay_figures
+from amhe_cli.report.folder import write_page
 from amhe_cli.report.page import Fold, Key, Section, Statement, fixed_statement, result_page
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
@@ -32,7 +33,7 @@ def write_replay(
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write estimates.mcap, estimates.csv, result.json and report.html, all or none.
+    """Write estimates.mcap, estimates.csv, result.json, all or none; then report.html.
 
     Args:
         folder: Folder of the files; made if it does not exist.
@@ -45,7 +46,6 @@ def write_replay(
     contents = {
         "estimates.csv": estimates_csv(replay),
         "result.json": json_text(record),
-        "report.html": replay_page(replay, fits, record, provenance),
     }
     metadata = {
         "system": replay.system.name,
@@ -58,6 +58,7 @@ def write_replay(
         write_log(scratch / "estimates.mcap", replay, predicted, metadata)
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
+    write_page(folder, lambda: replay_page(replay, fits, record, provenance))
 
 
 def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> None:

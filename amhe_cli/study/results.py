@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, FiniteFloat, TypeAdapter, model_validator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
-from amhe_cli.study.cells import Cell, cell_of
+from amhe_cli.study.cells import Cell, cell_of, setting_of
 
 #: Time between two rows of a trace [s].
 TRACE_STEP = 0.2
@@ -56,10 +57,34 @@ class CellResult:
             AmheError: The number is absent, though every run of this version has it: other code wrote the
                 result.
         """
-        if name not in self.outcome:
+        value = self.outcome.get(name, "")
+        if value is not None and not isinstance(value, (int, float)):
             raise AmheError(f"{self.cell.title}: its result has no {name}; other code wrote it: run it again")
-        value = self.outcome[name]
         return float("nan") if value is None else float(value)
+
+
+class _Record(BaseModel):
+    """The content of a result's file."""
+
+    cell: dict[str, Any]
+    code: dict[str, str]
+    reason: str | None
+    outcome: dict[str, Any]
+    trace: dict[str, float | list[float | None] | None]
+    seconds: FiniteFloat
+
+    @model_validator(mode="after")
+    def _check(self) -> _Record:
+        """Refuse what no run has.
+
+        Raises:
+            ValueError: The cell is none, or a column is missing or of another length.
+        """
+        TypeAdapter(Cell).validate_python({**self.cell, "setting": setting_of(self.cell["setting"])})
+        lengths = {len(column) for column in self.trace.values() if isinstance(column, list)}
+        if self.reason is None and (len(lengths) != 1 or not {"time", *_AVERAGED} <= set(self.trace)):
+            raise ValueError("a column is missing, or of another length")
+        return self
 
 
 def thinned(columns: Mapping[str, FloatArray], period: float) -> dict[str, Any]:
@@ -104,8 +129,8 @@ def read_result(path: Path | zipfile.Path) -> CellResult:
     """
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        return result_of(record)
-    except (ValueError, KeyError, TypeError, zipfile.BadZipFile, zlib.error):
+        return result_of(_Record.model_validate(record).model_dump())
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, zipfile.BadZipFile, zlib.error):
         remedy = "restore the archive" if isinstance(path, zipfile.Path) else "delete the file"
         raise AmheError(
             f"{path}: is no result of a cell; {remedy}, and run the study again with `resume=True`"

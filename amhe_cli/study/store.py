@@ -13,6 +13,8 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import whole, write_whole
 from amhe_cli.robots.go1.tasks import LONGEST
@@ -117,11 +119,11 @@ def open_store(folder: Path) -> Store:
     path = folder / STUDY
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
-        setting, commands = setting_of(record.pop("setting")), tuple(record.pop("commands"))
-        return Store(folder, Study(**record, setting=setting, commands=commands))
+        record["setting"] = setting_of(record["setting"])
+        return Store(folder, TypeAdapter(Study).validate_python(record))
     except OSError:
         raise ConfigError(f"{folder}: holds no {STUDY}; name a folder that `amhe eval -o` wrote") from None
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ConfigError(f"{path}: cannot be read; start over in another folder") from None
 
 

@@ -14,6 +14,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.system.model_size import check_model
 from amhe_cli.system.urdf import UrdfOptions, is_urdf, urdf_text
 
 logger = logging.getLogger(__name__)
@@ -34,6 +35,7 @@ def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
     """
     reading = _in_our_words(f"MuJoCo cannot read {path.name!r}")
     if not is_urdf(path):
+        check_model(path)
         with reading:
             return mujoco.MjSpec.from_file(str(path.absolute()))  # its meshes are found from any folder
     text, bare = urdf_text(path, urdf or UrdfOptions())
@@ -144,7 +146,7 @@ def _in_our_words(what: str) -> Iterator[None]:
         warnings.simplefilter("always")
         try:
             yield
-        except (ValueError, mujoco.FatalError) as error:
-            raise ConfigError(f"{what}: {' '.join(str(error).split())}") from None
+        except (ValueError, RuntimeError, MemoryError, mujoco.FatalError) as error:
+            raise ConfigError(f"{what}: {' '.join(str(error).split()) or 'out of memory'}") from None
     for text in dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught):
         logger.warning("MuJoCo: %s", text)

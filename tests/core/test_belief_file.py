@@ -67,6 +67,7 @@ def changed(file: Path, **changes: object) -> Path:
         ({"parameters__0__estimate": "heavy"}, "parameters.0.estimate"),
         ({"covariance": [[1.0]]}, "4 x 4"),
         ({"covariance": np.diag([1.0, 1.0, 1.0, -1.0]).tolist()}, "positive definite"),
+        ({"covariance": (1e308 * np.eye(4)).tolist()}, "an sd of 1e+154; at most 50 would be valid"),
         ({"covariance__0": [1.0, float("nan"), 0.0, 0.0]}, "finite"),
         ({"colour": "blue"}, "colour"),
         ({"schema_version": 2}, "schema_version"),

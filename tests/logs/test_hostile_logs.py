@@ -261,6 +261,13 @@ def test_yaml_that_unfolds(name: str, tmp_path: Path) -> None:
     assert words.get(name, "nested deeper than 50 levels") in refused(tmp_path / "log")
 
 
+def test_a_key_that_is_twice_in_the_metadata_costs_nothing(tmp_path: Path) -> None:
+    folder = write_rosbag2(tmp_path / "log", motion(ROS2, 10))
+    text = (folder / "metadata.yaml").read_text()
+    (folder / "metadata.yaml").write_text(text + "  version: 5\n  version: 5\n")
+    assert len(survey(folder).topics) == 2
+
+
 PLACES: dict[str, Callable[[Path], Path]] = {
     "log": lambda path: path / "pipe",
     "log/part.db3": lambda path: path / "log",

@@ -222,6 +222,21 @@ def test_the_held_out_line() -> None:
     assert line == "20 clips: cost 8 -> 1.2, position error 31 mm -> 8.5 mm, orientation error 11.5° -> 2.86°"
 
 
+def test_a_fault_of_the_page_costs_no_result(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    system = System.load("pendulum", warn=False)
+    (tmp_path / "report.html").write_text("of another result")
+
+    def fail(*of: object) -> str:
+        raise RuntimeError("a glyph")
+
+    monkeypatch.setattr("amhe_cli.report.identification.identification_page", fail)
+    result = identification()
+    with pytest.raises(RuntimeError):
+        write_identification(tmp_path, system, result, result.belief, {}, ORIGIN)
+    written = {path.name for path in tmp_path.iterdir()}
+    assert {"belief.yaml", "identified.xml", "result.json"} <= written and "report.html" not in written
+
+
 def test_a_dollar_in_a_name_is_a_dollar_and_no_formula() -> None:
     found = identification()
     name = "a$^$_{\x1b"

@@ -19,7 +19,7 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Iteration
 from amhe_cli.estimation.offline.search import SearchState
 
-FORMAT = 2
+FORMAT = 3
 _STATES = {"linearised": SearchState, "cmaes": CmaState}
 
 
@@ -44,8 +44,8 @@ class Checkpoint:
             return
         kind = "linearised" if isinstance(state, SearchState) else "cmaes"
         saved = {f.name: _plain(getattr(state, f.name)) for f in fields(state)}
-        text = json.dumps({"format": FORMAT, "problem": self._key, "kind": kind, "state": saved})
-        write_whole(self._path, text)
+        record = {"format": FORMAT, "problem": self._key, "kind": kind, "state": saved, "sum": _sum(saved)}
+        write_whole(self._path, json.dumps(record))
 
     def load(self) -> SearchState | CmaState | None:
         """The saved state; None where there is none.
@@ -59,8 +59,10 @@ class Checkpoint:
             saved = json.loads(self._path.read_text())
             if saved["format"] != FORMAT:
                 raise ValueError(f"format {saved['format']}")
+            if saved["sum"] != _sum(saved["state"]):
+                raise ValueError("its content was changed")
             state = _restore(saved["kind"], saved["state"])
-        except (ValueError, KeyError, TypeError, OSError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OSError, RecursionError) as error:
             raise ConfigError(
                 f"{self._path}: not a checkpoint of this version ({error}); delete it to start anew"
             ) from None
@@ -70,6 +72,11 @@ class Checkpoint:
                 f"repeat that command, or delete it to start anew"
             )
         return state
+
+
+def _sum(state: dict[str, Any]) -> str:
+    """Checksum of a state as it is saved: a changed one must not be taken for a search's own."""
+    return sha256(json.dumps(state).encode()).hexdigest()
 
 
 def _fingerprint(problem: Problem, method: str) -> str:

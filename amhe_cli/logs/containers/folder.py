@@ -198,7 +198,7 @@ def _open_parts(path: Path, parts: list[Path], notes: list[str], packed: bool) -
 
 def _information(metadata: Path) -> dict[str, Any]:
     try:
-        information = YamlFile(metadata).own["rosbag2_bagfile_information"]
+        information = YamlFile(metadata, patient=True).own["rosbag2_bagfile_information"]
         files = information["relative_file_paths"]
     except (ConfigError, KeyError, TypeError) as error:
         why = f" ({str(error).removeprefix(f'{metadata}:')})" if isinstance(error, ConfigError) else ""

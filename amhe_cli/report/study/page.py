@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
+from amhe_cli.report.numbers import MISSING
 from amhe_cli.report.page import Origin, Page, Section, Statement
 from amhe_cli.report.study.formats import StudyTable
 from amhe_cli.report.tables import NUMBER, Table
@@ -28,7 +30,8 @@ def study_page(
         tables: The tables, in order.
         figures: The figures, in order.
     """
-    cells, code, machine = sum(group.n for group in groups), study.code, study.machine
+    cells, unknown = sum(group.n for group in groups), lambda: MISSING
+    code, machine = defaultdict(unknown, study.code), defaultdict(unknown, study.machine)
     lacking = [
         Section(
             "Cells without a result",

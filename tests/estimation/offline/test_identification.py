@@ -1,5 +1,6 @@
 """SPI recovers the truth, says what it cannot know, and can be cut short and resumed."""
 
+import json
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -106,6 +107,15 @@ def test_a_checkpoint_of_another_problem_is_refused(pendulum, swing, tmp_path):
     identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
     with pytest.raises(ConfigError, match="other logs"):
         identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file, seed=9))
+    saved = file.read_text()
+    for change in ([], "x", {"z": []}, None):
+        file.write_text(json.dumps(json.loads(saved) | {"state": change}))
+        with pytest.raises(ConfigError, match="its content was changed"):
+            identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
+    for text in (saved.replace('"number": ', '"number": 1', 1), "[" * 10**5, "[]", saved[:-9]):
+        file.write_text(text)
+        with pytest.raises(ConfigError, match="delete it"):
+            identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
     file.write_text("not a checkpoint")
     with pytest.raises(ConfigError, match="delete it"):
         identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
