@@ -53,5 +53,5 @@ def truth_in_metadata(logs: Sequence[Log]) -> dict[str, float]:
     try:
         truth = json.loads(texts.pop() or "{}") if len(texts) == 1 else {}
         return {str(name): float(value) for name, value in truth.items()}
-    except (ValueError, TypeError, AttributeError):
+    except (ValueError, TypeError, AttributeError, RecursionError):
         return {}  # somebody else's use of the key

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import yaml
-
 import amhe_cli
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.yaml_file import YamlFile
 
 #: The file that makes a folder a system.
 FILE_NAME = "system.yaml"
@@ -53,8 +52,7 @@ def find_system(name_or_dir: str | Path) -> Path:
 def parameter_names(folder: Path) -> list[str]:
     """Names under `parameters:` in a system folder, as they stand there; nothing is checked."""
     try:
-        data = yaml.safe_load((folder / FILE_NAME).read_text(encoding="utf-8"))
-    except (OSError, ValueError, yaml.YAMLError):
+        named = YamlFile(folder / FILE_NAME, patient=True).own.get("parameters")
+    except ConfigError:
         return []
-    named = data.get("parameters") if isinstance(data, Mapping) else None
     return [str(name) for name in named] if isinstance(named, Mapping) else []

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import lz4.frame
+import numpy as np
 import pytest
 import zstandard
 from mcap.writer import CompressionType, Writer
@@ -259,6 +260,52 @@ def test_yaml_that_unfolds(name: str, tmp_path: Path) -> None:
             assert "beyond the limit yaml_values = 9000" in refused(tmp_path / "log")
         return
     assert words.get(name, "nested deeper than 50 levels") in refused(tmp_path / "log")
+
+
+def _npz(path: Path) -> None:
+    zeros = np.zeros(2**24)
+    np.savez_compressed(path, allow_pickle=False, time=zeros, **{f"q{i}": zeros for i in range(3)})
+
+
+def _hdf5(path: Path, **external: object) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(path, "w") as file:
+        file.create_dataset("time", (10**9,), "f8", chunks=(10**6,))
+
+
+def _parquet(path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    zeros = pa.array(np.zeros(2**23))
+    with parquet.ParquetWriter(path, pa.schema([("time", pa.float64())])) as file:
+        for _ in range(8):
+            file.write_table(pa.table({"time": zeros}))
+
+
+def _feather(path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    batch = pa.record_batch({"time": np.zeros(2**22)})
+    options = pa.ipc.IpcWriteOptions(compression="zstd")
+    with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, batch.schema, options=options) as file:
+        for _ in range(12):
+            file.write_batch(batch)
+
+
+@pytest.mark.parametrize("write", [_npz, _hdf5, _parquet, _feather])
+def test_tables_of_zeros(write: Callable[[Path], None], tmp_path: Path) -> None:
+    path = tmp_path / f"log{'.npz' if write is _npz else ''}"
+    write(path)
+    assert path.stat().st_size < 2**20
+    assert "beyond the limit growth = 100" in refused(path)
+
+
+def test_a_table_opens_no_other_file(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    (tmp_path / "secret").write_bytes(np.arange(100.0).tobytes())
+    with h5py.File(tmp_path / "log", "w") as file:
+        file.create_dataset("time", (100,), "f8", external=[(str(tmp_path / "secret"), 0, 800)])
+    assert "its 'time' lies in another file" in refused(tmp_path / "log")
 
 
 def test_a_key_that_is_twice_in_the_metadata_costs_nothing(tmp_path: Path) -> None:

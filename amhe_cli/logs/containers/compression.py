@@ -52,6 +52,20 @@ class Unfolder:
         return unfolded
 
 
+def check_growth(path: Path, size: int) -> None:
+    """Refuse a file whose content is too large for it.
+
+    Args:
+        path: The file.
+        size: Size of its content, once unfolded [bytes].
+
+    Raises:
+        LogError: It is beyond the limits `piece_mib` and `growth`.
+    """
+    if size > max(limits().piece, limits().growth * path.stat().st_size):
+        raise LogError(f"{path}: {beyond('growth', 'what it unfolds to is, as a multiple of its size,')}")
+
+
 def _unfold(kind: str, data: bytes | memoryview, bound: int) -> bytes:
     if kind in ("", "none"):
         return bytes(data)
@@ -92,16 +106,15 @@ def unfold_file(source: Path, target: BinaryIO) -> None:
     """Unfold a zstd file into `target`.
 
     Raises:
-        ValueError: If it is damaged, or unfolds beyond the limits `piece_mib` and `growth`.
+        ValueError: If it is damaged.
+        LogError: If it unfolds beyond the limits `piece_mib` and `growth`.
     """
-    bound = max(limits().piece, limits().growth * source.stat().st_size)
     written = 0
     try:
         with source.open("rb") as packed, zstandard.ZstdDecompressor().stream_reader(packed) as stream:
             while piece := stream.read(2**20):
                 written += len(piece)
-                if written > bound:
-                    raise ValueError(beyond("growth", f"what {source.name} unfolds to is, times its size,"))
+                check_growth(source, written)
                 target.write(piece)
     except zstandard.ZstdError as error:
         raise ValueError(f"{source.name}: damaged zstd data: {error}") from error

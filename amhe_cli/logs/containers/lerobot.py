@@ -19,8 +19,9 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.files import check_regular
 from amhe_cli.logs.containers.table_file import TableFile
-from amhe_cli.logs.containers.table_formats import arrow_arrays, in_memory, needed
+from amhe_cli.logs.containers.table_formats import arrow_arrays, check_parquet, in_memory, needed
 
 logger = logging.getLogger(__name__)
 
@@ -106,7 +107,7 @@ def open_dataset(folder: Path) -> Dataset:
         info = json.loads(file.read_text(encoding="utf-8"))
         version = int(re.findall(r"\d+", str(info["codebase_version"]))[0])
         episodes, features = int(info["total_episodes"]), info["features"]
-        usable = all(isinstance(feature, dict) for feature in features.values()) and episodes < 10_000_000
+        usable = all(isinstance(feature, dict) for feature in features.values()) and episodes < 1_000_000
     except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
         raise LogError(f"{file}: no description of a LeRobot dataset ({error!r})") from None
     if not usable:
@@ -130,6 +131,7 @@ def _rows(dataset: Dataset, number: int) -> dict[str, np.ndarray]:
     from pyarrow import parquet
 
     file = _file_of(dataset, number)
+    check_parquet(file)
     there = parquet.read_schema(file).names
     wanted = [name for name, kind in _kinds(dataset).items() if kind not in ("video", "image", "string")]
     own = [("episode_index", "=", number)] if "episode_index" in there else None
@@ -165,6 +167,7 @@ def _place_in_v3(folder: Path, number: int) -> dict[str, int]:
 
     keys = ("data/chunk_index", "data/file_index")
     for file in sorted((folder / "meta" / "episodes").rglob("*.parquet")):
+        check_regular(file)
         own = [("episode_index", "=", number)]
         found = parquet.read_table(file, columns=list(keys), filters=own).to_pylist()
         if found:

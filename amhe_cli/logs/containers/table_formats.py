@@ -11,13 +11,14 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.logs.containers import text_table
+from amhe_cli.logs.containers.compression import check_growth
 from amhe_cli.logs.containers.table_file import NumberTable, TableFile, is_time, listed
 from amhe_cli.logs.containers.text_dialect import Column, dialect_of, looks_like_text
 
@@ -73,6 +74,8 @@ def _npy(path: Path) -> list[NumberTable]:
 
 def _npz(path: Path) -> list[NumberTable]:
     try:
+        with ZipFile(path) as packed:
+            check_growth(path, sum(part.file_size for part in packed.infolist()))
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         said = arrays.pop("amhe", None)
@@ -86,14 +89,35 @@ def _parquet(path: Path) -> list[NumberTable]:
     needed(path, "pyarrow", "a parquet file")
     import pyarrow.parquet
 
+    check_parquet(path)
     return [in_memory(path, _stem(path), arrow_arrays(pyarrow.parquet.read_table(path)))]
+
+
+def check_parquet(path: Path) -> None:
+    """Refuse a parquet file whose numbers are too many for its size: a constant column takes no room.
+
+    Raises:
+        LogError: It is beyond the limits `piece_mib` and `growth`.
+    """
+    import pyarrow.parquet
+
+    about = pyarrow.parquet.read_metadata(path)
+    groups = [about.row_group(i) for i in range(about.num_row_groups)]
+    values = sum(group.column(i).num_values for group in groups for i in range(group.num_columns))
+    check_growth(path, 8 * values)
 
 
 def _feather(path: Path) -> list[NumberTable]:
     needed(path, "pyarrow", "a feather file")
-    import pyarrow.feather
+    import pyarrow as pa
 
-    return [in_memory(path, _stem(path), arrow_arrays(pyarrow.feather.read_table(path)))]
+    with pa.memory_map(str(path)) as file:
+        reader, batches, size = pa.ipc.open_file(file), [], 0
+        for i in range(reader.num_record_batches):
+            batches.append(reader.get_batch(i))
+            size += batches[-1].nbytes
+            check_growth(path, size)
+    return [in_memory(path, _stem(path), arrow_arrays(pa.Table.from_batches(batches, reader.schema)))]
 
 
 def arrow_arrays(table: Any) -> dict[str, np.ndarray]:
@@ -120,11 +144,18 @@ def _hdf5(path: Path) -> list[NumberTable]:
     import h5py
 
     groups: dict[str, dict[str, np.ndarray]] = {}
+    size = 0
 
     def visit(name: str, item: object) -> None:
-        if isinstance(item, h5py.Dataset) and item.ndim in (1, 2) and item.dtype.kind in "fiub":
-            group, _, own = name.rpartition("/")
-            groups.setdefault(group, {})[own] = item[()]
+        nonlocal size
+        if not isinstance(item, h5py.Dataset) or item.ndim not in (1, 2) or item.dtype.kind not in "fiub":
+            return
+        if item.external or item.is_virtual:
+            raise LogError(f"{path}: its {name!r} lies in another file; save it with its numbers in it")
+        size += item.size * item.dtype.itemsize
+        check_growth(path, size)
+        group, _, own = name.rpartition("/")
+        groups.setdefault(group, {})[own] = item[()]
 
     with h5py.File(path, "r") as file:
         file.visititems(visit)
