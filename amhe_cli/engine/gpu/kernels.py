@@ -29,15 +29,16 @@ def write_inputs(
     world, column = wp.tid()
     c = clip[world]
     j = first + column
-    t = wp.min(history + clock[0], inputs.shape[1] - 1)
+    last = inputs.shape[1] - 1
+    t = wp.min(history + clock[0], last)
     value = inputs[c, t, j]
     if delayed[j] != 0:
         p = candidate[world]
         part = fraction[p]
         late = t - whole[p]
-        value = inputs[c, late, j]
+        value = inputs[c, wp.clamp(late, 0, last), j]
         if part > 0.0:
-            value = (1.0 - part) * value + part * inputs[c, late - 1, j]
+            value = (1.0 - part) * value + part * inputs[c, wp.clamp(late - 1, 0, last), j]
     into[world, column] = value
 
 
