@@ -40,7 +40,7 @@ GOAL = (0.86, 0.94)
 #: What a trial leaves out: figures and validation cost time and change no interval.
 CHEAP = {
     "clips": {"held_out": 0.0, "count": 12},
-    "identify": {"profile_points": 0, "bootstrap": 0},
+    "identify": {"profile_points": 0},
 }
 CASES = ("pendulum", "box")
 #: The pendulum's step [s] here, in the simulated log and in the model that identifies it alike.

@@ -34,12 +34,16 @@ logger = logging.getLogger(__name__)
 
 #: A next step of this many sd is a search cut short, and of this many where it was stopped on its way.
 UNSETTLED, MOVING = 2.0, 1.0
+#: Last iterations that show whether the cost still falls.
+STALLED = 3
 #: Residuals of this many noise sd are a wrong model.
 MISFIT = 3.0
 #: Residuals of this many times the declared noise make every number the model's, unless they are noise:
 #: their autocorrelation time is below so many samples.
 MISSED, WHITE = 5.0, 2.0
 HALVES = "the first and second half of the logs"
+#: Logs from which halves that disagree do so again and again: no value drifts alike in all of them.
+AGAIN = 3
 #: Iterations that each half gets to find its own estimate, and the clips that it must have.
 REFITS, FEWEST_CLIPS = 2, 3
 
@@ -93,7 +97,9 @@ def _halves(problem: Problem, finding: Finding) -> Disagreement | None:
         found = final_fit(part, state).posterior
         means.append(state.z + found.step)
         covariances.append(found.data_covariance)
-    return Disagreement(means[0] - means[1], covariances[0] + covariances[1])
+    logs = len({id(w.log) for w in problem.clips})
+    share = 1.0 if logs >= AGAIN else 0.5
+    return Disagreement(means[0] - means[1], covariances[0] + covariances[1], share)
 
 
 def _both(side: BoolArray) -> bool:
@@ -112,20 +118,18 @@ def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
     space = problem.system.space
     left = np.abs(fit.posterior.step) / fit.posterior.sd
     moving = isinstance(finding, SearchState) and not (finding.settled or problem.rough)
-    if left.max() > (MOVING if moving else UNSETTLED) and not _stalled(finding, fit):
+    costs = [i.cost for i in finding.record if i.method.endswith("polish")][-STALLED:]
+    if len(costs) < STALLED:
+        unsettled = moving or left.max() > UNSETTLED
+    else:  # on the same clips: has the misfit fallen by more than one squared noise sd?
+        independent = float(fit.slopes.cost.clips.counts.sum()) / max(fit.times)
+        falls = (costs[0] / max(costs[-1], 1e-300) - 1.0) * independent > 1.0
+        unsettled = falls and left.max() > (MOVING if moving else UNSETTLED)
+    if unsettled:
         logger.warning(
             f"the search stopped before it settled ({space.names[int(left.argmax())]} was still moving): "
             f"give it more with `identify.iterations`"
         )
-
-
-def _stalled(finding: Finding, fit: FinalFit) -> bool:
-    """Whether the last steps on the same clips lowered the misfit by less than one squared noise sd."""
-    costs = [i.cost for i in finding.record if i.method.endswith("polish")][-3:]
-    if len(costs) < 3:
-        return False
-    independent = float(fit.slopes.cost.clips.counts.sum()) / max(fit.times)
-    return (costs[0] / max(costs[-1], 1e-300) - 1.0) * independent < 1.0
 
 
 def report_misfit(system: System, fit: FinalFit) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.statistics import correlation
@@ -30,7 +30,7 @@ from amhe_cli.estimation.offline.posterior import (
     Disagreement,
     FinalFit,
     Finding,
-    bootstrap_sd,
+    bootstrap,
     doubled_step,
     final_fit,
 )
@@ -45,6 +45,7 @@ from amhe_cli.estimation.offline.widening import (
     directions,
     in_directions,
     repeated,
+    scattered,
     variances,
 )
 
@@ -52,6 +53,8 @@ logger = logging.getLogger(__name__)
 
 #: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
 PARTS, RESERVE = 7, 3
+#: Clips from which a bootstrap widens.
+FEWEST_RESAMPLED = 10
 
 
 def conclude(problem: Problem, finding: Finding, validation: list[Window], watch: Watch) -> Identification:
@@ -130,7 +133,10 @@ def _evidence(
     report_drift(space, compared)
     shifts = shifts_of(problem, fit) if watch.allows("shifts under other models", once) else []
     again = repeated(fit)
-    covariance = own + _systematic(problem, fit, compared, shifts, doubled, again)
+    prior, resamples = space.prior_precision, setting.bootstrap
+    resampled = bootstrap(finding.z, fit.found, fit.weight, prior, resamples, problem.rng(4))
+    widening, causes = _systematic(problem, fit, compared, shifts, doubled, resampled, again)
+    covariance = own + widening
     points = setting.profile_points
     rollouts = points * int(problem.active.sum()) * len(problem.clips)
     return Evidence(
@@ -140,9 +146,7 @@ def _evidence(
         active=problem.active,
         idle=problem.idle,
         step_ratio=np.where(problem.active, np.sqrt(np.diag(own) / np.diag(doubled)), np.nan),
-        bootstrap=bootstrap_sd(
-            finding.z, fit.found, fit.weight, space.prior_precision, setting.bootstrap, problem.rng(4)
-        ),
+        bootstrap=resampled.std(axis=0),
         disagreements=compared,
         shifts=shifts,
         profiles=profiles(
@@ -156,6 +160,7 @@ def _evidence(
         unexplained=(*against, *unexplained(problem.system, fit)),
         rough=problem.rough,
         repeats=np.sqrt(1.0 + np.diag(again) / np.diag(own)),
+        causes=causes,
     )
 
 
@@ -165,9 +170,10 @@ def _systematic(
     compared: Mapping[str, Disagreement],
     shifts: Sequence[Shift],
     doubled: FloatArray,
+    resampled: FloatArray,
     again: FloatArray,
-) -> FloatArray:
-    """Covariance of z beyond what noise explains, shape (d, d).
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Covariance of z beyond what noise explains (d, d), and its causes: in words -> their variances (d,).
 
     Args:
         problem: The problem that was searched.
@@ -175,13 +181,36 @@ def _systematic(
         compared: Differences between parts of the data.
         shifts: What changes of the model would do to the estimate.
         doubled: Posterior covariance from samples twice as wide, shape (d, d).
+        resampled: Steps to the estimates from resampled clips, shape (b, d).
         again: What residuals that repeat add, shape (d, d).
     """
-    space, own = problem.system.space, fit.posterior.covariance
-    found = directions(own, problem.active)
+    space, own, active = problem.system.space, fit.posterior.covariance, problem.active
+    found = directions(own, active)
     declared = space.in_z([problem.settings.identify.model_error.get(name, 0.0) for name in space.names])
-    curved = np.maximum(variances(found.rows, doubled - own), 0.0)
-    wanted = contradicted(found.rows, compared.values()) + curved
-    wanted[: problem.active.sum()] += declared[problem.active] ** 2
-    errors = [*(shift.spread for shift in shifts), fit.posterior.step]
-    return in_directions(found, wanted, again) + along_vectors(own, errors)
+    known = np.zeros(len(found.rows))
+    known[: active.sum()] = declared[active] ** 2
+    sizes = {
+        "parts of the data disagree": contradicted(found.rows, compared.values()),
+        "it grows when the step is doubled": np.maximum(variances(found.rows, doubled - own), 0.0),
+        "`identify.model_error` says so": known,
+    }
+    # of a few clips, resamples lack whole directions
+    steps = resampled if np.count_nonzero(fit.weight) >= FEWEST_RESAMPLED else np.full_like(resampled, np.nan)
+    excess = scattered(found.rows, steps, own)
+    wanted = np.maximum(sum(sizes.values()), excess)
+    spreads = [shift.spread for shift in shifts]
+    causes = {cause: _of_all(size, active) for cause, size in sizes.items()} | {
+        "clips differ by more than noise": _of_all(excess, active),
+        "residuals repeat, which noise does not": np.diag(again),
+        "it depends on details of the model": sum((s**2 for s in spreads), np.zeros(active.size)),
+        "the search was still moving": fit.posterior.step**2,
+    }
+    total = in_directions(found, wanted, again) + along_vectors(own, [*spreads, fit.posterior.step])
+    return total, causes
+
+
+def _of_all(sizes: FloatArray, active: BoolArray) -> FloatArray:
+    """Variances of all parameters (d,) from those of `directions` (m,), the first of which are the active."""
+    of_all = np.zeros(active.size)
+    of_all[active] = sizes[: active.sum()]
+    return of_all

@@ -101,7 +101,7 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
     return Posterior(step, hessian, blended, prior)
 
 
-def bootstrap_sd(
+def bootstrap(
     z: FloatArray,
     found: Information,
     weight: FloatArray,
@@ -109,17 +109,17 @@ def bootstrap_sd(
     resamples: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Bootstrap over clips: sd of z over the one-step estimates from resampled clips, shape (d,).
+    """Bootstrap over clips: steps from z to the one-step estimates from resampled clips, shape (b, d).
 
-    It is NaN with fewer than two clips or resamples. See `posterior` for the other arguments.
+    They are NaN with fewer than two clips or resamples. See `posterior` for the other arguments.
     """
     count = len(weight)
     if count < 2 or resamples < 2:
-        return np.full(z.size, np.nan)
+        return np.full((1, z.size), np.nan)
     draws = weight * rng.multinomial(count, np.full(count, 1.0 / count), size=resamples)  # (b, c)
     hessian = np.einsum("bc,cij->bij", draws, found.matrix) + prior
     gradient = np.einsum("bc,ci->bi", draws, found.score) + prior @ z
-    return np.linalg.solve(hessian, gradient[..., None])[..., 0].std(axis=0, ddof=1)
+    return -np.linalg.solve(hessian, gradient[..., None])[..., 0]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -129,10 +129,13 @@ class Disagreement:
     Args:
         value: Disagreement of the estimates in z, shape (d,).
         covariance: Covariance that noise alone gives it, shape (d, d).
+        share: Share of it that counts as an sd: half where either part may be right, all where many pairs of
+            parts differ alike, so that both may be wrong.
     """
 
     value: FloatArray
     covariance: FloatArray
+    share: float = 0.5
 
     @property
     def sd(self) -> FloatArray:

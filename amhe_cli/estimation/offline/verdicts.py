@@ -26,6 +26,8 @@ SURPRISE, NOTED, NOTABLE = 3.0, 0.05, 0.25
 TOGETHER = 0.9
 #: A shift is given as a reason where it is more than this share of the sd.
 COUNTS = 0.5
+#: Posterior over prior sd from which a prior was too narrow.
+WIDER = 1.05
 #: Factor on the sd from which residuals that repeat are a reason.
 REPEATED = 2.0
 #: Beginning of the reason of an interval that rests on a number which is taken as exact.
@@ -68,6 +70,7 @@ class Evidence:
         repeats: Factor by which residuals that repeat have widened the sd that noise alone gives.
         unexplained: What speaks against every value, in words.
         rough: The response jitters, as behind contacts.
+        causes: What widened the sd beyond noise, in words -> variance that it added.
     """
 
     z: FloatArray
@@ -81,6 +84,7 @@ class Evidence:
     shifts: Sequence[Shift]
     profiles: Mapping[int, tuple[FloatArray, FloatArray]]
     repeats: FloatArray
+    causes: Mapping[str, FloatArray]
     unexplained: Sequence[str]
     rough: bool
 
@@ -149,13 +153,14 @@ def _strayed(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ..
     away = abs(evidence.z[i])
     if evidence.shrinkage[i] >= NOTHING or away <= 1.0:
         return ()
-    return (f"it is {away:.1f} prior sd from its prior although the logs hardly determine it",)
+    text = f"it is {away:.1f} prior sd from its prior although the logs hardly determine it"
+    return (text, *_wider(evidence, i))
 
 
 def _open(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
     if evidence.shrinkage[i] >= NOTHING:
         return ()
-    return ("the logs hardly narrow it down: the value is your prior",)
+    return _wider(evidence, i) or ("the logs hardly narrow it down: the value is your prior",)
 
 
 def _unexplained(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
@@ -213,6 +218,15 @@ def _remarks(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ..
     )
 
 
+def _wider(evidence: Evidence, i: int) -> tuple[str, ...]:
+    """The reason that applies where the sd came back wider than the prior's, with its largest cause."""
+    sd = float(np.sqrt(evidence.covariance[i, i]))
+    if sd <= WIDER or not evidence.causes:
+        return ()
+    cause = max(evidence.causes, key=lambda name: evidence.causes[name][i])
+    return (f"its sd is {sd:.1f} times the prior's, which is too narrow for these logs: {cause}",)
+
+
 def _repeats(evidence: Evidence, i: int) -> tuple[str, ...]:
     """The reason that applies where the model's own errors, not noise, limit what is known."""
     if evidence.repeats[i] < REPEATED:
@@ -242,9 +256,10 @@ def _contradictions(
     found = []
     sd = float(np.sqrt(evidence.covariance[i, i]))
     for name, difference in evidence.disagreements.items():
-        value = difference.value[i]
-        if abs(value) > SURPRISE * difference.sd[i] and least <= share(space, i, value) < most:
-            found.append(f"{name} disagree by {size(space, i, value)}")
+        value, counts = difference.value[i], 2.0 * difference.share * share(space, i, difference.value[i])
+        if abs(value) > SURPRISE * difference.sd[i] and least <= counts < most:
+            again = ", again and again" if difference.share > 0.5 else ""
+            found.append(f"{name} disagree by {size(space, i, value)}{again}")
     found += [
         shift.text.format(size(space, i, shift.z[i]))
         for shift in evidence.shifts

@@ -20,6 +20,9 @@ from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.offline.posterior import Disagreement, FinalFit
 from amhe_cli.estimation.offline.verdicts import SURPRISE, TOGETHER
 
+#: Upper quartile of a normal distribution, in sd.
+QUARTILE = 0.6745
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Directions:
@@ -67,14 +70,30 @@ def variances(rows: FloatArray, covariance: FloatArray) -> FloatArray:
 def contradicted(rows: FloatArray, differences: Iterable[Disagreement]) -> FloatArray:
     """Variance of n'z that contradictions between parts of the data show, shape (m,).
 
-    Where parts disagree by more than chance, none is known to be right: half the largest difference is added
-    as a standard deviation, as random-effects models do.
+    Where parts disagree by more than chance, none is known to be right: half the largest difference (or its
+    own `share`) is added as a standard deviation, as random-effects models do.
     """
     most = np.zeros(len(rows))
     for difference in differences:
         chance = SURPRISE**2 * variances(rows, difference.covariance)
-        most = np.maximum(most, 0.25 * ((rows @ difference.value) ** 2 - chance))
+        most = np.maximum(most, difference.share**2 * ((rows @ difference.value) ** 2 - chance))
     return most
+
+
+def scattered(rows: FloatArray, steps: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Variance of n'z that the clip bootstrap shows beyond a posterior covariance, shape (m,).
+
+    Its own scatter, up to half of the variance, is left out, and so are the resamples that miss the clips
+    with most of the information: the spread is that of the middle half.
+
+    Args:
+        rows: The n of each n'z, shape (m, d).
+        steps: Estimates from resampled clips, shape (b, d); NaN: none.
+        covariance: What noise explains, shape (d, d).
+    """
+    low, high = np.quantile(steps @ rows.T, (0.25, 0.75), axis=0)
+    spread = (high - low) / (2.0 * QUARTILE)
+    return np.nan_to_num(np.maximum(spread**2 - 1.5 * variances(rows, covariance), 0.0))
 
 
 def beyond_chance(covariance: FloatArray, shift: FloatArray) -> FloatArray:

@@ -40,6 +40,7 @@ def evidence(sd: float = 0.05, **changes: Any) -> Evidence:
         "repeats": np.ones(3),
         "unexplained": (),
         "rough": False,
+        "causes": {},
     }
     return Evidence(**{**plain, **changes})
 
@@ -147,6 +148,25 @@ def test_parts_of_the_data_that_disagree(relative: float, sd: float, verdict: st
     assert bool(reasons) == noted
     if noted and verdict == "identified":
         assert reasons[0].endswith("which the sd allows for")
+
+
+def test_parts_that_disagree_again_and_again_count_in_full() -> None:
+    difference = np.array([np.log1p(0.15) / 0.5, 0.0, 0.0])
+    once, again = (Disagreement(difference, 1e-4 * np.eye(3), share) for share in (0.5, 1.0))
+    assert mass(evidence(disagreements={"the halves": once})).verdict == "identified"
+    result = mass(evidence(disagreements={"the halves": again}))
+    assert result.verdict == "model-sensitive"
+    assert result.reasons == ("the halves disagree by +15%, again and again",)
+
+
+@pytest.mark.parametrize("z", [0.2, 1.6])
+def test_an_sd_wider_than_the_priors_has_its_cause(z: float) -> None:
+    causes = {"parts of the data disagree": np.full(3, 0.5), "clips differ": np.full(3, 2.0)}
+    result = mass(evidence(1.5, z=np.array([z, 0.0, 0.0]), causes=causes))
+    reason = "its sd is 1.5 times the prior's, which is too narrow for these logs: clips differ"
+    assert reason in result.reasons
+    assert "hardly narrow it down" not in "".join(result.reasons)
+    assert reason not in mass(evidence(0.9, z=np.array([z, 0.0, 0.0]), causes=causes)).reasons
 
 
 @pytest.mark.parametrize(

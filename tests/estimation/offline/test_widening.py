@@ -19,6 +19,7 @@ from amhe_cli.estimation.offline.widening import (
     directions,
     in_directions,
     repeated,
+    scattered,
     variances,
 )
 
@@ -82,6 +83,22 @@ def test_contradictions_count_beyond_three_sd_and_by_half():
     within, beyond = (Disagreement(np.array([d, 0.0]), covariance) for d in (0.29, 0.5))
     assert contradicted(rows, [within]) == pytest.approx(0.0)
     assert contradicted(rows, [beyond, within]) == pytest.approx([0.25 * (0.25 - 0.09), 0.0])
+
+
+def test_parts_that_disagree_again_and_again_widen_by_all_of_it():
+    difference = Disagreement(np.array([0.5, 0.0]), 1e-4 * np.eye(2), share=1.0)
+    assert contradicted(np.eye(2), [difference]) == pytest.approx([0.25 - 9e-4, 0.0])
+
+
+def test_a_bootstrap_counts_where_it_is_wider_than_its_own_scatter():
+    rows, noise = np.eye(2), 0.044**2 * np.eye(2)
+    steps = np.random.default_rng(0).standard_normal((2000, 2))
+    assert not scattered(rows, 1.15 * 0.044 * steps, noise).any()
+    wider = scattered(rows, steps * [0.11, 0.044], noise)
+    assert np.sqrt(noise.diagonal() + wider) == pytest.approx([0.106, 0.044], rel=0.05)
+    lost = np.where(np.arange(2000)[:, None] % 10, 0.044, 4.4) * steps
+    assert not scattered(rows, lost, noise).any(), "a tenth of the resamples misses what is informative"
+    assert not scattered(rows, np.full((1, 2), np.nan), noise).any(), "none was computed"
 
 
 def test_what_is_not_known_together_does_not_follow():
