@@ -220,7 +220,7 @@ def breaking(request):
         (["--belief", "t1=nowhere.yaml"], "no file 'nowhere.yaml'"),
         (["--report", "nowhere"], "nowhere"),
         (["--cluster", "nonsense://here:1"], "nonsense"),
-        (["--engine", "auto"], "no engine 'auto'; there is: cpu"),
+        (["--engine", "auto"], "no engine 'auto'; there is: cpu, gpu"),
     ],
 )
 def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, options, message: str) -> None:
