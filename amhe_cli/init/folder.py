@@ -107,9 +107,7 @@ def init_system(
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
     """Topics that can be read in every log, as they are in the first one."""
     surveys = [survey(log, msg_path=msg_path).topics for log in logs]
-    surveys = [
-        [replace(t, name="table") if t.type == TABLE and len(s) == 1 else t for t in s] for s in surveys
-    ]
+    surveys = [[_unnamed(topic, alone=len(seen) == 1) for topic in seen] for seen in surveys]
     common = set.intersection(*({topic.name for topic in seen} for seen in surveys))
     return [
         Topic(seen.name, seen.type, seen.rate, seen.entries, seen.quantities, paths=seen.paths)

@@ -118,7 +118,12 @@ def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[G
     ]
     used = {guess.entry["topic"] for guess in guesses}
     notes += _proposals(model, [topic for topic in topics if topic.name not in used], guesses)
-    return notes + [f"not used: {topic.name} ({topic.type})" for topic in topics if topic.name not in used]
+    return notes + [f"not used: {_named(topic)}" for topic in topics if topic.name not in used]
+
+
+def _named(topic: Topic) -> str:
+    """A topic with its type, which a table does not have."""
+    return topic.name if topic.type.startswith("table/") else f"{topic.name} ({topic.type})"
 
 
 def _proposals(model: mujoco.MjModel, unused: Sequence[Topic], guesses: Sequence[Guess]) -> Iterator[str]:
@@ -205,6 +210,7 @@ def _joint_states(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Gu
     """The fewest topics that between them measure the most joints."""
     left = {name: (name,) for name in single_joints(model)}
     states = [t for t in topics if t.kind == "JointState" and not is_command(t.name, t.type)]
+    states = [topic for topic in states if {"position", "velocity"} & set(topic.quantities)]
     while left and states:
         found = {topic.name: matched(left, topic.entries) for topic in states}
         best = max(states, key=lambda topic: len(found[topic.name]))
@@ -224,19 +230,20 @@ def _commands(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]
     for topic in topics:
         if not left or not is_command(topic.name, topic.type):
             continue
-        quantity = commanded(model, model.actuator(next(iter(left))).id)
         if topic.type.endswith("MultiArray") and f"[{len(left)}]" in topic.entries:
             names, quantity = {name: name for name in left}, "value"
             why = f"{topic.name} has as many numbers as there are actuators, taken in the model's order"
         elif topic.kind in ("JointState", "JointTrajectory"):
             names = matched(left, topic.entries)
+            quantity = commanded(model, model.actuator(next(iter(names))).id) if names else ""
             why = f"{topic.name} holds commands, judging by its name or type; its {quantity} is used"
         else:
             continue
-        if names:
+        if quantity in topic.quantities:
             left = {name: aliases for name, aliases in left.items() if name not in names}
             entry = {"topic": topic.name, "type": topic.type, "actuators": _plain_names(names)}
-            yield Guess("command", entry | {"quantity": quantity}, why)
+            several = len(topic.quantities) > 1
+            yield Guess("command", entry | ({"quantity": quantity} if several else {}), why)
 
 
 def _bodies(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:

@@ -72,14 +72,14 @@ def with_columns(guess: Guess, topics: Sequence[Topic], alone: bool) -> None:
         return
     entry, names = guess.entry, guess.entry.get("joints") or guess.entry.get("actuators") or {}
     logged = list(names.values()) if isinstance(names, dict) else list(names)
-    wanted = [entry["quantity"]] if "quantity" in entry else [q for q in topic.quantities if q in guess.noise]
+    wanted = guess.noise or {entry.get("quantity", topic.quantities[0])}
     place = {entry: i for i, entry in enumerate(topic.entries)}
     columns = {
         quantity: [topic.columns[quantity][place[name]] for name in logged]
-        for quantity in wanted
-        if quantity in topic.columns
+        for quantity in topic.quantities
+        if quantity in wanted
     }
-    rest = {key: value for key, value in entry.items() if key not in ("topic", "type")}
+    rest = {key: value for key, value in entry.items() if key not in ("topic", "type", "quantity")}
     if isinstance(names, dict):
         rest["actuators" if "actuators" in entry else "joints"] = list(names)
     taken = "; ".join(f"{quantity} from {', '.join(names)}" for quantity, names in columns.items())

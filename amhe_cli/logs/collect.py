@@ -10,6 +10,7 @@ from amhe_cli.core.errors import LogError
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.folder import StoredLog
 from amhe_cli.logs.containers.raw import Connection, messages
+from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.messages.decode import SignalDecoder
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.split import Splitter
@@ -64,6 +65,7 @@ def _warn(
                 "%s: topic %r: %s damaged and dropped (%s)",
                 log.path, connection.topic, messages(splitter.damaged), splitter.reason,
             )  # fmt: skip
+    blank = {connection.topic for connection in splitters if connection.encoding in (TABLE, "json")}
     for signal in signals:
         types = {connection.type for connection in log.connections if connection.topic == signal.topic}
         decoder = decoders.get(signal.name)
@@ -73,8 +75,8 @@ def _warn(
                 log.path, signal.topic, ", ".join(sorted(types)), decoder.type,
             )  # fmt: skip
         for quantity, count in (decoder.not_finite if decoder else {}).items():
-            # A driver that never fills in its efforts is no damage.
-            if decoder is not None and 0 < count < decoder.count:
+            # A driver that never fills in its efforts is no damage, nor is a blank cell of a table.
+            if decoder is not None and 0 < count < decoder.count and signal.topic not in blank:
                 logger.warning(
                     "%s: topic %r: %s with %s that is not finite dropped",
                     log.path, signal.topic, messages(count), quantity,

@@ -470,3 +470,42 @@ def test_a_wrench_and_a_mocap_body_are_proposed_with_the_line_to_write() -> None
     assert "ft_sensor: {topic: /ft_sensor, site: ft, noise: {force: 0.5, torque: 0.05}}" in notes
     assert "ft_sensor: {topic: /ft_sensor, force_on: box}" in notes
     assert "hand: {topic: /vrpn/pusher, mocap: hand}" in notes
+
+
+ARM = """<mujoco><worldbody><body name="arm"><joint name="hinge"/><geom size="0.1"/></body></worldbody>
+  <actuator><motor name="motor" joint="hinge"/></actuator></mujoco>"""
+
+
+def test_numbers_without_positions_are_no_state_of_a_joint(tmp_path: Path) -> None:
+    """A battery's current and a switch are no joint, though the model has but one."""
+    (tmp_path / "log").mkdir()
+    for name, column in (("battery", "current"), ("control_mode", "flag_force"), ("armed", "force_failsafe")):
+        (tmp_path / "log" / f"{name}.csv").write_text(
+            f"time,{column}\n" + "".join(f"{0.01 * i:g},{i % 2}\n" for i in range(50))
+        )
+    with pytest.raises(ConfigError, match="nothing in the log matches this model"):
+        made(tmp_path, ARM, [tmp_path / "log"])
+
+
+def test_targets_do_not_drive_a_torque_motor(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(
+        "time,pos,cmd_pos\n" + "".join(f"{0.01 * i:g},{0.1 * i},{0.1 * i}\n" for i in range(50))
+    )
+    system, text, _ = made(tmp_path, ARM, [tmp_path / "log.csv"])
+    assert [signal.name for signal in system.signals] == ["joints"]
+    assert "no command topic was found" in text
+    assert "not used: the table command\n" in text
+
+
+def test_the_quantity_of_a_command_is_written_where_there_is_a_choice(tmp_path: Path) -> None:
+    for name, more in (("one", ()), ("two", (np.ones(1),))):
+        (tmp_path / name).mkdir()
+        with LogWriter(tmp_path / "log.mcap", {}) as log:
+            for step in range(50):
+                stamp, angle = 10**18 + step * STEP_NS, np.array([0.01 * step])
+                log.joint_state("/joint_states", stamp, ["hinge"], angle)
+                log.joint_state("/cmd", stamp, ["hinge"], angle, *more)
+        servo = ARM.replace("motor", "position")
+        system, text, _ = made(tmp_path / name, servo, [tmp_path / "log.mcap"])
+        assert ("quantity: position" in text) == bool(more)
+        assert next(s for s in system.signals if s.name == "command").quantities == ("position",)

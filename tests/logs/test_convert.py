@@ -54,6 +54,13 @@ def test_columns_of_a_table_keep_their_names_units_and_blank_cells(tmp_path: Pat
         assert only["a.value"].sampled[:5].tolist() == [True, False, True, False, True]
 
 
+@pytest.mark.parametrize("name", ["a.mcap", "a.csv"])
+def test_a_time_known_by_its_unit_is_no_value(name: str, tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text("Zeit [ms],q\n" + "".join(f"{20 * i},{i}\n" for i in range(9)))
+    amhe.convert(tmp_path / "run.csv", tmp_path / name)
+    assert b"Zeit" not in (tmp_path / name).read_bytes()
+
+
 def test_a_folder_has_a_file_for_each_topic(made: Path) -> None:
     amhe.convert(made, made.with_name("folder"))
     assert sorted(path.name for path in made.with_name("folder").iterdir()) == [

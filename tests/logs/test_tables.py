@@ -92,6 +92,9 @@ def one_of_each(folder: Path) -> dict[str, Callable[[], Path]]:
         "excel": written("excel", "sep=;\n" + text(header(";"), ";", ",")),
         "row of units": written("units", f"{header()}\n(s),[deg],deg,deg/s,deg/s\n{in_degrees}\n"),
         "degrees": written("degrees", f"time,q1 [deg],q2 [deg],dq1 [deg/s],dq2 [deg/s]\n{in_degrees}\n"),
+        "degrees in capitals": written(
+            "capitals", f"TIME,q1 [DEG],q2 (Degree),dq1 [Deg/s],dq2 [dps]\n{in_degrees}\n"
+        ),
         "unsorted": written("unsorted", "\n".join(shuffled) + "\n"),
         "no newline at the end": written("no newline", plain.removesuffix("\n")),
     }
@@ -165,6 +168,14 @@ def test_blank_cells_are_no_samples(tmp_path: Path) -> None:
     log = read(path, states, command)
     np.testing.assert_allclose(log["command.position"].values[:, 0], np.repeat(Q[::5, 0], 5)[: log.steps])
     np.testing.assert_allclose(log["joints.position"].values[:, 0], Q[: log.steps, 0], atol=1e-9)
+
+
+def test_blank_cells_are_not_reported_as_damage(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (tmp_path / "run.csv").write_text(
+        "time,q,u\n" + "".join(f"{0.01 * i:g},{i},{'' if i % 2 else i}\n" for i in range(99))
+    )
+    read(tmp_path / "run.csv", Signal("u", "", ("value",), columns={"value": ("u",)}))
+    assert not caplog.messages
 
 
 def test_ragged_lines_and_rows_without_a_time_are_dropped_and_counted(

@@ -28,14 +28,15 @@ START = "start_ns"
 _TIMES = ("time", "t", "timestamp", "stamp", "datetime", "date", "ts", "clock", "sec", "secs", "seconds")
 #: Unit of a time column -> nanoseconds.
 _NANOSECONDS = {"s": 1e9, "sec": 1e9, "seconds": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "ns": 1.0}
-#: Unit of any other column -> factor to SI; units that are not listed are taken as SI.
+#: Unit of any other column -> factor to SI, in any case of letters; others are taken as SI.
 _FACTORS: Mapping[str, float] = {
-    "deg": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0, "deg/s": np.pi / 180.0,
+    "deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0,
+    "deg/s": np.pi / 180.0, "deg/sec": np.pi / 180.0, "degrees/s": np.pi / 180.0, "dps": np.pi / 180.0,
     "°/s": np.pi / 180.0, "rpm": np.pi / 30.0, "mrad": 1e-3, "mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3,
     "mNm": 1e-3, "Ncm": 1e-2, "mA": 1e-3,
 }  # fmt: skip
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<]\s*([^\d\])}>][^\])}>]*?)\s*[\])}>]$")
-_SUFFIX = re.compile(r"^(.+)_(deg|ms|us|ns|rpm|mm)$")
+_SUFFIX = re.compile(r"^(.+)_(deg|ms|us|ns|rpm|mm)$", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,11 +72,15 @@ class TableFile:
         numbers = [column.kind in ("number", "array") for column in table.columns]
         counts = [column.count for column in table.columns]
         units = [unit_of(column.name) for column in table.columns]
-        self._factors = np.repeat([_FACTORS.get(unit, 1.0) for _, unit in units], counts)
+        self._factors = np.repeat([_factor(unit) for _, unit in units], counts)
         self._kept = np.repeat(numbers, counts)
+        names = [name for name, _ in units]
+        clock = clock_of(table.columns)
+        if clock is not None and not is_time(names[clock]):
+            names[clock] = table.columns[clock].name  # its unit says that it is the time
         fields = [
             [name, column.count if column.kind == "array" else None]
-            for (name, _), column, number in zip(units, table.columns, numbers, strict=True)
+            for name, column, number in zip(names, table.columns, numbers, strict=True)
             if number
         ]
         self.connections = [Connection(table.name, TYPE, ENCODING, json.dumps(fields), "")]
@@ -133,7 +138,12 @@ def _clock(path: Path, columns: Sequence[Column], rows: FloatArray) -> tuple[int
     place = sum(c.count for c in columns[:number])
     if columns[number].kind == "date":
         return place, 1.0
-    return place, _NANOSECONDS.get(unit_of(columns[number].name)[1]) or _guessed_unit(rows[:, place])
+    unit = unit_of(columns[number].name)[1].lower()
+    return place, _NANOSECONDS.get(unit) or _guessed_unit(rows[:, place])
+
+
+def _factor(unit: str) -> float:
+    return _FACTORS.get(unit, _FACTORS.get(unit.lower(), 1.0))
 
 
 def clock_of(columns: Sequence[Column]) -> int | None:
@@ -141,8 +151,8 @@ def clock_of(columns: Sequence[Column]) -> int | None:
     rank = {name: i for i, name in enumerate(_TIMES)}
     best: tuple[int, int] | None = None
     for i, column in enumerate(columns):
-        name, unit = unit_of(column.name)
-        plain = re.sub(r"[^a-z]", " ", name.lower().removesuffix(f"_{unit}")).split()
+        name, unit = map(str.lower, unit_of(column.name))
+        plain = re.sub(r"[^a-z]", " ", name.removesuffix(f"_{unit}")).split()
         found = [rank[word] for word in plain if word in rank]
         score = min(found) + 20 * (len(plain) > 1) if found else 50 if unit in _NANOSECONDS else None
         score = 100 if column.kind == "date" else score
