@@ -57,8 +57,8 @@ def topics_in(table: Topic, joints: Sequence[str], driven: Sequence[str], alone:
     named = "" if alone else table.name
     meanings = [m for column in table.entries if (m := _meaning(named, column)) is not None]
     head = named or "the table"
-    states = _topic(head, table, [m for m in meanings if not m.command], joints)
-    commands = _topic(f"{head} command", table, [m for m in meanings if m.command], joints)
+    states = _topic(head, table, [m for m in meanings if not m.command], joints, alone)
+    commands = _topic(f"{head} command", table, [m for m in meanings if m.command], joints, alone)
     if commands is None and states is not None and alone and driven and "effort" in states.columns:
         effort = {"effort": states.columns["effort"]}
         commands = replace(states, name=f"{head} command", quantities=("effort",), columns=effort)
@@ -108,7 +108,9 @@ def _meaning(table: str, column: str) -> _Meaning | None:
     )
 
 
-def _topic(name: str, table: Topic, meanings: Sequence[_Meaning], joints: Sequence[str]) -> Topic | None:
+def _topic(
+    name: str, table: Topic, meanings: Sequence[_Meaning], joints: Sequence[str], alone: bool
+) -> Topic | None:
     """The best columns of each quantity as one topic of joints, or None."""
     columns: dict[str, tuple[str, ...]] = {}
     names: tuple[str, ...] = ()
@@ -116,7 +118,7 @@ def _topic(name: str, table: Topic, meanings: Sequence[_Meaning], joints: Sequen
         own = [m for m in meanings if m.quantity == quantity]
         for kind in sorted({m.kind for m in own}):
             group = [m for m in own if m.kind == kind]
-            if named := _named(group, [m for m in own if m.rank == kind[0]], joints):
+            if named := _named(group, [m for m in own if m.rank == kind[0]], joints, alone):
                 names, columns[quantity] = named
                 break
     if not columns:
@@ -126,9 +128,12 @@ def _topic(name: str, table: Topic, meanings: Sequence[_Meaning], joints: Sequen
 
 
 def _named(
-    group: Sequence[_Meaning], alike: Sequence[_Meaning], joints: Sequence[str]
+    group: Sequence[_Meaning], alike: Sequence[_Meaning], joints: Sequence[str], alone: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]] | None:
-    """Names of joints and their columns: numbers count the model's joints, in its order."""
+    """Names of joints and their columns: numbers count the model's joints, in its order.
+
+    A column that names something else is that of a single joint only in a log of one table (`alone`).
+    """
     if len(group) == 1 and group[0].count:
         count, column = group[0].count, group[0].column
         if count == len(joints):
@@ -138,7 +143,7 @@ def _named(
     if by_name:
         return tuple(by_name), tuple(by_name.values())
     listed = all(re.search(r"\d", m.entry) or _LEROBOT.match(m.column) for m in group)
-    if len(group) == len(joints) and (len(joints) == 1 or listed):
+    if len(group) == len(joints) and (listed or (len(joints) == 1 and (alone or not group[0].entry))):
         ordered = sorted(group, key=lambda m: [int(n) for n in re.findall(r"\d+", m.column)])
         return tuple(joints), tuple(m.column for m in ordered)
     return None

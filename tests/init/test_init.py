@@ -477,9 +477,14 @@ ARM = """<mujoco><worldbody><body name="arm"><joint name="hinge"/><geom size="0.
 
 
 def test_numbers_without_positions_are_no_state_of_a_joint(tmp_path: Path) -> None:
-    """A battery's current and a switch are no joint, though the model has but one."""
+    """A battery's current, a switch and an accuracy are no joint, though the model has but one."""
     (tmp_path / "log").mkdir()
-    for name, column in (("battery", "current"), ("control_mode", "flag_force"), ("armed", "force_failsafe")):
+    for name, column in (
+        ("battery", "current"),
+        ("control_mode", "flag_force"),
+        ("armed", "force_failsafe"),
+        ("gps", "pos_accuracy"),
+    ):
         (tmp_path / "log" / f"{name}.csv").write_text(
             f"time,{column}\n" + "".join(f"{0.01 * i:g},{i % 2}\n" for i in range(50))
         )
