@@ -94,6 +94,12 @@ def convert(
     start_ns = min(int(part.stamps_ns[0]) for group in parts.values() for part in group)
     out.parent.mkdir(parents=True, exist_ok=True)
     if not out.suffix:
+        files: dict[str, str] = {}
+        for name in parts:
+            if (other := files.setdefault(table_name(name), name)) != name:
+                raise ConfigError(
+                    f"{out}: topics {other!r} and {name!r} would share a file; write .mcap or .csv"
+                )
         with filling(out) as folder:
             for name, group in parts.items():
                 write_csv(folder / f"{table_name(name)}.csv", joined(group), metadata, start_ns)

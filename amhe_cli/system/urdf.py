@@ -57,7 +57,8 @@ def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
     """Text of a URDF that MuJoCo reads, and the links whose shapes were all left out with the meshes.
 
     Raises:
-        ConfigError: It is no XML, xacro fails, or a mesh is missing or of a kind that MuJoCo cannot read.
+        ConfigError: It is no XML, xacro fails, a mass or inertia is no number, or a mesh is missing or of a
+            kind that MuJoCo cannot read.
     """
     source = _expanded(path, options) if path.suffix.lower() == ".xacro" else path.read_bytes()
     try:
@@ -84,7 +85,10 @@ def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
                 link.remove(shape)
         if before is not None and link.find("collision") is None:
             bare.append(link.get("name", ""))
-    mended = [link.get("name", "") for link in root.iter("link") if _mended(link)]
+    try:
+        mended = [link.get("name", "") for link in root.iter("link") if _mended(link)]
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
     if mended:
         logger.warning(
             "%s: no body has the inertia of link %s; the nearest possible one is used",
@@ -99,13 +103,22 @@ def _mended(link: ElementTree.Element) -> bool:
 
     The second moments of a body's mass along its principal axes are not negative: those of tr(I) / 2 - I.
     They are raised to those of a small cube.
+
+    Raises:
+        ConfigError: Its mass or inertia is no finite number.
     """
     element, weight = link.find("inertial/inertia"), link.find("inertial/mass")
     if element is None or weight is None:
         return False
-    mass, inertia = float(weight.get("value", 0.0)), np.zeros((3, 3))
-    for name, (row, column) in _INERTIA.items():
-        inertia[row, column] = inertia[column, row] = float(element.get(name, 0.0))
+    inertia = np.zeros((3, 3))
+    try:
+        mass = float(weight.get("value", 0.0))
+        for name, (row, column) in _INERTIA.items():
+            inertia[row, column] = inertia[column, row] = float(element.get(name, 0.0))
+    except ValueError as error:
+        raise ConfigError(f"link {link.get('name', '')!r}: its inertial: {error}") from None
+    if not np.isfinite([mass, *inertia.ravel()]).all():
+        raise ConfigError(f"link {link.get('name', '')!r}: its mass or inertia is not finite")
     moments, axes = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
     if moments[0] > 1e-9 * moments[2]:
         return False

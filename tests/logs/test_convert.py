@@ -61,6 +61,23 @@ def test_a_time_known_by_its_unit_is_no_value(name: str, tmp_path: Path) -> None
     assert b"Zeit" not in (tmp_path / name).read_bytes()
 
 
+def test_columns_may_have_any_name(tmp_path: Path) -> None:
+    head = "time [s],file,allow_pickle"
+    (tmp_path / "run.csv").write_text(head + "\n" + "".join(f"{0.02 * i:g},{i},{i}\n" for i in range(9)))
+    amhe.convert(tmp_path / "run.csv", tmp_path / "a.npz")
+    amhe.convert(tmp_path / "a.npz", tmp_path / "a.csv")
+    assert (tmp_path / "a.csv").read_text().startswith(head)
+
+
+def test_topics_that_would_share_a_file_are_refused(tmp_path: Path) -> None:
+    with amhe.LogWriter(tmp_path / "log.mcap") as log:
+        for topic in ("/a/b", "/a_b"):
+            log.joint_state(topic, 10**18, ["j"], np.zeros(1))
+    with pytest.raises(ConfigError, match="'a/b' and 'a_b' would share a file"):
+        amhe.convert(tmp_path / "log.mcap", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_a_folder_has_a_file_for_each_topic(made: Path) -> None:
     amhe.convert(made, made.with_name("folder"))
     assert sorted(path.name for path in made.with_name("folder").iterdir()) == [

@@ -170,6 +170,13 @@ def test_blank_cells_are_no_samples(tmp_path: Path) -> None:
     np.testing.assert_allclose(log["joints.position"].values[:, 0], Q[: log.steps, 0], atol=1e-9)
 
 
+def test_columns_of_the_same_name_are_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    rows = "".join(f"{0.01 * i:g},{i},{-i}\n" for i in range(99))
+    (tmp_path / "run.csv").write_text(f"time,q [mm],q [m]\n{rows}")
+    read(tmp_path / "run.csv", Signal("q", "", ("value",), columns={"value": ("q",)}))
+    assert any("several columns are called 'q'" in message for message in caplog.messages)
+
+
 def test_blank_cells_are_not_reported_as_damage(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     (tmp_path / "run.csv").write_text(
         "time,q,u\n" + "".join(f"{0.01 * i:g},{i},{'' if i % 2 else i}\n" for i in range(99))

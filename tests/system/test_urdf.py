@@ -185,6 +185,16 @@ def test_what_is_no_urdf_is_one_line(tmp_path: Path) -> None:
         read(written(tmp_path, "<robot"))
 
 
+@pytest.mark.parametrize(("mass", "ixx"), [("heavy", "1"), ("", "1"), ("1", "x"), ("1", "nan"), ("inf", "1")])
+def test_a_mass_or_inertia_that_is_no_number_is_one_line(mass: str, ixx: str, tmp_path: Path) -> None:
+    (tmp_path / "arm.urdf").write_text(
+        f'<robot name="arm"><link name="base"><inertial><mass value="{mass}"/>'
+        f'<inertia ixx="{ixx}" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link></robot>'
+    )
+    with pytest.raises(ConfigError, match=r"arm\.urdf: link 'base': its (mass or inertia|inertial)"):
+        read_spec(tmp_path / "arm.urdf", None)
+
+
 def test_the_library_takes_packages_and_meshes(tmp_path: Path) -> None:
     path = written(tmp_path / "urdf", robot(shape("package://parts/a.stl")))
     mesh_file(tmp_path / "elsewhere" / "a.stl")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,6 +84,12 @@ class TableFile:
             for name, column, number in zip(names, table.columns, numbers, strict=True)
             if number
         ]
+        counted = Counter(name for name, _ in fields)
+        several = [name for name, count in counted.items() if count > 1 and name]
+        if several:
+            self.problems.append(
+                f"several columns are called {listed(several)}: of these only the last is read"
+            )
         self.connections = [Connection(table.name, TYPE, ENCODING, json.dumps(fields), "")]
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:

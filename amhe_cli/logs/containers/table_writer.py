@@ -8,6 +8,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import ZipFile
 
 import numpy as np
 
@@ -72,11 +73,14 @@ def write_csv(path: Path, table: Columns, metadata: Mapping[str, str], start_ns:
 
 def write_npz(path: Path, table: Columns, metadata: Mapping[str, str], start_ns: int) -> None:
     """Write an .npz file of an array for each column; see `write_csv`."""
-    arrays = {_in_si(name): column for name, column in zip(table.names, table.values.T, strict=True)}
+    arrays = {_TIME: (table.stamps_ns - start_ns) / 1e9}
+    arrays |= {_in_si(name): column for name, column in zip(table.names, table.values.T, strict=True)}
     if text := _said(metadata, start_ns):
         arrays["amhe"] = np.array(text)
-    with whole(path) as file:
-        np.savez(file, allow_pickle=False, **{_TIME: (table.stamps_ns - start_ns) / 1e9}, **arrays)
+    with whole(path) as file, ZipFile(file, "w") as archive:  # np.savez allows no array called "file"
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, array, allow_pickle=False)
 
 
 def _said(metadata: Mapping[str, str], start_ns: int) -> str:
