@@ -30,14 +30,18 @@ def offered(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
     }
 
 
+#: Names of the bundled logs.
+EXAMPLES = {path.stem for path in (ROOT / "examples" / "logs").glob("*.mcap")}
+
+
 @pytest.mark.parametrize(
     ("words", "answers"),
     [
         (["ide"], {"identify"}),
         (["identify", "--max"], {"--max-time"}),
         (["identify", "x"], {"<file>"}),
-        (["identify", "exa"], {"example:t1", "example:t4", "example:pendulum"}),
-        (["identify", "example", ":"], {"t1", "t4", "pendulum"}),
+        (["identify", "exa"], {f"example:{name}" for name in EXAMPLES}),
+        (["identify", "example", ":"], EXAMPLES),
         (["identify", "example", ":", "pen"], {"pendulum"}),
         (["identify", "example:pen"], {"example:pendulum"}),  # a shell that does not cut
         (["identify", "--system", "pen"], {"<dir>", "pendulum"}),

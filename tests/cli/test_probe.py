@@ -164,7 +164,7 @@ def test_a_belief_about_another_system_is_refused(capsys, tmp_path_factory: pyte
     belief = tmp_path_factory.mktemp("belief") / "belief.yaml"
     belief.write_text(
         "schema_version: 1\nsystem: pendulum\nparameters:\n"
-        "- {name: load_mass, unit: kg, scale: log, estimate: 0.4}\ncovariance: [[0.01]]\n"
+        "- {name: box_mass, unit: kg, scale: log, estimate: 4.0}\ncovariance: [[0.01]]\n"
     )
     assert "pendulum" in refused(capsys, "--belief", str(belief))
 
