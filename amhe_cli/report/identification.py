@@ -173,7 +173,7 @@ def parameter_table(result: Identification) -> Table:
 
 
 def spread_line(spread: OwnSpread) -> str:
-    """The spread in words: 'friction: spread of its 4 values: 12 % (5 to 31 %) of their common mean'."""
+    """The spread in words: 'friction: spread of its 4 values about the common mean: 12 % (5 to 31 %)'."""
     count = f"{spread.name}: spread of its {len(spread.values)} values about the common mean"
     if spread.log:
         low, high = numbers.percent(spread.lower), numbers.percent(spread.upper)
