@@ -131,7 +131,7 @@ def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cy
     log = read_log(adaptive[0], system)
     options = RunOptions("t1", mode="adaptive", seed=5, settings=QUICK)
     window = Window(log, 60, 125)
-    start = belief_of(system.name, system.space, np.zeros(3), np.eye(3), {})
+    start = belief_of(system, np.zeros(3), np.eye(3))
     here = estimator_of(options, start).update(window, 1.0)
     worker = InProcess(partial(estimator_of, options, start), budget=1.0, patience=20.0, starting=60.0)
     try:

@@ -233,7 +233,7 @@ def test_a_window_of_few_steps_is_refused_and_one_without_samples_teaches_nothin
 
 def test_a_loaded_belief_can_still_move(cart) -> None:
     space = cart.space
-    belief = belief_of("cart", space, space.z_of(np.array([1.0, 4.0])), 1e-8 * np.eye(2), {})
+    belief = belief_of(cart, space.z_of(np.array([1.0, 4.0])), 1e-8 * np.eye(2))
     start = prior_of(space, belief, 0.2)
     assert space.theta_of(start.z) == pytest.approx([1.0, 4.0])
     assert start.sd == pytest.approx(space.in_z(0.2))

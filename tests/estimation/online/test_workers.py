@@ -33,7 +33,7 @@ class Puppet:
         if window == "fail":
             raise ValueError("no such window")
         space = SYSTEM.space
-        belief = belief_of("go1_push", space, np.full(3, self.count), np.eye(3), {})
+        belief = belief_of(SYSTEM, np.full(3, self.count), np.eye(3))
         nothing = np.zeros(3)
         theta = space.nominal + self.count
         return Estimate(at, theta, nothing, nothing, nothing, belief, "updated", 1.0, 1.0, 9, 0, 1.0)
