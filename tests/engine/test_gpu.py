@@ -105,6 +105,6 @@ def test_without_a_card_the_command_says_so_in_one_line(
 ) -> None:
     monkeypatch.setattr("warp.get_cuda_devices", list)
     log = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
-    assert run(["identify", str(log), "--engine", "gpu", "-o", str(tmp_path / "out")]) == 1
+    assert run(["identify", str(log), "--engine", "gpu", "-o", str(tmp_path / "out")]) == 2
     *_, line = capsys.readouterr().err.strip().splitlines()  # the first may be warp's own, of the driver
     assert line == "amhe identify: error: no graphics card that CUDA can use; take the engine 'cpu'"
