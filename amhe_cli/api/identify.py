@@ -22,7 +22,6 @@ from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.offline import identification
 from amhe_cli.estimation.offline.result import Fit, Identification, Iteration, ParameterResult
-from amhe_cli.estimation.offline.shared import about
 from amhe_cli.logs.truth import truth_in_metadata
 from amhe_cli.system.provenance import provenance
 from amhe_cli.system.system import System
@@ -67,7 +66,7 @@ class Result:
         Where logs had values of their own, it is about the value of the next log: their common mean, with
         their spread in its sd. A parameter that every log knew is not in it.
         """
-        return about(self.found.belief, self.system.space.names)
+        return self.found.belief.about(self.system.space.names)
 
     @property
     def fits(self) -> tuple[Fit, ...]:

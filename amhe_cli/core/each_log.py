@@ -132,14 +132,14 @@ def same_values(log: Log) -> tuple[object, ...]:
 def mistakes_of(
     known: Mapping[str, float], own: Iterable[str], space: ParameterSpace
 ) -> Iterator[tuple[tuple[str, ...], str]]:
-    """What is said of a log's parameters and a system does not allow.
+    """What a log states of its parameters and a system does not allow.
 
     Args:
         known, own: See `Log`.
         space: Parameters of the system.
 
     Yields:
-        Where it is said, such as ('known', 'gain') or ('own',), and what is wrong.
+        The place of the statement, such as ('known', 'gain') or ('own',), and what is wrong.
     """
     parameters = {p.name: p for p in space.parameters}
     for name, value in known.items():
@@ -155,7 +155,7 @@ def mistakes_of(
 
 
 def check_logs(logs: Sequence[Log], held_out: Sequence[Log], space: ParameterSpace) -> None:
-    """Refuse logs that say what the system does not allow.
+    """Refuse logs that state what the system does not allow.
 
     Raises:
         ConfigError: A name or value is wrong, or a held-out log lacks a value that every fitted log knows.

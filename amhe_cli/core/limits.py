@@ -1,7 +1,6 @@
 """How much a file may cost: the work on a hostile file is bounded, and real ones stay far below the bounds.
 
-with amhe.limit(topics=10_000):
-log = amhe.read_log("large.mcap", system)
+What is read within `with amhe.limit(topics=10_000):` has that limit in place of its default.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ of any parameter.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -271,17 +271,21 @@ class Belief:
         phi = np.random.default_rng(rng).multivariate_normal(middle, self.covariance, n, method="cholesky")
         return np.where(log, np.exp(np.where(log, phi, 0.0)), phi)
 
-    def without(self, names: Collection[str]) -> Belief:
-        """The belief about the other parameters, whatever the values of these."""
-        o = [i for i, name in enumerate(self.names) if name not in names]
+    def about(self, names: Iterable[str]) -> Belief:
+        """The belief about those of these parameters that it knows, in their order."""
+        rows = [self.names.index(name) for name in names if name in self.names]
         return replace(
             self,
-            names=tuple(self.names[i] for i in o),
-            units=tuple(self.units[i] for i in o),
-            log=tuple(self.log[i] for i in o),
-            estimate=self.estimate[o],
-            covariance=self.covariance[np.ix_(o, o)],
+            names=tuple(self.names[i] for i in rows),
+            units=tuple(self.units[i] for i in rows),
+            log=tuple(self.log[i] for i in rows),
+            estimate=self.estimate[rows],
+            covariance=self.covariance[np.ix_(rows, rows)],
         )
+
+    def without(self, names: Collection[str]) -> Belief:
+        """The belief about the other parameters, whatever the values of these."""
+        return self.about(name for name in self.names if name not in names)
 
     def given(self, values: Mapping[str, float]) -> Belief:
         """The belief about the other parameters where these have known values.

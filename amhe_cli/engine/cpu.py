@@ -18,6 +18,7 @@ from amhe_cli.engine.rollout import (
     Wanted,
     candidates_last,
     predicted_in_parts,
+    turns_of,
 )
 from amhe_cli.system.edits import ModelEdits
 
@@ -81,9 +82,8 @@ class CpuEngine:
         model, count, clips = self._model, len(theta), len(starts.lengths)
         row = model.nq + model.nv + model.nsensordata + starts.inputs.shape[2]
         at_once = max(1, RECORD_BYTES // (8 * row * starts.horizon))
-        if count * clips <= at_once:
+        if (turns := turns_of(count, clips, at_once)) == (1, 1):
             return self._predict(theta, starts, errors, wanted)
-        turns = -(-count // max(1, at_once // clips)), -(-clips // at_once)
         return predicted_in_parts(
             turns, theta, starts, errors, wanted,
             lambda parts: [candidates_last(self._predict(*part)) for part in parts],

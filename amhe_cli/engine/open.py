@@ -69,7 +69,7 @@ def _gpu_engine(
     """The engine on all cards of this computer.
 
     Raises:
-        ConfigError: mujoco-warp or a card is missing, or workers were asked for.
+        ConfigError: mujoco-warp or a card is missing, or workers were requested.
     """
     if executor is not None:
         raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")

@@ -201,6 +201,11 @@ def predicted_in_parts(
     return Predicted(tuple(np.moveaxis(v, -1, 0) for v in whole.values), whole.completed.T)
 
 
+def turns_of(count: int, clips: int, at_once: int) -> tuple[int, int]:
+    """Into how many parts to cut p candidates and c clips, so that a part has at most so many rollouts."""
+    return -(-count // max(1, at_once // clips)), -(-clips // at_once)
+
+
 def candidates_last(done: Predicted) -> Predicted:
     """A prediction with the candidates as the last axis.
 

@@ -1,4 +1,4 @@
-"""Data set files: logs, and what is to be said of each of them."""
+"""Data set files: logs, and what is known of each of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The main objects in a notebook: one line each, and logs of one name told apart."""
+"""The main objects in a notebook: one line each, and logs of one name are distinguished."""
 
 import numpy as np
 

@@ -21,6 +21,7 @@ from amhe_cli.engine.rollout import (
     Wanted,
     candidates_last,
     predicted_in_parts,
+    turns_of,
 )
 from amhe_cli.system.edits import ModelEdits
 
@@ -42,6 +43,8 @@ class GpuEngine:
         ConfigError: mujoco-warp cannot simulate the model.
     """
 
+    precision = float(np.finfo(np.float32).eps)
+
     def __init__(
         self,
         model: mujoco.MjModel,
@@ -53,8 +56,6 @@ class GpuEngine:
         self._blueprint, self._devices = Blueprint(model, edits, input_spec, sensors), tuple(devices)
         check_supported(self._blueprint, self._devices[0])
         self.cards = [Card(self._blueprint, device) for device in self._devices]
-
-    precision = float(np.finfo(np.float32).eps)
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
@@ -80,7 +81,8 @@ class GpuEngine:
         record = sum(8 * one.rows.shape[1] * len(one.columns) for one in wanted)
         at_once = self.cards[0].at_once(record)
         shared = cards if count * clips >= cards * LEAST else 1
-        turns = max(shared, -(-count // max(1, at_once // clips))), -(-clips // at_once)
+        by_candidate, by_clip = turns_of(count, clips, at_once)
+        turns = max(shared, by_candidate), by_clip
         if turns == (1, 1):
             return _in_order(self.cards[0].run(self.job(theta, starts, errors, wanted)), count)
         return predicted_in_parts(turns, theta, starts, errors, wanted, self._dealt)

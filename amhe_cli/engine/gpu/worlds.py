@@ -37,8 +37,6 @@ FULL = (
     | mjw.OverflowType.NARROWPHASE
     | mjw.OverflowType.CCD
 )
-
-
 #: Held while a job is prepared: graphs are captured, and warp's default device is one for all threads.
 PREPARING = Lock()
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.parameters import Belief, Parameter, ParameterSpace
+from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90, correlation
 from amhe_cli.estimation.offline.result import Identification, Iteration, OwnSpread, ParameterResult
 from amhe_cli.estimation.offline.verdicts import DETERMINED, NOTHING
@@ -144,7 +144,7 @@ def _with_mean(
     spread = OwnSpread(
         parameter.name, tuple(space.names[i] for i in members), middle, low, high, parameter.log
     )
-    told = replace(
+    widened = replace(
         found,
         parameters=tuple(results),
         belief=belief,
@@ -152,7 +152,7 @@ def _with_mean(
         iterations=tuple(_iteration(one, order, members, len(space)) for one in found.iterations),
         spreads=(*found.spreads, spread),
     )
-    return told, wider, group.variance * parameter.prior_sd**2
+    return widened, wider, group.variance * parameter.prior_sd**2
 
 
 def _mean_line(
@@ -195,16 +195,3 @@ def _iteration(one: Iteration, order: Sequence[int], members: Sequence[int], new
     """The record of an iteration with the values' mean in place of the common one."""
     mean = float(np.mean([one.theta[i] for i in members]))
     return replace(one, theta=tuple(mean if i == new else one.theta[i] for i in order))
-
-
-def about(belief: Belief, names: Sequence[str]) -> Belief:
-    """The part of a belief that is about some parameters, in their order."""
-    rows = [belief.names.index(name) for name in names if name in belief.names]
-    return replace(
-        belief,
-        names=tuple(belief.names[i] for i in rows),
-        units=tuple(belief.units[i] for i in rows),
-        log=tuple(belief.log[i] for i in rows),
-        estimate=belief.estimate[rows],
-        covariance=belief.covariance[np.ix_(rows, rows)],
-    )
