@@ -1,5 +1,6 @@
 """What several rooms' tests share: a small log of a pendulum whose parameters are known."""
 
+import os
 import shutil
 import signal
 from pathlib import Path
@@ -14,6 +15,10 @@ from amhe_cli.logs import LogWriter
 # A job in the background of a shell is started with SIGINT ignored, and hands that on to what it starts:
 # tests of Ctrl-C need the usual state.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# The width and the colours of the terminal that starts the tests are none of theirs.
+for variable in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR"):
+    os.environ.pop(variable, None)
 
 # What takes long on a busy machine is no failure.
 hypothesis.settings.register_profile("unhurried", deadline=None)
