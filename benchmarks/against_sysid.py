@@ -225,9 +225,9 @@ def judge(case: Case) -> Callable[[Sequence[FloatArray]], FloatArray]:
     cost = MatchingCost(case.system, windows, engine, case.system.settings.cost)
 
     def error(points: Sequence[FloatArray]) -> FloatArray:
-        z = np.stack(points)
-        found = 1e3 * cost.errors(z, "position").mean(axis=1)
-        return cost.costs(z) if np.isnan(found).all() else found
+        residuals = cost.residuals(np.stack(points))
+        found = 1e3 * cost.errors(residuals, "position").mean(axis=1)
+        return cost.costs_of(residuals) if np.isnan(found).all() else found
 
     return error
 

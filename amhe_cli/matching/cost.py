@@ -195,7 +195,10 @@ class MatchingCost:
 
     def costs(self, z: FloatArray, first: FloatArray | None = None) -> FloatArray:
         """Cost of candidates z (p, d), shape (p,); inf where any clip diverged."""
-        residuals = self.residuals(z, first)
+        return self.costs_of(self.residuals(z, first))
+
+    def costs_of(self, residuals: Residuals) -> FloatArray:
+        """Costs (p,) of the candidates with these residuals; inf where any clip diverged."""
         cost = trimmed_mean(self.clip_costs(residuals), self.settings.trim)
         return np.where(residuals.completed.all(axis=1), cost, np.inf)
 
@@ -205,14 +208,13 @@ class MatchingCost:
         clip_costs = self.clip_costs(Residuals(values, residuals.completed))
         return trimmed_mean(clip_costs, self.settings.trim)
 
-    def errors(self, z: FloatArray, quantity: str) -> FloatArray:
+    def errors(self, residuals: Residuals, quantity: str) -> FloatArray:
         """Distance [m] or angle [rad] between prediction and measurement, mean over time; (p, clips).
 
         Args:
-            z: Candidates, shape (p, d).
+            residuals: Residuals of p candidates.
             quantity: 'position' or 'orientation' of bodies; NaN where the system measures none.
         """
-        residuals = self.residuals(z)
         total = np.zeros(residuals.completed.shape)
         count = np.zeros(len(self.clips.windows))
         for observed, values in zip(self.clips.observed, residuals.values, strict=True):

@@ -114,8 +114,9 @@ def test_errors_are_distances_and_angles():
     old = shifted["cube.position"]
     shifted["cube.position"] = Series(far, old.valid, old.sampled, old.columns)
     matching = cost([Window(Log(log.dt, shifted, "far"), 0, 100)])
-    assert matching.errors(np.zeros((1, 4)), "position")[0, 0] == pytest.approx(0.005, abs=1e-9)
-    assert matching.errors(np.zeros((1, 4)), "orientation")[0, 0] == pytest.approx(0.0, abs=1e-9)
+    residuals = matching.residuals(np.zeros((1, 4)))
+    assert matching.errors(residuals, "position")[0, 0] == pytest.approx(0.005, abs=1e-9)
+    assert matching.errors(residuals, "orientation")[0, 0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_arrival_cost_is_the_quadratic_form():

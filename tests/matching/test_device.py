@@ -110,9 +110,11 @@ def test_the_device_of_these_tests_refuses_numpy() -> None:
 def test_costs_are_the_same_and_are_numpys() -> None:
     z = np.array([[0.0] * 4, [-0.5, 0.3, 0.2, 0.0]])
     host, device = both()
-    for costs in zip(
-        *((cost.costs(z), cost.errors(z, "orientation")) for cost in (host, device)), strict=True
-    ):
+    here, there = (
+        (cost.costs_of(residuals), cost.errors(residuals, "orientation"))
+        for cost, residuals in ((cost, cost.residuals(z)) for cost in (host, device))
+    )
+    for costs in zip(here, there, strict=True):
         assert all(isinstance(values, np.ndarray) for values in costs)
         np.testing.assert_array_equal(*costs)
     assert isinstance(device.residuals(z).stacked, DeviceArray)

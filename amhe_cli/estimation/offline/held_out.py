@@ -96,8 +96,9 @@ def validate(problem: Problem, windows: Sequence[Window], finding: Finding) -> H
     if not windows:
         return None
     cost = problem.cost(windows)
-    z = np.stack((finding.z, np.zeros_like(finding.z)))
-    costs, position, orientation = cost.costs(z), cost.errors(z, "position"), cost.errors(z, "orientation")
+    residuals = cost.residuals(np.stack((finding.z, np.zeros_like(finding.z))))
+    costs = cost.costs_of(residuals)
+    position, orientation = (cost.errors(residuals, quantity) for quantity in ("position", "orientation"))
     return HeldOut(
         clips=len(windows),
         cost=float(costs[0]),
