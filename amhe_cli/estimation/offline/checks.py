@@ -15,7 +15,9 @@ from amhe_cli.core.arrays import BoolArray
 from amhe_cli.core.each_log import acting
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.estimation.core.information import channel_times, split
 from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.fits import clip_name
 from amhe_cli.estimation.offline.posterior import (
     Disagreement,
     FinalFit,
@@ -28,6 +30,7 @@ from amhe_cli.estimation.offline.posterior import (
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, share, size
+from amhe_cli.matching.cost import Residuals
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -159,6 +162,32 @@ def unexplained(system: System, fit: FinalFit) -> tuple[str, ...]:
                 f"noise: {{{quantity}: {scale * noise[key]:.2g}}}"
             )
     return tuple(found)
+
+
+def left_out(fit: FinalFit) -> tuple[str, ...]:
+    """Clips that `cost.trim` leaves out and that contradict the values: the others may agree on a wrong one.
+
+    Such a clip is missed by MISSED times the noise that the others show, and not by noise of its own.
+    """
+    cost, found = fit.slopes.cost, []
+    values = split(cost, fit.found.residual)
+    losses = cost.losses(Residuals(tuple(v[None] for v in values), fit.slopes.completed[None]))
+    for i in np.flatnonzero((fit.weight == 0.0) & fit.slopes.completed):
+        times = channel_times(cost, fit.found.residual, np.arange(len(fit.weight)) == i)
+        for observed, loss, time in zip(cost.clips.observed, losses, times, strict=True):
+            count = max(int(observed.mask[i].sum()), 1) * observed.width
+            missed = float(np.sqrt(loss[0, i] / count))
+            if missed > MISSED and time >= WHITE:
+                found.append((missed, observed.channel.key, clip_name(cost.clips.windows[i])))
+    if not found:
+        return ()
+    missed, key, clip = max(found)
+    others = len({clip for _, _, clip in found}) - 1
+    more = f" (and so {others} more)" if others else ""
+    return (
+        f"the model misses {key} of {clip} by {missed:.0f} times the noise of other clips{more}, and "
+        f"`cost.trim` leaves it out: if nothing else happened there, the others agree on wrong values",
+    )
 
 
 def _misfits(fit: FinalFit) -> dict[str, tuple[float, bool]]:

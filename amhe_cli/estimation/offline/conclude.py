@@ -16,6 +16,7 @@ from amhe_cli.estimation.offline.bodies import body_numbers
 from amhe_cli.estimation.offline.checks import (
     REFITS,
     disagreements,
+    left_out,
     report_drift,
     report_misfit,
     report_unsettled,
@@ -71,10 +72,10 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     system = problem.system
     watch.enter("covariance")
     fit = final_fit(problem, finding, watch)
-    held_out, against = validate(problem, validation, finding), ()
+    held_out, against = validate(problem, validation, finding), left_out(fit)
     if held_out and watch.allows("held-out clips from fitted first states", problem.linearisation):
         judged = judge(problem, validation, fit)
-        against = judged.against
+        against = (*against, *judged.against)
         held_out = replace(
             held_out,
             fitted_cost=judged.cost,
@@ -82,11 +83,11 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
             noise_scale=judged.noise_scale,
             errors=judged.errors,
         )
-        for text in judged.against:
-            logger.warning(
-                f"{text}: no value is called identified; compare measured with predicted in the report, "
-                f"and free what the model may lack"
-            )
+    for text in against:
+        logger.warning(
+            f"{text}: no value is called identified; compare measured with predicted in the report, "
+            f"and free what the model may lack"
+        )
     evidence = _evidence(problem, finding, fit, against, watch)
     watch.report_skipped()
     watch.enter("figures")

@@ -44,14 +44,12 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
         zero = measured[0]
         measured, initial, identified = (_turn(zero, q) for q in (measured, initial, identified))
         columns = ("x", "y", "z")
-    dt = window.log.dt
-    name = Path(window.log.source).name
     return Fit(
-        clip=f"{name} {window.start * dt:.2f}-{window.stop * dt:.2f} s",
+        clip=clip_name(window),
         channel=observed.channel.key,
         unit="rad" if observed.channel.kind == "rotation" else observed.channel.unit,
         columns=tuple(columns),
-        time=(observed.rows[i, keep] + 1) * dt,
+        time=(observed.rows[i, keep] + 1) * window.log.dt,
         measured=measured,
         initial=initial,
         identified=identified,
@@ -59,6 +57,12 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
         noise=observed.noise,
         held_out=held_out,
     )
+
+
+def clip_name(window: Window) -> str:
+    """Which clip of which log it is: 'push.mcap 0.80-1.60 s'."""
+    dt = window.log.dt
+    return f"{Path(window.log.source).name} {window.start * dt:.2f}-{window.stop * dt:.2f} s"
 
 
 def _turn(zero: FloatArray, q: FloatArray) -> FloatArray:

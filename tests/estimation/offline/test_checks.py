@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 
@@ -9,17 +10,21 @@ import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.core.log import Log, Series
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import search
-from amhe_cli.estimation.offline.checks import suspects
+from amhe_cli.estimation.offline.checks import left_out, suspects
 from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.offline.conclude import PARTS, conclude
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.posterior import final_fit
 from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.shifts import allowed, shifts_of
 from amhe_cli.estimation.offline.verdicts import Shift
+from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.system.system import System
-from tests.estimation.offline.conftest import CHEAP
+from tests.estimation.offline.conftest import CHEAP, TRUTH
 from tests.estimation.offline.test_identification import fall
 
 
@@ -73,6 +78,43 @@ def test_a_search_is_unsettled_only_while_its_cost_still_falls(caplog, pendulum,
     settings = pendulum.settings.model_copy(update={"identify": hasty})
     identify(replace(pendulum, settings=settings), [swing(3.0)], None, IdentifyOptions())
     assert "before it settled" in caplog.text
+
+
+def changed(log: Log, key: str, change: Callable[[np.ndarray], np.ndarray]) -> Log:
+    """The log with other values of one series between 2.45 and 2.9 s, within its fifth clip of 0.6 s."""
+    old, time = log[key], np.arange(log.steps) * log.dt
+    values = np.where(((time > 2.45) & (time < 2.9))[:, None], change(old.values), old.values)
+    return Log(log.dt, {**log.series, key: Series(values, old.valid, old.sampled, old.columns)}, "swing")
+
+
+def at_truth(pendulum: System, log: Log) -> tuple[Problem, SearchState]:
+    """A search of a log that has found the truth."""
+    pool = ClipPool(pendulum, [whole(log)], pendulum.settings.clips)
+    problem = Problem(pendulum, pool, open_engine(pendulum), 0)
+    return problem, search.restart(problem, pendulum.space.z_of(TRUTH))
+
+
+def test_a_clip_that_is_left_out_and_contradicts_the_others_speaks_against_every_value(
+    pendulum, swing, caplog
+) -> None:
+    problem, found = at_truth(pendulum, changed(swing(6.2), "command.position", np.negative))
+    watch = Watch(lambda record, total: None, None, PARTS)
+    watch.interrupted = True  # no other check
+    result = conclude(problem, found, [], watch)
+    assert {p.verdict for p in result.parameters} == {"model-sensitive"}
+    (reason,) = result.unexplained
+    assert "of swing 2.40-3.00 s by" in reason and "`cost.trim` leaves it out" in reason
+    assert f"{reason}: no value is called identified" in caplog.text
+
+
+def test_noise_in_a_clip_that_is_left_out_is_no_contradiction(pendulum, swing) -> None:
+    """Sensors that show ten times their noise for a while, and a right model."""
+    rng = np.random.default_rng(3)
+    log = changed(swing(6.2), "joints.position", lambda values: values + rng.normal(0.0, 0.02, values.shape))
+    problem, found = at_truth(pendulum, log)
+    fit = final_fit(problem, found)
+    assert [problem.clips[i].start * log.dt for i in np.flatnonzero(fit.weight == 0.0)] == [2.4]
+    assert left_out(fit) == ()
 
 
 #: Two hinges, each with a motor.
