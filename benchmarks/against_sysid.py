@@ -206,6 +206,7 @@ def _whitening(sysid, system: System):
             found, real = state[rows][:, [1 + c for c in columns]], measured.data[:, columns]
             rotation = channel.kind == "rotation"
             difference = rotations.difference(found, real) if rotation else found - real
+            assert channel.noise is not None
             parts.append(difference / channel.noise)
         return np.concatenate(parts, axis=1), measured, measured
 
@@ -279,7 +280,7 @@ def compare(name: str, case: Case, repetitions: int) -> list[tuple[str, ...]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--case", nargs="+", choices=tuple(CASES), default=list(CASES))
     parser.add_argument("--repetitions", type=int, default=5)
     parser.add_argument("--quick", action="store_true", help="one repetition")

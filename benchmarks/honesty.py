@@ -91,7 +91,7 @@ def reasons(trials: Sequence[dict[str, Any]]) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--problems", default=",".join(NAMES), help="names, with commas between")
     parser.add_argument("--workers", type=int, default=2)
