@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from amhe_cli.core.errors import Ending
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.link.link import SenderReport
     from amhe_cli.robots.go1.link.open import WireOptions
     from amhe_cli.robots.go1.run import Run, RunOptions
 
@@ -100,8 +101,10 @@ def dry_run(session: Session, run: Run) -> None:
 def ready(target: Any, session: Session) -> Iterator[None]:
     """A target that waits for plans; a robot has stood up by then, and is let down in the end.
 
+    What stopped it is written before it is let down, which takes seconds.
+
     Raises:
-        StoppedError: A trip, or the operator, came before it stood ready.
+        StoppedError, OperatorStopError: A trip, or the operator, came before it stood ready.
         LinkError, PoseError: Something is not as it should be.
     """
     from amhe_cli.live.target import SimTarget
@@ -112,8 +115,29 @@ def ready(target: Any, session: Session) -> Iterator[None]:
     with _unseen_keys(), target:
         for name, value in target.check().items():
             session.say("", f"{name}: {value}")
-        target.begin(lambda text: session.say("", text))
-        yield
+        try:
+            target.begin(lambda text: session.say("", text))
+            yield
+        finally:
+            if target.report.trip:
+                _say_stop(session, target.report)
+
+
+def _say_stop(session: Session, report: SenderReport) -> None:
+    from amhe_cli.robots.go1.link.mail import Phase
+
+    sits = report.phase in (Phase.PAUSE, Phase.SIT)
+    then = "the robot sits down, then its motors are damped" if sits else "motors are damped"
+    session.say("error" if said(report.stop) else "", f"{report.stop}; {then}")
+
+
+def said(error: Exception | None) -> bool:
+    """Whether an error is a trip of the robot, of which the user has read when it came."""
+    if error is None:
+        return False
+    from amhe_cli.robots.go1.link.link import StoppedError
+
+    return isinstance(error, StoppedError)
 
 
 def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
@@ -122,7 +146,7 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
     Raises:
         LinkError, PoseError: Before anything moved.
     """
-    from amhe_cli.core.errors import AmheError, Ending
+    from amhe_cli.core.errors import AmheError, Ending, OperatorStopError
 
     try:
         with ready(target, session):
@@ -130,7 +154,7 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
     except AmheError as error:
         if not target.begun:
             raise
-        return Ending(interrupted=True) if _by_signal(target) else Ending(error=error)
+        return Ending(interrupted=True) if isinstance(error, OperatorStopError) else Ending(error=error)
 
 
 def attendant(
@@ -140,25 +164,16 @@ def attendant(
 
     @contextmanager
     def attend(target: Any, recorder: Recorder, history: History) -> Iterator[None]:
-        from amhe_cli.robots.go1.link.link import StoppedError
+        from amhe_cli.core.errors import OperatorStopError
 
         try:
             with ready(target, session):
                 yield
-        except StoppedError:
-            if _by_signal(target):
-                raise KeyboardInterrupt from None
-            raise
+        except OperatorStopError:
+            raise KeyboardInterrupt from None
         link.update(link_record(target, recorder, history))
 
     return attend
-
-
-def _by_signal(target: Any) -> bool:
-    """Whether it was Ctrl-C, or the like, that ended it: no error."""
-    from amhe_cli.robots.go1.link.target import SIGNALS
-
-    return target.report.reason in SIGNALS
 
 
 def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, Any]:

@@ -134,7 +134,8 @@ def probe(
     elif (folder / LOG).exists():
         own = "" if opened.system.folder in bundled_systems().values() else f" --system {system}"
         print_achieved(record, f"amhe identify {folder / LOG}{own}", session.console())
-    if error:
+    session.failed = at_the_robot.said(error)
+    if error and not session.failed:
         raise error
 
 

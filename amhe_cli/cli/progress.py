@@ -21,31 +21,36 @@ PLAIN_PERIOD = 5.0
 
 
 @contextmanager
-def progress(session: Session, title: str, shown: Callable[[T], Shown]) -> Iterator[Callable[[T], None]]:
+def progress(
+    session: Session, title: str, shown: Callable[[T], Shown], stays: bool = False
+) -> Iterator[Callable[[T], None]]:
     """Give a function that shows each item as the session wants it shown.
 
     Args:
         session: The session of the command.
         title: What stands before the bar.
         shown: What is shown of an item.
+        stays: The last state stays on the terminal in the end.
     """
     console = session.console(stderr=True)
     if session.quiet:
         yield lambda item: None
     elif console.is_terminal:
-        with _bar(console, title, shown) as show:
+        with _bar(console, title, shown, stays) as show:
             yield show
     else:
         yield _lines(session, shown)
 
 
 @contextmanager
-def _bar(console: Console, title: str, shown: Callable[[T], Shown]) -> Iterator[Callable[[T], None]]:
+def _bar(
+    console: Console, title: str, shown: Callable[[T], Shown], stays: bool
+) -> Iterator[Callable[[T], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     text = TextColumn("{task.fields[state]}", markup=False)
     columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), text, TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as bars:
+    with Progress(*columns, console=console, transient=not stays) as bars:
         task = bars.add_task(title, total=None, state="")
 
         def show(item: T) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +17,7 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
     from amhe_cli.cli.settings import Overrides
+    from amhe_cli.core.errors import Ending
 
 _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
@@ -124,17 +124,20 @@ def run(
     with stopping(session) as stopped, filling(folder) as scratch:
         with ExitStack() as stack:
             recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap"))
-            show = stack.enter_context(progress(session, f"{task} {mode}", _shown()))
             shoot = (
                 stack.enter_context(film.shooting(scratch / "video.mp4", later=realtime)) if film else None
             )
 
-            def on_cycle(cycle: object, row: dict[str, float]) -> None:
-                show(row)
-                if shoot and opened.plant:
-                    shoot(row["time"], opened.plant.qpos)
+            def go() -> Ending:
+                with progress(session, f"{task} {mode}", _shown(), stays=opened.plant is None) as show:
 
-            go = partial(drive, opened.episode, recorder, history, stopped, on_cycle)
+                    def on_cycle(cycle: object, row: dict[str, float]) -> None:
+                        show(row)
+                        if shoot and opened.plant:
+                            shoot(row["time"], opened.plant.qpos)
+
+                    return drive(opened.episode, recorder, history, stopped, on_cycle)
+
             ending = at_the_robot.attended(opened.target, session, go)
             link = at_the_robot.link_record(opened.target, recorder, history)
         session.interrupted = ending.interrupted
@@ -162,6 +165,9 @@ def run(
         session.print_json(record)
     else:
         print_run(record, opened.task.title, folder, session.console())
+    if at_the_robot.said(error):
+        session.failed = True
+        return
     if error:
         raise error
     tone, text = verdict(record)

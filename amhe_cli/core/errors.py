@@ -29,6 +29,10 @@ class SimulationError(AmheError):
     """The simulator refused to run."""
 
 
+class OperatorStopError(AmheError):
+    """Whoever watches a robot has stopped it: no fault, and what was recorded is kept."""
+
+
 @dataclass(frozen=True, slots=True)
 class Ending:
     """How a run or a probe ended; what it recorded is kept in any case.

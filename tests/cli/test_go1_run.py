@@ -15,15 +15,17 @@ import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from unittest.mock import Mock
+from unittest.mock import MagicMock, Mock
 
 import numpy as np
 import pytest
 
 from amhe_cli.cli import at_the_robot
 from amhe_cli.cli.main import run
+from amhe_cli.cli.session import Session
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.link.link import SenderReport, StoppedError
+from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.poses.feed import KINDS
 from tests.robots.go1.emulator.emulating import Emulated, emulating
 from tests.robots.go1.poses.streaming import free_port
@@ -115,7 +117,7 @@ def test_a_fault_damps_fails_and_keeps_a_readable_log(hot: float, ran: bool, cap
     pytest.importorskip("natnet")
     with emulating("--slow", "2", "--fault", f"hot={hot}") as emulated:
         assert run([*at(emulated), "-o", "out"]) == 1
-    assert "deg C hot" in capsys.readouterr().err
+    assert capsys.readouterr().err.count("deg C hot") == 1
     record = json.loads(Path("out/result.json").read_text())
     assert record["link"]["trip"] == "temperature"
     assert not survey(Path("out/log.mcap")).problems
@@ -124,20 +126,51 @@ def test_a_fault_damps_fails_and_keeps_a_readable_log(hot: float, ran: bool, cap
         assert Path("out/report.html").exists()
 
 
+KEY = SenderReport(Phase.DAMP, "order", "key")
+HOT = SenderReport(Phase.DAMP, "temperature", "FR_hip_joint is 76 deg C hot")
+LATE = SenderReport(Phase.PAUSE, "plan_lost", "no plan for 92 ms")
+
+
 @pytest.mark.parametrize(
-    ("reason", "begun", "ending"),
-    [("SIGINT", True, (True, None)), ("key", True, (False, "stopped")), ("key", False, None)],
+    ("report", "begun", "ending"),
+    [
+        (KEY, True, (True, None)),
+        (HOT, True, (False, "trip temperature: FR_hip_joint is 76 deg C hot")),
+        (HOT, False, None),
+    ],
 )
-def test_a_robot_that_is_stopped_on_the_way_has_an_ending(monkeypatch, reason, begun, ending) -> None:
-    error = StoppedError("stopped")
-    monkeypatch.setattr(at_the_robot, "ready", Mock(side_effect=error))
-    target = Mock(begun=begun, report=SenderReport(reason=reason))
+def test_a_robot_that_is_stopped_on_the_way_has_an_ending(monkeypatch, report, begun, ending) -> None:
+    monkeypatch.setattr(at_the_robot, "ready", Mock(side_effect=report.stop))
+    target = Mock(begun=begun, report=report)
     if ending is None:
         with pytest.raises(StoppedError):
             at_the_robot.attended(target, Mock(), Mock())
         return
     found = at_the_robot.attended(target, Mock(), Mock())
     assert (found.interrupted, found.error and str(found.error)) == ending
+
+
+@pytest.mark.parametrize(
+    ("report", "line"),
+    [
+        (
+            LATE,
+            "error: trip plan_lost: no plan for 92 ms; the robot sits down, then its motors are damped",
+        ),
+        (HOT, "error: trip temperature: FR_hip_joint is 76 deg C hot; motors are damped"),
+        (KEY, "stopped by the operator: key; motors are damped"),
+        (SenderReport(Phase.DAMP, "remote", "L2+B"), "stopped by the operator: L2+B; motors are damped"),
+        (SenderReport(Phase.RUN), None),
+    ],
+)
+def test_what_stopped_a_robot_is_said_before_it_is_let_down(capsys, report, line) -> None:
+    before: list[str] = []
+    target = MagicMock(report=report)
+    target.check.return_value = {}
+    target.__exit__ = Mock(side_effect=lambda *_: before.append(capsys.readouterr().err), return_value=None)
+    with at_the_robot.ready(target, Session()):
+        pass
+    assert before == ["" if line is None else f"amhe: {line}\n"]
 
 
 @pytest.mark.slow
@@ -224,8 +257,9 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
             read_until(process, "from the goal")
             os.write(keys, b" ")
             stderr = process.communicate(timeout=60)[1]
-    assert process.returncode == 1
-    assert "stopped, damp: key" in stderr
+    assert process.returncode == 130
+    assert "stopped by the operator: key; motors are damped" in stderr
+    assert "error" not in stderr
     record = json.loads(Path("out/result.json").read_text())
     assert (record["link"]["trip"], record["link"]["reason"]) == ("order", "key")
     assert not survey(Path("out/log.mcap")).problems

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Any
 
-from amhe_cli.core.errors import AmheError
+from amhe_cli.core.errors import AmheError, OperatorStopError
 from amhe_cli.robots.go1.link import mail
 from amhe_cli.robots.go1.link.child import Child
 from amhe_cli.robots.go1.link.clock import Clock
@@ -29,6 +29,10 @@ _ENOUGH, _SHARE = 200, 0.8
 _HIGH_LEVEL = 1087
 #: Longest time for the start of a process, and time between two checks whether it has started [s].
 _START, _STEP = 20.0, 0.005
+
+
+#: What the operator stops a run with, as the sender names it.
+_OPERATOR = ("key", "the terminal is gone", "SIGINT", "SIGTERM", "SIGHUP")
 
 
 class StoppedError(AmheError):
@@ -48,6 +52,13 @@ class SenderReport:
     robot: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     unfit: str = ""
+
+    @property
+    def stop(self) -> AmheError:
+        """Why the run ended before its end, as an error to raise."""
+        if self.trip == "remote" or self.reason in _OPERATOR:
+            return OperatorStopError(f"stopped by the operator: {self.reason}")
+        return StoppedError(f"trip {self.trip}: {self.reason}" if self.trip else "the run was ended")
 
 
 class Link:
@@ -127,10 +138,10 @@ class Link:
         """Whether the sender has reached a phase.
 
         Raises:
-            StoppedError: A trip ended the run before that.
+            StoppedError, OperatorStopError: A trip, or the operator, ended the run before that.
         """
         if self._poll().phase > phase:
-            raise StoppedError(f"stopped: {self.report.reason or 'the run was ended'}")
+            raise self.report.stop
         return self.report.phase == phase
 
     def play(self, plan: Targets, pose_time: float) -> None:
@@ -211,7 +222,7 @@ class Link:
         if report.trip == "error":
             raise LinkError(report.reason)
         if report.phase != Phase.CONNECT:
-            raise StoppedError(f"stopped: {report.reason}")
+            raise report.stop
         if not states and contact.get("strange"):
             raise LinkError(_strange(where, contact["strange_size"]))
         if not states and report.refused:

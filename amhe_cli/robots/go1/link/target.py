@@ -20,7 +20,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.link import Link, SenderReport, StoppedError
+from amhe_cli.robots.go1.link.link import Link, SenderReport
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
@@ -40,8 +40,6 @@ _OWN = {
     "imu.linear_acceleration": ("accelerometer", 3),
     "command.position": ("targets", 12),
 }
-#: Signals of the operating system that end a run; their sender knows why.
-SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class Go1Target:
@@ -138,7 +136,7 @@ class Go1Target:
             say: Called with each message to the operator.
 
         Raises:
-            StoppedError: A trip or the operator ended the run before that.
+            StoppedError, OperatorStopError: A trip, or the operator, ended the run before that.
             PoseError: Box or poses have changed since they were checked.
         """
         self.begun = True
@@ -184,7 +182,7 @@ class Go1Target:
         """See `Target`.
 
         Raises:
-            StoppedError: A trip ended the run.
+            StoppedError, OperatorStopError: A trip, or the operator, ended the run.
             LinkError, PoseError: A process of the link or of the poses has died.
         """
         self._sleep_to_the_next_period()
@@ -214,9 +212,8 @@ class Go1Target:
         self._clock.sleep_until(self._start + self._time)
 
     def _check_phase(self) -> None:
-        report = self.report
-        if report.phase > Phase.RUN and report.reason not in SIGNALS:
-            raise StoppedError(f"stopped, {report.phase.name.lower()}: {report.reason}")
+        if self.report.phase > Phase.RUN:
+            raise self.report.stop
 
     # -- what comes in --------------------------------------------------------------------------------
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.control.controller import Plan
+from amhe_cli.core.errors import OperatorStopError
 from amhe_cli.core.rotations import exp
 from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
@@ -170,7 +171,7 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
         else:
             puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"select"})).raw())
             message = "remote control"
-        with pytest.raises(StoppedError, match=message):
+        with pytest.raises((StoppedError, OperatorStopError), match=message):
             for _ in range(200):
                 plan = Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
                 time, _ = exchange(target, plan)
