@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from amhe_cli.api.estimator import Estimator
+    from amhe_cli.api.export import export
     from amhe_cli.api.identify import Result, identify
     from amhe_cli.api.runs import probe, run
     from amhe_cli.core.errors import AmheError
@@ -36,6 +37,7 @@ _HOMES = {
     "Result": "amhe_cli.api.identify",
     "System": "amhe_cli.system.system",
     "convert": "amhe_cli.logs.convert",
+    "export": "amhe_cli.api.export",
     "identify": "amhe_cli.api.identify",
     "limit": "amhe_cli.core.limits",
     "probe": "amhe_cli.api.runs",
@@ -54,6 +56,7 @@ __all__ = [
     "System",
     "__version__",
     "convert",
+    "export",
     "identify",
     "limit",
     "probe",

@@ -20,6 +20,7 @@ from amhe_cli.cli.calibrate import calibrate
 from amhe_cli.cli.convert import convert
 from amhe_cli.cli.emulate import emulate
 from amhe_cli.cli.eval import evaluate
+from amhe_cli.cli.export import export
 from amhe_cli.cli.identify import identify
 from amhe_cli.cli.init import init
 from amhe_cli.cli.inspect import inspect
@@ -35,7 +36,9 @@ def amhe() -> None:
     """Physical parameters of robots and what they push, from their logs, with honest uncertainty."""
 
 
-for _command in (init, inspect, convert, probe, identify, mhe_replay, run_task, evaluate, emulate, calibrate):
+for _command in (
+    init, inspect, convert, probe, identify, export, mhe_replay, run_task, evaluate, emulate, calibrate,
+):  # fmt: skip
     amhe.add_command(_command)
 
 

@@ -23,13 +23,11 @@ _CALIBRATED = ("qpos0", "qpos_spring", "jnt_range")
 _FILES = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "texture": "texturedir"}
 
 
-def identified_xml(system: System, theta: FloatArray) -> str:
-    """MJCF text of the system's model with parameters theta (d,) in it.
+def identified_spec(system: System, theta: FloatArray) -> mujoco.MjSpec:
+    """Spec of the system's model as it was given, with parameters theta (d,) in it.
 
-    Numbers have the six digits that MuJoCo writes. Sensors, sites and actuators that amhe added are not
-    in it; a comment lists the parameters, and is the only place where a command delay and the calibration of
-    signals stand. Files
-    are referred to as `assets/...` only: copy those that `identified_assets` names beside the text.
+    Sensors, sites and actuators that amhe added are not in it; nor are a command delay and the calibration of
+    signals, which belong to the log.
     """
     spec = system.original.copy()
     compiled(spec)  # gives every element its row in the compiled model
@@ -39,7 +37,19 @@ def identified_xml(system: System, theta: FloatArray) -> str:
         calibrated = field in _CALIBRATED or (field.startswith("actuator_") and row >= len(spec.actuators))
         if field not in _INERTIAL and not calibrated:
             _write(spec, model, field, row)
-    spec.comment = _comment(system, theta)
+    return spec
+
+
+def identified_xml(system: System, theta: FloatArray) -> str:
+    """MJCF text of `identified_spec`.
+
+    Numbers have the six digits that MuJoCo writes. A comment lists the parameters, and is the only place
+    where a command delay and the calibration of signals stand. Files are referred to as `assets/...` only:
+    copy those that `identified_assets` names beside the text.
+    """
+    spec = identified_spec(system, theta)
+    spec.comment = "; ".join((f"identified by amhe, system {system.name}", *values_of(system, theta)))
+    spec.comment = spec.comment.replace("--", "- -")
     return portable(spec, Path(spec.modelfiledir))[0]
 
 
@@ -50,11 +60,11 @@ def identified_assets(system: System) -> dict[str, Path]:
     return portable(spec, Path(spec.modelfiledir))[1]
 
 
-def _comment(system: System, theta: FloatArray) -> str:
+def values_of(system: System, theta: FloatArray) -> list[str]:
+    """Each parameter with its value: 'load_mass = 0.55 kg', 'gain = 1 (fixed)'."""
     values = zip(system.space.parameters, theta, strict=True)
     lines = (f"{p.name} = {value:.6g}{'' if p.unit == '-' else f' {p.unit}'}" for p, value in values)
-    fixed = (f"{name} = {value:.6g} (fixed)" for name, value in system.fixed.items())
-    return "; ".join((f"identified by amhe, system {system.name}", *lines, *fixed)).replace("--", "- -")
+    return [*lines, *(f"{name} = {value:.6g} (fixed)" for name, value in system.fixed.items())]
 
 
 def _write_inertials(spec: mujoco.MjSpec, model: mujoco.MjModel, rows: set[int]) -> None:

@@ -91,6 +91,14 @@ def log_cholesky(p: FloatArray) -> FloatArray:
     return np.exp(alpha)[..., None, None] * u
 
 
+def log_cholesky_of(u: FloatArray) -> FloatArray:
+    """Numbers p (..., 10) of matrices U (..., 4, 4): the inverse of `log_cholesky`."""
+    scale = u[..., 3, 3]
+    diagonal = [np.log(u[..., i, i] / scale) for i in range(3)]
+    above = [u[..., i, j] / scale for i, j in ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))]
+    return np.stack([np.log(scale), *diagonal, *above], axis=-1)
+
+
 def body_numbers(factor: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """MuJoCo's numbers for pseudo-inertias L L^T.
 

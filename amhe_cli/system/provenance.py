@@ -12,6 +12,7 @@ from pathlib import Path
 
 from amhe_cli import __version__
 from amhe_cli.core.log import Log
+from amhe_cli.system.folders import bundled_systems
 from amhe_cli.system.system import System
 
 #: Files of a system folder that decide what the system is.
@@ -44,10 +45,17 @@ def provenance(
         "method": method,
         "seed": seed,
         "versions": versions(),
+        "system_folder": _own_folder(system),
         "system_files": system_files(system),
         "logs": _hashes(logs),
         "held_out_logs": _hashes(held_out),
     }
+
+
+def _own_folder(system: System) -> str | None:
+    """Path of a system's folder; None for those that come with amhe, which their name finds."""
+    bundled = system.folder is None or bundled_systems().get(system.folder.name) == system.folder
+    return None if bundled else str(system.folder)
 
 
 def system_files(system: System) -> dict[str, str]:

@@ -1,0 +1,133 @@
+"""A belief for other tools: models, samples, and randomisation of trainings."""
+
+from __future__ import annotations
+
+import csv
+import io
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.api.arguments import checked
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief_file import read_belief
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.files import filling
+from amhe_cli.core.parameters import Belief, completed
+from amhe_cli.engine.cpu import hush_mujoco
+from amhe_cli.report.folder import reserve
+from amhe_cli.system.export import identified_assets, identified_xml
+from amhe_cli.system.export_urdf import identified_urdf
+from amhe_cli.system.isaaclab import isaaclab_text
+from amhe_cli.system.mjlab import mjlab_text
+from amhe_cli.system.system import System
+
+#: What a belief can be exported to.
+KINDS = ("mjcf", "urdf", "samples", "mjlab", "isaaclab")
+
+
+def export(
+    belief: Belief | str | Path,
+    to: str,
+    out: str | Path,
+    *,
+    system: System | str | Path | None = None,
+    belief_anyway: bool = False,
+    urdf: str | Path | None = None,
+    count: int = 100,
+    models: bool = False,
+    seed: int = 0,
+    force: bool = False,
+) -> list[Path]:
+    """Write what is believed of a system in a form that another tool takes.
+
+    Args:
+        belief: The belief, or the path of a belief.yaml.
+        to: 'mjcf': identified.xml; 'urdf': identified.urdf; 'samples': samples.npz and samples.csv, draws of
+            the belief that keep its correlations; 'mjlab' or 'isaaclab': a Python file with the belief's
+            intervals as randomisation ranges, and the identified model (MJCF or URDF).
+        out: Folder of the files; made if it does not exist.
+        system: The system, its name or folder; None: the one that the belief names.
+        belief_anyway: Take a belief about another model too, and only warn of what has changed.
+        urdf: For 'urdf' and 'isaaclab': a URDF of the robot, whose text is kept but for the values; None: one
+            is made of the model.
+        count: For 'samples': number of draws.
+        models: For 'samples': write an MJCF of each draw too.
+        seed: For 'samples': seed of the draws.
+        force: Write into a folder that is not empty; other files in it stay.
+
+    Returns:
+        The files, without those of meshes.
+
+    Raises:
+        ConfigError: An argument is wrong, the belief does not suit the system, or no URDF can say the model.
+    """
+    hush_mujoco()
+    seed, _ = checked(seed, None)
+    if to not in KINDS:
+        raise ConfigError(f"`to`: {one_of('kind', to, KINDS)}")
+    if not (isinstance(count, int) and count > 0):
+        raise ConfigError(f"`count`: {count!r} is no whole number of 1 or more")
+    opened = system if isinstance(system, System) else System.load(system or _named_by(belief), warn=False)
+    opened, given = opened.starting_from(belief, belief_anyway=belief_anyway)
+    assert given is not None, "a belief was given"
+    known, folder = completed(given, opened), reserve(Path(out), "export", force)
+    contents: dict[str, str | FloatArray] = {}
+    if to in ("mjcf", "mjlab"):
+        contents["identified.xml"] = identified_xml(opened, known.estimate)
+    if to in ("urdf", "isaaclab"):
+        source = None if urdf is None else Path(urdf)
+        contents["identified.urdf"] = identified_urdf(opened, known.estimate, source)
+    if to == "mjlab":
+        contents["mjlab_events.py"] = mjlab_text(opened, known)
+    if to == "isaaclab":
+        contents["isaaclab_events.py"] = isaaclab_text(opened, known)
+    if to == "samples":
+        contents |= _samples(opened, known, count, models, seed)
+    _write(folder, opened, contents)
+    return [folder / name for name in contents]
+
+
+def _named_by(belief: Belief | str | Path) -> Path | str:
+    """The system that a belief names: its folder where it had one, else a bundled one."""
+    read = belief if isinstance(belief, Belief) else read_belief(Path(belief))
+    folder = read.provenance.get("system_folder")
+    return str(folder) if folder and Path(str(folder)).is_dir() else read.system
+
+
+def _samples(
+    system: System, belief: Belief, count: int, models: bool, seed: int
+) -> dict[str, str | FloatArray]:
+    """Draws within the bounds of the search, one line and, on demand, one model each."""
+    draws = np.empty((0, len(belief.names)))
+    low, high = zip(*((p.lower, p.upper) for p in system.space.parameters), strict=True)
+    rng = np.random.default_rng(seed)
+    while len(draws) < count:
+        more = belief.sample(count, rng)
+        draws = np.concatenate((draws, more[np.all((more >= low) & (more <= high), axis=1)]))
+    draws = draws[:count]
+    text = io.StringIO()
+    table = csv.writer(text, lineterminator="\n")
+    table.writerow(belief.names)
+    table.writerows([f"{value:.9g}" for value in row] for row in draws)
+    files: dict[str, str | FloatArray] = {"samples.csv": text.getvalue(), "samples.npz": draws}
+    if models:
+        files |= {f"sample_{i:04d}.xml": identified_xml(system, row) for i, row in enumerate(draws)}
+    return files
+
+
+def _write(folder: Path, system: System, contents: Mapping[str, str | FloatArray]) -> None:
+    """Write all files, and the models' meshes beside them, or none."""
+    with filling(folder) as scratch:
+        for name, content in contents.items():
+            if isinstance(content, str):
+                (scratch / name).write_text(content, encoding="utf-8")
+            else:
+                np.savez(scratch / name, samples=content, names=np.array(system.space.names))
+        text = "".join(content for content in contents.values() if isinstance(content, str))
+        for name, source in identified_assets(system).items():
+            if name in text and source.is_file():
+                (scratch / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source, scratch / name)

@@ -1,0 +1,80 @@
+"""`amhe export`: a belief in a form that another tool takes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from amhe_cli.cli import options
+from amhe_cli.cli.session import Session
+
+#: Files that are named; those beyond are models of samples.
+_SHOWN = 2
+
+
+@click.command(
+    cls=options.Command, short_help="A belief for other tools: MJCF, URDF, samples, mjlab, Isaac Lab."
+)
+@click.argument("belief", type=options.EXISTING_FILE, metavar="BELIEF")
+@click.option(
+    "--to",
+    "kind",
+    type=click.Choice(("mjcf", "urdf", "samples", "mjlab", "isaaclab")),
+    required=True,
+    help="What to write; mjlab and isaaclab: randomisation ranges as a Python file, and the model.",
+)
+@options.system_or("that of the belief")
+@click.option(
+    "--belief-anyway",
+    is_flag=True,
+    help="Take a belief about another model too, and only warn of what has changed.",
+)
+@click.option(
+    "--urdf",
+    type=options.EXISTING_FILE,
+    metavar="FILE",
+    help="Keep the text of this URDF of the robot but for the values.  [default: one is made of the model]",
+)
+@click.option(
+    "--count",
+    type=options.WholeNumber(min=1),
+    metavar="N",
+    default=100,
+    show_default=True,
+    help="Number of samples.",
+)
+@click.option("--models", is_flag=True, help="With samples: an MJCF of each, too.")
+@click.option("--seed", type=options.WholeNumber(min=0), metavar="N", default=0, show_default=True)
+@options.out
+@options.common
+@click.pass_obj
+def export(
+    session: Session,
+    belief: Path,
+    kind: str,
+    system: str | None,
+    belief_anyway: bool,
+    urdf: Path | None,
+    count: int,
+    models: bool,
+    seed: int,
+    out: options.Output,
+) -> None:
+    """Write what BELIEF says of a system in a form that another tool takes.
+
+    BELIEF is a belief.yaml. Ranges of mjlab and Isaac Lab lose correlations; samples keep them.
+    """
+    from amhe_cli.api.export import export as write
+
+    files = write(
+        belief, kind, out.reserve("export"), system=system, belief_anyway=belief_anyway, urdf=urdf,
+        count=count, models=models, seed=seed, force=out.force,
+    )  # fmt: skip
+    if session.json:
+        session.print_json(session.record(files=[str(file) for file in files]))
+        return
+    for file in files[:_SHOWN]:
+        print(f"wrote {file}")
+    if len(files) > _SHOWN:
+        print(f"and {len(files) - _SHOWN} models beside them")

@@ -1,0 +1,81 @@
+"""Exports: files that other tools read, and draws that keep the belief."""
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.cli.main import run
+from amhe_cli.core.parameters import belief_of
+
+COVARIANCE = np.array([[0.01, 0.008, 0, 0], [0.008, 0.01, 0, 0], [0, 0, 0.01, 0], [0, 0, 0, 0.01]])
+
+
+@pytest.fixture
+def belief(tmp_path: Path) -> Path:
+    system = amhe.System.load("pendulum")
+    path = tmp_path / "belief.yaml"
+    belief_of(system, np.array([0.5, 0.2, -0.1, 0.0]), COVARIANCE).save(path)
+    return path
+
+
+def test_samples_keep_the_correlation(belief: Path, tmp_path: Path) -> None:
+    amhe.export(belief, "samples", tmp_path / "out", count=2000)
+    with np.load(tmp_path / "out" / "samples.npz") as file:
+        samples, names = file["samples"], list(file["names"])
+    assert names == ["load_mass", "damping", "friction_loss", "armature"]
+    assert samples.shape == (2000, 4)
+    assert np.corrcoef(np.log(samples[:, :2]).T)[0, 1] == pytest.approx(0.8, abs=0.05)
+    rows = np.genfromtxt(tmp_path / "out" / "samples.csv", delimiter=",", names=True)
+    np.testing.assert_allclose(rows["damping"], samples[:, 1], rtol=1e-8)
+
+
+def test_a_model_of_each_sample(belief: Path, tmp_path: Path) -> None:
+    files = amhe.export(belief, "samples", tmp_path / "out", count=3, models=True)
+    masses = [mujoco.MjModel.from_xml_path(str(file)).body("load").mass[0] for file in files[2:]]
+    with np.load(files[1]) as file:
+        np.testing.assert_allclose(masses, file["samples"][:, 0], rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "files"),
+    [
+        ("mjcf", {"identified.xml"}),
+        ("urdf", {"identified.urdf"}),
+        ("mjlab", {"identified.xml", "mjlab_events.py"}),
+        ("isaaclab", {"identified.urdf", "isaaclab_events.py"}),
+    ],
+)
+def test_every_kind_is_a_command(
+    kind: str, files: set[str], belief: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["export", str(belief), "--to", kind, "-o", str(tmp_path / "out")]) == 0
+    assert {path.name for path in (tmp_path / "out").iterdir()} == files
+    assert "wrote" in capsys.readouterr().out
+    model = next(path for path in (tmp_path / "out").iterdir() if path.stem == "identified")
+    load, rod = amhe.Belief.load(belief).estimate[0], 0.05
+    assert sum(mujoco.MjModel.from_xml_path(str(model)).body_mass) == pytest.approx(load + rod, rel=1e-5)
+
+
+def test_a_belief_finds_the_folder_of_its_system(tmp_path: Path, pendulum_log: Path) -> None:
+    system = amhe.System.load("pendulum")
+    folder = tmp_path / "mine"
+    folder.mkdir()
+    for file in system.folder.iterdir() if system.folder else ():
+        (folder / file.name).write_bytes(file.read_bytes())
+    mine = amhe.System.load(folder)
+    log = amhe.read_log(pendulum_log, mine, end=3.0)
+    amhe.identify(mine, log, only=["load_mass"], max_time=1.0).save(tmp_path / "result")
+    amhe.export(tmp_path / "result" / "belief.yaml", "mjcf", tmp_path / "out")
+    assert (tmp_path / "out" / "identified.xml").is_file()
+
+
+def test_wrong_arguments_are_one_line(belief: Path, tmp_path: Path) -> None:
+    with pytest.raises(amhe.AmheError, match="did you mean 'mjcf'"):
+        amhe.export(belief, "mjfc", tmp_path / "out")
+    with pytest.raises(amhe.AmheError, match="`count`"):
+        amhe.export(belief, "samples", tmp_path / "out", count=0)
+    with pytest.raises(amhe.AmheError, match="another model|is about"):
+        amhe.export(belief, "mjcf", tmp_path / "out", system="cube_toss")
