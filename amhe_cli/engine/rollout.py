@@ -44,7 +44,6 @@ class Starts:
         qpos, qvel: First states, shape (c, nq) and (c, nv).
         inputs: Input vectors from `history` steps before each start, shape (c, history + H, nu).
         history: Steps that the longest command delay reaches back.
-        delayed: True for the columns of the inputs that a command delay shifts, shape (nu,).
         lengths: Steps of each clip, shape (c,), at most H.
         first_index: Tangent coordinates of the first state (nv of qpos, then nv of qvel) that may be
             wrong, shape (nx,).
@@ -55,7 +54,6 @@ class Starts:
     qvel: FloatArray
     inputs: FloatArray
     history: int
-    delayed: BoolArray
     lengths: IntArray
     first_index: IntArray
     first_sd: FloatArray
@@ -106,21 +104,25 @@ class Starts:
         return integrated(model, self.qpos, delta[..., : model.nv]), self.qvel + delta[..., model.nv :]
 
     def inputs_under(self, delays: FloatArray) -> FloatArray:
-        """Inputs of p candidates under command delays [steps] (p,), shape (p * c, H, nu).
+        """Inputs of p candidates under delays [steps], shape (p * c, H, nu).
 
         A fraction of a step is interpolated, so that a cost is continuous in the delay. Beyond its ends the
         history holds its first and last input, so that delays may be negative.
+
+        Args:
+            delays: Of each input, shape (p, nu); (p, 1) where all inputs have the same.
         """
-        horizon, prompt = self.horizon, self.inputs[:, self.history :]
-        whole, fraction = np.divmod(delays, 1.0)
+        steps, last = self.history + np.arange(self.horizon), self.inputs.shape[1] - 1
         taken = []
-        for steps, part in zip(whole.astype(int), fraction, strict=True):
-            if steps == 0 and part == 0.0:
-                taken.append(prompt)
-                continue
-            rows = self.history - steps + np.arange(horizon)
-            now, before = (self.inputs[:, np.clip(r, 0, self.inputs.shape[1] - 1)] for r in (rows, rows - 1))
-            taken.append(np.where(self.delayed, (1.0 - part) * now + part * before, prompt))
+        for row in delays:
+            late = np.array(self.inputs[:, self.history :])
+            for delay in np.unique(row[row != 0.0]):
+                of = np.broadcast_to(row == delay, late.shape[-1])
+                whole, part = divmod(delay, 1.0)
+                rows = steps - int(whole)
+                now, before = (self.inputs[:, np.clip(r, 0, last)][..., of] for r in (rows, rows - 1))
+                late[..., of] = (1.0 - part) * now + part * before
+            taken.append(late)
         return np.concatenate(taken)
 
 

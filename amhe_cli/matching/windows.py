@@ -105,7 +105,6 @@ def starts_of(system: System, windows: Sequence[Window], smoothing: float) -> St
         qvel=qvel,
         inputs=_inputs(system, windows, home_input, history, int(lengths.max())),
         history=history,
-        delayed=_delayed(system, home_input.size),
         lengths=lengths,
         first_index=index,
         first_sd=sd,
@@ -151,14 +150,6 @@ def _driving(source: Input, log: Log) -> FloatArray:
         arm = log[point].values - (log[centre].values if centre is not None else 0.0)
         return np.cross(arm, values)
     return values
-
-
-def _delayed(system: System, width: int) -> BoolArray:
-    """Which of the engine's input columns a command delay shifts, shape (width,)."""
-    delayed = np.zeros(width, dtype=bool)
-    for source in system.inputs:
-        delayed[list(source.columns)] = source.delayed
-    return delayed
 
 
 def _observed(channel: Channel, windows: Sequence[Window], scale: float, memory: int) -> Observed:

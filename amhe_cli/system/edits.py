@@ -13,6 +13,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.system.delays import CommandDelays, DelayNumber
 from amhe_cli.system.inertia import (
     body_numbers,
     inertia_about_com,
@@ -71,6 +72,11 @@ class ScalarEdit:
     def columns(self) -> Sequence[int]:
         """See `Edit.columns`."""
         return (self.column,)
+
+    @property
+    def delays(self) -> bool:
+        """Whether it sets delays of commands, which are no numbers of the model."""
+        return isinstance(self.written[0], DelayNumber)
 
     @property
     def cells(self) -> tuple[Cells, ...]:
@@ -160,7 +166,7 @@ class ModelEdits:
         model: The base model.
         space: The parameters, columns that the edits write.
         edits: The edits, which write these parameters into the model.
-        delay_column: The parameter that is the common command delay [s].
+        delays: Delays of commands, which parameters set too.
         fixed: Parameters that have one value in all candidates, by name: theta has the others only.
         calibration: Numbers of the signals' calibration, which parameters set too.
     """
@@ -170,14 +176,14 @@ class ModelEdits:
         model: mujoco.MjModel,
         space: ParameterSpace,
         edits: Sequence[Edit],
-        delay_column: int | None = None,
+        delays: CommandDelays | None = None,
         fixed: Mapping[str, float] | None = None,
         calibration: SignalCalibration | None = None,
     ) -> None:
         self._calibration = calibration
         self.fixed = dict(fixed or {})
         self.space = space.without(self.fixed)
-        self._all, self._delay_column = space, delay_column
+        self._all, self._delays = space, delays or CommandDelays()
         self._free = [i for i, name in enumerate(space.names) if name not in self.fixed]
         self._edits = tuple(edits)
         self.cells = tuple(cells for edit in self._edits for cells in edit.cells)
@@ -189,7 +195,7 @@ class ModelEdits:
 
     def upon(self, model: mujoco.MjModel) -> ModelEdits:
         """The same edits upon another model of the same layout: another box in the same scene."""
-        return ModelEdits(model, self._all, self._edits, self._delay_column, self.fixed, self._calibration)
+        return ModelEdits(model, self._all, self._edits, self._delays, self.fixed, self._calibration)
 
     def fixing(self, values: Mapping[str, float]) -> ModelEdits:
         """The same edits with more parameters at fixed values, by name."""
@@ -206,13 +212,12 @@ class ModelEdits:
             getattr(plain, cells.field)[cells.index[1:]] = own
         return plain
 
-    def by_name(self) -> Iterator[tuple[str, Edit | None]]:
-        """Each parameter, fixed ones too, with an edit that writes it; None: the command delay."""
-        for edit in (*self._edits, *(self._calibration.edits if self._calibration else ())):
+    def by_name(self) -> Iterator[tuple[str, Edit]]:
+        """Each parameter, fixed ones too, with an edit that writes it."""
+        calibrated = self._calibration.edits if self._calibration else ()
+        for edit in (*self._edits, *calibrated, *self._delays.edits):
             for column in edit.columns:
                 yield self._all.names[column], edit
-        if self._delay_column is not None:
-            yield self._all.names[self._delay_column], None
 
     @property
     def bodies(self) -> dict[str, PseudoInertiaEdit]:
@@ -228,16 +233,12 @@ class ModelEdits:
     def extended(
         self, model: mujoco.MjModel, more: Sequence[tuple[Parameter, tuple[Cells, ...], Mode]]
     ) -> ModelEdits:
-        """These edits upon a model of the same layout, and after them those of further parameters.
-
-        One that sets no numbers is the common command delay.
-        """
+        """These edits upon a model of the same layout, and after them those of further parameters."""
         space = ParameterSpace((*self._all.parameters, *(parameter for parameter, _, _ in more)))
-        scalar = (ScalarEdit(len(self._all) + i, cells, mode) for i, (_, cells, mode) in enumerate(more))
-        late = next((len(self._all) + i for i, (_, cells, _) in enumerate(more) if not cells), None)
-        delay = self._delay_column if late is None else late
-        edits = (*self._edits, *scalar)
-        return ModelEdits(model, space, edits, delay, self.fixed, self._calibration)
+        scalar = [ScalarEdit(len(self._all) + i, cells, mode) for i, (_, cells, mode) in enumerate(more)]
+        delays = self._delays.with_edits([edit for edit in scalar if edit.delays])
+        edits = (*self._edits, *(edit for edit in scalar if not edit.delays))
+        return ModelEdits(model, space, edits, delays, self.fixed, self._calibration)
 
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
         """Each parameter that sets plain numbers, with all of them."""
@@ -294,18 +295,24 @@ class ModelEdits:
         return edited
 
     def delays(self, theta: FloatArray) -> FloatArray:
-        """Common command delay [s] of each candidate of theta (n, d), shape (n,); zero without one."""
-        return (
-            np.zeros(len(theta)) if self._delay_column is None else self._whole(theta)[:, self._delay_column]
-        )
+        """Delays [s] of the engine's inputs under candidates theta (n, d), shape (n, nu).
+
+        Of a system without commands they are zero, shape (n, 1).
+        """
+        return self._delays.numbers(self._whole(theta))
 
     @property
-    def delay(self) -> str | None:
-        """Name of the parameter that is the common command delay, where it is free."""
-        name = None if self._delay_column is None else self._all.names[self._delay_column]
-        return None if name in self.fixed else name
+    def late(self) -> frozenset[str]:
+        """Names of the free parameters that delay commands."""
+        names = (self._all.names[edit.column] for edit in self._delays.edits)
+        return frozenset(names) - set(self.fixed)
+
+    @property
+    def prompt(self) -> tuple[DelayNumber, ...]:
+        """The delays of all commands, where no parameter sets any."""
+        return () if self._delays.edits else self._delays.cells
 
     @property
     def longest_delay(self) -> float:
-        """Upper bound of the common command delay [s]; zero without one."""
-        return 0.0 if self._delay_column is None else self._all.parameters[self._delay_column].upper
+        """Upper bound of the command delays [s]; zero without any."""
+        return self._delays.longest(self._all)

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.system.calibration import CalibrationNumber
+from amhe_cli.system.delays import DelayNumber
 from amhe_cli.system.edits import ModelEdits, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.targets import Cells
 
@@ -101,10 +102,9 @@ def sets_of(model: mujoco.MjModel, edits: ModelEdits) -> dict[str, str]:
     for name, edit in edits.by_name():
         if isinstance(edit, PseudoInertiaEdit):
             text = f"pseudo_inertia of {_name(model, edit.cells[0])}"
-        elif isinstance(edit, ScalarEdit):
-            text = _scalar(model, edit)
         else:
-            text = "command_delay"
+            assert isinstance(edit, ScalarEdit)
+            text = _scalar(model, edit)
         words[name] = f"{words[name]}; {text}" if name in words else text
     return words
 
@@ -117,13 +117,14 @@ def _scalar(model: mujoco.MjModel, edit: ScalarEdit) -> str:
     mode = "" if edit.mode == "value" else f"{edit.mode} "
     carried = " with its inertia" if edit.carried else ""
     return "; ".join(
-        f"{mode}{field} of {', '.join(dict.fromkeys(names))}{carried}" for field, names in fields.items()
+        f"{mode}{field}{' of ' if any(names) else ''}{', '.join(dict.fromkeys(names))}{carried}"
+        for field, names in fields.items()
     )
 
 
 def _name(model: mujoco.MjModel, cells: Cells) -> str:
     """Name of the element that a row belongs to; of its body, or its number, where it has none."""
-    if isinstance(cells, CalibrationNumber):
+    if isinstance(cells, CalibrationNumber | DelayNumber):
         return cells.name
     prefix = cells.field.partition("_")[0]
     row = int(model.dof_jntid[cells.row]) if prefix == "dof" else cells.row

@@ -132,12 +132,13 @@ def _built(
     base = _compiled(source, spec)
     wiring = draft.wired(base)
     calibrated = draft.calibrated(entry.signals, wiring, base)
-    space, edits, calibration = unknowns_of(source, entry, base, calibrated)
+    delays = draft.commanded(base, wiring)
+    space, edits, calibration = unknowns_of(source, entry, base, calibrated, delays)
     keyframe = _keyframe(source, entry, base)
     _refuse_strangers(source, entry)
     source.raise_problems()
     for parameter_name, parameter in entry.parameters.items():
-        if not draft.has_commands() and any(target.set == "command_delay" for target in parameter.targets):
+        if not delays.commands and any(target.set == "command_delay" for target in parameter.targets):
             source.problem(
                 ("parameters", parameter_name),
                 "a command delay changes nothing: no signal commands actuators",

@@ -29,7 +29,7 @@ class Ruler:
     Args:
         name: What it is, such as 'the force limit of servo3 (0.5)'.
         acts: Share of the steps in which it acts; None for what always does.
-        cells: The numbers; none for the delay of all commands.
+        cells: The numbers.
         mode: Whether a change is multiplied onto them or added to them.
         sd: How far it may be off: a share where multiplied [-], else in the number's own unit.
         change: `sd` in words.
@@ -184,9 +184,11 @@ def rulers_of(system: System, acts: Acting, felt: Collection[str]) -> list[Ruler
     found = [_scaled(kind, value, members, shares[kind]) for (kind, value), members in groups.items()]
     found += _ranges(model, settings.joint_limit, acts.joint)
     found += _centres(model, edits, settings.center_of_mass, felt)
-    if edits.longest_delay == 0.0 and any(source.delayed for source in system.inputs):
+    if edits.prompt:
         late = settings.command_delay
-        found.append(Ruler("commands that act at once", None, (), "add", late, f"{1000.0 * late:g} ms"))
+        found.append(
+            Ruler("commands that act at once", None, edits.prompt, "add", late, f"{1000.0 * late:g} ms")
+        )
     return [ruler for ruler in found if ruler.sd > 0.0]
 
 

@@ -66,7 +66,7 @@ class Input:
     Args:
         key: Key of the series in the log.
         columns: Columns of the engine's input vector that it fills, in the series' column order.
-        delayed: Subject to the common command delay, where that is a parameter.
+        delayed: It commands actuators, and acts late where a parameter says so.
         frame: x, y, z, roll, pitch, yaw of the log's frame in the model's, where a pose is brought into it.
         arm: Where a force drives by its moment: series of the point where it acts and of the origin about
             which (None: that of the frame).

@@ -130,7 +130,7 @@ def _pair_rows(model: mujoco.MjModel, pair: str | list[str]) -> list[int]:
 
 
 def selector_of(entry: TargetEntry) -> str | None:
-    """Which selector the target gives; None for `command_delay`.
+    """Which selector the target gives; None for a `command_delay` of all commands.
 
     Raises:
         ConfigError: The word or the selector is unknown, or there are several selectors.
@@ -141,10 +141,10 @@ def selector_of(entry: TargetEntry) -> str | None:
     given = [kind for kind in kinds if getattr(entry, kind) is not None]
     given = ["signal"] if entry.signal is not None else given  # whose joint says which of its numbers
     allowed = list(SETTERS[entry.set].cells) if entry.set in SETTERS else SPECIAL[entry.set]
-    if not allowed and not given:
+    if entry.set == "command_delay" and not given:
         return None
     if len(given) != 1 or given[0] not in allowed:
-        valid = " or ".join(f"{kind}: NAME" for kind in allowed) or "no selector"
+        valid = " or ".join(f"{kind}: NAME" for kind in allowed)
         raise ConfigError(f"target {entry.set!r} needs {valid}, not {', '.join(given) or 'nothing'}")
     return given[0]
 
@@ -323,6 +323,6 @@ SETTERS: Mapping[str, Setter] = {
     "ctrl_limit": Setter("-", {"actuator": _ctrl_limit}, positive=True),
 }
 #: Words that need more than plain numbers, with their selectors.
-SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": []}
+SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": ["actuator"]}
 #: All words that `set:` may be.
 WORDS = (*SETTERS, *SPECIAL)

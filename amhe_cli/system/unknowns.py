@@ -14,6 +14,7 @@ from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.yaml_file import Place
 from amhe_cli.system.calibrating import CalibrationDraft
 from amhe_cli.system.calibration import CalibrationNumber, SignalCalibration
+from amhe_cli.system.delays import CommandDelays
 from amhe_cli.system.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.inertia import PSEUDO_NAMES
 from amhe_cli.system.schema import Description, ParameterEntry, SystemEntry, TargetEntry
@@ -52,11 +53,15 @@ class _Unknowns:
     edits: list[tuple[int, Edit]] = field(default_factory=list)
     calibrated: list[ScalarEdit] = field(default_factory=list)
     set_by: dict[tuple[str, int, int], str] = field(default_factory=dict)
-    delay_column: int | None = None
+    late: list[ScalarEdit] = field(default_factory=list)
 
 
 def unknowns_of(
-    file: Description, entry: SystemEntry, model: mujoco.MjModel, draft: CalibrationDraft
+    file: Description,
+    entry: SystemEntry,
+    model: mujoco.MjModel,
+    draft: CalibrationDraft,
+    delays: CommandDelays,
 ) -> tuple[ParameterSpace, ModelEdits, SignalCalibration]:
     """Parameters of the file and how they are written; every mistake is noted in `file`."""
     found = _Unknowns()
@@ -66,14 +71,15 @@ def unknowns_of(
         if any(target.set == "pseudo_inertia" for target in parameter.targets):
             _add_pseudo(file, place, parameter, model, found)
         else:
-            _add_plain(file, place, parameter, model, draft, found)
+            _add_plain(file, place, parameter, model, draft, delays, found)
     space = ParameterSpace(tuple(found.parameters))
     edits = [edit for _, edit in sorted(found.edits, key=lambda ranked: ranked[0])]
     calibration, needed = draft.finished(found.calibrated)
     fixed = {p.name: p.nominal for p in space.parameters if p.prior_sd == 0.0}
     if fixed and len(fixed) == len(space):
         file.problem(("parameters",), "every parameter has the prior_sd 0, which fixes it: leave one free")
-    written = ModelEdits(model, space, [*edits, *needed], found.delay_column, fixed, calibration)
+    late = delays.with_edits(found.late)
+    written = ModelEdits(model, space, [*edits, *needed], late, fixed, calibration)
     return written.space, written, calibration
 
 
@@ -83,6 +89,7 @@ def _add_plain(
     entry: ParameterEntry,
     model: mujoco.MjModel,
     draft: CalibrationDraft,
+    delays: CommandDelays,
     found: _Unknowns,
 ) -> None:
     column, name = len(found.parameters), str(place[1])
@@ -91,22 +98,20 @@ def _add_plain(
         here = (*place, "targets", index)
         try:
             selector = selector_of(target)
-            numbers = draft.cells_of(target) if selector == "signal" else []
-            cells: list[Cells] = [*numbers]
-            if selector not in (None, "signal"):
-                cells = cells_of(model, target)
+            cells: list[Cells]
+            if target.set == "command_delay":
+                cells = [*delays.cells_of(target)]
+            else:
+                cells = [*draft.cells_of(target)] if selector == "signal" else cells_of(model, target)
             reached.append((target, cells))
             _claim(found, name, target, cells)
         except ConfigError as error:
             file.problem(here, str(error))
             continue
-        if target.set == "command_delay":
-            if found.delay_column is not None:
-                file.problem(here, "there is one common command delay, and it is already a parameter")
-            found.delay_column = column
-            continue
         edit = ScalarEdit(column, tuple(cells), target.mode, _carried(target, cells, model))
-        if numbers:
+        if target.set == "command_delay":
+            found.late += [edit] if cells else []
+        elif selector == "signal":
             found.calibrated.append(edit)
         else:
             found.edits.append((_ORDER.get(target.set, 1), edit))

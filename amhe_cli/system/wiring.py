@@ -19,6 +19,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES, Signal
 from amhe_cli.system.calibrating import CalibrationDraft
 from amhe_cli.system.coupled import couplings
+from amhe_cli.system.delays import CommandDelays
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import Channel, Input
 from amhe_cli.system.targets import id_of
@@ -95,9 +96,13 @@ class WiringDraft:
         }
         return CalibrationDraft(entries, channels, forces, model)
 
-    def has_commands(self) -> bool:
-        """Whether a signal commands actuators."""
-        return any(drive.delayed for drive in self.driven)
+    def commanded(self, model: mujoco.MjModel, wiring: Wiring) -> CommandDelays:
+        """What can be delayed: the inputs that command actuators."""
+        inputs = zip(self.driven, wiring.inputs, strict=True)
+        late = [(drive.parts, one.columns) for drive, one in inputs if drive.delayed]
+        commands = {str(part): at for parts, columns in late for part, at in zip(parts, columns, strict=True)}
+        width = mujoco.mj_stateSize(model, wiring.input_spec) if commands else 1
+        return CommandDelays(commands, width)
 
     def unset_joints(self) -> list[str]:
         """Joints whose state no signal gives, neither directly nor by a joint that they follow."""

@@ -46,7 +46,7 @@ CARTS = """
 DELAYED = """
 model: carts.xml
 parameters:
-  delay: {nominal: 0.01, bounds: [0.001, 0.05], targets: [{set: command_delay}]}
+  delay: {nominal: 0.01, bounds: [0.001, 0.05], targets: [{actuator: push, set: command_delay}]}
 signals:
   state: {topic: /joint_states, joints: [x, y], noise: {position: 0.001}}
   force: {topic: /force, actuators: [push, pull], quantity: effort}
@@ -109,7 +109,6 @@ def clips(system: System, count: int = 3, horizon: int = 30, seed: int = 1) -> t
         qvel=rng.normal(size=(count, model.nv)),
         inputs=rng.normal(size=(count, horizon, model.nu)),
         history=0,
-        delayed=np.zeros(model.nu, dtype=bool),
         lengths=lengths,
         first_index=np.arange(0, 2 * model.nv, 2),
         first_sd=np.full(model.nv, 0.1),
@@ -261,7 +260,6 @@ def test_a_fraction_of_a_step_of_command_delay_is_interpolated(opened: Open, tmp
         qvel=np.zeros((1, 2)),
         inputs=np.repeat(ramp[None, :, None], 2, axis=2),
         history=history,
-        delayed=np.array([True, False]),
         lengths=np.array([horizon]),
         first_index=np.zeros(0, dtype=np.int64),
         first_sd=np.zeros(0),

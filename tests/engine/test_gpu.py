@@ -42,7 +42,6 @@ def call(system: System, count: int = 5, clips: int = 4) -> tuple[Any, ...]:
         qvel=0.1 * rng.normal(size=(clips, model.nv)),
         inputs=rng.normal(size=(clips, horizon, model.nu)),
         history=0,
-        delayed=np.zeros(model.nu, dtype=bool),
         lengths=np.full(clips, horizon),
         first_index=np.arange(model.nv),
         first_sd=np.full(model.nv, 0.01),

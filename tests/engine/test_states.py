@@ -27,11 +27,10 @@ def test_commands_beyond_the_history_hold_its_ends() -> None:
         qvel=np.zeros((1, 1)),
         inputs=ramp,
         history=0,
-        delayed=np.ones(1, dtype=bool),
         lengths=np.array([4]),
         first_index=np.zeros(0, dtype=int),
         first_sd=np.zeros(0),
     )
-    late, early = starts.inputs_under(np.array([1.5, -1.0]))[..., 0]
+    late, early = starts.inputs_under(np.array([[1.5], [-1.0]]))[..., 0]
     np.testing.assert_allclose(late, [1.0, 1.0, 1.5, 2.5])
     np.testing.assert_allclose(early, [2.0, 3.0, 4.0, 4.0])

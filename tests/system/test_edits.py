@@ -205,8 +205,40 @@ def test_a_command_delay_is_a_column_of_theta(written: Write) -> None:
         )
     )
     assert system.edits.longest_delay == 0.05
-    np.testing.assert_array_equal(system.edits.delays(np.array([[1.0, 0.02], [1.0, 0.03]])), [0.02, 0.03])
+    late = system.edits.delays(np.array([[1.0, 0.02], [1.0, 0.03]]))
+    np.testing.assert_array_equal(late, [[0.02, 0, 0, 0, 0, 0], [0.03, 0, 0, 0, 0, 0]])
     assert system.space.parameters[1].unit == "s"
+
+
+def test_each_group_of_drives_has_its_own_delay(written: Write) -> None:
+    system = System.load(
+        written(
+            "  hip: {nominal: 0.01, bounds: [0, 0.05], targets: [{actuator: 'hip*', set: command_delay}]}\n"
+            "  knee: {nominal: 0.02, bounds: [0, .08], targets: [{actuator: 'knee*', set: command_delay}]}\n",
+            signals="signals: {c: {topic: /c, actuators: [hip_servo, knee_motor]}}\n",
+        )
+    )
+    assert system.edits.longest_delay == 0.08 and system.edits.late == {"hip", "knee"}
+    np.testing.assert_array_equal(system.edits.delays(np.array([[0.02, 0.03]])), [[0.02, 0.03, 0, 0, 0, 0]])
+    assert system.sets["knee"] == "command_delay of knee_motor"
+
+
+TWICE = {
+    "{actuator: hip_servo, set: command_delay}": "already sets this number",
+    "{actuator: knee_speed, set: command_delay}": "no actuator that a signal commands 'knee_speed'",
+    "{joint: hip, set: command_delay}": "needs actuator: NAME",
+}
+
+
+@pytest.mark.parametrize("target", TWICE)
+def test_a_delay_that_two_parameters_or_none_would_set_is_refused(target: str, written: Write) -> None:
+    folder = written(
+        "  delay: {nominal: 0.01, bounds: [0, 0.05], targets: [{set: command_delay}]}\n"
+        f"  more: {{nominal: 0.01, bounds: [0, 0.05], targets: [{target}]}}\n",
+        signals="signals: {c: {topic: /c, actuators: [hip_servo]}}\n",
+    )
+    with pytest.raises(ConfigError, match=TWICE[target]):
+        System.load(folder)
 
 
 def test_a_delay_of_no_command_is_refused(written: Write) -> None:
@@ -218,7 +250,7 @@ def test_a_delay_of_no_command_is_refused(written: Write) -> None:
 def test_without_a_command_delay_it_is_zero(with_target: Write) -> None:
     system = System.load(with_target("{body: box, set: mass}"))
     assert system.edits.longest_delay == 0.0
-    np.testing.assert_array_equal(system.edits.delays(np.ones((3, 1))), np.zeros(3))
+    np.testing.assert_array_equal(system.edits.delays(np.ones((3, 1))), np.zeros((3, 1)))
 
 
 REFUSED = {

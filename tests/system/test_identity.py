@@ -89,9 +89,12 @@ def test_a_fixed_parameter_is_in_the_model_and_not_in_theta() -> None:
     free = system.edits.apply(system.model, np.array([3.0, 0.5]))
     for field in ("body_mass", "body_inertia", "dof_damping", "geom_friction", "dof_M0"):
         np.testing.assert_array_equal(getattr(free, field), getattr(full, field))
-    np.testing.assert_array_equal(system.edits.delays(np.ones((2, 2))), [0.02, 0.02])
+    late = [[0.02, 0, 0, 0, 0, 0]]
+    np.testing.assert_array_equal(system.edits.delays(np.ones((2, 2))), late * 2)
     assert system.model.dof_damping[6] == 0.7
-    np.testing.assert_array_equal(system.edits.upon(whole.model).delays(np.ones((1, 2))), [0.02])
+    np.testing.assert_array_equal(
+        system.edits.upon(whole.model).delays(np.ones((1, 2))), [[0.02, 0, 0, 0, 0, 0]]
+    )
 
 
 def test_a_prior_without_width_fixes_a_parameter() -> None:

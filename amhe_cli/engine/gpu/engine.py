@@ -61,15 +61,15 @@ class GpuEngine:
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
         """See `Engine.rollout`."""
-        model, (count, horizon, nu) = self._blueprint.model, inputs.shape
+        model, (count, horizon, _) = self._blueprint.model, inputs.shape
         theta = np.broadcast_to(theta, (count, theta.shape[-1]))
         qpos, qvel = np.broadcast_to(qpos, (count, model.nq)), np.broadcast_to(qvel, (count, model.nv))
         each, rows = np.arange(count), np.tile(np.arange(horizon), (count, 1))
-        starts = Starts(qpos, qvel, inputs, 0, np.zeros(nu, dtype=bool), lengths, each[:0], qpos[0, :0])
+        starts = Starts(qpos, qvel, inputs, 0, lengths, each[:0], qpos[0, :0])
         wanted = [Wanted("qpos", rows, tuple(range(model.nq))), Wanted("qvel", rows, tuple(range(model.nv)))]
         if self._blueprint.sensors:
             wanted.append(Wanted("sensordata", rows, tuple(range(model.nsensordata))))
-        done = self.cards[0].run(Job(theta, starts, each, each, qpos, qvel, np.zeros(count), wanted))
+        done = self.cards[0].run(Job(theta, starts, each, each, qpos, qvel, np.zeros((count, 1)), wanted))
         values = [to_host(part) for part in done.values]
         return Rollouts(values[0], values[1], values[2] if self._blueprint.sensors else None, done.completed)
 

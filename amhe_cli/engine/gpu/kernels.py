@@ -18,9 +18,8 @@ def write_inputs(
     inputs: wp.array3d[float],
     candidate: wp.array[int],
     clip: wp.array[int],
-    whole: wp.array[int],
-    fraction: wp.array[float],
-    delayed: wp.array[int],
+    whole: wp.array2d[int],
+    fraction: wp.array2d[float],
     history: int,
     first: int,
     into: wp.array2d[float],
@@ -30,15 +29,12 @@ def write_inputs(
     c = clip[world]
     j = first + column
     last = inputs.shape[1] - 1
-    t = wp.min(history + clock[0], last)
-    value = inputs[c, t, j]
-    if delayed[j] != 0:
-        p = candidate[world]
-        part = fraction[p]
-        late = t - whole[p]
-        value = inputs[c, wp.clamp(late, 0, last), j]
-        if part > 0.0:
-            value = (1.0 - part) * value + part * inputs[c, wp.clamp(late - 1, 0, last), j]
+    p = candidate[world]
+    part = fraction[p, j]
+    late = wp.min(history + clock[0], last) - whole[p, j]
+    value = inputs[c, wp.clamp(late, 0, last), j]
+    if part > 0.0:
+        value = (1.0 - part) * value + part * inputs[c, wp.clamp(late - 1, 0, last), j]
     into[world, column] = value
 
 

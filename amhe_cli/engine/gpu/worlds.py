@@ -99,7 +99,7 @@ class Job:
         starts: Inputs and lengths of c clips.
         candidate, clip: Candidate and clip of each rollout, shape (n,).
         qpos, qvel: First states, shape (n, nq) and (n, nv).
-        delays: Command delay of each candidate [steps], shape (p,).
+        delays: Delays of each candidate's inputs [steps], shape (p, nu), or (p, 1) where all are alike.
         wanted: The numbers to pick.
     """
 
@@ -213,7 +213,8 @@ class Worlds:
         data, clips = self._data, self._array(clip, np.int32)
         before: list[_Launch] = []
         if job.starts.inputs.shape[2]:
-            whole, fraction = np.divmod(job.delays, 1.0)
+            every = (len(job.delays), job.starts.inputs.shape[2])
+            whole, fraction = np.divmod(np.broadcast_to(job.delays, every), 1.0)
             shared = (
                 self._clock,
                 self._array(job.starts.inputs[:, : job.starts.history + steps], np.float32),
@@ -221,7 +222,6 @@ class Worlds:
                 clips,
                 self._array(whole, np.int32),
                 self._array(fraction, np.float32),
-                self._array(job.starts.delayed, np.int32),
                 job.starts.history,
             )
             first = 0

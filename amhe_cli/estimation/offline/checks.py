@@ -201,7 +201,7 @@ def suspects(system: System) -> list[str]:
     set_by = system.edits.by_parameter()
     shared = [p.name for p, cells in set_by if len({c.row for c in cells if c.field.startswith("dof_")}) > 1]
     found = [f"values of their own for the joints that share {' and '.join(shared)}"] if shared else []
-    if system.edits.delay is None:
+    if not system.edits.late:
         found.append("a delay")
     if all(c.field != "actuator_gainprm" for _, cells in set_by for c in cells):
         found.append("a gain")

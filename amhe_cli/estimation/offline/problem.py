@@ -132,10 +132,10 @@ class Problem:
 
         A command acts from one step on: where a delay is a multiple of the step, slopes by it have a kink.
         """
-        space, delay, dt = self.system.space, self.system.edits.delay, self.system.dt
+        space, late, dt = self.system.space, self.system.edits.late, self.system.dt
         theta = np.array(space.nominal)
         for column, name in enumerate(space.names):
-            if delay is not None and owner_free(name) == delay:  # a log may have its own
+            if owner_free(name) in late:  # a log may have its own
                 theta[column] = (np.floor(theta[column] / dt + 1e-6) + 0.5) * dt
         return space.z_of(theta)
 

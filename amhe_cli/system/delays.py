@@ -1,0 +1,80 @@
+"""Delays of commands: what stands between the stamp of a command and the instant at which it acts."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.system.schema import TargetEntry
+from amhe_cli.system.targets import Cells
+
+if TYPE_CHECKING:
+    from amhe_cli.system.edits import ScalarEdit
+
+
+@dataclass(frozen=True, slots=True)
+class DelayNumber(Cells):
+    """Delay of one column of the engine's input vector; `name` is its actuator where others differ."""
+
+    name: str = ""
+
+    def of(self, model: mujoco.MjModel) -> FloatArray:
+        """Commands act at once where no parameter says otherwise."""
+        return np.zeros(1)
+
+
+@dataclass(frozen=True, eq=False)
+class CommandDelays:
+    """Delays [s] of the columns of the engine's input vector.
+
+    Args:
+        commands: Actuator that a signal commands -> its column.
+        width: Columns of the input vector; 1 where nothing is commanded, for all that there are.
+        edits: How parameters are written into the delays.
+    """
+
+    commands: Mapping[str, int] = field(default_factory=dict)
+    width: int = 1
+    edits: tuple[ScalarEdit, ...] = ()
+
+    def numbers(self, theta: FloatArray) -> FloatArray:
+        """All delays under values (p, d) of all parameters, fixed ones too, shape (p, width)."""
+        delays = np.zeros((len(theta), self.width))
+        for edit in self.edits:
+            edit.write({"command_delay": delays}, theta)
+        return delays
+
+    def longest(self, space: ParameterSpace) -> float:
+        """The longest delay [s] within the parameters' bounds."""
+        upper = np.array([[parameter.upper for parameter in space.parameters]])
+        return float(self.numbers(upper).max()) if self.edits else 0.0
+
+    def with_edits(self, edits: Sequence[ScalarEdit]) -> CommandDelays:
+        """The same commands with further edits."""
+        return replace(self, edits=(*self.edits, *edits))
+
+    @property
+    def cells(self) -> tuple[DelayNumber, ...]:
+        """The delays of all commands, which one parameter may set together."""
+        return tuple(DelayNumber("command_delay", column) for column in self.commands.values())
+
+    def cells_of(self, target: TargetEntry) -> list[DelayNumber]:
+        """The delays that a parameter's target sets.
+
+        Raises:
+            ConfigError: No signal commands such an actuator.
+        """
+        if target.actuator is None:
+            return list(self.cells)
+        names = [name for name in self.commands if fnmatchcase(name, target.actuator)]
+        if not names:
+            raise ConfigError(one_of("actuator that a signal commands", target.actuator, self.commands))
+        return [DelayNumber("command_delay", self.commands[name], name=name) for name in names]
