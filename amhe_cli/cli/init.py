@@ -50,6 +50,18 @@ class _ModelPath(click.Path):
     metavar="DIR",
     help="The system folder to write.  [default: amhe-out/init-<date>-<time>/]",
 )
+@click.option(
+    "--actuators",
+    is_flag=True,
+    help="Make the drives the unknowns: armature, viscous and dry friction and the encoder's zero of every "
+    "measured joint, and one delay of the commands.",
+)
+@click.option(
+    "--group",
+    is_flag=True,
+    help="With --actuators: equal drives (left and right, or of one class, with the same numbers) share "
+    "their parameters.",
+)
 @options.force
 @options.msg_path
 @click.option(
@@ -81,6 +93,8 @@ def init(
     model: Path | str,
     logs: tuple[Path, ...],
     out: Path | None,
+    actuators: bool,
+    group: bool,
     force: bool,
     msg_path: Path | None,
     packages: dict[str, str],
@@ -107,7 +121,9 @@ def init(
         {**known, **{name: Path(folder) for name, folder in packages.items()}}, not no_meshes, xacro_args
     )
     folder = reserve(out, "init", force)
-    guessed = init_system(path, logs, folder, msg_path=msg_path, force=force, urdf=urdf)
+    guessed = init_system(
+        path, logs, folder, msg_path=msg_path, force=force, urdf=urdf, actuators=actuators, group=group
+    )
     if session.json:
         session.print_json(session.record(system=str(folder), guessed=guessed))
         return

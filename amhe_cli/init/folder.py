@@ -13,6 +13,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.settings import LogSettings
+from amhe_cli.init.actuators import actuator_parameters, floating
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf
 from amhe_cli.init.parameters import guess_parameters
 from amhe_cli.init.signals import (
@@ -50,6 +51,8 @@ def init_system(
     msg_path: Path | None = None,
     force: bool = False,
     urdf: UrdfOptions | None = None,
+    actuators: bool = False,
+    group: bool = False,
 ) -> list[str]:
     """Write a system folder that `amhe identify` can use at once.
 
@@ -60,6 +63,8 @@ def init_system(
         msg_path: Folder of `.msg` files for types that the logs do not define.
         force: Write into a folder that is not empty.
         urdf: How to read a URDF or xacro.
+        actuators: The unknowns are those of all drives, and nothing else.
+        group: With `actuators`: equal drives share their parameters.
 
     Returns:
         The guesses, in sentences.
@@ -68,6 +73,8 @@ def init_system(
         ConfigError: The model cannot be read, or nothing in the logs is a part of it.
         LogError: A log cannot be read.
     """
+    if group and not actuators:
+        raise ConfigError("`group` is for the drives of `actuators`: give both")
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
     spec = read_spec(model_path, urdf)
@@ -81,7 +88,11 @@ def init_system(
         notes += add_servos(spec, model, topics)
     model = compiled(spec)
     guesses = guess_signals(model, topics)
-    parameters = guess_parameters(model, guesses, guessed_gains=added)
+    if actuators:
+        parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group)
+        notes += floating(model, guesses)
+    else:
+        parameters = guess_parameters(model, guesses, guessed_gains=added)
     _refuse_nothing(model, topics, guesses, parameters)
     notes += notes_on(model, topics, guesses)
     for guess in guesses:

@@ -41,6 +41,12 @@ def followers(model: mujoco.MjModel) -> dict[str, str]:
     return {model.joint(c.follower).name: model.joint(c.leader).name for c in couplings(model)}
 
 
+def floats(model: mujoco.MjModel, joint: int) -> bool:
+    """Whether a joint hangs on a body that nothing holds: the root of its tree has a free joint."""
+    first = int(model.body_jntadr[model.body_rootid[model.jnt_bodyid[joint]]])
+    return first >= 0 and int(model.jnt_type[first]) == mujoco.mjtJoint.mjJNT_FREE
+
+
 def set_followers(
     model: mujoco.MjModel, qpos: FloatArray, qvel: FloatArray, measured: Collection[int]
 ) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.states import home
+from amhe_cli.system.coupled import floats
 from amhe_cli.system.system import System
 
 #: Lowest and highest frequency [Hz]: slow ones show gravity and friction, fast ones inertia.
@@ -53,7 +54,7 @@ def driven_controls(system: System) -> DrivenControls:
         name = model.actuator(row).name
         if not model.actuator_ctrllimited[row]:
             raise ConfigError(f"{system.name}: give actuator {name!r} a ctrlrange: a probe stays within it")
-        if _floats(system, row):
+        if floats(model, int(model.actuator_trnid[row, 0])):
             raise ConfigError(
                 f"{system.name}: actuator {name!r} moves a body that nothing holds: a robot on legs needs a "
                 f"controller, which only go1_push has"
@@ -61,14 +62,6 @@ def driven_controls(system: System) -> DrivenControls:
     _, rest = home(model, system.keyframe, system.input_spec)
     limits = model.actuator_ctrlrange[rows]
     return DrivenControls(columns, rest[columns], limits[:, 0], limits[:, 1], rest)
-
-
-def _floats(system: System, actuator: int) -> bool:
-    """Whether an actuated joint hangs on a free body."""
-    model = system.model
-    body = int(model.jnt_bodyid[model.actuator_trnid[actuator, 0]])
-    first = int(model.body_jntadr[model.body_rootid[body]])
-    return first >= 0 and int(model.jnt_type[first]) == 0  # mjJNT_FREE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,0 +1,125 @@
+"""The unknowns of every drive of a robot (`amhe init --actuators`): 4 for each joint, and one delay."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import mujoco
+import numpy as np
+
+from amhe_cli.init.drives import (
+    KINDS,
+    delay,
+    gain_scale,
+    joint_parameter,
+    kin,
+    measured_joints,
+    moved_by,
+    servo_gains,
+)
+from amhe_cli.init.signals import Guess
+from amhe_cli.system.coupled import floats
+
+#: Prior sd and largest zero of an encoder, of a hinge [rad] and of a slide [m].
+_HINGE, _SLIDE = (0.05, 0.3), (0.005, 0.03)
+#: Numbers of an actuator that are equal where drives are.
+_OF_ACTUATOR = ("gaintype", "biastype", "gainprm", "biasprm", "forcelimited", "forcerange", "gear")
+
+
+def actuator_parameters(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool, group: bool
+) -> list[Guess]:
+    """Armature, viscous and dry friction and the encoder's zero of each joint, and one delay of all commands.
+
+    Gains are fixed: a log of positions shows only their ratio to masses, armatures and frictions.
+
+    Args:
+        spec: The model's source: it has the classes of joints.
+        model: The model.
+        signals: Signals of the log; every joint that it measures has a drive.
+        guessed_gains: Whether `init` added the actuators; then the masses are known better than the gains.
+        group: Equal drives share their parameters, all but the zero of the encoder.
+    """
+    joints, actuators = measured_joints(model, signals), moved_by(signals)
+    groups = _groups(spec, model, joints) if group else {joint: [joint] for joint in joints}
+    found = [
+        joint_parameter(model, f"{name}_{kind}", alike, kind, meaning, _first(model, alike, field), False)
+        for name, alike in groups.items()
+        for kind, field, meaning in KINDS
+    ]
+    found += [*_zeros(model, joints, signals), *_gains(model, actuators, guessed_gains)]
+    return [*found, *(delay(model.opt.timestep) if actuators else ())]
+
+
+def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
+    """Joints whose drives are equal: of one class, or named alike but for the side, and of equal numbers."""
+    alike: dict[tuple[object, ...], list[str]] = {}
+    for joint in joints:
+        kind = spec.joint(joint).classname.name
+        own = kin(joint) if kind == "main" else kind
+        alike.setdefault((own, *_numbers(model, joint)), []).append(joint)
+    groups: dict[str, list[str]] = {}
+    for (own, *_), names in alike.items():
+        name = names[0] if len(names) == 1 or str(own) in groups else str(own)
+        groups[name] = names
+    return groups
+
+
+def floating(model: mujoco.MjModel, signals: Sequence[Guess]) -> list[str]:
+    """What to do where measured joints hang on a body that nothing holds."""
+    loose = [name for name in measured_joints(model, signals) if floats(model, model.joint(name).id)]
+    if not loose:
+        return []
+    body = model.body(model.body_rootid[model.joint(loose[0]).bodyid[0]]).name
+    return [
+        f"the base is not fixed: body {body} has a free joint. Hang the robot up or bolt it down, and delete "
+        f"that joint from the model; else the base's motion and contacts hide what the drives do"
+    ]
+
+
+def _numbers(model: mujoco.MjModel, joint: str) -> tuple[float, ...]:
+    """What a drive's data sheet would say, at six digits."""
+    row, dof = model.joint(joint).id, int(model.joint(joint).dofadr[0])
+    values = [np.ravel(getattr(model, field)[dof]) for _, field, _ in KINDS]
+    for actuator in np.flatnonzero((model.actuator_trnid[:, 0] == row) & (model.actuator_trntype <= 1)):
+        values += [np.ravel(getattr(model, f"actuator_{name}")[actuator]) for name in _OF_ACTUATOR]
+    return tuple(float(f"{value:.6g}") for value in np.concatenate(values))
+
+
+def _first(model: mujoco.MjModel, group: Sequence[str], field: str) -> float:
+    return float(getattr(model, field)[model.joint(group[0]).dofadr[0]])
+
+
+def _zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:
+    """The zero of each joint's encoder; commands are in its frame too."""
+    for signal in signals:
+        for joint in (name for name in signal.entry.get("joints", ()) if name in joints):
+            slides = int(model.joint(joint).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
+            sd, most = _SLIDE if slides else _HINGE
+            entry = {
+                "nominal": 0.0,
+                "bounds": [-most, most],
+                "scale": "linear",
+                "prior_sd": sd,
+                "targets": [
+                    {"signal": signal.name, "set": "bias", "joint": joint, "quantity": "position"},
+                ],
+            }
+            why = f"zero of the encoder of joint {joint}: the log reads angle + offset; gravity shows it"
+            yield Guess(f"{joint}_offset", entry, why)
+
+
+def _gains(model: mujoco.MjModel, actuators: Sequence[str], guessed: bool) -> Iterator[Guess]:
+    """Gains that `init` guessed are unknown; those of the model are fixed, and so is the velocity term."""
+    own = [*servo_gains(model, actuators)] if guessed else gain_scale(model, actuators)
+    for one in own:
+        if not guessed:
+            why = (
+                "fixed: the log shows only the ratio of gains to masses, armatures and frictions, which are "
+                "in units of them; prior_sd: 0.1 if the gains are known to 10 %"
+            )
+            yield Guess(one.name, one.entry | {"prior_sd": 0.0}, why)
+        elif one.entry["targets"][0]["set"] == "gain":
+            yield one
+        else:
+            yield Guess(one.name, one.entry | {"prior_sd": 0.0}, f"fixed: {one.why}")

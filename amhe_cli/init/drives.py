@@ -1,0 +1,202 @@
+"""Unknown numbers of a robot's drives: friction and inertia of joints, gains, delays, zeros of encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from amhe_cli.init.names import words
+from amhe_cli.init.signals import Guess, single_joints
+from amhe_cli.system.coupled import followers
+from amhe_cli.system.driven import commanded
+
+#: More actuated joints than this share one parameter of each kind.
+_OWN_PARAMETERS = 3
+#: Prior sd (log scale) and range of a number that the model gives, and of one that it leaves at zero.
+_KNOWN, _UNKNOWN = (0.5, 10.0), (1.0, 100.0)
+#: Prior sd (log scale) of the gains that a model file gives its actuators.
+GAIN_SD = 0.1
+#: Prior sd (log scale) of a servo's gains that nobody has measured: a factor of 4.5 either way at one sd.
+_GUESSED_GAIN = 1.5
+#: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and models leave it out.
+_DELAY, _DELAY_SD, _LONGEST_DELAY = 0.01, 0.01, 0.1
+#: Words that tell one of several parts alike.
+_SIDES = {
+    *("fl", "fr", "rl", "rr", "lf", "rf", "lr", "lh", "rh", "hl", "hr", "bl", "br", "l", "r"),
+    *("left", "right", "front", "rear", "hind", "back"),
+}
+KINDS = (
+    ("damping", "dof_damping", "viscous: torque per speed"),
+    ("friction_loss", "dof_frictionloss", "dry: torque against any motion"),
+    ("armature", "dof_armature", "inertia of rotor and gears, seen at the joint"),
+)
+
+
+def measured_joints(model: mujoco.MjModel, signals: Sequence[Guess]) -> list[str]:
+    """Joints that the log measures, without those that follow others."""
+    measured = {name for guess in signals for name in guess.entry.get("joints", ())}
+    return [name for name in single_joints(model) if name in measured - followers(model).keys()]
+
+
+def moved_by(signals: Sequence[Guess]) -> list[str]:
+    """Actuators that the log commands."""
+    return [name for guess in signals for name in guess.entry.get("actuators", ())]
+
+
+def joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[Guess]:
+    """Armature, viscous and dry friction of joints; joints alike share them."""
+    for own, group in _alike(model, joints).items():
+        for kind, field, meaning in KINDS:
+            values = getattr(model, field)[[_dof(model, joint) for joint in group]]
+            parts = _by_value(group, values)
+            if len(parts) > _OWN_PARAMETERS:  # each joint has a value of its own: one factor on all
+                parts = {0.0: parts.pop(0.0, []), np.nan: [n for part in parts.values() for n in part]}
+            for value, names in parts.items():
+                head = own if len(parts) == 1 else f"{names[0]}_" if names else ""
+                if names:
+                    scaled = len(parts) > 1 and value != 0.0
+                    yield joint_parameter(model, f"{head}{kind}", names, kind, meaning, value, scaled)
+
+
+def joint_parameter(
+    model: mujoco.MjModel,
+    name: str,
+    joints: Sequence[str],
+    kind: str,
+    meaning: str,
+    value: float,
+    scaled: bool,
+) -> Guess:
+    """One parameter of joints with one value; a factor on it where other joints have others."""
+    of = f"of joint {joints[0]}" if len(joints) == 1 else f"of {len(joints)} joints alike"
+    if scaled:
+        targets = [{"joint": joint, "set": kind, "mode": "scale"} for joint in joints]
+        own = "the model's own values" if np.isnan(value) else f"the model's {value:g}"
+        return Guess(
+            f"{name}_scale",
+            entry_of(1.0, False, targets) | {"unit": "-"},
+            f"{meaning}, {of}; factor on {own}",
+        )
+    unknown = not value > 0.0
+    # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,
+    # a tenth of the inertia in the rotor
+    scale = 0.1 if kind == "armature" else 1.0
+    inertia = float(np.median(model.dof_M0[[_dof(model, joint) for joint in joints]]))
+    targets = [{"joint": joint, "set": kind} for joint in joints]
+    note = "the model has none: a guess from the joint's inertia" if unknown else "from the model"
+    entry = entry_of(scale * inertia if unknown else value, unknown, targets)
+    return Guess(name, entry, f"{meaning}, {of}; {note}")
+
+
+def _dof(model: mujoco.MjModel, joint: str) -> int:
+    return int(model.joint(joint).dofadr[0])
+
+
+def _by_value(names: Sequence[str], values: Iterable[float]) -> dict[float, list[str]]:
+    """The names that have each value, to six digits."""
+    parts: dict[float, list[str]] = {}
+    for name, value in zip(names, values, strict=True):
+        parts.setdefault(float(f"{value:.6g}"), []).append(name)
+    return parts
+
+
+def _alike(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
+    """Joints with common parameters, by the beginning of these parameters' names.
+
+    Hinges and slides have none in common, because their units differ.
+    """
+    if len(joints) <= _OWN_PARAMETERS:
+        groups = {f"{joint}_": [joint] for joint in joints}
+    else:
+        groups = {"hinge_": list[str](), "slide_": list[str]()}
+        for joint in joints:
+            slides = int(model.joint(joint).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
+            groups["slide_" if slides else "hinge_"].append(joint)
+    groups = {name: group for name, group in groups.items() if group}
+    return {"": list(joints)} if len(groups) == 1 else groups
+
+
+def kin(name: str) -> str:
+    """A name without the words and numbers that tell one of several alike: FL_foot and RR_foot are foot."""
+    bare = [word for word in words(name) if word not in _SIDES and not word.isdigit()]
+    return "_".join(bare) or name
+
+
+def gain_scale(model: mujoco.MjModel, actuators: Sequence[str]) -> list[Guess]:
+    """One factor on the gains of all actuators; none where nothing is commanded."""
+    if not actuators:
+        return []
+    targets: list[dict[str, Any]] = [{"actuator": name, "set": "gain", "mode": "scale"} for name in actuators]
+    limited = [target for target in targets if model.actuator(target["actuator"]).forcelimited[0]]
+    for target in limited:
+        target["carry_limit"] = True
+    entry = entry_of(1.0, False, targets, GAIN_SD) | {"unit": "-"}
+    why = (
+        "factor on all actuator gains: masses and torques are relative to it, and position control does not "
+        "determine it; delete it if the gains were measured"
+    )
+    if limited:
+        why += (
+            "; carry_limit: limits of force follow it, as with a wrong torque constant; a parameter of its "
+            "own with {set: force_limit} makes them unknown"
+        )
+    return [Guess("gain_scale", entry, why)]
+
+
+def servo_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[Guess]:
+    """Stiffness and damping of each servo; a motor's gain is 1 and no guess."""
+    for name in actuators:
+        row = model.actuator(name).id
+        if commanded(model, row) == "effort":
+            continue
+        note = "a guess from the joint's inertia: put the drive's data sheet in its place"
+        gains = (
+            ("gain", float(model.actuator_gainprm[row, 0]), f"the servo's kp, {note}"),
+            (
+                "actuator_damping",
+                float(-model.actuator_biasprm[row, 2]),
+                f"the servo's kv, {note}; the log shows only the sum of it and the joint's damping",
+            ),
+        )
+        gains = gains[:1] if commanded(model, row) == "velocity" else gains
+        for kind, nominal, why in gains:
+            entry = entry_of(nominal, True, [{"actuator": name, "set": kind}], _GUESSED_GAIN)
+            yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why)
+
+
+def delay(step: float) -> Iterator[Guess]:
+    """The delay of all commands; without it, wrong dampings and gains would explain the lag.
+
+    It is proposed in the middle of a time step [s], because slopes by it have a kink at multiples of one.
+    """
+    entry = {
+        "nominal": short((np.floor(_DELAY / step + 1e-6) + 0.5) * step),
+        "bounds": [0.0, _LONGEST_DELAY],
+        "scale": "linear",
+        "prior_sd": _DELAY_SD,
+        "targets": [{"set": "command_delay"}],
+    }
+    why = "delay of every command [s]; a guess: real servos have 5 to 20 ms"
+    yield Guess("command_delay", entry, why)
+
+
+def entry_of(
+    nominal: float, unknown: bool, targets: list[dict[str, Any]], sd: float | None = None
+) -> dict[str, Any]:
+    """A parameter on the log scale; `unknown`: the model has no value, and the prior is wide."""
+    own_sd, factor = _UNKNOWN if unknown else _KNOWN
+    return {
+        "nominal": short(nominal),
+        "bounds": [short(nominal / factor), short(nominal * factor)],
+        "scale": "log",
+        "prior_sd": sd or own_sd,
+        "targets": targets,
+    }
+
+
+def short(value: float) -> float:
+    """The number at three digits."""
+    return float(f"{value:.3g}")

@@ -1,0 +1,79 @@
+"""`amhe init --actuators`: the unknowns of every drive, from a model and a table."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.init.folder import init_system
+from amhe_cli.system.system import System
+
+JOINTS = ("left_hip", "left_knee", "right_hip", "right_knee")
+ROOT = '<body name="trunk" pos="0 0 1">{0}<geom size="0.1" mass="5"/>'
+
+
+def leg(side: str, damping: float = 0.2) -> str:
+    return f"""
+      <body name="{side}_thigh"><joint name="{side}_hip" axis="0 1 0" armature="0.02" damping="0.3"/>
+        <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.5"/>
+        <body name="{side}_shank" pos="0 0 -0.2"><joint name="{side}_knee" axis="0 1 0" damping="{damping}"/>
+          <geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.2"/></body></body>"""
+
+
+def robot(free: str = "", right: float = 0.2) -> str:
+    servos = "".join(f'<position name="{joint}" joint="{joint}" kp="20" kv="0.5"/>' for joint in JOINTS)
+    trunk = ROOT.format(free) + leg("left") + leg("right", right)
+    return f"<mujoco><worldbody>{trunk}</body></worldbody><actuator>{servos}</actuator></mujoco>"
+
+
+def made(folder: Path, model: str, group: bool = False) -> tuple[System, list[str]]:
+    (folder / "robot.xml").write_text(model)
+    names = [f"{kind}_{joint}" for kind in ("position", "command_position") for joint in JOINTS]
+    rows = [",".join(["time", *names]), *(",".join([f"{0.01 * i:g}", *["0.1"] * 8]) for i in range(50))]
+    (folder / "log.csv").write_text("\n".join(rows) + "\n")
+    notes = init_system(
+        folder / "robot.xml", [folder / "log.csv"], folder / "out", actuators=True, group=group
+    )
+    return System.load(folder / "out"), notes
+
+
+def test_every_joint_has_four_unknowns_and_all_have_one_delay(tmp_path: Path) -> None:
+    system, notes = made(tmp_path, robot())
+    kinds = ("damping", "friction_loss", "armature", "offset")
+    expected = {f"{joint}_{kind}" for joint in JOINTS for kind in kinds} | {"command_delay"}
+    assert set(system.space.names) == expected and len(expected) == 4 * 4 + 1
+    nominal = system.space.named(system.space.nominal)
+    assert nominal["left_hip_armature"] == 0.02 and nominal["left_knee_armature"] > 0.0
+    assert not any("free joint" in note for note in notes)
+
+
+def test_gains_are_fixed_and_it_is_said(tmp_path: Path) -> None:
+    system, notes = made(tmp_path, robot())
+    assert system.fixed == {"gain_scale": 1.0}
+    assert any(note.startswith("gain_scale: fixed: the log shows only the ratio") for note in notes)
+
+
+def test_equal_drives_share_all_but_the_zero_of_their_encoders(tmp_path: Path) -> None:
+    system, _ = made(tmp_path, robot(), group=True)
+    kinds = ("damping", "friction_loss", "armature")
+    shared = {f"{name}_{kind}" for name in ("hip", "knee") for kind in kinds}
+    assert set(system.space.names) == shared | {f"{joint}_offset" for joint in JOINTS} | {"command_delay"}
+    assert system.sets["hip_damping"] == "dof_damping of left_hip; dof_damping of right_hip"
+
+
+def test_drives_of_other_numbers_are_not_equal(tmp_path: Path) -> None:
+    system, _ = made(tmp_path, robot(right=0.4), group=True)
+    assert {"hip_damping", "left_knee_damping", "right_knee_damping"} <= set(system.space.names)
+
+
+def test_a_base_that_floats_is_warned_of(tmp_path: Path) -> None:
+    _, notes = made(tmp_path, robot("<freejoint/>"))
+    (note,) = [note for note in notes if note.startswith("the base is not fixed")]
+    assert "body trunk has a free joint" in note
+
+
+def test_a_group_without_its_drives_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="`group` is for the drives of `actuators`"):
+        init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", group=True)
