@@ -23,8 +23,8 @@ from amhe_cli.robots.go1.settings import Go1Settings
 FOLDED = sealed(np.tile([0.0, 1.2, -2.6], 4))
 #: Longest time from arming to the first plan [s].
 _FIRST_PLAN = 2.0
-#: Time over which targets are blended from those in force into the first plan, and into every other one [s].
-_FIRST_BLEND, _BLEND = 0.2, 0.02
+#: Time over which targets are blended from standing into plans, and from one plan into the next [s].
+_FIRST_BLEND, _BLEND = 0.3, 0.02
 #: A robot that was walking puts its feet down in this time before it sits down [s].
 _LANDING = 0.2
 _AT_REST = sealed(np.zeros(12))
@@ -84,7 +84,9 @@ class Machine:
     _from: FloatArray = field(default_factory=lambda: _AT_REST)
     _sent: FloatArray | None = None
     _playing: Targets | None = None
-    _blend: tuple[float, float, FloatArray] = (0.0, 1.0, NO_JUMP)
+    _planned: FloatArray = field(default_factory=lambda: _AT_REST)
+    _first_plan: float = 0.0
+    _blend: tuple[float, FloatArray] = (0.0, NO_JUMP)
     _jump: FloatArray = field(default_factory=lambda: NO_JUMP)
     _released: bool = False
     _over_power: int = 0
@@ -221,16 +223,21 @@ class Machine:
         return self._from
 
     def _played(self, now: float, plan: Targets) -> FloatArray:
-        """Joint targets of a plan, blended into from those before: a late plan begins with a step."""
-        targets, before = plan.at(now), self._from if self._sent is None else self._sent
-        self._jump = NO_JUMP
+        """Joint targets of a plan, blended into from those of the plan before: a late one begins with a step.
+
+        The first one may begin in the midst of a stride: at first all are blended into from standing.
+        """
+        targets, self._jump = plan.at(now), NO_JUMP
         if plan is not self._playing:
+            tick = now - 1.0 / self.settings.rate
+            if self._playing is None:
+                self._planned, self._first_plan = targets, tick
+            before = self._planned
             self._jump = _largest_step(np.vstack((targets - before, np.diff(plan.rows, axis=0))))
-            # the first plan's targets include the load on the feet, those of standing do not
-            duration = _FIRST_BLEND if self._playing is None else _BLEND
-            self._playing, self._blend = plan, (now - 1.0 / self.settings.rate, duration, before - targets)
-        begun, duration, offset = self._blend
-        return targets + max(0.0, 1.0 - (now - begun) / duration) * offset
+            self._playing, self._blend = plan, (tick, before - targets)
+        begun, offset = self._blend
+        self._planned = targets + max(0.0, 1.0 - (now - begun) / _BLEND) * offset
+        return eased(self._from, self._planned, (now - self._first_plan) / _FIRST_BLEND)
 
     def _servo(self, now: float, state: RobotState, wanted: FloatArray) -> MotorCommand:
         s = self.settings

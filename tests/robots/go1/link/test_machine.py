@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -110,6 +111,32 @@ def test_it_waits_for_the_operator_and_then_for_the_first_plan() -> None:
     robot.no_plans = robot.no_poses = False
     np.testing.assert_allclose(robot.for_a_while(0.5)[-1].position, HOME + 0.1, atol=1e-3)
     assert robot.machine.phase == Phase.RUN
+
+
+def test_fifty_armings_on_a_busy_computer_begin_smoothly() -> None:
+    """The first plan comes late, in the midst of a stride, and the next ones come late too."""
+    rng = np.random.default_rng(0)
+    standing = Robot(gain_time=0.2, stand_speed=3.0)
+    standing.until(Phase.READY)
+    fastest = 0.61 * 2 * np.pi * 2.0
+    for _ in range(50):
+        robot, phase = deepcopy(standing), rng.uniform(0.0, 2 * np.pi)
+        robot.inbox.arm, robot.no_plans = True, True
+        robot.until(Phase.RUN, 0.1)
+        due = robot.now + rng.uniform(0.0, 0.3)
+        end = due + 0.45
+        while robot.now < end:
+            if robot.now >= due:
+                times = robot.now + 0.02 * np.arange(17)
+                stride = np.zeros((17, 12))
+                stride[:, 2] = -0.61 * np.abs(np.sin(phase + 2 * np.pi * 2.0 * (times - 100.0)))
+                robot.inbox.plan, robot.inbox.plan_time = Targets(robot.now, 0.02, HOME + stride), robot.now
+                due += rng.uniform(0.02, 0.07)
+            robot.step()
+        assert robot.machine.trip == ""
+        sent = np.array([command.position for command in robot.commands if command.kp[0] > 0])
+        assert np.abs(np.diff(sent, axis=0)).max() < (fastest + 1.5 * 0.61 / 0.3) * TICK + 2e-3
+        np.testing.assert_allclose(robot.machine._planned, sent[-1], atol=1e-9)
 
 
 def test_a_key_of_the_remote_that_is_held_all_the_time_does_not_arm() -> None:
@@ -238,7 +265,7 @@ def test_a_plan_is_looked_at_as_a_whole_when_it_comes(value: float, trip: str) -
 def test_targets_that_are_no_numbers_damp() -> None:
     """Whatever led to them: they were taken for where the joints are."""
     robot = running()
-    robot.machine._blend = (robot.now, 1.0, np.full(12, np.nan))
+    robot.machine._blend = (robot.now, np.full(12, np.nan))
     robot.inbox.plan = robot.plan = robot.machine._playing
     assert is_damping(robot.step())
     assert robot.machine.trip == "not_a_number"
