@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from amhe_cli.api.estimator import Estimator
     from amhe_cli.api.export import export
     from amhe_cli.api.identify import Result, identify
+    from amhe_cli.api.pool import pool
     from amhe_cli.api.runs import probe, run
     from amhe_cli.core.errors import AmheError
     from amhe_cli.core.limits import limit
@@ -40,6 +41,7 @@ _HOMES = {
     "export": "amhe_cli.api.export",
     "identify": "amhe_cli.api.identify",
     "limit": "amhe_cli.core.limits",
+    "pool": "amhe_cli.api.pool",
     "probe": "amhe_cli.api.runs",
     "read_log": "amhe_cli.logs.read",
     "run": "amhe_cli.api.runs",
@@ -59,6 +61,7 @@ __all__ = [
     "export",
     "identify",
     "limit",
+    "pool",
     "probe",
     "read_log",
     "run",

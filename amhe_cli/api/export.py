@@ -70,8 +70,8 @@ def export(
         raise ConfigError(f"`to`: {one_of('kind', to, KINDS)}")
     if not (isinstance(count, int) and count > 0):
         raise ConfigError(f"`count`: {count!r} is no whole number of 1 or more")
-    opened = system if isinstance(system, System) else System.load(system or _named_by(belief), warn=False)
-    opened, given = opened.starting_from(belief, belief_anyway=belief_anyway)
+    read = belief if isinstance(belief, Belief) else read_belief(Path(belief))
+    opened, given = named_system(read, system).starting_from(belief, belief_anyway=belief_anyway)
     assert given is not None, "a belief was given"
     known, folder = completed(given, opened), reserve(Path(out), "export", force)
     contents: dict[str, str | FloatArray] = {}
@@ -90,11 +90,13 @@ def export(
     return [folder / name for name in contents]
 
 
-def _named_by(belief: Belief | str | Path) -> Path | str:
-    """The system that a belief names: its folder where it had one, else a bundled one."""
-    read = belief if isinstance(belief, Belief) else read_belief(Path(belief))
-    folder = read.provenance.get("system_folder")
-    return str(folder) if folder and Path(str(folder)).is_dir() else read.system
+def named_system(belief: Belief, system: System | str | Path | None) -> System:
+    """A system, or the one that a belief names: of its folder where it had one, else a bundled one."""
+    if isinstance(system, System):
+        return system
+    folder = belief.provenance.get("system_folder")
+    own = str(folder) if folder and Path(str(folder)).is_dir() else belief.system
+    return System.load(system or own, warn=False)
 
 
 def _samples(

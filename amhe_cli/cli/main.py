@@ -25,6 +25,7 @@ from amhe_cli.cli.identify import identify
 from amhe_cli.cli.init import init
 from amhe_cli.cli.inspect import inspect
 from amhe_cli.cli.mhe_replay import mhe_replay
+from amhe_cli.cli.pool import pool
 from amhe_cli.cli.probe import probe
 from amhe_cli.cli.run import run as run_task
 from amhe_cli.cli.session import FAILED, INTERRUPTED, TERMINATED, UNREADABLE, USAGE, Session, Terminated
@@ -37,7 +38,7 @@ def amhe() -> None:
 
 
 for _command in (
-    init, inspect, convert, probe, identify, export, mhe_replay, run_task, evaluate, emulate, calibrate,
+    init, inspect, convert, probe, identify, export, pool, mhe_replay, run_task, evaluate, emulate, calibrate,
 ):  # fmt: skip
     amhe.add_command(_command)
 

@@ -1,0 +1,60 @@
+"""`amhe pool`: beliefs that agree become one, others are refused by name."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.cli.main import run
+from amhe_cli.core.parameters import belief_of
+
+NAMES = ("load_mass", "damping", "friction_loss", "armature")
+
+
+def saved(folder: Path, name: str, z: np.ndarray, log: str) -> str:
+    path = folder / name / "belief.yaml"
+    path.parent.mkdir()
+    system = amhe.System.load("pendulum")
+    belief_of(system, z, 0.01 * np.eye(4), {"logs": {f"{name}.mcap": log}}).save(path)
+    return str(path)
+
+
+def test_beliefs_that_agree_become_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rng = np.random.default_rng(0)
+    files = [saved(tmp_path, day, rng.normal(0.3, 0.1, 4), day) for day in ("mon", "tue", "wed")]
+    out = tmp_path / "pooled.yaml"
+    assert run(["pool", *files, "-o", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "the runs agree" in printed
+    assert "mon" in printed
+    system = amhe.System.load("pendulum")
+    belief = amhe.Belief.load(out, system)
+    sd = np.sqrt(np.diag(belief.covariance)) / system.space.prior_sd
+    np.testing.assert_allclose(sd, (3 * 100.0 - 2.0) ** -0.5, rtol=1e-6)
+    assert set(belief.provenance["logs"]) == {"mon.mcap", "tue.mcap", "wed.mcap"}  # type: ignore[arg-type]
+
+
+def test_a_contradiction_names_parameter_and_pair(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    other = np.array([0.0, 1.5, 0.0, 0.0])
+    files = [saved(tmp_path, "mon", np.zeros(4), "a"), saved(tmp_path, "tue", other, "b")]
+    assert run(["pool", *files, "-o", str(tmp_path / "pooled.yaml")]) == 1
+    error = capsys.readouterr().err
+    assert f"damping differs by 10.7 sd between {files[0]} and {files[1]}" in " ".join(error.split())
+    assert not (tmp_path / "pooled.yaml").exists()
+
+
+def test_a_log_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [saved(tmp_path, "mon", np.zeros(4), "a"), saved(tmp_path, "tue", np.zeros(4), "a")]
+    assert run(["pool", *files]) == 2
+    assert "both made of tue.mcap" in capsys.readouterr().err
+
+
+def test_the_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = [saved(tmp_path, day, np.zeros(4), day) for day in ("mon", "tue")]
+    assert run(["pool", *files, "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["chi_square"] == pytest.approx(0.0)
+    assert [row["name"] for row in record["parameters"]] == list(NAMES)
+    assert record["differences"][0]["between"] == files

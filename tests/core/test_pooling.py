@@ -1,0 +1,67 @@
+"""Pooling: what one fit to all data says, and differences as large as noise makes them."""
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.pooling import agreement, exceeded, pooled
+
+
+def beliefs(seed: int, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Posteriors of linear data of each run about the same three unknowns; the third is not in the data.
+
+    Args:
+        seed: Seed of the noise.
+        shifts: What each run adds to the unknowns, shape (k, 3).
+
+    Returns:
+        Means, covariances, prior precision, and the sums of information and score over all data.
+    """
+    rng = np.random.default_rng(seed)
+    prior = np.linalg.inv(np.array([[1.0, 0.3, 0.0], [0.3, 1.0, 0.0], [0.0, 0.0, 1.0]]))
+    truth = np.array([0.4, -0.7, 1.2])
+    means, covariances, information, score = [], [], np.zeros((3, 3)), np.zeros(3)
+    for shift in shifts:
+        slopes = rng.normal(size=(20, 3)) * np.array([3.0, 1.0, 0.0])
+        data = slopes @ (truth + shift) + rng.normal(size=20)
+        covariance = np.linalg.inv(slopes.T @ slopes + prior)
+        means.append(covariance @ slopes.T @ data)
+        covariances.append(covariance)
+        information += slopes.T @ slopes
+        score += slopes.T @ data
+    return np.array(means), np.array(covariances), prior, information, score
+
+
+def test_pooling_is_the_fit_to_all_data() -> None:
+    means, covariances, prior, information, score = beliefs(0, np.zeros((4, 3)))
+    mean, covariance = pooled(means, covariances, np.zeros(3), prior)
+    np.testing.assert_allclose(covariance, np.linalg.inv(information + prior), atol=1e-9)
+    np.testing.assert_allclose(mean, covariance @ score, atol=1e-9)
+
+
+def test_chi_square_is_that_of_noise() -> None:
+    found = []
+    for seed in range(200):
+        means, covariances, prior, *_ = beliefs(seed, np.zeros((3, 3)))
+        found.append(agreement(means, covariances, prior))
+    assert {one.freedom for one in found} == {4}  # two unknowns, two differences; the third is the prior's
+    assert np.mean([one.chi_square for one in found]) == pytest.approx(4.0, abs=0.5)
+    assert np.mean([one.chance < 0.1 for one in found]) == pytest.approx(0.1, abs=0.06)
+
+
+def test_the_run_that_differs_is_named() -> None:
+    shifts = np.zeros((3, 3))
+    shifts[1, 0] = 1.0
+    means, covariances, prior, *_ = beliefs(5, shifts)
+    found = agreement(means, covariances, prior)
+    assert found.chance < 1e-4
+    one, other, size = found.farthest(0)
+    assert 1 in (one, other)
+    assert size > 5.0
+    assert found.farthest(2)[2] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("value", "freedom", "share"), [(3.841, 1, 0.05), (11.07, 5, 0.05), (23.21, 10, 0.01)]
+)
+def test_tail_of_chi_square(value: float, freedom: int, share: float) -> None:
+    assert exceeded(value, freedom) == pytest.approx(share, abs=0.003)
