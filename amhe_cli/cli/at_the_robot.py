@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from amhe_cli.core.errors import Ending
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.robots.go1.history import History
-    from amhe_cli.robots.go1.link.link import SenderReport
     from amhe_cli.robots.go1.link.open import WireOptions
+    from amhe_cli.robots.go1.link.report import SenderReport
     from amhe_cli.robots.go1.run import Run, RunOptions
 
 POSES = ("natnet", "motioncapture", "ros2", "udp")
@@ -135,7 +135,7 @@ def said(error: Exception | None) -> bool:
     """Whether an error is a trip of the robot, of which the user has read when it came."""
     if error is None:
         return False
-    from amhe_cli.robots.go1.link.link import StoppedError
+    from amhe_cli.robots.go1.link.report import StoppedError
 
     return isinstance(error, StoppedError)
 

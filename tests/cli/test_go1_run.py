@@ -24,8 +24,8 @@ from amhe_cli.cli import at_the_robot
 from amhe_cli.cli.main import run
 from amhe_cli.cli.session import Session
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.robots.go1.link.link import SenderReport, StoppedError
 from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import KINDS
 from tests.robots.go1.emulator.emulating import Emulated, emulating
 from tests.robots.go1.poses.streaming import free_port

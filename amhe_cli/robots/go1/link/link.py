@@ -8,18 +8,17 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass, field
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import Any
 
-from amhe_cli.core.errors import AmheError, OperatorStopError
 from amhe_cli.robots.go1.link import mail
 from amhe_cli.robots.go1.link.child import Child
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
+from amhe_cli.robots.go1.link.report import SenderReport
+from amhe_cli.robots.go1.link.watch import Watch
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
 
@@ -31,36 +30,6 @@ _HIGH_LEVEL = 1087
 _START, _STEP = 20.0, 0.005
 
 
-#: What the operator stops a run with, as the sender names it.
-_OPERATOR = ("key", "the terminal is gone", "SIGINT", "SIGTERM", "SIGHUP")
-
-
-class StoppedError(AmheError):
-    """A trip ended the run; the robot has been let down, or is being."""
-
-
-@dataclass(slots=True)
-class SenderReport:
-    """The newest report of the sender: see `sender.Sender._report`."""
-
-    phase: Phase = Phase.CONNECT
-    trip: str = ""
-    reason: str = ""
-    contact: dict[str, Any] = field(default_factory=dict)
-    refused: int = 0
-    intervals: dict[str, float] = field(default_factory=dict)
-    robot: dict[str, Any] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
-    unfit: str = ""
-
-    @property
-    def stop(self) -> AmheError:
-        """Why the run ended before its end, as an error to raise."""
-        if self.trip == "remote" or self.reason in _OPERATOR:
-            return OperatorStopError(f"stopped by the operator: {self.reason}")
-        return StoppedError(f"trip {self.trip}: {self.reason}" if self.trip else "the run was ended")
-
-
 class Link:
     """A robot at the end of a wire; use it as a context manager: whatever happens, the robot is let down.
 
@@ -69,18 +38,13 @@ class Link:
         settings: Settings of the robot.
         clock: The program's clock.
         keys: Descriptor of a terminal whose keys arm and stop; -1: none.
-
-    Attributes:
-        report: The newest report of the sender.
     """
 
     def __init__(self, host: str, port: int, settings: Go1Settings, clock: Clock, keys: int = -1) -> None:
         self._where, self._settings, self._clock, self._keys = (host, port), settings, clock, keys
-        self._samples: list[Any] = []
-        self._driven = False
         self._child: Child | None = None
+        self._watch: Watch | None = None
         self._opened = ExitStack()
-        self.report = SenderReport()
 
     def __enter__(self) -> Link:
         host, port = self._where
@@ -92,6 +56,8 @@ class Link:
                 }  # fmt: skip
                 self._child = Child("amhe_cli.robots.go1.link.sender", given, files)
             opening.callback(self._child.end, 5.0 * self._clock.slow)
+            self._watch = Watch(self._child, host, port, self._settings, self._clock)
+            opening.callback(self._watch.close)
             if threading.current_thread() is threading.main_thread():
                 # the signal itself informs the sender, even while our thread is deep in a rollout
                 descriptor = self._child.pipe.fileno()
@@ -106,6 +72,11 @@ class Link:
     ) -> None:
         self._opened.__exit__(kind, error, trace)
 
+    @property
+    def report(self) -> SenderReport:
+        """The newest report of the sender."""
+        return self._watch.report if self._watch else SenderReport()
+
     # -- the phases -----------------------------------------------------------------------------------
 
     def connect(self) -> SenderReport:
@@ -117,9 +88,9 @@ class Link:
         self._wait_for_sender()
         end = time.monotonic() + self._settings.connect_time * max(1.0, self._clock.slow)
         while time.monotonic() < end:
-            contact, unfit = self._poll().contact, self.report.unfit
-            seen = contact.get("complete") and contact["states"] >= _ENOUGH
-            if seen and contact["in_step"] and not unfit:
+            report = self.report
+            seen = report.contact.get("complete") and report.contact["states"] >= _ENOUGH
+            if report.phase != Phase.CONNECT or (seen and report.contact["in_step"] and not report.unfit):
                 break
             time.sleep(_STEP)
         self._check_contact()
@@ -127,7 +98,8 @@ class Link:
 
     def stand(self) -> None:
         """Let the robot stand up."""
-        self._driven = True
+        if self._watch:
+            self._watch.driven = True
         self._order(mail.STAND)
 
     def arm(self) -> None:
@@ -140,9 +112,10 @@ class Link:
         Raises:
             StoppedError, OperatorStopError: A trip, or the operator, ended the run before that.
         """
-        if self._poll().phase > phase:
-            raise self.report.stop
-        return self.report.phase == phase
+        report = self.report
+        if report.phase > phase:
+            raise report.stop
+        return report.phase == phase
 
     def play(self, plan: Targets, pose_time: float) -> None:
         """Hand over the newest plan.
@@ -156,9 +129,7 @@ class Link:
 
     def samples(self) -> list[Any]:
         """States that arrived since the last call, as records of `mail.SAMPLE`."""
-        self._poll()
-        samples, self._samples = self._samples, []
-        return samples
+        return self._watch.samples() if self._watch else []
 
     def stop(self) -> None:
         """Damp the motors now."""
@@ -170,9 +141,7 @@ class Link:
         self._order(mail.FINISH)
         longest = s.hold_time + s.sit_time + s.damp_time + 2.0
         end = time.monotonic() + longest * max(1.0, self._clock.slow)
-        while self._poll(quiet=True).phase != Phase.OVER and time.monotonic() < end:
-            if self._child is None or not self._child.pipe.open:
-                break
+        while self.report.phase != Phase.OVER and time.monotonic() < end:
             time.sleep(_STEP)
         return self.report
 
@@ -180,40 +149,12 @@ class Link:
 
     def _wait_for_sender(self) -> None:
         end = time.monotonic() + _START
-        while not (self._poll().contact or self.report.reason) and time.monotonic() < end:
+        while not (self.report.contact or self.report.reason) and time.monotonic() < end:
             time.sleep(_STEP)
 
     def _order(self, order: bytes) -> None:
         if self._child:
             self._child.pipe.send(order)
-
-    def _poll(self, quiet: bool = False) -> SenderReport:
-        """Read the sender's messages; if it has died, damp the motors from here.
-
-        Raises:
-            LinkError: It has died; not raised if `quiet`.
-        """
-        if self._child is None:
-            raise LinkError("the link is not open")
-        for message in self._child.pipe.received():
-            content = mail.read(message)
-            if isinstance(content, dict):
-                content["phase"] = Phase(content["phase"])
-                self.report = SenderReport(**content)
-            elif content is not None:
-                self._samples.append(content)
-        if not self._child.pipe.open and self.report.phase != Phase.OVER:
-            self._stand_in()
-            if not quiet:
-                raise LinkError("the process that talks to the robot has died; its last words are above")
-        return self.report
-
-    def _stand_in(self) -> None:
-        """Let the robot down in place of a sender that has died: motors keep their last command for good."""
-        if self._driven:
-            self._driven = False
-            with closing(RobotSocket(*self._where, self._clock)) as robot:
-                let_down(robot, self._settings, self._clock)
 
     def _check_contact(self) -> None:
         host, port = self._where

@@ -82,12 +82,13 @@ class RobotSocket:
         return self._clock.now()
 
 
-def let_down(robot: RobotSocket, settings: Go1Settings, clock: Clock) -> None:
+def let_down(robot: RobotSocket, settings: Go1Settings, clock: Clock, least: float = 0.0) -> None:
     """Let the robot down without the state machine, after a failure.
 
-    Damps the motors for `settings.damp_time` [s], then commands them to do nothing.
+    Damps the motors for `settings.damp_time`, but no shorter than `least` [s]; then commands them to do
+    nothing.
     """
-    period, end = 1.0 / settings.rate, clock.now() + settings.damp_time
+    period, end = 1.0 / settings.rate, clock.now() + max(settings.damp_time, least)
     damped = MotorCommand(velocity=np.zeros(12), kd=np.full(12, settings.damping))
     while clock.now() < end:
         robot.send(encode(damped, settings.crc))

@@ -14,6 +14,7 @@ import os
 import select
 import signal
 import sys
+import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -33,8 +34,8 @@ from amhe_cli.robots.go1.link.state import RobotState
 from amhe_cli.robots.go1.settings import Go1Settings
 
 _BIN, _BINS = 1e-5, 10_000
-#: Reports are sent at every change, and at least so often [s].
-_REPORT_PERIOD = 0.1
+#: Reports are sent at every change, and at least so often [s]: the program takes silence for our end.
+_REPORT_PERIOD = 0.02
 #: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
 _PASS_ON = 2
 #: Signals that end the run: also those that would suspend the sender while it drives the motors.
@@ -133,13 +134,13 @@ class Sender:
         """Damp the motors at the next tick."""
         self._inbox.stop = self._inbox.stop or reason
 
-    def say(self, reason: str) -> None:
-        """Send a last report."""
+    def say(self, reason: str, phase: Phase = Phase.OVER) -> None:
+        """Report an end for a reason, which is the last of our reports if its phase is the last."""
         self._machine.trip, self._machine.reason = (
             self._machine.trip or "error",
             self._machine.reason or reason,
         )
-        self._machine.phase = Phase.OVER
+        self._machine.phase = phase
         self._report(self._clock.now())
 
     # -- what comes in --------------------------------------------------------------------------------
@@ -296,9 +297,10 @@ def main() -> None:
     except DrivenError as error:
         sender.say(str(error))
     except BaseException as error:
+        traceback.print_exception(error)
+        sender.say(f"{type(error).__name__}: {error}", Phase.DAMP)  # if we hang now, the program damps
         let_down(robot, settings, clock)
-        sender.say(f"{type(error).__name__}: {error}")
-        raise
+        sender.say("")
     finally:
         pipe.close()
 

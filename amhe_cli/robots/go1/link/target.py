@@ -20,9 +20,10 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.link import Link, SenderReport
+from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
+from amhe_cli.robots.go1.link.report import SenderReport
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
 from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
 from amhe_cli.robots.go1.poses.source import Pose, PoseError

@@ -15,7 +15,8 @@ from amhe_cli.core.rotations import exp
 from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.link import Link, StoppedError
+from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.report import StoppedError
 from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed

@@ -17,13 +17,14 @@ import numpy as np
 import pytest
 
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link import state, wire
+from amhe_cli.robots.go1.link import state, watch, wire
 from amhe_cli.robots.go1.link.child import Pipe
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.first_contact import Share
-from amhe_cli.robots.go1.link.link import Link, StoppedError
+from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
+from amhe_cli.robots.go1.link.report import StoppedError
 from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
@@ -34,7 +35,7 @@ ROOT = Path(__file__).parents[4]
 QUICK = Go1Settings.model_validate(
     {
         "gain_time": 0.1, "stand_speed": 3.0, "sit_time": 0.3, "damp_time": 0.3, "hold_time": 0.1,
-        "connect_time": 4.0, "trips": {"state_age": 0.3},
+        "connect_time": 4.0, "trips": {"state_age": 0.3, "report_age": 1.0},
     }
 )  # fmt: skip
 HASTY = QUICK.model_copy(update={"connect_time": 0.5})
@@ -214,25 +215,41 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
     assert link.report.reason == number.name
 
 
-def test_a_sender_that_dies_is_stood_in_for(puppet: Puppet) -> None:
-    """Motors follow the last command that they got for good."""
+@pytest.mark.parametrize(
+    ("number", "message"), [(signal.SIGKILL, "has died"), (signal.SIGSTOP, "hangs: no report for")]
+)
+def test_a_sender_that_dies_or_hangs_is_stood_in_for(
+    puppet: Puppet, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, message: str
+) -> None:
+    """Motors follow the last command that they got for good; one that hangs for good would not even end."""
+    monkeypatch.setattr(watch, "_DAMP", 0.5)
     with a_link(puppet) as link:
         link.connect()
         link.stand()
         puppet.wait(lambda got: got.kp[0] > 10.0)
         assert link._child is not None
-        link._child.process.kill()
-        link._child.process.wait()
-        with pytest.raises(LinkError, match="has died"):
+        link._child.process.send_signal(number)
+        puppet.wait(damps)
+        with pytest.raises(StoppedError, match=message):
             wait_for(link, Phase.READY)
-    end = time.monotonic() + 10.0
-    while puppet.received[-1][1].kd.max() > 0.0 and time.monotonic() < end:
-        time.sleep(0.01)
+    assert link._child.process.returncode == -signal.SIGKILL
+    assert (link.report.phase, link.report.trip) == (Phase.OVER, "sender_lost")
     commands = [command for _, command in puppet.received]
     last_driven = max(number for number, command in enumerate(commands) if command.kp[0] > 0)
     assert all(map(damps, commands[last_driven + 1 : -1]))
-    assert len(commands) - last_driven > 20
+    assert len(commands) - last_driven > 50
     assert commands[-1].kp.max() == commands[-1].kd.max() == 0.0
+
+
+def test_a_sender_that_hangs_before_anything_moved_is_one_line(puppet: Puppet) -> None:
+    puppet.mangle = lambda packet: None
+    with a_link(puppet) as link:
+        link._wait_for_sender()
+        assert link._child is not None
+        link._child.process.send_signal(signal.SIGSTOP)
+        with pytest.raises(StoppedError, match="hangs"):
+            link.connect()
+    assert not any(map(damps, [command for _, command in puppet.received]))
 
 
 def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:
