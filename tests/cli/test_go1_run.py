@@ -37,7 +37,7 @@ QUICK = [
     *("--set", "go1.stand_speed=2"), *("--set", "go1.sit_time=0.5"), *("--set", "go1.damp_time=0.3"),
     *("--set", "go1.trips.plan_age=1"), *("--set", "go1.trips.state_age=0.5"),
     *("--set", "go1.trips.pose_age=1"), *("--set", "go1.place_tolerance=0.3"),
-    "--threads", "1", "-q",
+    *("--set", "go1.trips.packet_gap=0.2"), *("--set", "go1.trips.report_age=1"), "--threads", "1", "-q",
 ]  # fmt: skip
 ROBOT = ["run", "--task", "t1", "--target", "go1", "--mode", "baseline"]
 

@@ -35,6 +35,8 @@ class TripSettings(SettingsGroup):
     """Longest time without a new plan [s]; then the robot holds, sits down, and its motors are damped."""
     pose_age: Annotated[float, Field(ge=0.02, le=1)] = 0.19
     """Longest time without a new pose of trunk or box [s]; then as for `plan_age`."""
+    packet_gap: Annotated[float, Field(ge=0.01, le=0.2)] = 0.02
+    """Longest time between two packets to the robot [s]; a sender that stalled damps when it goes on."""
     report_age: Annotated[float, Field(ge=0.05, le=1)] = 0.1
     """Longest time without a report of the sender [s]; then the program damps the motors in its place."""
     tilt: Annotated[float, Field(ge=0.2, le=1.3)] = 0.9

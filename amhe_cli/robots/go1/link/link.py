@@ -125,7 +125,7 @@ class Link:
             pose_time: Time of the older one of the newest poses of trunk and box [s].
         """
         if self._child:
-            self._child.pipe.send(mail.plan_message(plan, pose_time))
+            self._child.pipe.send(mail.plan_message(plan, pose_time, self._clock.now()))
 
     def samples(self) -> list[Any]:
         """States that arrived since the last call, as records of `mail.SAMPLE`."""

@@ -42,7 +42,7 @@ class Inbox:
         bad_packets: Damaged datagrams since the last good one.
         share: Share of the robot's last states that reached us.
         plan: Newest plan.
-        plan_time: Time at which it arrived [s].
+        plan_time: Time at which the program sent it [s].
         pose_time: Time of the older one of the newest poses of trunk and box [s].
         stand, arm, finish: Whether the operator, or the program, wants this.
         stop: Why motors are to be damped at once; '' if they are not.
@@ -81,6 +81,8 @@ class Machine:
     reason: str = ""
     commanded: FloatArray = field(default_factory=lambda: HOME)
     _since: float = 0.0
+    _stepped: float = np.inf
+    _gap: float = 0.0
     _from: FloatArray = field(default_factory=lambda: _AT_REST)
     _sent: FloatArray | None = None
     _playing: Targets | None = None
@@ -99,6 +101,7 @@ class Machine:
             now: Present time [s].
             inbox: All that is known at this tick.
         """
+        self._gap, self._stepped = now - self._stepped, now
         if inbox.state is not None:
             self._count_power(inbox.state)
             self._go_on(now, inbox, inbox.state)
@@ -162,6 +165,7 @@ class Machine:
         grace = self._since + _FIRST_PLAN if inbox.plan is None else -np.inf
         return View(
             phase=self.phase,
+            gap=self._gap if self._drives else 0.0,
             state=state,
             state_age=now - inbox.state_time,
             plan_age=now - max(inbox.plan_time, grace),

@@ -47,23 +47,24 @@ SAMPLE: Any = np.dtype(
         ("targets", "f8", 12),
     ]
 )  # fmt: skip
-_HEADER = np.dtype([("start", "f8"), ("period", "f8"), ("pose_time", "f8")])
+_HEADER = np.dtype([("start", "f8"), ("period", "f8"), ("pose_time", "f8"), ("sent", "f8")])
 
 
-def plan_message(plan: Targets, pose_time: float) -> bytes:
-    """A plan, and the time [s] of the older one of the newest poses of trunk and box."""
-    header = np.array([(plan.start, plan.period, pose_time)], dtype=_HEADER)
+def plan_message(plan: Targets, pose_time: float, now: float) -> bytes:
+    """A plan that is sent now, and the time of the older one of the newest poses of trunk and box [s]."""
+    header = np.array([(plan.start, plan.period, pose_time, now)], dtype=_HEADER)
     return _PLAN + header.tobytes() + np.ascontiguousarray(plan.rows, dtype=np.float64).tobytes()
 
 
-def read_plan(message: bytes) -> tuple[Targets, float] | None:
+def read_plan(message: bytes) -> tuple[Targets, float, float] | None:
     """The inverse of `plan_message`; None: the message is not a plan."""
     if message[:1] != _PLAN:
         return None
     end = 1 + _HEADER.itemsize
     header = np.frombuffer(message[1:end], dtype=_HEADER)[0]
     rows = np.frombuffer(message[end:], dtype=np.float64).reshape(-1, 12)
-    return Targets(float(header["start"]), float(header["period"]), rows), float(header["pose_time"])
+    plan = Targets(float(header["start"]), float(header["period"]), rows)
+    return plan, float(header["pose_time"]), float(header["sent"])
 
 
 def sample_message(sample: Any) -> bytes:

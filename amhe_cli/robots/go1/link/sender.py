@@ -176,8 +176,7 @@ class Sender:
         for message in self._pipe.received():
             plan = mail.read_plan(message)
             if plan is not None:
-                self._inbox.plan, self._inbox.pose_time = plan
-                self._inbox.plan_time = self._clock.now()
+                self._inbox.plan, self._inbox.pose_time, self._inbox.plan_time = plan
             elif message in _ORDERS:
                 _ORDERS[message](self._inbox)
             elif len(message) == 1 and message[0] in _STOPPING:
@@ -205,6 +204,8 @@ class Sender:
     def _send(self, command: MotorCommand, now: float) -> None:
         if self._machine.phase == Phase.CONNECT:
             command = MotorCommand(self._contact.turn(now))
+        if self._clock.now() - now > self._settings.trips.packet_gap:  # we stalled just now: too old to send
+            return
         if self._robot.send(encode(command, self._settings.crc)):
             self._intervals.see(now)
             self._sent.add(now, self._machine.commanded)

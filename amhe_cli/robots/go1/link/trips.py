@@ -25,9 +25,10 @@ class View:
 
     Args:
         phase: Present phase.
+        gap: Time since the packet before [s].
         state: Newest state of the robot.
         state_age: Time since it arrived [s].
-        plan_age: Time since the newest plan arrived [s].
+        plan_age: Time since the newest plan was sent [s].
         pose_age: Time since the older one of the newest poses of trunk and box [s].
         over_power: States with too much power, less those without, as `Machine` counts them.
         bad_packets: Number of consecutive damaged datagrams.
@@ -39,6 +40,7 @@ class View:
     """
 
     phase: Phase
+    gap: float
     state: RobotState
     state_age: float
     plan_age: float
@@ -72,6 +74,11 @@ def _ordered(view: View, limits: TripSettings) -> str | None:
 
 def _remote(view: View, limits: TripSettings) -> str | None:
     return "remote control: L2+B or select" if Remote.of(view.state.remote).stops else None
+
+
+def _stalled(view: View, limits: TripSettings) -> str | None:
+    late = view.gap > limits.packet_gap
+    return f"the sender stalled: no packet for {1e3 * view.gap:.0f} ms" if late else None
 
 
 def _state_lost(view: View, limits: TripSettings) -> str | None:
@@ -162,6 +169,7 @@ def _pose_lost(view: View, limits: TripSettings) -> str | None:
 TRIPS: dict[str, tuple[Trip, Phase]] = {
     "order": (_ordered, Phase.DAMP),
     "remote": (_remote, Phase.DAMP),
+    "stalled": (_stalled, Phase.DAMP),
     "state_lost": (_state_lost, Phase.DAMP),
     "damaged": (_damaged, Phase.DAMP),
     "share": (_shared, Phase.DAMP),

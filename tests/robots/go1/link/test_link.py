@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.robots.go1.kinematics import HOME
-from amhe_cli.robots.go1.link import state, watch, wire
+from amhe_cli.robots.go1.link import mail, state, watch, wire
 from amhe_cli.robots.go1.link.child import Pipe
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.first_contact import Share
@@ -25,6 +25,7 @@ from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.report import StoppedError
+from amhe_cli.robots.go1.link.sender import Sender
 from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
@@ -35,7 +36,7 @@ ROOT = Path(__file__).parents[4]
 QUICK = Go1Settings.model_validate(
     {
         "gain_time": 0.1, "stand_speed": 3.0, "sit_time": 0.3, "damp_time": 0.3, "hold_time": 0.1,
-        "connect_time": 4.0, "trips": {"state_age": 0.3, "report_age": 1.0},
+        "connect_time": 4.0, "trips": {"state_age": 0.3, "report_age": 1.0, "packet_gap": 0.2},
     }
 )  # fmt: skip
 HASTY = QUICK.model_copy(update={"connect_time": 0.5})
@@ -234,6 +235,9 @@ def test_a_sender_that_dies_or_hangs_is_stood_in_for(
             wait_for(link, Phase.READY)
     assert link._child.process.returncode == -signal.SIGKILL
     assert (link.report.phase, link.report.trip) == (Phase.OVER, "sender_lost")
+    end = time.monotonic() + 10.0
+    while puppet.received[-1][1].kd.max() > 0.0 and time.monotonic() < end:  # until it has read all
+        time.sleep(0.01)
     commands = [command for _, command in puppet.received]
     last_driven = max(number for number, command in enumerate(commands) if command.kp[0] > 0)
     assert all(map(damps, commands[last_driven + 1 : -1]))
@@ -250,6 +254,35 @@ def test_a_sender_that_hangs_before_anything_moved_is_one_line(puppet: Puppet) -
         with pytest.raises(StoppedError, match="hangs"):
             link.connect()
     assert not any(map(damps, [command for _, command in puppet.received]))
+
+
+def test_a_sender_that_stalled_damps_when_it_goes_on(puppet: Puppet) -> None:
+    """Fresh states may have come by the time that it has read the old ones."""
+    with a_link(puppet) as link:
+        running(link)
+        player = Player(link)
+        puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
+        assert link._child is not None
+        link._child.process.send_signal(signal.SIGSTOP)
+        time.sleep(0.4)
+        count = len(puppet.received)
+        link._child.process.send_signal(signal.SIGCONT)
+        puppet.wait(damps)
+        player.stop.set()
+    assert link.report.trip == "stalled"
+    assert all(got.kp.max() == 0.0 for _, got in puppet.received[count + 1 :])
+
+
+def test_a_plan_that_waited_in_the_pipe_is_as_old_as_it_is() -> None:
+    ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours, theirs = map(Pipe, ends)
+    sender = Sender(QUICK, None, theirs, CLOCK, -1, [])  # type: ignore[arg-type]
+    sent = CLOCK.now() - 0.5
+    ours.send(mail.plan_message(Targets(sent, 0.02, np.tile(HOME, (16, 1))), sent - 0.1, sent))
+    sender._read_pipe()
+    assert (sender._inbox.plan_time, sender._inbox.pose_time) == (sent, sent - 0.1)
+    ours.close()
+    theirs.close()
 
 
 def test_what_a_process_said_last_is_read_after_it_has_gone() -> None:

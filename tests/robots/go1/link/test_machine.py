@@ -177,6 +177,7 @@ def test_an_end_before_it_stands_damps_and_throws_nothing_up(phase: Phase) -> No
 CHANGES: dict[str, Callable[[Robot], None]] = {
     "order": lambda robot: setattr(robot.inbox, "stop", "SIGINT"),
     "remote": lambda robot: robot.change.update(remote=Remote(frozenset({"select"})).raw()),
+    "stalled": lambda robot: setattr(robot, "now", robot.now + 0.021),
     "state_lost": lambda robot: setattr(robot, "silent", True),
     "damaged": lambda robot: setattr(robot.inbox, "bad_packets", 25),
     "share": lambda robot: setattr(robot.inbox, "share", 0.75),
