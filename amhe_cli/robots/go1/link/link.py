@@ -18,7 +18,7 @@ from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.report import SenderReport
-from amhe_cli.robots.go1.link.watch import Watch
+from amhe_cli.robots.go1.link.watch import SenderWatch
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
 
@@ -43,7 +43,7 @@ class Link:
     def __init__(self, host: str, port: int, settings: Go1Settings, clock: Clock, keys: int = -1) -> None:
         self._where, self._settings, self._clock, self._keys = (host, port), settings, clock, keys
         self._child: Child | None = None
-        self._watch: Watch | None = None
+        self._watch: SenderWatch | None = None
         self._opened = ExitStack()
 
     def __enter__(self) -> Link:
@@ -56,7 +56,7 @@ class Link:
                 }  # fmt: skip
                 self._child = Child("amhe_cli.robots.go1.link.sender", given, files)
             opening.callback(self._child.end, 5.0 * self._clock.slow)
-            self._watch = Watch(self._child, host, port, self._settings, self._clock)
+            self._watch = SenderWatch(self._child, host, port, self._settings, self._clock)
             opening.callback(self._watch.close)
             if threading.current_thread() is threading.main_thread():
                 # the signal itself informs the sender, even while our thread is deep in a rollout

@@ -27,7 +27,7 @@ _DIED = "the process that talks to the robot has died; its last words are above"
 _ENDLESS = "the process that talks to the robot does not end"
 
 
-class Watch:
+class SenderWatch:
     """Watches a sender from its first report to its last.
 
     Args:
