@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from amhe_cli.core.errors import OperatorStopError
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link import mail, state, watch, wire
 from amhe_cli.robots.go1.link.child import Pipe
@@ -139,7 +140,7 @@ def test_a_fault_of_the_robot_damps_the_motors(puppet: Puppet, fault: str, trip:
         else:
             puppet.change = lambda sent: replace(sent, **changes[fault])
         puppet.wait(damps)
-        with pytest.raises(StoppedError):
+        with pytest.raises(OperatorStopError if fault == "remote" else StoppedError):
             wait_for(link, Phase.READY)
     assert link.report.trip == trip
 
