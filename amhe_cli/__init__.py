@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from amhe_cli.api.identify import Result, identify
     from amhe_cli.api.pool import pool
     from amhe_cli.api.runs import probe, run
+    from amhe_cli.api.show import show
     from amhe_cli.core.errors import AmheError
     from amhe_cli.core.limits import limit
     from amhe_cli.core.log import Log
@@ -45,6 +46,7 @@ _HOMES = {
     "probe": "amhe_cli.api.runs",
     "read_log": "amhe_cli.logs.read",
     "run": "amhe_cli.api.runs",
+    "show": "amhe_cli.api.show",
 }
 
 __all__ = [
@@ -65,6 +67,7 @@ __all__ = [
     "probe",
     "read_log",
     "run",
+    "show",
 ]
 
 

@@ -20,15 +20,17 @@ ALLOWED: dict[str, set[str]] = {
     "engine": {"core", "system"},
     "matching": {"core", "system", "engine"},
     "estimation": {"core", "logs", "system", "engine", "matching"},
+    "view": {"core", "system", "engine", "matching", "estimation"},
     "control": {"core", "engine"},
     "live": {"core", "logs", "system", "engine", "estimation", "control"},
     "robots/go1": {"core", "logs", "system", "engine", "estimation", "control", "live"},
     "study": {"core", "system", "engine", "estimation", "robots/go1"},
     "report": {"core", "logs", "system", "estimation", "study"},
-    "api": {"core", "logs", "system", "engine", "estimation", "live", "report", "robots/go1"},
+    "api": {"core", "logs", "system", "engine", "estimation", "live", "report", "robots/go1", "view"},
     "cli": {
         "api",
         "core", "logs", "system", "init", "engine", "estimation", "live", "report", "study", "robots/go1",
+        "view",
     },
 }  # fmt: skip
 
@@ -47,7 +49,7 @@ WALLS = {
     "matplotlib": ("report",),
     "mcap": ("logs",),
     "motioncapture": ("robots/go1",),
-    "mujoco": ("system", "init", "engine", "robots/go1", "api/identify.py"),
+    "mujoco": ("system", "init", "engine", "view", "robots/go1", "api/identify.py"),
     "mujoco_menagerie": ("init",),
     "mujoco_warp": ("engine",),
     "natnet": ("robots/go1",),

@@ -29,6 +29,7 @@ from amhe_cli.cli.pool import pool
 from amhe_cli.cli.probe import probe
 from amhe_cli.cli.run import run as run_task
 from amhe_cli.cli.session import FAILED, INTERRUPTED, TERMINATED, UNREADABLE, USAGE, Session, Terminated
+from amhe_cli.cli.view import view
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -38,7 +39,8 @@ def amhe() -> None:
 
 
 for _command in (
-    init, inspect, convert, probe, identify, export, pool, mhe_replay, run_task, evaluate, emulate, calibrate,
+    init, inspect, convert, probe, identify, view, export, pool, mhe_replay, run_task, evaluate, emulate,
+    calibrate,
 ):  # fmt: skip
     amhe.add_command(_command)
 

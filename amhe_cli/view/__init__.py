@@ -1,0 +1,1 @@
+"""Systems and logs as people see them: scenes, ghosts, and the page that plays them in a browser."""

@@ -1,0 +1,303 @@
+"""Ghosts: clips of logs rolled out from their first states, under several values of the parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.core import rotations
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.each_log import values_on
+from amhe_cli.core.log import Log, Window
+from amhe_cli.engine.rollout import Engine, Starts
+from amhe_cli.engine.states import home
+from amhe_cli.estimation.offline.clips import ClipPool
+from amhe_cli.matching.cost import MatchingCost, RolledOut
+from amhe_cli.matching.readings import reading_of, state_errors
+from amhe_cli.matching.starts import first_states
+from amhe_cli.matching.windows import starts_of
+from amhe_cli.system.system import Channel, System
+from amhe_cli.view.scene import Scene, scene_of
+
+#: Most frames of a second; what lies between them is interpolated.
+RATE = 50.0
+#: Bytes of all frames: a page of them is below 5 MB.
+_BYTES = 3_200_000
+#: Share of that for clips; the rest is for the logs as wholes.
+_CLIPS = 0.65
+#: Most steps of all clips that are rolled out, and most clips.
+_STEPS, _TAKES = 60_000, 240
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Bodies and measured quantities over time, at equal steps.
+
+    Args:
+        step: Time between two frames [s].
+        poses: Positions [m] and quaternions of the bodies, shape (n, b, 7).
+        values: The columns that are plotted, shape (n, k); NaN where there is none.
+    """
+
+    step: float
+    poses: FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """What a log measured.
+
+    Args:
+        name: Name of the log.
+        track: Its states; in a gap the last one before it stays.
+        gaps: Times at which a gap begins and ends [s], shape (m, 2).
+    """
+
+    name: str
+    track: Track
+    gaps: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Take:
+    """One clip: what was measured, and what each candidate predicts from the first state on.
+
+    Args:
+        recording: Row of its recording.
+        start, stop: Times of its first and last instant [s].
+        held_out: Whether it was left out of the fit; None: nothing was fitted.
+        costs: Cost of each candidate; infinite where its rollout diverged.
+        measured: The states that were measured.
+        ghosts: The states that each candidate predicts; None where its rollout diverged.
+    """
+
+    recording: int
+    start: float
+    stop: float
+    held_out: bool | None
+    costs: tuple[float, ...]
+    measured: Track
+    ghosts: tuple[Track | None, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Plotted:
+    """One column that is plotted: its channel, its own name, its unit and the sd of its noise."""
+
+    channel: str
+    name: str
+    unit: str
+    noise: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Viewing:
+    """Logs with ghosts.
+
+    Args:
+        scene: What is drawn.
+        columns: What is plotted.
+        candidates: Names of the candidates, the last the best.
+        recordings: The logs.
+        takes: The clips: those that were held out first, then by the last candidate's cost, largest first.
+        left_out: Clips that would be too many.
+    """
+
+    scene: Scene
+    columns: tuple[Plotted, ...]
+    candidates: tuple[str, ...]
+    recordings: tuple[Recording, ...]
+    takes: tuple[Take, ...]
+    left_out: int
+
+
+def viewing(
+    system: System,
+    parts: Sequence[tuple[Window, bool | None]],
+    candidates: Mapping[str, FloatArray],
+    engine: Engine,
+) -> Viewing:
+    """Logs, and their clips rolled out under each candidate.
+
+    Args:
+        system: The system.
+        parts: Parts of the logs, and whether each was held out; None: nothing was fitted.
+        candidates: Name of a candidate -> its z, shape (d,); the best one last.
+        engine: The system's engine.
+
+    Raises:
+        LogError: A log has no instant at which all of the state was measured.
+    """
+    scene, logs = scene_of(system), list({id(part.log): part.log for part, _ in parts}.values())
+    settings = system.settings.clips
+    length = settings.held_out_length or 0.5 * sum(settings.length)
+    cut = [(w, held) for part, held in parts for w in ClipPool(system, [part], settings).cut(length)]
+    kept = cut[:: max(1, -(-sum(w.length for w, _ in cut) // _STEPS), -(-len(cut) // _TAKES))]
+    columns = tuple(_columns(system, logs[0]))
+    frame = 14 * len(scene.bodies) + 2 * len(columns)
+    seconds = (1 + len(candidates)) * sum(w.duration for w, _ in kept)
+    rate = min(RATE, _CLIPS * _BYTES / (frame * max(seconds, 1e-9)))
+    coarse = min(RATE, (1.0 - _CLIPS) * _BYTES / (frame * max(sum(log.duration for log in logs), 1e-9)))
+    z = np.stack(list(candidates.values()))
+    recordings, takes = [], []
+    for number, log in enumerate(logs):
+        measured = _Measured(scene, log, z[-1])
+        recordings.append(Recording(Path(log.source).name, measured.track(coarse), measured.gaps))
+        own = [(w, held) for w, held in kept if w.log is log]
+        takes += _takes(measured, number, own, z, engine, rate) if own else ()
+    takes.sort(key=lambda take: (take.held_out is not True, -take.costs[-1]))
+    return Viewing(scene, columns, tuple(candidates), tuple(recordings), tuple(takes), len(cut) - len(kept))
+
+
+def _columns(system: System, log: Log) -> Iterator[Plotted]:
+    for channel in _shown(system):
+        turn = channel.kind == "rotation"
+        for name in ("x", "y", "z") if turn else log[channel.key].columns:
+            yield Plotted(channel.key, name, "rad" if turn else channel.unit, channel.noise or 0.0)
+
+
+def _shown(system: System) -> list[Channel]:
+    return [channel for channel in system.channels if channel.compared]
+
+
+class _Measured:
+    """States of a log at any of its rows, as true states under z (d,)."""
+
+    def __init__(self, scene: Scene, log: Log, z: FloatArray) -> None:
+        system = scene.system
+        self.scene, self.log, self.z = scene, log, z
+        self.keys = tuple(c.key for c in system.channels if c.sets_state)
+        self.keys += system.keys if system.model.nmocap else ()
+        self.usable = log.usable(self.keys)
+        first = int(np.argmax(self.usable))
+        rest = Window(log, first, log.steps - 1 - first)
+        self._starts = starts_of(system, [rest], 0.0)  # refuses a log that never has a whole state
+        self._first = first
+        self._home = home(system.model, system.keyframe, system.input_spec)[0]
+        self.zero = {
+            c.key: log[c.key].values[int(np.argmax(log[c.key].valid))]
+            for c in _shown(system)
+            if c.kind == "rotation"
+        }
+
+    @property
+    def gaps(self) -> FloatArray:
+        edges = np.flatnonzero(np.diff(np.concatenate(([True], self.usable, [True])).astype(int)))
+        return np.array(edges.reshape(-1, 2) * self.log.dt, dtype=np.float64)
+
+    def track(self, rate: float) -> Track:
+        """All of the log."""
+        every = _stride(rate, self.log.dt)
+        return self.at(np.arange(0, self.log.steps, every))
+
+    def at(self, rows: IntArray) -> Track:
+        """The states at some rows, shape (n,), which lie equally far apart."""
+        system, log = self.scene.system, self.log
+        before = np.maximum.accumulate(np.where(self.usable, np.arange(log.steps), -1))
+        known = np.where(before[rows] < 0, self._first, before[rows])
+        single, back = np.unique(known, return_inverse=True)
+        qpos, qvel = first_states(system, [Window(log, int(row), 1) for row in single], self._home, 0.0)
+        starts = replace(self._starts, qpos=qpos, qvel=qvel, lengths=np.ones(len(single), dtype=np.int64))
+        theta = self.theta(self.z)
+        true = starts.states(system.model, 1, state_errors(system, theta, starts))[0][0]
+        driven = self._starts.inputs[0, self._starts.history :]
+        inputs = driven[np.clip(single - self._first, 0, len(driven) - 1)] if system.model.nmocap else None
+        step = log.dt * float(rows[1] - rows[0]) if len(rows) > 1 else log.dt
+        return Track(step, self.scene.poses(true, inputs)[back], self._values(rows))
+
+    def theta(self, z: FloatArray) -> FloatArray:
+        """Values of the parameters on this log, shape (1, d)."""
+        system = self.scene.system
+        theta = system.space.theta_of(system.space.clip(z))[None]
+        return values_on(self.log, system.edits.space, system.space, theta)
+
+    def _values(self, rows: IntArray) -> FloatArray:
+        found = []
+        for channel in _shown(self.scene.system):
+            series = self.log[channel.key]
+            values = np.where(series.valid[rows, None], series.values[rows], np.nan)
+            if channel.kind == "rotation":
+                values = continued(rotations.difference(values, self.zeros(channel, len(rows))))
+            found.append(values)
+        return np.concatenate(found, axis=1) if found else np.empty((len(rows), 0))
+
+    def zeros(self, channel: Channel, count: int) -> FloatArray:
+        """The orientation from which a channel is counted, shape (count, 4)."""
+        return np.broadcast_to(self.zero[channel.key], (count, 4))
+
+
+def _takes(
+    measured: _Measured,
+    recording: int,
+    windows: Sequence[tuple[Window, bool | None]],
+    z: FloatArray,
+    engine: Engine,
+    rate: float,
+) -> Iterator[Take]:
+    """Clips of one log under candidates z (p, d)."""
+    system, dt = measured.scene.system, measured.log.dt
+    cost = MatchingCost(system, [window for window, _ in windows], engine, system.settings.cost)
+    costs = cost.clip_costs(cost.residuals(z))
+    rolled = [next(cost.rolled_out(one, None)) for one in z]  # one log: its clips are rolled out together
+    for i, (window, held_out) in enumerate(windows):
+        rows = np.arange(0, window.length + 1, min(_stride(rate, dt), window.length))
+        own = measured.at(window.start + rows)
+        ghosts = tuple(_ghost(measured, cost.clips.starts, one, i, rows, own) for one in rolled)
+        start, stop = window.start * dt, window.stop * dt
+        yield Take(recording, start, stop, held_out, tuple(map(float, costs[:, i])), own, ghosts)
+
+
+def _ghost(
+    measured: _Measured, starts: Starts, rolled: RolledOut, i: int, rows: IntArray, own: Track
+) -> Track | None:
+    """Clip i of rollouts at some of its instants; None where it diverged."""
+    if not rolled.rollouts.completed[i]:
+        return None
+    system, theta, some = measured.scene.system, rolled.theta[None], starts.of(np.array([i]))
+    qpos, qvel = (one[0] for one in some.states(system.model, 1, state_errors(system, theta, some)))
+    states = {
+        "qpos": np.concatenate((qpos, rolled.rollouts.qpos[i]))[rows],
+        "qvel": np.concatenate((qvel, rolled.rollouts.qvel[i]))[rows],
+    }
+    if (sensors := rolled.rollouts.sensordata) is not None:
+        states["sensordata"] = np.concatenate((np.full((1, sensors.shape[-1]), np.nan), sensors[i]))[rows]
+    driven = rolled.inputs[i][np.minimum(rows, len(rolled.inputs[i]) - 1)]
+    numbers, found = system.edits.numbers(theta), []
+    for channel in _shown(system):
+        true = states[channel.source][None][..., list(channel.columns)]
+        shown = reading_of(channel, system.calibration.readings.get(channel.key), numbers, true)[0]
+        if channel.kind == "rotation":
+            first = sum(one.shape[1] for one in found)
+            turned = rotations.difference(shown, measured.zeros(channel, len(rows)))
+            shown = continued(turned, own.values[0, first : first + 3])
+        found.append(shown)
+    values = np.concatenate(found, axis=1) if found else np.empty((len(rows), 0))
+    poses = measured.scene.poses(states["qpos"], driven if system.model.nmocap else None)
+    return Track(own.step, poses, values)
+
+
+def continued(vectors: FloatArray, near: FloatArray | None = None) -> FloatArray:
+    """Rotation vectors (n, 3) with as many whole turns added as keep them together.
+
+    Args:
+        vectors: The vectors [rad]; NaN where there is none.
+        near: What the first one lies near, shape (3,).
+    """
+    found = np.array(vectors)
+    last = np.zeros(3) if near is None or np.isnan(near).any() else near
+    for k, vector in enumerate(found):
+        if (angle := float(np.linalg.norm(vector))) > 1e-9:
+            axis = vector / angle
+            found[k] = axis * (angle + 2.0 * np.pi * np.round((axis @ last - angle) / (2.0 * np.pi)))
+        if np.isfinite(vector).all():
+            last = found[k]
+    return found
+
+
+def _stride(rate: float, dt: float) -> int:
+    return max(1, math.ceil(1.0 / (rate * dt) - 1e-9))

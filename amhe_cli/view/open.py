@@ -1,0 +1,83 @@
+"""From logs to a page: which clips, which candidates, and what is written around them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from amhe_cli.core.log import Log, Window
+from amhe_cli.core.parameters import Belief, completed
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.offline.clips import split_held_out, whole
+from amhe_cli.system.system import System
+from amhe_cli.view.ghosts import Viewing, viewing
+from amhe_cli.view.page import Heading, parameter_rows, saved_page
+
+
+def page_of(
+    system: System,
+    logs: Sequence[Log],
+    *,
+    held_out: Sequence[Log] = (),
+    belief: Belief | None = None,
+    fitted: bool = False,
+    threads: int = 1,
+    title: str = "",
+    facts: Sequence[str] = (),
+) -> str:
+    """The page of logs with their ghosts.
+
+    Args:
+        system: The system; its nominal parameters are the first candidate.
+        logs: The logs.
+        held_out: Further logs that were only used to validate.
+        belief: What was identified, the second candidate; None: there is none.
+        fitted: `belief` comes from these logs: those clips come first that were held out of the fit.
+        threads: CPU threads; the page does not depend on them.
+        title: Title of the page; empty: the system's name.
+        facts: What the line below the title says.
+
+    Raises:
+        LogError: A log has no instant at which all of the state was measured.
+    """
+    candidates = {"nominal": np.zeros(len(system.space))}
+    if belief is not None:
+        candidates["identified"] = system.space.z_of(completed(belief, system).estimate)
+    parts = list(_parts(system, logs, held_out)) if fitted else [(whole(log), None) for log in logs]
+    found = viewing(system, parts, candidates, open_engine(system, threads=threads))
+    seconds = sum(log.duration for log in (*logs, *held_out))
+    heading = Heading(
+        title or system.name,
+        (*facts, f"{seconds:.1f} s of log", f"{len(found.takes)} clips"),
+        list(_notes(found)),
+        parameter_rows(system.space, belief),
+    )
+    return saved_page(found, heading)
+
+
+def _parts(
+    system: System, logs: Sequence[Log], held_out: Sequence[Log]
+) -> Iterator[tuple[Window, bool | None]]:
+    """Parts of the logs as `identify` divides them."""
+    if held_out:
+        fit, held = [whole(log) for log in logs], [whole(log) for log in held_out]
+    else:
+        fit, held = split_held_out(logs, system.settings.clips.held_out)
+    yield from ((window, False) for window in fit)
+    yield from ((window, True) for window in held)
+
+
+def _notes(found: Viewing) -> Iterator[str]:
+    """What is not as a reader would expect."""
+    names = [found.scene.names[i] for i in found.scene.unmeasured]
+    if names:
+        yield f"No signal gives the place of {', '.join(names)}: drawn grey, at home."
+    if any(len(recording.gaps) for recording in found.recordings):
+        yield "In gaps of the log (grey on the time line) the last measured state is drawn grey."
+    if found.left_out:
+        yield f"{found.left_out} more clips are not shown: the page has some from all over the logs."
+    if not found.takes:
+        yield "No clip can be predicted: the logs are motionless, or each clip crosses a gap."
+    if lost := sum(None in take.ghosts for take in found.takes):
+        yield f"In {lost} clips a prediction diverged: its ghost is missing there."

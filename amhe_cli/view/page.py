@@ -1,0 +1,181 @@
+"""One page of HTML that plays a viewing: data, style and script are in it, and it opens no connection.
+
+The page of a saved file and that of a server are the same; a served one may also receive frames.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.files import plain
+from amhe_cli.core.parameters import Belief, ParameterSpace
+from amhe_cli.core.statistics import Z90
+from amhe_cli.core.text import printable
+from amhe_cli.view.ghosts import Plotted, Track, Viewing
+from amhe_cli.view.scene import Scene
+
+#: How far ghosts may leave the measured places, before they stop at an edge [m].
+_BEYOND = 2.0
+#: The number that stands for no value, and the largest one of a value.
+_NONE, _MOST = -32768, 32767
+#: Files of the page's script, in their order.
+_SCRIPTS = ("numbers.js", "stage.js", "plots.js", "player.js")
+_PART = re.compile(r"\{\{(\w+)\}\}")
+
+
+@dataclass(frozen=True, slots=True)
+class Heading:
+    """What stands around the scene.
+
+    Args:
+        title: Title of the page.
+        facts: The line below it, in parts.
+        notes: Sentences that a reader needs to know.
+        parameters: Rows of the table of parameters, see `parameter_rows`.
+    """
+
+    title: str
+    facts: Sequence[str] = ()
+    notes: Sequence[str] = ()
+    parameters: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
+
+
+def saved_page(viewing: Viewing, heading: Heading) -> str:
+    """The page of a viewing, with all of its frames."""
+    poses = _Range.of_poses([recording.track for recording in viewing.recordings])
+    values = _Range.of_values([recording.track for recording in viewing.recordings])
+
+    def packed(track: Track) -> dict[str, Any]:
+        return {
+            "step": track.step,
+            "count": len(track.poses),
+            "poses": poses.packed(track.poses),
+            "values": values.packed(track.values),
+        }
+
+    return _page(
+        heading,
+        {
+            **_about(viewing.scene, viewing.columns, viewing.candidates),
+            "ranges": {"poses": poses.ends, "values": values.ends},
+            "recordings": [
+                {"name": printable(r.name), "gaps": r.gaps, "track": packed(r.track)}
+                for r in viewing.recordings
+            ],
+            "takes": [
+                {
+                    "recording": take.recording, "start": take.start, "stop": take.stop,
+                    "held": take.held_out, "costs": take.costs,
+                    "tracks": [None if one is None else packed(one) for one in (take.measured, *take.ghosts)],
+                }
+                for take in viewing.takes
+            ],
+        },
+    )  # fmt: skip
+
+
+def parameter_rows(space: ParameterSpace, belief: Belief | None) -> list[dict[str, Any]]:
+    """Name, unit and nominal value of each parameter; where there is a belief, estimate and 90 % interval."""
+    rows = []
+    for p in space.parameters:
+        row: dict[str, Any] = {"name": p.name, "unit": "" if p.unit == "-" else p.unit, "nominal": p.nominal}
+        if belief is not None and p.name in belief.names:
+            i = belief.names.index(p.name)
+            value, sd = float(belief.estimate[i]), float(np.sqrt(belief.covariance[i, i]))
+            low, high = (
+                (value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
+                if belief.log[i]
+                else (value - Z90 * sd, value + Z90 * sd)
+            )
+            row |= {"estimate": value, "lower": float(low), "upper": float(high)}
+        rows.append(row)
+    return rows
+
+
+def _about(scene: Scene, columns: Sequence[Plotted], candidates: Sequence[str]) -> dict[str, Any]:
+    """Scene, columns and candidates, as every page has them."""
+    return {
+        "bodies": [printable(name) for name in scene.names],
+        "unmeasured": scene.unmeasured,
+        "geoms": [
+            {
+                "body": geom.body, "pose": geom.pose, "color": geom.color, "floor": geom.floor,
+                "flat": geom.shape.flat, "vertices": _floats(geom.shape.vertices),
+                "faces": _text(geom.shape.faces.astype("<u2")),
+            }
+            for geom in scene.geoms
+        ],
+        "columns": [
+            {"channel": c.channel, "name": printable(c.name), "unit": c.unit, "noise": c.noise}
+            for c in columns
+        ],
+        "candidates": list(candidates),
+    }  # fmt: skip
+
+
+def _page(heading: Heading, data: dict[str, Any]) -> str:
+    data |= {"notes": list(heading.notes), "parameters": list(heading.parameters)}
+    parts = {
+        "title": html.escape(printable(heading.title)),
+        "facts": html.escape(" · ".join(printable(fact) for fact in heading.facts)),
+        "style": _file("style.css"),
+        "script": "".join(_file(name) for name in _SCRIPTS),
+        # '<' cannot end the script element
+        "data": json.dumps(plain(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
+    }
+    return _PART.sub(lambda found: parts[found[1]], _file("page.html"))
+
+
+def _file(name: str) -> str:
+    return files("amhe_cli.view").joinpath("web", name).read_text(encoding="utf-8")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Range:
+    """Lowest and highest value of each column of arrays that are packed as 16-bit numbers."""
+
+    low: FloatArray
+    high: FloatArray
+
+    @classmethod
+    def of_poses(cls, tracks: Sequence[Track]) -> _Range:
+        places = np.concatenate([track.poses[..., :3].reshape(-1, 3) for track in tracks])
+        low, high = (places.min(axis=0), places.max(axis=0)) if places.size else (np.zeros(3), np.zeros(3))
+        return cls(np.append(low - _BEYOND, [-1.0] * 4), np.append(high + _BEYOND, [1.0] * 4))
+
+    @classmethod
+    def of_values(cls, tracks: Sequence[Track]) -> _Range:
+        values = np.concatenate([track.values for track in tracks])
+        low, high = np.zeros(values.shape[1]), np.zeros(values.shape[1])
+        for k, column in enumerate(values.T):
+            if (known := column[np.isfinite(column)]).size:
+                low[k], high[k] = known.min(), known.max()
+        margin = np.maximum(high - low, 1e-9)  # ghosts go further
+        return cls(low - margin, high + margin)
+
+    @property
+    def ends(self) -> tuple[FloatArray, FloatArray]:
+        return self.low, self.high
+
+    def packed(self, values: FloatArray) -> str:
+        share = (np.clip(values, self.low, self.high) - self.low) / (self.high - self.low)
+        whole = np.where(np.isfinite(share), np.round((2.0 * share - 1.0) * _MOST), _NONE)
+        return _text(whole.astype("<i2"))
+
+
+def _floats(values: FloatArray) -> str:
+    return _text(values.astype("<f4"))
+
+
+def _text(values: Any) -> str:
+    return b64encode(np.ascontiguousarray(values).tobytes()).decode()

@@ -1,0 +1,117 @@
+"""Serves a page on this computer, and streams to it what happens.
+
+The server runs in threads of its own. What it is given is queued, and dropped where nobody takes it in time:
+a browser that hangs, leaves or never comes changes nothing for whoever sends.
+"""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from ipaddress import ip_address
+from threading import Thread
+from types import TracebackType
+from typing import Any
+
+from amhe_cli.core.errors import ConfigError
+
+#: Where only this computer reaches the page.
+LOOPBACK = "127.0.0.1"
+#: Time after which a browser that takes nothing is given up [s].
+_PATIENCE = 5.0
+
+
+class PageServer:
+    """A page at an address; use it as a context manager.
+
+    Args:
+        page: The page.
+        host: Address to listen on.
+        port: Port to listen on; 0: any that is free.
+        stream: Sends what happens to one browser, through the function that it is given, until it returns;
+            None: nothing happens.
+
+    Raises:
+        ConfigError: The address cannot be listened on.
+    """
+
+    def __init__(
+        self,
+        page: str,
+        host: str = LOOPBACK,
+        port: int = 0,
+        stream: Callable[[Callable[[bytes], None]], None] | None = None,
+    ) -> None:
+        content = page.encode()
+
+        class Handler(BaseHTTPRequestHandler):
+            timeout = _PATIENCE
+
+            def do_GET(self) -> None:
+                if not _own(self.headers.get("Host", ""), host):  # another site's name that leads here
+                    return self.send_error(403)
+                if self.path == "/":
+                    return self._send("text/html; charset=utf-8", content)
+                if self.path == "/stream" and stream is not None:
+                    self._send("text/event-stream", None)
+                    return stream(self._event)
+                self.send_error(404)
+
+            def _send(self, kind: str, whole: bytes | None) -> None:
+                self.send_response(200)
+                self.send_header("Content-Type", kind)
+                self.send_header("Cache-Control", "no-store")
+                if whole is not None:
+                    self.send_header("Content-Length", str(len(whole)))
+                self.end_headers()
+                if whole is not None:
+                    self.wfile.write(whole)
+
+            def _event(self, text: bytes) -> None:
+                self.wfile.write(b"data: " + text + b"\n\n")
+
+            def log_message(self, format: str, *args: Any) -> None: ...
+
+        class Server(ThreadingHTTPServer):
+            daemon_threads, block_on_close = True, False
+            address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+
+            def handle_error(self, request: object, client_address: object) -> None:
+                """A browser that leaves is no error."""
+
+        try:
+            self._server = Server((host, port), Handler)
+        except OSError as error:
+            raise ConfigError(
+                f"cannot listen on {host}:{port} ({error.strerror or error}); choose another `port` or `host`"
+            ) from None
+        self._thread = Thread(target=self._server.serve_forever, args=(0.2,), daemon=True)
+
+    @property
+    def address(self) -> str:
+        """Where a browser finds the page."""
+        host, port = self._server.server_address[:2]
+        return f"http://{f'[{host}]' if ':' in str(host) else host}:{port}/"
+
+    @property
+    def private(self) -> bool:
+        """Whether only this computer reaches it."""
+        return ip_address(str(self._server.server_address[0])).is_loopback
+
+    def __enter__(self) -> PageServer:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._server.shutdown()
+        self._server.server_close()
+
+
+def _own(named: str, host: str) -> bool:
+    """Whether the name that a browser was given is one of this computer."""
+    if host != LOOPBACK:
+        return True
+    return named.rpartition(":")[0] in (LOOPBACK, "localhost")

@@ -1,0 +1,236 @@
+// The page: time, clips, layers; and in a live page the frames that arrive.
+const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
+const RAMP = [[0.17, 0.42, 0.69], [0.22, 0.7, 0.67], [0.93, 0.79, 0.29], [0.87, 0.29, 0.16]];
+const $ = (id) => document.getElementById(id);
+const made = (name, more = {}, ...children) => { const one = Object.assign(document.createElement(name), more); one.append(...children); return one; };
+
+class Player {
+  constructor(data) {
+    this.data = data; this.now = 0; this.speed = 1; this.playing = false; this.take = null; this.row = 0; this.most = 0.01;
+    this.decode();
+    this.shown = new Set(["measured", ...data.candidates]);
+    this.plots = new Plots($("panels"), (time) => this.seek(time));
+    try { this.stage = new Stage($("scene"), data); this.stage.changed = () => this.dirty = true; } catch (error) { $("failure").hidden = false; $("failure").textContent = error.message; }
+    for (const note of data.notes) $("notes").append(made("li", { textContent: note }));
+    this.palette(); this.layers(); this.controls(); this.list(); this.table(); this.channels();
+    if (this.takes.length) this.choose(this.takes[0]); else this.fit();
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.palette(); this.redraw(); });
+    new ResizeObserver(() => this.redraw()).observe(document.body);
+    this.redraw(); requestAnimationFrame((stamp) => this.frame(stamp));
+  }
+  get recording() { return this.recordings[this.row]; }
+  get end() { return this.recording.track.duration; }
+  decode() {
+    const { data } = this, count = data.bodies.length, width = data.columns.length;
+    const track = (one) => one && new Track(one.step, count, width, unpacked(one.poses, data.ranges.poses), unpacked(one.values, data.ranges.values));
+    this.recordings = data.recordings.map((one) => ({ ...one, track: track(one.track), ghosts: [], takes: [] }));
+    this.takes = data.takes.map((one) => ({ ...one, tracks: one.tracks.map(track) }));
+    for (const take of this.takes) this.recordings[take.recording].takes.push(take);
+    for (const one of this.recordings) one.takes.sort((a, b) => a.start - b.start);
+    this.scalars = new Map(); this.events = [];
+  }
+  palette() {
+    const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue("--" + name).trim();
+    const parts = (name) => { const text = color(name); return [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16) / 255); };
+    this.colors = Object.fromEntries(["ink", "soft", "rule", "blue", "amber", "dots", "gap", "pick"].map((name) => [name, color(name)]));
+    this.solid = { sky: parts("sky"), ground: parts("ground"), grid: parts("grid"), dark: matchMedia("(prefers-color-scheme: dark)").matches };
+    this.tints = this.data.candidates.map((_, i, all) => parts(i === all.length - 1 && (all.length > 1 || all[0] !== "nominal") ? "blue" : "amber"));
+  }
+  lineColor(i) { const all = this.data.candidates; return i === all.length - 1 && (all.length > 1 || all[0] !== "nominal") ? this.colors.blue : this.colors.amber; }
+  layers() {
+    const box = $("layers");
+    for (const [i, name] of ["measured", ...this.data.candidates].entries()) {
+      const check = made("input", { type: "checkbox", checked: true });
+      check.addEventListener("change", () => { check.checked ? this.shown.add(name) : this.shown.delete(name); this.redraw(); });
+      const dot = made("i"); dot.style.background = i ? this.lineColor(i - 1) : this.colors.dots;
+      box.append(made("label", {}, check, dot, name));
+    }
+    if (!this.data.candidates.length) return;
+    const check = made("input", { type: "checkbox", id: "distance" });
+    check.addEventListener("change", () => { this.far = check.checked; $("scale").hidden = !this.far; this.dirty = true; });
+    box.append(made("label", { title: "Colour each body of a ghost by its distance from where it was measured" }, check, "colour by distance"));
+  }
+  controls() {
+    for (const speed of SPEEDS) $("speed").append(made("option", { value: speed, textContent: `${speed}×`, selected: speed === 1 }));
+    $("speed").addEventListener("change", () => this.speed = Number($("speed").value));
+    $("play").addEventListener("click", () => this.play(!this.playing));
+    $("back").addEventListener("click", () => this.step(-1)); $("forth").addEventListener("click", () => this.step(1));
+    $("next").addEventListener("click", () => this.next());
+    $("whole").addEventListener("click", () => { this.choose(null); });
+    $("time").addEventListener("input", () => this.seek(Number($("time").value)));
+    this.recordings.forEach((one, i) => $("recording").append(made("option", { value: i, textContent: one.name })));
+    $("which").hidden = this.recordings.length < 2;
+    $("recording").addEventListener("change", () => { this.row = Number($("recording").value); this.now = 0; this.choose(null); });
+    document.addEventListener("keydown", (event) => {
+      if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName) && event.key !== "n") return;
+      const act = { " ": () => this.play(!this.playing), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1), n: () => this.next() }[event.key];
+      if (act) { event.preventDefault(); act(); }
+    });
+  }
+  list() {
+    const { candidates, live } = this.data, box = $("list");
+    $("clips").hidden = !this.takes.length && !live; box.replaceChildren();
+    $("clipkey").textContent = this.takes.length ? `cost: ${candidates.join(" → ")}` : "";
+    const largest = Math.max(...this.takes.flatMap((take) => take.costs.filter((cost) => cost !== null)), 1e-9);
+    this.takes.forEach((take, i) => {
+      const label = `${take.start.toFixed(2)}–${take.stop.toFixed(2)} s`, costs = take.costs.map((cost) => cost === null ? "diverged" : brief(cost)).join(" → ");
+      const bar = made("b"); for (const cost of take.costs) { const part = made("i"); part.style.width = `${100 * Math.min(1, (cost ?? largest) / largest)}%`; bar.append(part); }
+      const badge = [take.held ? "held out" : "", this.recordings.length > 1 ? this.recordings[take.recording].name : ""].filter(Boolean).join(", ");
+      take.line = made("div", { className: "clip", id: `clip${i}` }, made("span", {}, label, badge ? made("em", { textContent: badge }) : ""), made("span", { textContent: costs }), bar);
+      take.line.setAttribute("role", "option"); take.line.setAttribute("aria-selected", take === this.take);
+      take.line.addEventListener("click", () => this.choose(take)); box.append(take.line);
+    });
+    if (!this.listening) box.addEventListener("keydown", (event) => {
+      const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+      if (by) { event.preventDefault(); event.stopPropagation(); this.choose(this.takes[Math.min(Math.max(this.takes.indexOf(this.take) + by, 0), this.takes.length - 1)]); }
+    });
+    this.listening = true;
+  }
+  table() {
+    const rows = this.data.parameters, known = rows.some((row) => row.estimate !== undefined);
+    $("parameters").hidden = !rows.length;
+    const head = made("tr", {}, ...["parameter", "nominal", ...(known ? ["estimate"] : [])].map((text) => made("th", { textContent: text, scope: "col" })));
+    const body = rows.map((row) => {
+      const cells = [made("td", {}, row.name, made("small", { textContent: row.unit })), made("td", { textContent: brief(row.nominal) })];
+      if (known) cells.push(row.estimate === undefined ? made("td") : made("td", { title: "estimate and 90 % interval" }, brief(row.estimate), made("small", { textContent: `${brief(row.lower)} to ${brief(row.upper)}` })));
+      return made("tr", {}, ...cells);
+    });
+    $("parameters").querySelector("table").replaceChildren(made("thead", {}, head), made("tbody", {}, ...body));
+  }
+  // What the plots can show: each channel of the log, and each group of other numbers.
+  channels() {
+    const pick = $("channel"), before = pick.value, groups = [...new Set([...this.scalars.values()].map((one) => one.group))];
+    pick.replaceChildren(...[...groups, ...new Set(this.data.columns.map((column) => column.channel))].map((name) => made("option", { value: name, textContent: name })));
+    if (before) pick.value = before;
+    pick.onchange = () => { this.panels(); this.redraw(); };
+    $("plots").hidden = !pick.options.length;
+    this.panels();
+  }
+  panels() {
+    const name = $("channel").value;
+    const own = [...this.scalars.values()].filter((one) => one.group === name).map((one) => ({ title: one.name, unit: one.unit, lines: () => [{ ...one, color: this.colors.blue }] }));
+    const columns = this.data.columns.map((column, k) => ({ ...column, k })).filter((column) => column.channel === name);
+    this.plots.show(own.length ? own : columns.map((column) => ({ title: column.name === name ? name : column.name, unit: column.unit, lines: (from, to) => this.lines(column.k, from, to) })));
+  }
+  lines(k, from, to) {
+    const lines = [], inside = this.recording.takes.filter((take) => take.stop >= from && take.start <= to && (!this.take || take === this.take));
+    const curve = (track, start, more) => {
+      const times = [], values = [];
+      for (let i = 0; i < track.count; i++) { times.push(start + i * track.step); values.push(track.values[i * track.width + k]); }
+      lines.push({ times, values, ...more });
+    };
+    const dots = { color: this.colors.dots, dots: true, label: "measured" };
+    if (this.shown.has("measured")) { if (this.take) curve(this.take.tracks[0], this.take.start, dots); else curve(this.recording.track, 0, dots); }
+    for (const take of inside) take.tracks.slice(1).forEach((track, i) => {
+      if (track && this.shown.has(this.data.candidates[i])) curve(track, take.start, { color: this.lineColor(i), dash: i === 0 && this.data.candidates.length > 1, label: this.data.candidates[i], frames: false });
+    });
+    return lines;
+  }
+  takeAt(time) {
+    if (this.take) return this.take;
+    return this.recording.takes.findLast((take) => take.start <= time && time <= take.stop) || null;
+  }
+  choose(take) {
+    this.take = take;
+    for (const one of this.takes) if (one.line) one.line.setAttribute("aria-selected", one === take);
+    $("whole").setAttribute("aria-pressed", !take);
+    if (take) { this.row = take.recording; $("recording").value = this.row; this.now = this.playing ? take.start : take.start + 0.7 * (take.stop - take.start); $("list").setAttribute("aria-activedescendant", take.line.id); take.line.scrollIntoView({ block: "nearest" }); }
+    this.fit(); this.redraw();
+  }
+  // Moves the camera so far away that everything that moves is in the picture.
+  fit() {
+    if (!this.stage) return;
+    const track = this.take ? this.take.tracks[0] : this.recording.track;
+    if (!track.count) return;
+    this.stage.camera.away = 2.5 * this.stage.bounds(track.at(0)).radius; this.stage.camera.moved = [0, 0, 0];
+  }
+  seek(time) {
+    const [from, to] = this.span();
+    this.now = Math.min(Math.max(time, from), to); this.dirty = true; this.following = this.now >= to - 1e-6;
+  }
+  span() { return this.take ? [this.take.start, this.take.stop] : [0, this.end]; }
+  step(by) { this.play(false); this.seek(this.now + by * (this.take ? this.take.tracks[0].step : this.recording.track.step)); }
+  play(on) {
+    const [from, to] = this.span();
+    if (on && this.now >= to - 1e-6) this.now = from;
+    this.playing = on; this.dirty = true;
+    $("play").textContent = on ? "\u23F8\uFE0E" : "\u25B6\uFE0E"; $("play").setAttribute("aria-label", on ? "Pause" : "Play");
+  }
+  next() {
+    const events = this.events.filter((event) => event > this.now + 1e-6);
+    if (this.data.live && !this.take && events.length) return this.seek(events[0]);
+    if (this.takes.length) this.choose(this.takes[(this.takes.indexOf(this.take) + 1) % this.takes.length]);
+  }
+  frame(stamp) {
+    const past = Math.min(0.1, (stamp - (this.stamp ?? stamp)) / 1000), [from, to] = this.span();
+    this.stamp = stamp;
+    if (this.playing) {
+      this.now += past * this.speed; this.dirty = true;
+      if (this.now > to) this.now = this.take ? from : to;
+      if (this.now >= to && !this.take && !this.data.live) this.play(false);
+    }
+    if (this.stale) { this.stale = false; this.redraw(); }
+    if (this.dirty) this.paint();
+    requestAnimationFrame((next) => this.frame(next));
+  }
+  redraw() {
+    const [from, to] = this.span();
+    this.plots.draw(this.data.live && !this.take ? Math.max(from, to - 30) : from, to, this.colors); this.marks(); this.paint();
+  }
+  marks() {
+    const canvas = $("marks"), ratio = Math.min(window.devicePixelRatio || 1, 2), width = canvas.clientWidth, height = canvas.clientHeight;
+    canvas.width = width * ratio; canvas.height = height * ratio;
+    const paper = canvas.getContext("2d"), [from, to] = this.span(), x = (time) => width * (time - from) / (to - from || 1);
+    paper.scale(ratio, ratio);
+    const largest = Math.max(...this.takes.map((take) => take.costs.at(-1) ?? 0), 1e-9);
+    for (const take of this.take ? [] : this.recording.takes) {
+      paper.fillStyle = `rgb(${mixed((take.costs.at(-1) ?? largest) / largest).map((c) => Math.round(255 * c))})`;
+      paper.globalAlpha = 0.75; paper.fillRect(x(take.start), height - 8, Math.max(x(take.stop) - x(take.start) - 1, 1), 8); paper.globalAlpha = 1;
+    }
+    paper.fillStyle = this.colors.gap;
+    for (const [a, b] of this.recording.gaps) paper.fillRect(x(a), 0, Math.max(x(b) - x(a), 1), height);
+    paper.fillStyle = this.colors.amber;
+    for (const event of this.events) paper.fillRect(x(event), 0, 2, height);
+  }
+  paint() {
+    this.dirty = false;
+    const [from, to] = this.span(), take = this.takeAt(this.now), bar = $("time"), { track, ghosts, gaps } = this.recording;
+    bar.min = from; bar.max = to; bar.value = this.now; bar.setAttribute("aria-valuetext", `${this.now.toFixed(2)} seconds`);
+    $("clock").textContent = `${this.now.toFixed(2)} / ${to.toFixed(2)} s`;
+    this.plots.cursor(this.now);
+    if (!this.stage || !track.count) return;
+    const measured = take ? take.tracks[0].at(this.now - take.start) : track.at(this.now);
+    const predicted = this.data.candidates.map((_, i) => take ? take.tracks[i + 1]?.at(this.now - take.start) : ghosts[i]?.count ? ghosts[i].at(this.now) : null);
+    const home = gaps.some(([a, b]) => a <= this.now && this.now < b), layers = [this.shown.has("measured") ? { poses: measured, opacity: 1, home } : null];
+    if (this.far) this.scale(take, measured);
+    predicted.forEach((poses, i) => {
+      if (poses && this.shown.has(this.data.candidates[i])) layers.push({ poses, tint: this.tints[i], opacity: this.far ? 0.8 : 0.45, tints: this.far ? this.distances(measured, poses).map((d) => mixed(d / this.most)) : null });
+    });
+    this.stage.draw(layers, this.middle(take, track), this.solid);
+  }
+  // The place that the camera follows: the bodies' mean over a second or so, which moves smoothly.
+  middle(take, track) {
+    let sum = [0, 0, 0];
+    const count = 7;
+    for (let i = 0; i < count; i++) {
+      const time = this.now + (i / (count - 1) - 0.5) * 1.6;
+      const poses = take && this.take ? take.tracks[0].at(Math.min(Math.max(time, take.start), take.stop) - take.start) : track.at(time);
+      sum = add(sum, this.stage.bounds(poses).middle);
+    }
+    return times(sum, 1 / count);
+  }
+  distances(a, b) { return Array.from({ length: this.data.bodies.length }, (_, i) => Math.hypot(a[7 * i] - b[7 * i], a[7 * i + 1] - b[7 * i + 1], a[7 * i + 2] - b[7 * i + 2])); }
+  scale(take, measured) {
+    if (take && take !== this.scaled) {
+      this.scaled = take; this.most = 1e-3;
+      for (const track of take.tracks.slice(1)) if (track) for (let i = 0; i <= 10; i++) { const time = i / 10 * track.duration; this.most = Math.max(this.most, ...this.distances(take.tracks[0].at(time), track.at(time))); }
+    }
+    $("most").textContent = this.most < 0.1 ? `${brief(1000 * this.most)} mm` : `${brief(this.most)} m`;
+  }
+}
+
+function mixed(share) {
+  const place = Math.min(Math.max(share, 0), 1) * (RAMP.length - 1), i = Math.min(Math.floor(place), RAMP.length - 2);
+  return RAMP[i].map((c, k) => c + (place - i) * (RAMP[i + 1][k] - c));
+}
+const player = new Player(JSON.parse($("data").textContent));

@@ -1,0 +1,173 @@
+// The scene: lit triangles in WebGL, translucent ghosts, shadows on the floor, a camera that follows.
+const LIGHT = unit([-0.35, 0.45, 1.0]);
+const VERTEX = `#version 300 es
+in vec3 place; in vec3 normal; uniform mat4 model, view; out vec3 world, facing;
+void main() { vec4 at = model * vec4(place, 1.0); world = at.xyz; facing = mat3(model) * normal; gl_Position = view * at; }`;
+const FRAGMENT = `#version 300 es
+precision highp float;
+in vec3 world, facing; out vec4 shown;
+uniform vec4 color; uniform vec3 eye, light, grid, sky, middle; uniform int kind; uniform float reach;
+void main() {
+  if (kind == 2) { shown = color; return; }
+  if (kind == 1) {
+    vec2 cell = world.xy * 4.0, fine = abs(fract(cell - 0.5) - 0.5) / fwidth(cell);
+    vec2 metre = abs(fract(world.xy - 0.5) - 0.5) / fwidth(world.xy);
+    float line = max(0.35 * (1.0 - min(min(fine.x, fine.y), 1.0)), 1.0 - min(min(metre.x, metre.y), 1.0));
+    float far = smoothstep(0.35, 1.0, length(world.xy - middle.xy) / reach);
+    shown = vec4(mix(mix(color.rgb, grid, line), sky, far), 1.0); return;
+  }
+  vec3 n = kind == 3 ? normalize(cross(dFdx(world), dFdy(world))) : normalize(facing), toward = normalize(eye - world);
+  if (dot(n, toward) < 0.0) n = -n;
+  float lit = 0.42 + 0.5 * max(dot(n, light), 0.0) + 0.14 * max(dot(n, toward), 0.0);
+  float shine = pow(max(dot(n, normalize(light + toward)), 0.0), 40.0);
+  shown = vec4(min(color.rgb * lit + 0.12 * shine, 1.0), color.a);
+}`;
+
+class Stage {
+  constructor(canvas, data) {
+    const gl = this.gl = canvas.getContext("webgl2", { antialias: true, stencil: true, preserveDrawingBuffer: true });
+    if (!gl) throw new Error("This browser has no WebGL 2: the scene cannot be drawn. The plots below are complete.");
+    this.canvas = canvas; this.bodies = data.bodies.length; this.unmeasured = new Set(data.unmeasured);
+    this.program = this.compile(); this.at = {};
+    for (const name of ["model", "view", "color", "eye", "light", "grid", "sky", "middle", "kind", "reach"]) {
+      this.at[name] = gl.getUniformLocation(this.program, name);
+    }
+    this.geoms = data.geoms.map((geom) => this.loaded(geom));
+    const floors = this.geoms.filter((geom) => geom.floor && geom.local[10] > 0.99);
+    this.ground = floors.length ? Math.max(...floors.map((geom) => geom.local[14])) : null;
+    this.camera = { around: -2.2, above: 0.36, away: 2, moved: [0, 0, 0] };
+    this.handle();
+  }
+  compile() {
+    const gl = this.gl, program = gl.createProgram();
+    for (const [kind, text] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text); gl.compileShader(shader); gl.attachShader(program, shader);
+    }
+    gl.bindAttribLocation(program, 0, "place"); gl.bindAttribLocation(program, 1, "normal");
+    gl.linkProgram(program);
+    if (!gl.getProgramParameter(program, gl.LINK_STATUS)) throw new Error("The scene cannot be drawn: " + gl.getProgramInfoLog(program));
+    return program;
+  }
+  loaded(geom) {
+    const gl = this.gl, places = floats(geom.vertices), faces = rows(geom.faces), normals = new Float32Array(places.length);
+    let size = 0;
+    for (let f = 0; f < faces.length; f += 3) {
+      const [a, b, c] = [0, 1, 2].map((k) => Array.from(places.subarray(3 * faces[f + k], 3 * faces[f + k] + 3)));
+      const normal = cross(less(b, a), less(c, a));
+      for (let k = 0; k < 3; k++) for (let i = 0; i < 3; i++) normals[3 * faces[f + k] + i] += normal[i];
+    }
+    for (let v = 0; v < normals.length; v += 3) {
+      const length = Math.hypot(normals[v], normals[v + 1], normals[v + 2]) || 1;
+      for (let i = 0; i < 3; i++) normals[v + i] /= length;
+      size = Math.max(size, Math.hypot(places[v], places[v + 1], places[v + 2]));
+    }
+    const array = gl.createVertexArray();
+    gl.bindVertexArray(array);
+    [places, normals].forEach((values, slot) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(slot); gl.vertexAttribPointer(slot, 3, gl.FLOAT, false, 0, 0);
+    });
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
+    gl.bindVertexArray(null);
+    return { array, count: faces.length, local: placed(geom.pose), body: geom.body, color: geom.color, floor: geom.floor,
+      kind: geom.floor ? 1 : geom.flat ? 3 : 0, size, offset: Math.hypot(...geom.pose.slice(0, 3)) };
+  }
+  // Centre of the bodies, and the radius that holds them and their geoms.
+  bounds(poses) {
+    const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+    const grow = (place, by) => { for (let i = 0; i < 3; i++) { low[i] = Math.min(low[i], place[i] - by); high[i] = Math.max(high[i], place[i] + by); } };
+    for (const geom of this.geoms) {
+      if (geom.body >= 0) grow(poses.subarray(7 * geom.body, 7 * geom.body + 3), 0.8 * (geom.size + geom.offset));
+    }
+    if (!Number.isFinite(low[0])) return { middle: [0, 0, 0.3], radius: 1 };
+    return { middle: times(add(low, high), 0.5), radius: Math.max(Math.hypot(...less(high, low)) / 2, 0.02) };
+  }
+  handle() {
+    const canvas = this.canvas, camera = this.camera, held = new Map();
+    let spread = 0;
+    canvas.addEventListener("pointerdown", (event) => { held.set(event.pointerId, event); canvas.setPointerCapture(event.pointerId); spread = 0; });
+    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => held.delete(event.pointerId));
+    canvas.addEventListener("pointermove", (event) => {
+      const before = held.get(event.pointerId);
+      if (!before) return;
+      const x = event.clientX - before.clientX, y = event.clientY - before.clientY;
+      held.set(event.pointerId, event);
+      if (held.size > 1) {
+        const [a, b] = [...held.values()], apart = Math.hypot(a.clientX - b.clientX, a.clientY - b.clientY);
+        if (spread) camera.away *= spread / apart;
+        spread = apart; this.shift(x / 2, y / 2);
+      } else if (event.shiftKey || event.buttons === 2) this.shift(x, y);
+      else { camera.around -= x * 0.008; camera.above = Math.min(1.55, Math.max(-0.3, camera.above + y * 0.008)); }
+      this.changed();
+    });
+    canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+    canvas.addEventListener("wheel", (event) => { event.preventDefault(); camera.away *= Math.exp(event.deltaY * 0.001); this.changed(); }, { passive: false });
+    canvas.addEventListener("keydown", (event) => {
+      const turn = { a: [-0.1, 0], d: [0.1, 0], w: [0, 0.1], s: [0, -0.1] }[event.key], zoom = { "+": 0.9, "-": 1.1 }[event.key];
+      if (turn) { camera.around += turn[0]; camera.above = Math.min(1.55, Math.max(-0.3, camera.above + turn[1])); }
+      if (zoom) camera.away *= zoom;
+      if (turn || zoom) this.changed();
+    });
+  }
+  shift(x, y) {
+    const { around } = this.camera, scale = this.camera.away / this.canvas.clientHeight;
+    this.camera.moved = add(this.camera.moved, [scale * (Math.sin(around) * x + 0.4 * Math.cos(around) * -y), scale * (-Math.cos(around) * x - 0.4 * Math.sin(around) * y), scale * 0.6 * y]);
+  }
+  changed() {}
+  // Draws layers: { poses, tint, opacity, colors } each, the first the measured one.
+  draw(layers, middle, colors) {
+    const gl = this.gl, canvas = this.canvas, ratio = Math.min(window.devicePixelRatio || 1, 2), { around, above, away } = this.camera;
+    const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
+    if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
+    const at = add(middle, this.camera.moved);
+    const eye = add(at, times([Math.cos(around) * Math.cos(above), Math.sin(around) * Math.cos(above), Math.sin(above)], away));
+    const wide = width / Math.max(height, 1);
+    const view = product(perspective(wide < 1 ? 0.85 : 0.6, wide, away / 60, away * 40), looking(eye, at, [0, 0, 1]));
+    gl.viewport(0, 0, width, height);
+    gl.clearColor(...colors.sky, 1); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
+    gl.enable(gl.DEPTH_TEST); gl.depthFunc(gl.LEQUAL); gl.useProgram(this.program);
+    gl.uniformMatrix4fv(this.at.view, false, view);
+    for (const [name, value] of Object.entries({ eye, light: LIGHT, grid: colors.grid, sky: colors.sky, middle: at })) gl.uniform3fv(this.at[name], value);
+    gl.uniform1f(this.at.reach, 9 * away);
+    for (const geom of this.geoms) if (geom.body < 0) this.geom(geom, geom.local, geom.floor ? [...colors.ground, 1] : geom.color, geom.kind);
+    const [measured] = layers;
+    if (this.ground !== null && measured && measured.poses && eye[2] > this.ground) this.shadows(measured.poses, colors);
+    gl.enable(gl.BLEND); gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+    for (const layer of layers) if (layer && layer.poses) this.layer(layer);
+    gl.disable(gl.BLEND);
+  }
+  layer({ poses, tint, opacity, tints, home }) {
+    const gl = this.gl, bodies = Array.from({ length: this.bodies }, (_, i) => placed(poses, 7 * i));
+    if (tint) { gl.enable(gl.POLYGON_OFFSET_FILL); gl.polygonOffset(1, 4); }  // where it lies on the measured body, that one is seen
+    for (const only of opacity < 1 ? ["depth", "color"] : ["color"]) {  // a ghost's own parts do not shine through
+      gl.colorMask(only === "color", only === "color", only === "color", only === "color");
+      for (const geom of this.geoms) {
+        if (geom.body < 0) continue;
+        const own = tints ? tints[geom.body] : tint, grey = !tint && (home || this.unmeasured.has(geom.body));
+        const color = own ? own.map((c, i) => 0.85 * c + 0.15 * geom.color[i]) : grey ? [0.55, 0.55, 0.55] : geom.color.slice(0, 3);
+        this.geom(geom, product(bodies[geom.body], geom.local), [...color, opacity], geom.kind);
+      }
+    }
+    gl.disable(gl.POLYGON_OFFSET_FILL);
+  }
+  shadows(poses, colors) {
+    const gl = this.gl, flat = shadowed(LIGHT, this.ground + 0.001);
+    gl.enable(gl.BLEND); gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.enable(gl.STENCIL_TEST); gl.stencilFunc(gl.EQUAL, 0, 255); gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
+    gl.enable(gl.POLYGON_OFFSET_FILL); gl.polygonOffset(-1, -2); gl.depthMask(false);
+    for (const geom of this.geoms) {
+      if (geom.body >= 0) this.geom(geom, product(flat, product(placed(poses, 7 * geom.body), geom.local)), [0.05, 0.08, 0.12, colors.dark ? 0.45 : 0.28], 2);
+    }
+    gl.depthMask(true); gl.disable(gl.POLYGON_OFFSET_FILL); gl.disable(gl.STENCIL_TEST); gl.disable(gl.BLEND);
+  }
+  geom(geom, model, color, kind) {
+    const gl = this.gl;
+    gl.uniformMatrix4fv(this.at.model, false, model);
+    gl.uniform4fv(this.at.color, color); gl.uniform1i(this.at.kind, kind);
+    gl.bindVertexArray(geom.array);
+    gl.drawElements(gl.TRIANGLES, geom.count, gl.UNSIGNED_SHORT, 0);
+  }
+}

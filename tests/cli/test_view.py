@@ -1,0 +1,123 @@
+"""`amhe view` from the outside."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+from amhe_cli.cli.main import run
+from amhe_cli.view.server import PageServer
+
+
+def test_a_log_becomes_one_page(pendulum_log: Path, tmp_path: Path, capsys) -> None:
+    page = tmp_path / "page.html"
+    assert run(["view", str(pendulum_log), "--save", str(page)]) == 0
+    assert str(page) in capsys.readouterr().out
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("<!doctype html>")
+    assert "http" not in text.replace("http-equiv", "")
+
+
+@pytest.fixture(scope="module")
+def result(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("results") / "found"
+    quick = ["--set", "clips.count=4", "--set", "clips.held_out=0.4", "--max-time", "1", "-q"]
+    assert run(["identify", str(pendulum_log), *quick, "-o", str(out)]) == 0
+    return out
+
+
+def data_of(page: Path) -> dict:
+    text = page.read_text(encoding="utf-8")
+    return json.loads(text.partition('id="data">')[2].partition("</script>")[0])
+
+
+def test_a_result_shows_both_ghosts_and_its_held_out_clips_first(result: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    assert run(["view", str(result), "--save", str(page)]) == 0
+    data = data_of(page)
+    assert data["candidates"] == ["nominal", "identified"]
+    assert all("estimate" in row for row in data["parameters"])
+    held = [take["held"] for take in data["takes"]]
+    assert held[0] is True
+    # with the result's own setting 40 % of the time are held out
+    assert 0.2 < sum(held) / len(held) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"schema_version": 2}, "of version 2"),
+        ({"command": "eval"}, "of `amhe eval`"),
+    ],
+)
+def test_other_results_are_refused(result: Path, tmp_path: Path, change: dict, text: str, capsys) -> None:
+    record = json.loads((result / "result.json").read_text()) | change
+    (tmp_path / "result.json").write_text(json.dumps(record))
+    assert run(["view", str(tmp_path), "--save", str(tmp_path / "page.html")]) == 2
+    err = capsys.readouterr().err
+    assert text in err
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"command": 3}'])
+def test_a_folder_with_another_result_is_one_line(tmp_path: Path, content: str, capsys) -> None:
+    (tmp_path / "result.json").write_text(content)
+    assert run(["view", str(tmp_path), "--save", str(tmp_path / "page.html")]) == 2
+    assert "is no result of amhe" in capsys.readouterr().err
+
+
+def test_a_result_whose_log_is_gone_says_what_to_do(result: Path, tmp_path: Path, capsys) -> None:
+    import shutil
+
+    shutil.copytree(result, tmp_path / "copy")
+    text = (tmp_path / "copy" / "belief.yaml").read_text()
+    (tmp_path / "copy" / "belief.yaml").write_text(text.replace("amhe identify", "made elsewhere"))
+    record = json.loads((result / "result.json").read_text()) | {"logs": ["gone.mcap"]}
+    (tmp_path / "copy" / "result.json").write_text(json.dumps(record))
+    assert run(["view", str(tmp_path / "copy"), "--save", str(tmp_path / "page.html")]) == 2
+    err = capsys.readouterr().err
+    assert "gone.mcap" in err
+    assert "--belief" in err
+
+
+def test_it_serves_until_it_is_stopped(pendulum_log: Path) -> None:
+    command = [sys.executable, "-m", "amhe_cli", "view", str(pendulum_log)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=dict(os.environ)) as process:
+        assert process.stderr is not None
+        line = next(line for line in process.stderr if "http://" in line)
+        address = line.partition("http://")[2].partition(";")[0]
+        with urllib.request.urlopen(f"http://{address}") as answer:
+            assert b'id="data"' in answer.read()
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=60) == 0
+
+
+def test_the_server_answers_to_its_own_name_only() -> None:
+    with PageServer("<p>") as server:
+        assert server.private
+        for name, code in (("localhost:1", 200), ("evil.example:1", 403)):
+            request = urllib.request.Request(server.address, headers={"Host": name})
+            if code == 200:
+                assert urllib.request.urlopen(request).read() == b"<p>"
+            else:
+                with pytest.raises(urllib.error.HTTPError, match="403"):
+                    urllib.request.urlopen(request)
+        with pytest.raises(urllib.error.HTTPError, match="404"):
+            urllib.request.urlopen(f"{server.address}etc/passwd")
+
+
+def test_a_port_that_is_taken_is_one_line(pendulum_log: Path, capsys) -> None:
+    with PageServer("<p>") as server:
+        port = server.address.rstrip("/").rpartition(":")[2]
+        assert run(["view", str(pendulum_log), "--port", port]) == 2
+    err = capsys.readouterr().err
+    assert "cannot listen" in err
+    assert "--port" in err

@@ -1,0 +1,101 @@
+"""A headless Chromium through a pipe of its debugging protocol: no port, no further package."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PROGRAM = next(
+    (p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name))), None
+)
+
+needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no Chromium is installed (Debian: chromium)")
+
+
+class Browser:
+    """One tab. Scripts that fail fail the test."""
+
+    def __init__(self, to: Any, back: Any) -> None:
+        self._to, self._back, self._count = to, back, 0
+        self.session: dict[str, str] = {}
+        target = self.ask("Target.createTarget", url="about:blank")["targetId"]
+        attached = self.ask("Target.attachToTarget", targetId=target, flatten=True)
+        self.session = {"sessionId": attached["sessionId"]}
+        self.ask("Page.enable")
+        self.ask("Network.enable")
+        self.requests: list[str] = []
+
+    def ask(self, method: str, **params: Any) -> dict[str, Any]:
+        self._count += 1
+        request = {"id": self._count, "method": method, "params": params, **self.session}
+        self._to.write(json.dumps(request).encode() + b"\0")
+        self._to.flush()
+        while True:
+            answer = json.loads(self._message())
+            if answer.get("method") == "Network.requestWillBeSent":
+                self.requests.append(answer["params"]["request"]["url"])
+            if answer.get("id") == self._count:
+                assert "error" not in answer, answer
+                return answer["result"]
+
+    def _message(self) -> bytes:
+        whole = bytearray()
+        while (byte := self._back.read(1)) != b"\0":
+            assert byte, "Chromium has ended"
+            whole += byte
+        return bytes(whole)
+
+    def open(self, address: str, width: int = 1280, height: int = 900, dark: bool = False) -> None:
+        self.ask(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=1,
+            mobile=False,
+        )
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.ask("Emulation.setEmulatedMedia", features=[scheme])
+        self.ask("Page.navigate", url=address)
+        self.run("new Promise((done) => document.readyState === 'complete' ? done() : onload = done)")
+
+    def run(self, script: str) -> Any:
+        """Value of an expression, awaited."""
+        result = self.ask("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
+
+    def picture(self, path: Path) -> Path:
+        """A screenshot."""
+        path.write_bytes(base64.b64decode(self.ask("Page.captureScreenshot")["data"]))
+        return path
+
+
+@contextmanager
+def browser(folder: Path) -> Iterator[Browser]:
+    """A browser with an empty profile in a folder."""
+    assert PROGRAM is not None
+    (their_in, to), (back, their_out) = os.pipe(), os.pipe()
+    options = (
+        "--headless --no-sandbox --disable-gpu-sandbox --use-angle=swiftshader --enable-unsafe-swiftshader "
+        f"--no-first-run --disable-extensions --hide-scrollbars "
+        f"--remote-debugging-pipe --user-data-dir={folder}"
+    )
+    command = f'exec "{PROGRAM}" {options} about:blank 3<&{their_in} 4>&{their_out}'
+    quiet, ends = subprocess.DEVNULL, (their_in, their_out)
+    with subprocess.Popen(["bash", "-c", command], pass_fds=ends, stdout=quiet, stderr=quiet) as process:
+        os.close(their_in)
+        os.close(their_out)
+        with os.fdopen(to, "wb") as writer, os.fdopen(back, "rb", buffering=0) as reader:
+            try:
+                yield Browser(writer, reader)
+            finally:
+                process.terminate()

@@ -1,0 +1,143 @@
+"""The page of `amhe view` in a real browser."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from tests.view.browser import Browser, browser, needs_chromium
+
+#: Sum of the scene's pixels, and how many colours it has.
+PIXELS = """(() => {
+  const c = document.getElementById('scene'), gl = c.getContext('webgl2'), seen = new Set();
+  const p = new Uint8Array(4 * c.width * c.height);
+  gl.readPixels(0, 0, c.width, c.height, gl.RGBA, gl.UNSIGNED_BYTE, p);
+  let sum = 0;
+  for (let i = 0; i < p.length; i += 4) {
+    const color = p[i] << 16 | p[i + 1] << 8 | p[i + 2];
+    sum = (sum * 31 + color) % 4294967291; seen.add(color);
+  }
+  return [sum, seen.size];
+})()"""
+FRAMES = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(player.now))))"
+
+
+@pytest.fixture(scope="module")
+def page(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    system = amhe.System.load("pendulum")
+    belief = system.space.nominal * 1.2
+    known = amhe.Belief("pendulum", system.space.names, tuple(p.unit for p in system.space.parameters),
+                        (True,) * 4, belief, 1e-4 * np.eye(4))  # fmt: skip
+    log = amhe.read_log(pendulum_log, system)
+    return amhe.show(system, log, known, belief_anyway=True).save(
+        tmp_path_factory.mktemp("page") / "page.html"
+    )
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with browser(tmp_path_factory.mktemp("profile")) as one:
+        yield one
+
+
+@pytest.fixture
+def opened(page: Path, chromium: Browser, tmp_path: Path) -> Iterator[Browser]:
+    chromium.requests.clear()
+    chromium.ask(
+        "Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0
+    )
+    chromium.open(page.as_uri())
+    yield chromium
+
+
+pytestmark = needs_chromium
+
+
+def seek(one: Browser, share: float) -> None:
+    one.run(
+        f"(() => {{ const t = document.getElementById('time'); t.value = +t.min + {share} * (t.max - t.min); "
+        f"t.dispatchEvent(new Event('input')); return {FRAMES}; }})()"
+    )
+
+
+def test_it_opens_from_a_file_without_a_network_and_draws(opened: Browser, page: Path) -> None:
+    _, colors = opened.run(PIXELS)
+    assert colors > 50
+    assert opened.requests == [page.as_uri()]
+    assert opened.run("document.getElementById('failure').hidden")
+
+
+def test_scrubbing_changes_time_picture_and_numbers(opened: Browser) -> None:
+    seek(opened, 0.1)
+    first, clock = opened.run(PIXELS), opened.run("document.getElementById('clock').textContent")
+    seek(opened, 0.9)
+    assert opened.run(PIXELS)[0] != first[0]
+    assert opened.run("document.getElementById('clock').textContent") != clock
+
+
+def test_playing_goes_on_and_pausing_stops(opened: Browser) -> None:
+    seek(opened, 0.0)
+    start = opened.run("player.now")
+    opened.run("document.getElementById('play').click()")
+    assert opened.run("document.getElementById('play').getAttribute('aria-label')") == "Pause"
+    moved = opened.run(
+        "new Promise((done) => { const wait = () => player.now > "
+        + str(start)
+        + " ? done(player.now) : setTimeout(wait, 20); wait(); })"
+    )
+    assert moved > start
+    opened.run("document.getElementById('play').click()")
+    assert opened.run(FRAMES) == opened.run(FRAMES)
+
+
+def test_a_step_is_one_frame(opened: Browser) -> None:
+    seek(opened, 0.0)
+    start = opened.run("player.now")
+    opened.run("document.getElementById('forth').click()")
+    assert opened.run("player.now - " + str(start)) == pytest.approx(opened.run("player.take.tracks[0].step"))
+
+
+def test_a_ghost_comes_and_goes(opened: Browser) -> None:
+    seek(opened, 1.0)
+    shown = opened.run(PIXELS)[0]
+    toggle = "[...document.querySelectorAll('#layers input')][1].click()"
+    opened.run(toggle)
+    hidden = opened.run(f"{FRAMES}.then(() => {PIXELS})")[0]
+    assert hidden != shown
+    opened.run(toggle)
+    assert opened.run(f"{FRAMES}.then(() => {PIXELS})")[0] == shown
+
+
+def test_the_worst_clip_comes_first_and_another_can_be_chosen(opened: Browser) -> None:
+    costs = opened.run("player.takes.map((take) => take.costs.at(-1))")
+    assert len(costs) >= 3
+    assert costs == sorted(costs, reverse=True)
+    opened.run("document.querySelectorAll('.clip')[1].click()")
+    assert opened.run(
+        "player.take === player.takes[1] && player.now >= player.take.start && player.now <= player.take.stop"
+    )
+    opened.run("document.getElementById('whole').click()")
+    assert opened.run("player.end") == pytest.approx(8.0, abs=0.1)
+
+
+def test_every_control_has_a_name(opened: Browser) -> None:
+    nameless = opened.run(
+        "[...document.querySelectorAll('button, select, input, canvas[role], [role=listbox]')]"
+        ".filter((e) => ![e.getAttribute('aria-label'), e.textContent, e.labels?.[0]?.textContent]"
+        ".some((text) => text?.trim())).length"
+    )
+    assert nameless == 0
+    assert opened.run("document.documentElement.lang") == "en"
+
+
+@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1280])
+def test_nothing_is_wider_than_the_window(opened: Browser, page: Path, width: int, dark: bool) -> None:
+    opened.open(page.as_uri(), width, 900, dark)
+    assert opened.run("document.documentElement.scrollWidth") <= width
+    background = opened.run("getComputedStyle(document.body).backgroundColor")
+    assert (background != "rgb(255, 255, 255)") is dark
