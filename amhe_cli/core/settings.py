@@ -88,6 +88,8 @@ class RulerSettings(SettingsGroup):
     """Either end of a joint's range, as a share of the range."""
     center_of_mass: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01
     """Centre of mass of a body whose mass is a parameter, along each axis [m]."""
+    force_bias: Share = 0.05
+    """Bias of a force or torque sensor that is compared, along each axis, as a share of its largest value."""
     command_delay: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.005
     """Delay with which commands act, where the model has none [s]."""
 

@@ -10,7 +10,7 @@ so that position commands are in the encoder's frame too.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -68,6 +68,25 @@ class SignalCalibration:
     own: FloatArray = field(default_factory=lambda: np.empty(0))
     edits: tuple[ScalarEdit, ...] = ()
     readings: Mapping[str, Reading] = field(default_factory=dict)
+
+    @property
+    def set_rows(self) -> frozenset[int]:
+        """Rows of the numbers that parameters set."""
+        return frozenset(cells.row for edit in self.edits for cells in edit.cells)
+
+    def biased(self, widths: Mapping[str, int]) -> SignalCalibration:
+        """The same with a bias, 0 where there was none, for each column of some channels.
+
+        Args:
+            widths: Key of a channel -> its number of columns.
+        """
+        own, readings = list(self.own), dict(self.readings)
+        for key, width in widths.items():
+            reading = readings.get(key, Reading())
+            if not reading.bias:
+                readings[key] = replace(reading, bias=tuple(range(len(own), len(own) + width)))
+                own += [0.0] * width
+        return replace(self, own=np.array(own), readings=readings)
 
     def numbers(self, theta: FloatArray) -> FloatArray:
         """All numbers under values (p, d) of all parameters, fixed ones too, shape (p, n)."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import mujoco
@@ -231,14 +231,25 @@ class ModelEdits:
             yield name, inertia_about_com(edit.factor(self._whole(theta)))
 
     def extended(
-        self, model: mujoco.MjModel, more: Sequence[tuple[Parameter, tuple[Cells, ...], Mode]]
+        self,
+        model: mujoco.MjModel,
+        more: Sequence[tuple[Parameter, tuple[Cells, ...], Mode]],
+        calibration: SignalCalibration,
     ) -> ModelEdits:
-        """These edits upon a model of the same layout, and after them those of further parameters."""
+        """These edits upon a model of the same layout, and after them those of further parameters.
+
+        Args:
+            model: The model.
+            more: Each parameter with the numbers that it sets.
+            calibration: The signals' calibration, with all numbers that these parameters set.
+        """
         space = ParameterSpace((*self._all.parameters, *(parameter for parameter, _, _ in more)))
         scalar = [ScalarEdit(len(self._all) + i, cells, mode) for i, (_, cells, mode) in enumerate(more)]
-        delays = self._delays.with_edits([edit for edit in scalar if edit.delays])
-        edits = (*self._edits, *(edit for edit in scalar if not edit.delays))
-        return ModelEdits(model, space, edits, delays, self.fixed, self._calibration)
+        of_signals = [edit for edit in scalar if any(c.field == "calibration" for c in edit.written)]
+        late = [edit for edit in scalar if edit.delays]
+        edits = (*self._edits, *(edit for edit in scalar if edit not in (*of_signals, *late)))
+        calibration = replace(calibration, edits=(*calibration.edits, *of_signals))
+        return ModelEdits(model, space, edits, self._delays.with_edits(late), self.fixed, calibration)
 
     def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
         """Each parameter that sets plain numbers, with all of them."""

@@ -1,11 +1,12 @@
 """Rulers: numbers of the model that are taken as exact and can set the scale of the estimates.
 
-Forces of a servo are known as well as its gain, and where it saturates, as well as its limit. Masses follow.
+Forces of a servo are known as well as its gain, and where it saturates, as well as its limit. Masses follow,
+as they do from a force sensor, whose zero drifts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 
 import mujoco
@@ -13,9 +14,10 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.system.calibration import SignalCalibration
 from amhe_cli.system.edits import Mode, ModelEdits
 from amhe_cli.system.model_file import compiled
-from amhe_cli.system.system import System
+from amhe_cli.system.system import Channel, System
 from amhe_cli.system.targets import Cells, gain_cells, range_cells
 
 #: Elements of one ruler that its name lists.
@@ -57,9 +59,20 @@ def with_rulers(system: System, rulers: Sequence[Ruler]) -> System:
     more: list[tuple[Parameter, tuple[Cells, ...], Mode]] = [
         (ruler.parameter, ruler.cells, ruler.mode) for ruler in rulers
     ]
-    edits = system.edits.extended(model, more)
+    calibration = _with_biases(system)
+    edits = system.edits.extended(model, more, calibration)
     space = ParameterSpace((*system.space.parameters, *(ruler.parameter for ruler in rulers)))
-    return replace(system, model=model, space=space, edits=edits)
+    return replace(system, model=model, space=space, edits=edits, calibration=calibration)
+
+
+def _with_biases(system: System) -> SignalCalibration:
+    """The system's calibration with a bias of each force and torque that is compared."""
+    return system.calibration.biased({channel.key: len(channel.columns) for channel in _forces(system)})
+
+
+def _forces(system: System) -> list[Channel]:
+    """Forces and torques that are compared."""
+    return [c for c in system.channels if c.compared and c.key.rsplit(".", 1)[1] in ("force", "torque")]
 
 
 def _general(system: System, rulers: Sequence[Ruler]) -> mujoco.MjModel:
@@ -139,13 +152,16 @@ def _beyond(values: FloatArray, limits: FloatArray) -> BoolArray:
     return (values <= limits[:, 0] + near) | (values >= limits[:, 1] - near)
 
 
-def rulers_of(system: System, acts: Acting, felt: Collection[str]) -> list[Ruler]:
+def rulers_of(
+    system: System, acts: Acting, felt: Collection[str], largest: Mapping[str, float]
+) -> list[Ruler]:
     """The rulers that act and that no parameter sets.
 
     Args:
         system: The system; its settings say how far each kind may be off, 0 leaves it out.
         acts: What acts in its rollouts.
         felt: Parameters that the logs depend on.
+        largest: Key of a channel -> largest value that the logs have of it.
     """
     model, edits, settings = system.model, system.edits, system.settings.identify.rulers
     unknown = {(cells.field, cells.row) for cells in edits.cells}
@@ -184,6 +200,7 @@ def rulers_of(system: System, acts: Acting, felt: Collection[str]) -> list[Ruler
     found = [_scaled(kind, value, members, shares[kind]) for (kind, value), members in groups.items()]
     found += _ranges(model, settings.joint_limit, acts.joint)
     found += _centres(model, edits, settings.center_of_mass, felt)
+    found += _biases(system, settings.force_bias, largest)
     if edits.prompt:
         late = settings.command_delay
         found.append(
@@ -236,3 +253,14 @@ def _centres(
             yield Ruler(
                 what, None, (Cells("body_ipos", row, (axis,)),), "add", length, f"{1000.0 * length:g} mm"
             )
+
+
+def _biases(system: System, share: float, largest: Mapping[str, float]) -> Iterator[Ruler]:
+    """Zeros of the force and torque sensors that are compared."""
+    calibration = _with_biases(system)
+    for channel in _forces(system):
+        sd, change = share * largest[channel.key], f"{share:.0%} of its largest value"
+        for axis, row in zip("xyz", calibration.readings[channel.key].bias, strict=False):
+            if row not in calibration.set_rows:
+                what = f"the bias of {channel.key} along {axis}"
+                yield Ruler(what, None, (Cells("calibration", row),), "add", sd, change)

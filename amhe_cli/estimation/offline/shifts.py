@@ -150,7 +150,11 @@ def _rulers(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
     """
     names = problem.system.space.names
     felt = {owner_free(name) for name, active in zip(names, problem.active, strict=True) if active}
-    rulers = rulers_of(problem.system, _acting(problem, about.fit), felt)
+    largest = {
+        o.channel.key: np.abs(o.measured[o.mask]).max(initial=0.0)
+        for o in about.fit.slopes.cost.clips.observed
+    }
+    rulers = rulers_of(problem.system, _acting(problem, about.fit), felt, largest)
     if not rulers:
         return
     nuisances = _Nuisances(problem, about, rulers)

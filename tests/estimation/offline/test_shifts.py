@@ -12,6 +12,7 @@ import pytest
 
 from amhe_cli.core.each_log import searched
 from amhe_cli.core.log import Log
+from amhe_cli.core.settings import RulerSettings
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
@@ -96,10 +97,10 @@ def swing(system: System, change: Change, seconds: float = 4.0, reach: float = 0
     return as_trajectory(states, system.dt, every=round(0.01 / system.dt))
 
 
-def shifts(system: System, log: Log) -> list[Shift]:
+def shifts(system: System, log: Log, at: np.ndarray = TRUTH) -> list[Shift]:
     """The shifts at the truth, which moves the estimate by its step to the minimum."""
     problem = Problem(system, ClipPool(system, [whole(log)], system.settings.clips), open_engine(system), 0)
-    state = search.restart(problem, system.space.z_of(TRUTH))
+    state = search.restart(problem, system.space.z_of(at))
     return shifts_of(problem, final_fit(problem, state))
 
 
@@ -210,3 +211,64 @@ def test_a_limit_as_a_parameter_is_found() -> None:
     limit = of(identify(system, [log], None, IdentifyOptions()), "limit")
     assert limit.estimate == pytest.approx(0.88, rel=0.05)
     assert limit.lower < 0.88 < limit.upper
+
+
+#: A cart on a servo, whose load stands on a force sensor.
+CART = """
+<mujoco><option timestep="0.005"/><worldbody>
+<body><joint name="slide" type="slide" axis="1 0 0" damping="5" frictionloss="2"/><geom size="0.1" mass="2"/>
+<body name="load" pos="0 0 0.2"><site name="wrist"/><geom size="0.05" mass="1"/></body></body></worldbody>
+<actuator><position name="servo" joint="slide" kp="400" kv="20"/></actuator></mujoco>
+"""
+
+
+def weighed(**wrist: Any) -> tuple[System, Log]:
+    """The cart with an unknown load, and a log of a sensor that shows 0.4 N too much along z."""
+    free = {"load": {"targets": [{"body": "load", "set": "mass"}], "nominal": 1.0, "prior_sd": 0.7}}
+    if wrist.pop("free", False):
+        targets = [{"signal": "wrist", "set": "bias", "axis": axis} for axis in "xyz"]
+        free["bias"] = {"targets": targets, "nominal": 0.0, "prior_sd": 0.5, "scale": "linear"}
+    system = System.from_model(
+        mujoco.MjSpec.from_string(CART),
+        parameters=free,
+        signals={
+            "joints": {"joints": ["slide"], "noise": {"position": 0.0005}},
+            "wrist": {"site": "wrist", "quantity": "force", "noise": {"force": 0.2}, **wrist},
+            "command": {"actuators": ["servo"], "quantity": "position"},
+        },
+        settings={**CHEAP, "identify": {**CHEAP["identify"], "rulers": {"gain": 0, "command_delay": 0}}},
+    )
+    model, rng = system.edits.apply(system.model, system.space.nominal), np.random.default_rng(0)
+    data, rows = mujoco.MjData(model), []
+    for step in range(600):
+        data.ctrl[0] = 0.02 * np.sin(0.04 * (step - step % 2))
+        rows.append((step * system.dt, data.qpos[0], *data.sensordata, data.ctrl[0]))
+        mujoco.mj_step(model, data)
+    time, position, *force, command = np.array(rows[::2]).T
+    shown = np.stack(force, axis=1) + np.array([0.0, 0.0, 0.4]) + rng.normal(0.0, 0.2, (len(time), 3))
+    log = Log.from_arrays(
+        {
+            "joints": {"time": time, "position": position + rng.normal(0.0, 0.0005, len(time))},
+            "wrist": {"time": time, "force": shown},
+            "command": {"time": time, "position": command},
+        },
+        system,
+    )
+    return system, log
+
+
+def test_a_load_rests_on_the_bias_of_the_sensor_that_weighs_it() -> None:
+    """It is 4 % of the load's weight, and the load hardly moves."""
+    system, log = weighed()
+    (load,) = identify(system, [log], None, IdentifyOptions()).parameters
+    assert load.lower <= 1.0 <= load.upper
+    assert any("it rests on" in text and "the bias of wrist.force along z" in text for text in load.reasons)
+
+
+def test_a_bias_that_is_a_parameter_or_known_is_no_ruler() -> None:
+    free, log = weighed(free=True)
+    assert not any("the bias" in shift.text for shift in shifts(free, log, free.space.nominal))
+    known = free.settings.identify.model_copy(update={"rulers": RulerSettings(force_bias=0.0)})
+    system = weighed()[0]
+    exact = replace(system, settings=system.settings.model_copy(update={"identify": known}))
+    assert not any("the bias" in shift.text for shift in shifts(exact, log, exact.space.nominal))
