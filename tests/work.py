@@ -11,10 +11,6 @@ def square(number: int) -> int:
     return number * number
 
 
-def threads_and_parent(_: int) -> tuple[str | None, int]:
-    return os.environ.get("OMP_NUM_THREADS"), os.getppid()
-
-
 def reciprocal(number: int) -> float:
     return 1.0 / number
 

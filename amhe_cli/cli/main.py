@@ -6,6 +6,7 @@ read; 130 interrupted, 143 terminated.
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from collections.abc import Iterator, Sequence
@@ -45,8 +46,16 @@ for _command in (
     amhe.add_command(_command)
 
 
+#: Linear algebra on one thread, also in child processes: on several, sums are taken in another order, and
+#: the last digits of results would depend on their number. Rollouts have threads of their own.
+_ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
+
+
 def main() -> None:
     """Entry point of the command `amhe`."""
+    os.environ.update(_ONE_THREAD)  # numpy reads them when it is imported, which no command has done yet
     code = run(sys.argv[1:])
     # the work is done: a signal during Python's own clearing up must not turn a success into a failure
     for number in (signal.SIGINT, signal.SIGTERM):

@@ -40,8 +40,6 @@ ATTEMPTS = 3
 PATIENCE = 10.0
 #: Time between two checks whether to stop [s].
 _GLANCE = 0.2
-#: One thread of linear algebra in each process: the processes share the cores already.
-_ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 
 
 def pool_of(workers: int, cluster: str | None) -> Pool:
@@ -56,10 +54,8 @@ def executor_of(workers: int | None, cluster: str | None) -> AbstractContextMana
 
 @contextmanager
 def local(workers: int) -> Iterator[Executor]:
-    """Fresh processes on this machine, with one thread of linear algebra each."""
+    """Fresh processes on this machine."""
     others = set(multiprocessing.active_children())
-    before = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)  # children read it when they start
     executor = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"), _begin)
     try:
         yield executor
@@ -67,8 +63,6 @@ def local(workers: int) -> Iterator[Executor]:
         for process in set(multiprocessing.active_children()) - others:
             process.terminate()
         executor.shutdown(cancel_futures=True)
-        for name, value in before.items():
-            os.environ.pop(name) if value is None else os.environ.update({name: value})
 
 
 def _begin() -> None:

@@ -223,3 +223,21 @@ def test_fixed_parameters_are_listed_and_condition_the_belief(done: Path, pendul
     assert fixed["damping"] == 0.05 and fixed["armature"] == pytest.approx(before[3]["estimate"])
     assert run([*command, "--force", "--fix", "damp=1"]) == 2
     assert "--fix: no parameter 'damp' (did you mean 'damping'?)" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_the_threads_of_linear_algebra(tmp_path: Path) -> None:
+    """The residuals of a legged robot are so many that products of them are computed by several threads."""
+    found = []
+    for threads in ("1", "2"):
+        out = tmp_path / threads
+        command = [sys.executable, "-m", "amhe_cli", "identify", str(ROOT / "examples/logs/t1.mcap"), "-q"]
+        quick = [*QUICK[2:], "--set", "clips.count=1", "--set", "identify.iterations=1", "--max-time", "0.01"]
+        subprocess.run(
+            [*command, *quick, "--threads", "1", "-o", str(out)],
+            env=os.environ | {"PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": threads},
+            check=True,
+            capture_output=True,
+        )
+        found.append(json.loads((out / "result.json").read_text())["parameters"])
+    assert found[0] == found[1]

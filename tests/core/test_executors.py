@@ -23,7 +23,6 @@ from tests.work import (
     reciprocal,
     slow,
     square,
-    threads_and_parent,
 )
 
 
@@ -34,13 +33,6 @@ def never() -> bool:
 def test_local_processes_do_all_the_work() -> None:
     done = dict(gathered(square, {n: n for n in range(5)}, pool_of(2, None), never))
     assert done == {n: n * n for n in range(5)}
-
-
-def test_a_local_process_has_one_thread_of_linear_algebra_and_leaves_ours_alone(monkeypatch) -> None:
-    monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    done = dict(gathered(threads_and_parent, {0: 0}, pool_of(1, None), never))
-    assert done == {0: ("1", os.getpid())}
-    assert os.environ["OMP_NUM_THREADS"] == "3"
 
 
 def test_an_error_is_a_result_like_others() -> None:

@@ -227,7 +227,13 @@ def weighed(**wrist: Any) -> tuple[System, Log]:
     free = {"load": {"targets": [{"body": "load", "set": "mass"}], "nominal": 1.0, "prior_sd": 0.7}}
     if wrist.pop("free", False):
         targets = [{"signal": "wrist", "set": "bias", "axis": axis} for axis in "xyz"]
-        free["bias"] = {"targets": targets, "nominal": 0.0, "prior_sd": 0.5, "scale": "linear"}
+        free["bias"] = {
+            "targets": targets,
+            "nominal": 0.0,
+            "prior_sd": 0.5,
+            "scale": "linear",
+            "bounds": [-9, 9],
+        }
     system = System.from_model(
         mujoco.MjSpec.from_string(CART),
         parameters=free,
