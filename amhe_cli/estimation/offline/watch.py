@@ -55,8 +55,8 @@ class Watch:
 
     @property
     def stopped(self) -> bool:
-        """Whether the search has to stop with the best so far."""
-        if not (self._late or self.affords(self._reserve)):
+        """Whether the search has to stop with the best so far: one more iteration would take the reserve."""
+        if not (self._late or self.affords(self._record.rollouts + self._reserve)):
             self._late = True
             logger.warning(
                 f"`max_time` of {self._limit:g} s stopped the search before it had settled: the rest is for "
@@ -66,7 +66,7 @@ class Watch:
 
     def affords(self, rollouts: float) -> bool:
         """Whether there is time for so many rollouts."""
-        return self._limit is None or self._pace * rollouts < self._limit - (time.monotonic() - self._began)
+        return self._limit is None or self._pace * rollouts <= self._limit - (time.monotonic() - self._began)
 
     def enter(self, part: str) -> None:
         """Show that a part of the conclusion begins."""

@@ -42,6 +42,22 @@ def test_the_search_stops_while_there_is_time_for_the_conclusion(clock) -> None:
     assert done == 7, "28 s of search, 12 s of conclusion"
 
 
+def test_an_iteration_that_would_take_the_time_of_the_conclusion_is_not_begun(clock) -> None:
+    watch = Watch(lambda *_: None, 20.0, 6)
+    watch.keep(600)
+    clock.now += 3.0  # a busy machine: an iteration takes 3 s, the conclusion 9 s
+    watch.saw(iteration(1), 16)
+    assert not watch.stopped
+    clock.now += 6.0  # and twice as long the next time: 11 s are left, and 18 s are wanted
+    watch.saw(iteration(2), 16)
+    assert watch.stopped
+    again = Watch(lambda *_: None, 20.0, 6)
+    again.keep(600)
+    clock.now += 4.5
+    again.saw(iteration(1), 16)
+    assert again.stopped, "4.5 s for the next, and 13.5 s for the conclusion, do not fit into 15.5 s"
+
+
 def test_checks_that_take_too_long_are_left_out_and_named(clock, caplog) -> None:
     watch = Watch(lambda *_: None, 40.0, 6)
     clock.now += 20.0
