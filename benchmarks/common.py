@@ -18,8 +18,6 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")  # before numpy: BLAS threads woul
 
 import mujoco
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 import amhe_cli
 from amhe_cli.core import differentiate, rotations
@@ -228,6 +226,9 @@ def fingerprint() -> str:
 
 def show(title: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
     """Print one small table, and below it what it was made with."""
+    from rich.console import Console
+    from rich.table import Table
+
     table = Table(title=title, title_justify="left", box=None, pad_edge=False, header_style="bold")
     for i, column in enumerate(columns):
         table.add_column(column, justify="left" if i == 0 else "right")

@@ -1,6 +1,9 @@
 """Can the word "identified" be believed where the model is wrong?
 
-    python benchmarks/honesty.py [--seeds 20] [--problems gain,limit] [--workers 2] [--quick]
+    python benchmarks/honesty.py [--seeds 20] [--problems gain,limit] [--jobs 2] [--quick]
+
+Results are kept on disk: a run that was cut short goes on where it was, and the same code shows the table of
+results that another machine has made (`--seeds 10:20` is the second half).
 
 Each problem of `plants.py` is identified three times for each seed: as a twin, whose plant is the model at
 other parameters; exact, the same with the word of the user that gains, limits and centres of mass were
@@ -63,6 +66,12 @@ def trial(number: int) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def seeds_of(text: str) -> range:
+    """The seeds below N, or from A to below B."""
+    first, _, last = text.rpartition(":")
+    return range(int(first or 0), int(last))
+
+
 def row(label: str, kind: str, trials: Sequence[dict[str, Any]]) -> tuple[str, ...]:
     """One line of the table, over the parameters of some trials."""
     parameters = [p for one in trials for p in one["parameters"]]
@@ -92,9 +101,9 @@ def reasons(trials: Sequence[dict[str, Any]]) -> str:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--seeds", type=seeds_of, default=range(20), metavar="N or A:B")
     parser.add_argument("--problems", default=",".join(NAMES), help="names, with commas between")
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--quick", action="store_true", help="one seed")
     given = parser.parse_args()
     problems = given.problems.split(",")
@@ -102,11 +111,11 @@ def main() -> None:
         parser.error(f"no problem {', '.join(sorted(unknown))}; there is: {', '.join(NAMES)}")
     numbers = [
         place(name, kind, seed)
-        for seed in range(1 if given.quick else given.seeds)
+        for seed in (range(1) if given.quick else given.seeds)
         for name in problems
         for kind in KINDS
     ]
-    done = over_seeds("honesty", trial, numbers, given.workers)
+    done = over_seeds("honesty", trial, numbers, given.jobs)
     lines = []
     for kind in KINDS:
         lines += [row(n, kind, [t for t in done if (t["problem"], t["kind"]) == (n, kind)]) for n in problems]

@@ -48,7 +48,7 @@ for _command in (
 
 #: Linear algebra on one thread, also in child processes: on several, sums are taken in another order, and
 #: the last digits of results would depend on their number. Rollouts have threads of their own.
-_ONE_THREAD = dict.fromkeys(
+_ONE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
 )
 

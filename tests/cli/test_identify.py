@@ -186,8 +186,8 @@ def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: in
     command = [sys.executable, "-m", "amhe_cli", "identify", str(pendulum_log), "-o", "out", *QUICK]
     command += ["--set", "identify.iterations=100000"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, env=environment, **pipes) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, text=True, env=environment, stdout=pipe, stderr=pipe) as process:
         assert process.stderr is not None
         for line in process.stderr:
             if "cost" in line:
