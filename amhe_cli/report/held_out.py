@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from amhe_cli.estimation.offline.result import HeldOut, SpanError
+from amhe_cli.estimation.offline.result import HeldOut, HorizonError, SpanError
 from amhe_cli.report import numbers
 from amhe_cli.report.page import Section, Statement
 from amhe_cli.report.tables import NUMBER, STRONG, Table
@@ -41,6 +41,14 @@ def held_out_statement(held_out: HeldOut | None) -> Iterator[Statement]:
 def held_out_sections(held_out: HeldOut) -> Iterator[Section]:
     """Costs and errors on held-out clips, and errors over time."""
     yield Section("Validation on clips that were not fitted", table=_validation_table(held_out))
+    if held_out.horizons:
+        yield Section(
+            "Error against horizon, on logs that were not fitted",
+            text="Predictions start from a recorded state and follow the recorded commands. Each cell is the "
+            "rms error after so much time, before identification → after it; the last column goes to the end "
+            "of the held-out parts, and beside the name stands how far the measured value moved by then.",
+            table=horizon_table(held_out.horizons),
+        )
     if held_out.errors:
         yield Section(
             "Error over time, on clips that were not fitted",
@@ -49,6 +57,41 @@ def held_out_sections(held_out: HeldOut) -> Iterator[Section]:
             "then is not the noise of the first sample.",
             table=_span_table(held_out.errors),
         )
+
+
+def _by_line(errors: Sequence[HorizonError]) -> dict[tuple[str, str], list[HorizonError]]:
+    """The errors of each joint or pose, by its channel and name."""
+    lines: dict[tuple[str, str], list[HorizonError]] = {}
+    for one in errors:
+        lines.setdefault((one.channel, one.column), []).append(one)
+    return lines
+
+
+def horizon_table(errors: Sequence[HorizonError]) -> Table:
+    """A row for each joint or pose, columns for each horizon: what it moved, and both errors."""
+    horizons = list(dict.fromkeys((one.to_end, one.horizon) for one in errors))
+    rows = []
+    for (channel, column), line in _by_line(errors).items():
+        found = {(one.to_end, one.horizon): one for one in line}
+        cells = [
+            f"{sized(one.initial, one.unit)} → {sized(one.identified, one.unit)}"
+            if (one := found.get(key))
+            else numbers.MISSING
+            for key in horizons
+        ]
+        longest = line[-1]
+        rows.append((column or channel, sized(longest.moved, longest.unit), *cells))
+    head = [f"after {seconds:.3g} s{' (end)' * to_end}" for to_end, seconds in horizons]
+    return Table(("", "moves by", *head), ("name", f"{NUMBER} soft", *(NUMBER for _ in head)), rows)
+
+
+def sized(value: float, unit: str) -> str:
+    """An error in degrees or millimetres, or in its own unit."""
+    if math.isinf(value):
+        return "diverged"
+    if unit == "rad":
+        return numbers.angle(value)
+    return numbers.length(value) if unit == "m" else numbers.quantity(f"{value:.3g}", unit)
 
 
 def _errors(held_out: HeldOut) -> str:

@@ -42,6 +42,12 @@ def draft_wiring(
     return draft
 
 
+def joint_unit(model: mujoco.MjModel, column: int) -> str:
+    """Unit of the position of the joint that a column of qpos belongs to."""
+    kind = model.jnt_type[model.jnt_qposadr == column]
+    return "m" if mujoco.mjtJoint.mjJNT_SLIDE in kind else "rad"
+
+
 def _read_only(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     usual = next((q for end, q in _CARRIED.items() if str(entry.type).endswith(f"/{end}")), ())
     quantities = tuple(entry.fields) or tuple(entry.columns) or chosen(entry, usual)

@@ -26,6 +26,7 @@ from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.combinations import combinations
 from amhe_cli.estimation.offline.fits import fits
 from amhe_cli.estimation.offline.held_out import judge, validate
+from amhe_cli.estimation.offline.horizon import HORIZONS, STARTS, horizon_errors
 from amhe_cli.estimation.offline.posterior import (
     TURNS,
     Disagreement,
@@ -53,7 +54,7 @@ from amhe_cli.estimation.offline.widening import (
 logger = logging.getLogger(__name__)
 
 #: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
-PARTS, RESERVE = 7, 3
+PARTS, RESERVE = 8, 3
 #: Clips from which a bootstrap widens.
 FEWEST_RESAMPLED = 10
 
@@ -88,6 +89,8 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
             f"{text}: no value is called identified; compare measured with predicted in the report, "
             f"and free what the model may lack"
         )
+    if held_out and watch.allows("error against horizon", _predictions(problem, validation)):
+        held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
     evidence = _evidence(problem, finding, fit, against, watch)
     watch.report_skipped()
     watch.enter("figures")
@@ -115,6 +118,12 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         bodies=body_numbers(system, finding.z, evidence.covariance, problem.rng(5)),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
     )
+
+
+def _predictions(problem: Problem, validation: Sequence[Window]) -> int:
+    """Rollouts of errors against the horizon, counted in clips."""
+    seconds = STARTS * sum(HORIZONS) + sum(part.duration for part in validation)
+    return round(2.0 * seconds * len(problem.clips) / sum(clip.duration for clip in problem.clips))
 
 
 def _evidence(

@@ -121,6 +121,32 @@ class SpanError:
 
 
 @dataclass(frozen=True, slots=True)
+class HorizonError:
+    """Rms error of one joint, or of a pose, at a time after the start of predictions of held-out logs.
+
+    Args:
+        channel: Name of the channel, such as 'joints.position'.
+        column: The joint; '' for a pose.
+        unit: Unit of the errors.
+        horizon: The time [s]; the longest where the predictions go on to the logs' end.
+        to_end: They do.
+        clips: Number of predictions.
+        moved: Rms distance that was measured between start and horizon; NaN of an orientation.
+        initial, identified: The error before and after identification; infinite where a prediction diverged.
+    """
+
+    channel: str
+    column: str
+    unit: str
+    horizon: float
+    to_end: bool
+    clips: int
+    moved: float
+    initial: float
+    identified: float
+
+
+@dataclass(frozen=True, slots=True)
 class HeldOut:
     """Costs and errors on clips that were not fitted, after and before identification.
 
@@ -132,6 +158,7 @@ class HeldOut:
         fitted_cost, initial_fitted_cost: NaN: not computed.
         noise_scale: Channel -> residual sd over declared noise sd, first states fitted.
         errors: Each channel's error over all of the clips, then over spans of time.
+        horizons: Error of each joint and pose against the horizon.
     """
 
     clips: int
@@ -145,6 +172,7 @@ class HeldOut:
     initial_fitted_cost: float = math.nan
     noise_scale: Mapping[str, float] = field(default_factory=dict)
     errors: tuple[SpanError, ...] = ()
+    horizons: tuple[HorizonError, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -137,7 +137,9 @@ def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, c
     result = identify(pendulum, [swing(3.0)], None, IdentifyOptions(max_time=1e-3))
     assert len(result.iterations) <= 1
     assert caplog.text.count("stopped the search") == 1
-    skipped = "comparison of the logs' halves, shifts under other models, cost profiles"
+    skipped = (
+        "error against horizon, comparison of the logs' halves, shifts under other models, cost profiles"
+    )
     first = "left no time for: held-out clips from fitted first states"
     assert caplog.text.count(f"{first}, {skipped}") == 1
     assert result.held_out is not None and not result.parameters[0].profile
@@ -307,4 +309,4 @@ def test_another_search_is_for_bad_fits(monkeypatch, initial: float, found: floa
     monkeypatch.setattr(identification, "validate", lambda *_: recorded)
     for fitted, rescued in (((initial, found), bad), ((1.0, 1.0), False)):
         monkeypatch.setattr(identification, "fitted_costs", lambda *_, fitted=fitted: fitted)
-        assert identification._needs_rescue(*(Any,) * 3) is rescued, "bad from fitted first states, too"
+        assert identification._needs_rescue(*(Any,) * 3) is rescued, "bad from fitted first states, too"  # pyright: ignore[reportArgumentType]
