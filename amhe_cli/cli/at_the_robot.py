@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -224,4 +224,5 @@ def _unseen_keys() -> Iterator[None]:
         termios.tcsetattr(descriptor, termios.TCSADRAIN, changed)
         yield
     finally:
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+        with suppress(termios.error):  # it has been closed
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

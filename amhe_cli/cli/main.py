@@ -29,7 +29,16 @@ from amhe_cli.cli.mhe_replay import mhe_replay
 from amhe_cli.cli.pool import pool
 from amhe_cli.cli.probe import probe
 from amhe_cli.cli.run import run as run_task
-from amhe_cli.cli.session import FAILED, INTERRUPTED, TERMINATED, UNREADABLE, USAGE, Session, Terminated
+from amhe_cli.cli.session import (
+    FAILED,
+    INTERRUPTED,
+    TERMINATED,
+    TERMINATING,
+    UNREADABLE,
+    USAGE,
+    Session,
+    Terminated,
+)
 from amhe_cli.cli.view import view
 
 
@@ -58,7 +67,7 @@ def main() -> None:
     os.environ.update(_ONE_THREAD)  # numpy reads them when it is imported, which no command has done yet
     code = run(sys.argv[1:])
     # the work is done: a signal during Python's own clearing up must not turn a success into a failure
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, *TERMINATING):
         signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
 
@@ -113,14 +122,16 @@ def _failed(session: Session, error: Exception) -> int:
 
 @contextmanager
 def _terminable(session: Session) -> Iterator[None]:
-    """Turn SIGTERM into an exception that commands may end well on, as Ctrl-C is."""
+    """Turn SIGTERM and SIGHUP into an exception that commands may end well on, as Ctrl-C is."""
 
     def terminate(number: int, frame: FrameType | None) -> None:
-        session.terminated = True
+        session.terminate(number)
         raise Terminated
 
-    before = signal.signal(signal.SIGTERM, terminate)
+    numbers = [n for n in TERMINATING if signal.getsignal(n) is not signal.SIG_IGN]  # ignored under nohup
+    before = {number: signal.signal(number, terminate) for number in numbers}
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)

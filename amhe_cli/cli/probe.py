@@ -113,12 +113,14 @@ def probe(
     if not session.json:
         print_plan(record, session.console())
     error = None
-    with filling(folder) as scratch:
+    with filling(folder, keep=True) as scratch:
         _write(scratch / "plan.json", record)
         if not plan_only:
             with stopping(session) as stopped:
                 ending = opened.run(plan, scratch / LOG, stopped, say)
             session.interrupted, error = ending.interrupted, ending.error
+            if isinstance(error, OSError):  # as on a full disk
+                raise error
             known: dict[str, Accuracy | None] = {"expected": plan.expected, "plain": plan.plain}
             if not session.interrupted and error is None:
                 say("computing the achieved accuracy")

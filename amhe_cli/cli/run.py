@@ -121,7 +121,7 @@ def run(
         return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None
     history = History(opened.task)
-    with stopping(session) as stopped, filling(folder) as scratch:
+    with stopping(session) as stopped, filling(folder, keep=True) as scratch:
         with ExitStack() as stack:
             recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap"))
             shoot = (
@@ -140,6 +140,8 @@ def run(
 
             ending = at_the_robot.attended(opened.target, session, go)
             link = at_the_robot.link_record(opened.target, recorder, history)
+        if isinstance(ending.error, OSError):  # as on a full disk: no page either, but the log is kept
+            raise ending.error
         session.interrupted = ending.interrupted
         record = session.record(
             task=task, mode=mode, target=target, seed=seed, lock_step=not chosen.live,

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import shlex
+import signal
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from amhe_cli.cli.wording import in_options
@@ -23,8 +25,12 @@ DONE, FAILED, USAGE, LOSSY, UNREADABLE, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4,
 PLAIN_WIDTH = 110
 
 
+#: Signals other than Ctrl-C that end a command; SIGHUP: its terminal has been closed.
+TERMINATING = (signal.SIGTERM, signal.SIGHUP)
+
+
 class Terminated(KeyboardInterrupt):
-    """SIGTERM, treated like Ctrl-C: keep what there is, and go."""
+    """SIGTERM or SIGHUP, treated like Ctrl-C: keep what there is, and go."""
 
 
 class Session:
@@ -35,7 +41,7 @@ class Session:
         command_line: What the user typed, for provenance.
         warnings: What the library warned of, once each; the content of result.json's `warnings`.
         interrupted: The command was stopped before it was through, and kept what it had.
-        terminated: By SIGTERM, not by Ctrl-C.
+        terminated: By SIGTERM or SIGHUP, not by Ctrl-C.
         failed: The command did its work, and its outcome is a failure.
     """
 
@@ -52,6 +58,16 @@ class Session:
         self.quiet = False
         self.verbose = 0
         self.no_color = False
+        self._on_terminal = [stream.fileno() for stream in (sys.stdout, sys.stderr) if stream.isatty()]
+
+    def terminate(self, number: int) -> None:
+        """Note a signal of `TERMINATING`; a terminal that has been closed takes no more words."""
+        self.terminated = True
+        if number == signal.SIGHUP and self._on_terminal:
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            for descriptor in self._on_terminal:
+                os.dup2(nowhere, descriptor)
+            os.close(nowhere)
 
     @property
     def seconds(self) -> float:
@@ -71,7 +87,10 @@ class Session:
         """Write one message, such as 'amhe identify: error: ...', on stderr; it speaks of options."""
         first, *rest = [printable(line) for line in in_options(text).split("\n")]
         label = f"{kind}: " if kind else ""
-        print(f"{self.command}: {label}{first}", *(f"  {line}" for line in rest), sep="\n", file=sys.stderr)
+        with suppress(OSError):  # nobody reads it any more
+            print(
+                f"{self.command}: {label}{first}", *(f"  {line}" for line in rest), sep="\n", file=sys.stderr
+            )
 
     def begin(self, command: str) -> None:
         """Start listening to the library's log, before a command's body runs."""

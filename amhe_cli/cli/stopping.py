@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM as a question that a loop asks, where an exception would come at the wrong moment."""
+"""Ctrl-C, SIGTERM and SIGHUP as a question of a loop, where an exception would come at the wrong moment."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from amhe_cli.cli.session import Session, Terminated
+from amhe_cli.cli.session import TERMINATING, Session, Terminated
 
 
 @contextmanager
@@ -20,12 +20,13 @@ def stopping(session: Session) -> Iterator[Callable[[], bool]]:
 
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal requested
-        session.terminated |= number == signal.SIGTERM
-        if requested:
+        if number in TERMINATING:
+            session.terminate(number)
+        if requested and number != signal.SIGHUP:  # kernel and shell both send it
             raise Terminated if session.terminated else KeyboardInterrupt
         requested = True
 
-    numbers = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) is not signal.SIG_IGN]
+    numbers = [n for n in (signal.SIGINT, *TERMINATING) if signal.getsignal(n) is not signal.SIG_IGN]
     before = {number: signal.signal(number, note) for number in numbers}
     try:
         yield lambda: requested

@@ -26,10 +26,14 @@ def check_regular(path: Path) -> None:
 
 
 @contextmanager
-def whole(path: Path) -> Iterator[BinaryIO]:
+def whole(path: Path, keep: bool = False) -> Iterator[BinaryIO]:
     """Open a scratch file that takes the place of `path` once the block has ended well.
 
     Nobody ever reads half a file. If the block raises, `path` stays as it was.
+
+    Args:
+        path: The file.
+        keep: Keep as `path` what was written before the file could not be written any more.
 
     Raises:
         OSError: The file cannot be written, as on a full disk.
@@ -41,33 +45,71 @@ def whole(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         scratch.replace(path)
+    except OSError as error:
+        if keep:
+            scratch.replace(path)
+        if error.errno and not error.filename:  # that of a write names no file
+            error.filename = str(path)
+        raise
     finally:
         scratch.unlink(missing_ok=True)
 
 
 @contextmanager
-def filling(folder: Path) -> Iterator[Path]:
+def filling(folder: Path, keep: bool = False) -> Iterator[Path]:
     """Yield an empty scratch folder; its files move into `folder` at the end, or are deleted on an error.
 
     A new folder appears in one rename; in an existing one, which may be a file system of its own, each file
     is replaced in one rename.
+
+    Args:
+        folder: The folder.
+        keep: Move the files also if one of them could not be written, as on a full disk.
     """
     folder = Path(os.path.abspath(folder))  # noqa: PTH100 -- resolve() would follow a link that is to stay
     folder.parent.mkdir(parents=True, exist_ok=True)
     beside = folder if folder.exists() else folder.parent
-    scratch = beside / f".{folder.name}.{uuid.uuid4().hex[:8]}.partial"
+    scratch = beside / f".{folder.name}.{os.getpid()}-{uuid.uuid4().hex[:8]}.partial"
     scratch.mkdir()
     try:
         yield scratch
-        if folder.exists():
-            for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
-                place = folder / file.relative_to(scratch)
-                place.parent.mkdir(parents=True, exist_ok=True)
-                file.replace(place)
-        else:
-            scratch.rename(folder)
+        _move(scratch, folder)
+    except OSError as error:
+        if keep and any(scratch.iterdir()):
+            _move(scratch, folder)
+            if error.filename:
+                error.filename = str(error.filename).replace(str(scratch), str(folder))
+        raise
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _move(scratch: Path, folder: Path) -> None:
+    """Move all files into a folder, in one rename where it is new."""
+    if not folder.exists():
+        scratch.rename(folder)
+        return
+    for file in sorted(path for path in scratch.rglob("*") if path.is_file()):
+        place = folder / file.relative_to(scratch)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        file.replace(place)
+
+
+def abandoned(folder: Path) -> list[Path]:
+    """Scratch folders of `filling(folder)` whose process was killed; what it wrote is in them."""
+    found = [*folder.parent.glob(f".{folder.name}.*.partial"), *folder.glob(f".{folder.name}.*.partial")]
+    return [path for path in sorted(found) if not _lives(path.name.split(".")[-2].split("-")[0])]
+
+
+def _lives(process: str) -> bool:
+    """Whether there is a process of a number."""
+    try:
+        os.kill(int(process), 0)
+    except (ProcessLookupError, ValueError, OverflowError):
+        return False
+    except PermissionError:
+        return True
+    return True
 
 
 def write_whole(path: Path, text: str) -> None:

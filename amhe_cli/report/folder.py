@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from datetime import datetime
 from pathlib import Path
 from tempfile import mkdtemp
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.core.files import write_whole
+from amhe_cli.core.files import abandoned, write_whole
+
+logger = logging.getLogger(__name__)
 
 
 def reserve(out: Path | None, command: str, force: bool) -> Path:
-    """The folder to write to; refused before any work is done.
+    """The folder to write to; refused before any work is done. Warns of what a killed command left there.
 
     Args:
         out: The folder that the user named; None: a new `amhe-out/<command>-<date>-<time>`.
@@ -30,6 +33,10 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
         raise ConfigError(
             f"{out}: is not empty; choose another folder, or give `force=True` to write into it"
         )
+    for left in abandoned(out):
+        log = next(left.glob(".*.mcap.*.partial"), None)
+        readable = f"; `amhe inspect {log}` reads the log in it" if log else ""
+        logger.warning("%s is what an earlier command wrote before it was killed%s", left, readable)
     ancestor = next(path for path in (out, *out.absolute().parents) if path.exists())
     try:  # permissions do not tell whether a file system takes files
         Path(mkdtemp(dir=ancestor)).rmdir()

@@ -193,6 +193,29 @@ def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
     assert not survey(Path("out/log.mcap")).problems
 
 
+@pytest.mark.slow
+def test_a_terminal_that_is_closed_damps_and_keeps_what_there_is() -> None:
+    pytest.importorskip("natnet")
+    keys, terminal = os.openpty()
+    with emulating("--slow", "2") as emulated, os.fdopen(keys, "rb", 0) as screen:
+        command = [sys.executable, "-c", _FOREGROUND, "-m", "amhe_cli", *at(emulated), "-o", "out"]
+        command.remove("-q")
+        with subprocess.Popen(
+            command, env=os.environ | {"PYTHONPATH": str(ROOT)}, stdin=terminal, stdout=terminal,
+            stderr=terminal, start_new_session=True,
+        ) as process:  # fmt: skip
+            os.close(terminal)
+            shown = b""
+            while b"m from the goal" not in shown:
+                shown += screen.read(1024)
+            screen.close()  # the kernel sends SIGHUP
+            process.wait(60)
+    assert process.returncode == 143
+    record = json.loads(Path("out/result.json").read_text())
+    assert (record["interrupted"], record["link"]["trip"]) == (True, "order")
+    assert not survey(Path("out/log.mcap")).problems
+
+
 @contextmanager
 def in_a_terminal(arguments: list[str]) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """`amhe` as the foreground of a terminal of its own, and the descriptor by which its keys are pressed."""

@@ -77,7 +77,9 @@ def test_a_full_disk_is_no_bug(trial, capsys) -> None:
     assert capsys.readouterr().err == "amhe trial: error: out/report.html: No space left on device\n"
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)]
+)
 def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, number, code) -> None:
     @click.command(cls=options.Command)
     @options.common
@@ -87,6 +89,22 @@ def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, 
     monkeypatch.setitem(entry.amhe.commands, "trial", trial)
     assert entry.run(["trial"]) == code
     assert "interrupted; nothing was written" in capsys.readouterr().err
+
+
+def test_a_command_that_ignores_the_end_of_its_terminal_goes_on(monkeypatch, capsys) -> None:
+    """As nohup has it."""
+
+    @click.command(cls=options.Command)
+    @options.common
+    def trial() -> None:
+        signal.raise_signal(signal.SIGHUP)
+
+    monkeypatch.setitem(entry.amhe.commands, "trial", trial)
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        assert entry.run(["trial"]) == 0
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def logging_command(*messages: str):

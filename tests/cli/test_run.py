@@ -2,13 +2,16 @@
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import pytest
+from mcap.writer import Writer
 
 from amhe_cli.cli import options
 from amhe_cli.cli.main import run
@@ -250,12 +253,12 @@ def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments, message) ->
     assert names(".") == ["pendulum.xml", "rubbish"]
 
 
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGHUP, 143)])
 def test_an_interrupted_run_keeps_what_it_has(number: int, code: int) -> None:
     command = [sys.executable, "-m", "amhe_cli", "run", "--task", "t1", "-o", "out", "--threads", "1"]
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-    with subprocess.Popen(command, text=True, env=environment, **pipes) as process:
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, text=True, env=environment, stdout=pipe, stderr=pipe) as process:
         assert process.stderr is not None
         assert "from the goal" in process.stderr.readline()
         time.sleep(1.0)
@@ -274,3 +277,18 @@ def test_an_estimator_that_is_late_is_warned_of(capsys) -> None:
     warnings = json.loads(Path("late/result.json").read_text())["warnings"]
     assert any("the estimator is late" in text for text in warnings)
     assert "the estimator is late" in capsys.readouterr().err
+
+
+def test_a_full_disk_ends_a_run_and_keeps_its_log(monkeypatch, capsys) -> None:
+    """All but the last chunk, which is of 3 s or so of a run; here they are smaller."""
+    monkeypatch.setattr("amhe_cli.logs.messages.writer.Writer", partial(Writer, chunk_size=20_000))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+        assert run(["run", "--task", "t1", "--mode", "true", "-o", "out", "--threads", "1", *QUICK]) == 1
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    err = capsys.readouterr().err
+    assert err.endswith("/out/log.mcap: File too large\n")
+    assert names("out") == ["log.mcap"]
+    assert sum(topic.count for topic in survey(Path("out/log.mcap")).topics) > 10

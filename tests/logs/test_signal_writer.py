@@ -1,5 +1,6 @@
 """Samples written as messages are the samples that are read again."""
 
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from mcap.reader import make_reader
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.samples import Samples, sampled
 from amhe_cli.core.signals import Signal
-from amhe_cli.logs import LogWriter, read_signals
+from amhe_cli.logs import LogWriter, read_signals, survey
 from amhe_cli.logs.messages.signal_writer import message_type, write_samples
 from tests.logs.log_makers import DT, SETTINGS
 
@@ -70,3 +71,21 @@ def test_a_type_that_cannot_be_written_is_refused_by_name() -> None:
         message_type(Signal("f", "/f", ("value",), type="x/msg/Foot"))
     with pytest.raises(ConfigError, match="signal 'f'"):
         message_type(Signal("f", "/f", ("position",), fields={"position": ("a.b",)}))
+
+
+def test_what_was_written_before_the_disk_was_full_stays_readable(tmp_path: Path) -> None:
+    path, names = tmp_path / "log.mcap", [str(number) for number in range(10_000)]
+    noise = np.random.default_rng(0).normal(size=(60, len(names)))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, before[1]))
+        with LogWriter(path) as log:
+            with pytest.raises(OSError, match="too large") as raised:
+                for number, row in enumerate(noise):
+                    log.joint_state("/joints", stamp(0.1 * number), names, row)
+            log.diagnostics(stamp(7.0), 0, "the run itself ends well", {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert raised.value.filename == str(path)
+    assert [left.name for left in tmp_path.iterdir()] == ["log.mcap"]
+    assert survey(path).topics[0].count > 10

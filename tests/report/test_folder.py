@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import pytest
@@ -74,3 +75,28 @@ def test_files_do_not_leave_the_file_system_of_an_existing_folder(tmp_path: Path
     with filling(tmp_path / "out") as inside:
         assert inside.parent == tmp_path / "out"
     assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_what_a_killed_command_left_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    out, left = tmp_path / "out", tmp_path / ".out.99999999-0123abcd.partial"
+    left.mkdir()
+    (left / ".log.mcap.99999999.partial").touch()
+    (tmp_path / f".out.{os.getppid()}-0123abcd.partial").mkdir()  # of one that runs
+    (tmp_path / ".other.99999999-0123abcd.partial").mkdir()
+    reserve(out, "run", force=False)
+    (warning,) = caplog.messages
+    assert warning == (
+        f"{left} is what an earlier command wrote before it was killed; "
+        f"`amhe inspect {left / '.log.mcap.99999999.partial'}` reads the log in it"
+    )
+
+
+def test_a_folder_that_is_cut_off_by_a_full_disk_is_kept_where_that_is_wanted(tmp_path: Path) -> None:
+    for keep in (False, True):
+        out = tmp_path / str(keep)
+        with pytest.raises(OSError) as raised, filling(out, keep) as scratch:
+            (scratch / "log").write_text("1")
+            raise OSError(28, "No space left on device", str(scratch / "log"))
+        assert out.exists() == keep
+    assert [path.name for path in tmp_path.iterdir()] == ["True"]
+    assert raised.value.filename == str(out / "log")

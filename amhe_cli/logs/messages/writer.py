@@ -33,6 +33,8 @@ class LogWriter:
 
     The file appears under its name when the block ends, whole and with checksums over every byte. It is
     also closed and kept when the block ends by an exception: the log of a failed run shows why it failed.
+    If it cannot be written any more, as on a full disk, one call raises; what was written is kept, and
+    readers recover it.
 
     Args:
         path: The .mcap file to write; an existing one is replaced at the end.
@@ -48,10 +50,11 @@ class LogWriter:
         self._schemas: dict[str, int] = {}
         self._sequence: dict[int, int] = {}
         self._copied: dict[Connection, int] = {}
+        self._full = False
 
     def __enter__(self) -> LogWriter:
         self._file = ExitStack()
-        file = self._file.enter_context(whole(self.path))
+        file = self._file.enter_context(whole(self.path, keep=True))
         self._mcap = Writer(file, compression=_COMPRESSION, enable_data_crcs=True)  # type: ignore[arg-type]
         self._mcap.start(profile="ros2", library=f"amhe {__version__}")
         self._mcap.add_metadata("amhe", self._metadata)
@@ -60,8 +63,9 @@ class LogWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with self._file:
-            self._mcap.finish()
+        if not self._full:
+            with self._file:
+                self._mcap.finish()
 
     # -- any message ----------------------------------------------------------------------------------
 
@@ -93,9 +97,20 @@ class LogWriter:
         channel, known = self._channels.get(topic) or self._channel(topic, msgtype)
         if known != msgtype:
             raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
-        self._sequence[channel] = self._sequence.get(channel, -1) + 1
         data = self._store.serialize_cdr(message, msgtype)
-        self._mcap.add_message(channel, stamp_ns, bytes(data), stamp_ns, self._sequence[channel])
+        self._add(channel, stamp_ns, bytes(data), stamp_ns)
+
+    def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
+        """Append a message; nothing once the file could not be written, for which one call raises OSError."""
+        if self._full:
+            return
+        self._sequence[channel] = self._sequence.get(channel, -1) + 1
+        try:
+            self._mcap.add_message(channel, log_ns, data, publish_ns, self._sequence[channel])
+        except OSError:
+            self._full = True
+            with self._file:  # close it, and keep what was written
+                raise
 
     def copy(self, batch: Batch) -> None:
         """Append messages of another log as they are; the rows of a table become JSON messages."""
@@ -110,9 +125,8 @@ class LogWriter:
         stamps = (ns.view(np.uint64).tolist() for ns in (batch.log_ns, batch.publish_ns))
         ends = (batch.starts + batch.lengths).tolist()
         for log_ns, publish_ns, start, end in zip(*stamps, batch.starts.tolist(), ends, strict=True):
-            self._sequence[channel] = self._sequence.get(channel, -1) + 1
             data = batch.buffer[start:end].tobytes()
-            self._mcap.add_message(channel, log_ns, data, publish_ns, self._sequence[channel])
+            self._add(channel, log_ns, data, publish_ns)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, for instance the configuration or the model."""
