@@ -13,11 +13,10 @@ from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.core.errors import Ending
+    from amhe_cli.core.errors import AmheError, Ending
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.robots.go1.history import History
     from amhe_cli.robots.go1.link.open import WireOptions
-    from amhe_cli.robots.go1.link.report import SenderReport
     from amhe_cli.robots.go1.run import Run, RunOptions
 
 POSES = ("natnet", "motioncapture", "ros2", "udp")
@@ -47,7 +46,11 @@ reach_options = options.stacked(
 )
 wire_options = options.stacked(
     reach_options,
-    click.option("--dry-run", is_flag=True, help="go1: check robot, poses and box; send nothing that moves."),
+    click.option(
+        "--dry-run",
+        is_flag=True,
+        help="go1: check robot, poses, box and this computer's pace; send nothing that moves.",
+    ),
 )
 
 
@@ -86,9 +89,11 @@ def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
 
 
 def dry_run(session: Session, run: Run) -> None:
-    """Check everything and say what was found; nothing moves."""
+    """Check everything, plan without sending, and say what was found; nothing moves."""
+    from amhe_cli.robots.go1.link.rehearsal import rehearse
+
     with closing(run.episode.belief), run.target as target:  # type: ignore[union-attr]
-        found = target.check()
+        found = target.check() | rehearse(run)
     if session.json:
         session.print_json(session.record(checks=found))
         return
@@ -119,16 +124,16 @@ def ready(target: Any, session: Session) -> Iterator[None]:
             target.begin(lambda text: session.say("", text))
             yield
         finally:
-            if target.report.trip:
-                _say_stop(session, target.report)
+            if target.stop:
+                _say_stop(session, target.stop, target.report.phase)
 
 
-def _say_stop(session: Session, report: SenderReport) -> None:
+def _say_stop(session: Session, stop: AmheError, phase: int) -> None:
     from amhe_cli.robots.go1.link.mail import Phase
 
-    sits = report.phase in (Phase.PAUSE, Phase.SIT)
-    then = "the robot sits down, then its motors are damped" if sits else "motors are damped"
-    session.say("error" if said(report.stop) else "", f"{report.stop}; {then}")
+    damped = phase >= Phase.DAMP
+    then = "motors are damped" if damped else "the robot sits down, then its motors are damped"
+    session.say("error" if said(stop) else "", f"{stop}; {then}")
 
 
 def said(error: Exception | None) -> bool:

@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.control.mpopi import Mpopi, MpopiStep, Scores
+from amhe_cli.control.pace import RolloutPace
 from amhe_cli.control.protocols import Behaviour, Move, Robot
 from amhe_cli.control.settings import ControlSettings
 from amhe_cli.control.splines import spline_basis
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.engine.rollout import Engine, Rollouts
+from amhe_cli.engine.rollout import Engine, Rollouts, joined
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,6 +53,7 @@ class Controller:
         settings: Settings of MPOPI.
         names: Names of the parameters theta, in the engine's order.
         rng: Source of all samples.
+        pace: Divides the time before a deadline; of this controller alone.
     """
 
     def __init__(
@@ -62,19 +64,29 @@ class Controller:
         settings: ControlSettings,
         names: Sequence[str],
         rng: np.random.Generator,
+        pace: RolloutPace | None = None,
     ) -> None:
+        self._pace = pace or RolloutPace()
         self._behaviour, self._robot, self._engine = behaviour, robot, engine
         self._settings, self._names = settings, names
         self._sampler = Mpopi(settings, robot.sigma, behaviour.channel_sigma, rng)
         self._basis = spline_basis(np.linspace(0.0, 1.0, settings.horizon), settings.knots)
 
-    def plan(self, state: Any, in_force: FloatArray, belief: Mapping[str, float]) -> Plan:
+    def plan(
+        self,
+        state: Any,
+        in_force: FloatArray,
+        belief: Mapping[str, float],
+        deadline: float | None = None,
+    ) -> Plan:
         """Plan from one period after the state on.
 
         Args:
             state: The state now, of the robot's own type.
             in_force: Joint targets that act until then [rad], shape (n,).
             belief: Believed parameters by name.
+            deadline: When the plan is due, by time.monotonic() [s]: samples for which there is no time are
+                left out, the least worthy first. None: no sample is left out.
         """
         period = self._settings.period
         theta = np.array([belief[name] for name in self._names])
@@ -86,10 +98,12 @@ class Controller:
         sampled: list[FloatArray] = []
 
         def evaluate(x: FloatArray) -> Scores:
-            sampled.append(self._targets(move, times, x))
-            rollouts = self._roll_out(theta, qpos, qvel, sampled[-1])
+            targets = self._targets(move, times, x)
+            rollouts = self._roll_out_in_time(theta, qpos, qvel, targets, deadline)
+            done = len(rollouts.completed)
+            sampled.append(targets[:done])
             terms = move.terms(times + period, self._robot.bodies(rollouts.qpos, rollouts.qvel))
-            return self._scores(x, terms, rollouts.completed)
+            return self._scores(x[:done], terms, rollouts.completed)
 
         switched = self._behaviour.switches(start.time - period, start.time)
         step = self._sampler.step(evaluate, switched)
@@ -98,6 +112,7 @@ class Controller:
         else:
             targets = self._targets(move, times, step.mean[None])[0]
         command = move.command + self._sampler.split(step.mean)[1]
+        self._pace.planned()
         return Plan(start.time, period, targets, move.reference, command, step)
 
     def _predicted(self, state: Any, in_force: FloatArray, theta: FloatArray) -> Any:
@@ -114,6 +129,23 @@ class Controller:
         knots, channels = self._sampler.split(x)
         targets = move.targets(times, move.command + channels) + self._basis @ knots
         return np.clip(targets, self._robot.lower, self._robot.upper, out=targets)
+
+    def _roll_out_in_time(
+        self,
+        theta: FloatArray,
+        qpos: FloatArray,
+        qvel: FloatArray,
+        targets: FloatArray,
+        deadline: float | None,
+    ) -> Rollouts:
+        """Roll out the first ones of some joint targets (n, H, joints), as many as there is time for."""
+        parts: list[Rollouts] = []
+        done = 0
+        while count := self._pace.next(done, len(targets), deadline):
+            parts.append(self._roll_out(theta, qpos, qvel, targets[done : done + count]))
+            self._pace.rolled_out(count)
+            done += count
+        return parts[0] if len(parts) == 1 else joined(parts)
 
     def _roll_out(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, targets: FloatArray

@@ -94,7 +94,8 @@ class Mpopi:
         """Move ahead by one period, sample, and update the mean.
 
         Args:
-            evaluate: Scores of plans (n, d).
+            evaluate: Scores of plans (n, d), which come in the order of their worth; of the first ones alone
+                where there is no time for more.
             switched: A contact has just switched. The L loops of the refinement that begins then are those of
                 this and the following steps: so each has all of the samples, and no step takes longer.
         """
@@ -102,6 +103,7 @@ class Mpopi:
         self._begin_loops(switched)
         x, noisy = self._candidates()
         scores = evaluate(x)
+        x, noisy = x[: len(scores.cost)], noisy[: len(scores.cost)]
         if self._loops_left > 0:
             self._loops_left -= 1
             self._refine(x, noisy, scores.cost)

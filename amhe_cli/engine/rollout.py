@@ -36,6 +36,14 @@ class Rollouts:
     completed: BoolArray
 
 
+def joined(parts: Sequence[Rollouts]) -> Rollouts:
+    """Rollouts of the same length, without sensors, one after the other."""
+    qpos, qvel, completed = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("qpos", "qvel", "completed")
+    )
+    return Rollouts(qpos, qvel, None, completed)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts:
     """First states and inputs of the rollouts of c clips.

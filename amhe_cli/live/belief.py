@@ -49,7 +49,7 @@ class AdaptiveBelief:
 
     def learn(self, cycle: Cycle) -> tuple[News, ...]:
         """See `BeliefSource`."""
-        news = self._tracker.feed(cycle.samples, cycle.time)
+        news = self._tracker.feed(cycle.samples, cycle.time, begin=not cycle.hurried)
         for estimate in news:
             if isinstance(estimate, Estimate):
                 self._belief |= zip(estimate.belief.names, estimate.theta.tolist(), strict=True)

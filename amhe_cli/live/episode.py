@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from amhe_cli.control.controller import Controller, Plan
+from amhe_cli.control.pace import LEAST, remembered
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.samples import Samples
 from amhe_cli.estimation.online.workers import News
@@ -32,6 +33,7 @@ class Cycle:
         plan_ms: Time that the cycle took to compute [ms].
         misses: Number of periods without a new plan, so far.
         over: The episode ends with this cycle.
+        hurried: There was time for no more than the least number of rollouts, or not even for them.
         news: Estimates that arrived since the last cycle, and troubles of the estimator.
     """
 
@@ -45,6 +47,7 @@ class Cycle:
     plan_ms: float
     misses: int
     over: bool
+    hurried: bool
     news: tuple[News, ...] = ()
 
     @property
@@ -132,22 +135,30 @@ class Episode:
             SimulationError: The plant diverged.
         """
         news: tuple[News, ...] = ()
+        aside = 0.0
         while True:
             now, measured = self.target.measure()
-            begun = time.perf_counter()
+            begun, due = time.perf_counter(), self.target.deadline
+            if due is not None:
+                due -= aside  # what is done after a plan must not take the time of the next
             estimate = self.observer.update(now, measured)
             played = self.target.in_force(now)
             belief = self.belief.at(now)
-            plan = self.controller.plan(estimate, played, belief)
+            plan = self.controller.plan(estimate, played, belief, due)
             self.target.play(plan)  # before anything else takes time
+            handed_over = time.monotonic()
             plan_ms = 1e3 * (time.perf_counter() - begun)
+            least = plan.step is not None and plan.step.rollouts <= LEAST
+            hurried = due is not None and (least or handed_over > due)
             truth = self.target.truth
             over = self.judge.watch(truth or estimate)
             cycle = Cycle(
                 self.sampler.take(measured, estimate, played, plan), estimate, played, plan, belief,
-                truth, self.target.parameters, plan_ms, self.target.misses, over, news,
+                truth, self.target.parameters, plan_ms, self.target.misses, over, hurried,
+                news,
             )  # fmt: skip
             news = self.belief.learn(cycle)
             yield cycle
+            aside = remembered(aside, time.monotonic() - handed_over)
             if over:
                 return

@@ -151,6 +151,7 @@ class Recorder:
             text, level = ("late", WARN) if cycle.misses > self._misses else ("planning in time", OK)
             self._misses = cycle.misses
             values = {"plan ms": f"{cycle.plan_ms:.1f}", "deadline misses": str(cycle.misses)}
+            values |= {"rollouts": str(step.rollouts)} if step else {}
             log.diagnostics(stamp, level, text, values)
         if step is not None:  # the plan was sampled
             command = cycle.plan.command

@@ -21,6 +21,11 @@ class Target(Protocol):
         ...
 
     @property
+    def deadline(self) -> float | None:
+        """When the plan from the newest measurements is due, by time.monotonic() [s]; None: at any time."""
+        ...
+
+    @property
     def truth(self) -> Any:
         """The true state, of the robot's own type; None where it is unknown. Never for the controller."""
         ...
@@ -85,6 +90,11 @@ class SimTarget:
         self._plan = self._next = Plan(0.0, period, np.asarray(stand)[None])
         self._begun: float | None = None
         self.misses = 0
+
+    @property
+    def deadline(self) -> float | None:
+        """See `Target`."""
+        return None if self._begun is None else self._begun + self._plant.time + self._period
 
     @property
     def truth(self) -> Any:

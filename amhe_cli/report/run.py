@@ -188,6 +188,8 @@ def measure_table(record: Mapping[str, Any]) -> Table:
     ]
     if not record["lock_step"]:
         rows.append(("missed deadlines", str(record["deadline_misses"]), ""))
+        mean = record["rollouts"] / max(1, record["cycles"])
+        rows.append(("rollouts of a cycle, mean (least)", f"{mean:.1f} ({record['least_rollouts']})", ""))
     rows.append(("diverged rollouts", f"{record['diverged']:,} of {record['rollouts']:,}", ""))
     if estimator := record.get("estimator"):
         used = sum(estimator["marks"].get(mark, 0) for mark in ("updated", "jump"))

@@ -165,7 +165,7 @@ def test_a_robot_that_is_stopped_on_the_way_has_an_ending(monkeypatch, report, b
 )
 def test_what_stopped_a_robot_is_said_before_it_is_let_down(capsys, report, line) -> None:
     before: list[str] = []
-    target = MagicMock(report=report)
+    target = MagicMock(report=report, stop=report.stop if report.trip else None)
     target.check.return_value = {}
     target.__exit__ = Mock(side_effect=lambda *_: before.append(capsys.readouterr().err), return_value=None)
     with at_the_robot.ready(target, Session()):

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from amhe_cli.control.controller import Controller, Plan
+from amhe_cli.control.pace import RolloutPace
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.control.settings import ControlSettings
 from amhe_cli.core.arrays import FloatArray, IntArray
@@ -92,7 +93,7 @@ class Still:
     def terms(self, times: FloatArray, bodies: FloatArray) -> dict[str, FloatArray]:
         assert self.commands is not None
         self.times, self.bodies = times, bodies
-        off = (self.commands[:, 0] - 0.5) ** 2
+        off = (self.commands[: len(bodies), 0] - 0.5) ** 2
         return {"off": np.tile(off[:, None], times.size)}
 
 
@@ -116,9 +117,24 @@ class Standing:
         return self.made[-1]
 
 
-def controller(behaviour: Behaviour, engine: Gliding, **changes: object) -> Controller:
+@dataclass
+class Slow(Gliding):
+    """An engine with a clock: each rollout takes so long [s]."""
+
+    each: float = 0.001
+    now: float = 50.0
+
+    def rollout(self, *call: Any) -> Rollouts:
+        done = super().rollout(*call)
+        self.now += self.each * len(done.completed)
+        return done
+
+
+def controller(
+    behaviour: Behaviour, engine: Any, pace: RolloutPace | None = None, **changes: object
+) -> Controller:
     settings = SETTINGS.model_copy(update=changes)
-    return Controller(behaviour, Cart(), engine, settings, NAMES, np.random.default_rng(0))
+    return Controller(behaviour, Cart(), engine, settings, NAMES, np.random.default_rng(0), pace)
 
 
 def planned(by: Controller) -> Plan:
@@ -153,6 +169,55 @@ def test_rollouts_hold_each_target_for_a_period_under_the_belief() -> None:
     np.testing.assert_allclose(behaviour.made[0].times, 1.02 + 0.02 * np.arange(1, 6))
     assert behaviour.made[0].bodies is not None
     np.testing.assert_allclose(behaviour.made[0].bodies, np.tile(0.03 + 0.03 * np.arange(1, 6), (6, 1)))
+
+
+def test_with_time_enough_a_plan_is_that_of_lock_step_to_the_bit() -> None:
+    waited, hurried = (controller(Standing(), Gliding(), refine="always", samples=12) for _ in range(2))
+    for state in (STATE, LATER):
+        plans = [waited.plan(state, HOME, BELIEF), hurried.plan(state, HOME, BELIEF, np.inf)]
+        np.testing.assert_array_equal(plans[0].targets, plans[1].targets)
+        assert plans[0].step is not None and plans[1].step is not None
+        np.testing.assert_array_equal(plans[0].step.weights, plans[1].step.weights)
+
+
+@pytest.mark.parametrize("each", [0.0001, 0.001, 0.002, 0.004, 0.02])
+def test_a_plan_keeps_its_time_and_uses_it(each: float) -> None:
+    engine = Slow(each=each)
+    by = controller(Standing(), engine, RolloutPace(lambda: engine.now), samples=12)
+    for number in range(4):
+        deadline = engine.now + 0.02
+        plan = by.plan(replace(STATE, time=1.0 + 0.02 * number), HOME, BELIEF, deadline)
+        assert plan.step is not None
+        made, fit = plan.step.rollouts, int(0.02 / each + 1e-6) - 1  # one rollout predicts the state
+        assert made == len(plan.step.weights)
+        assert np.isfinite(plan.targets).all()
+        if fit < 4:
+            assert made == 4
+        else:
+            assert engine.now <= deadline + 1e-9
+            assert made >= min(fit - 1, 12)
+
+
+def test_rollouts_that_turn_out_slow_are_noticed_before_the_plan_is_late() -> None:
+    engine = Slow(each=0.0005)
+    by = controller(Standing(), engine, RolloutPace(lambda: engine.now), samples=12)
+    made = []
+    for number, each in enumerate((0.0005, 0.0005, 0.002, 0.002, 0.0005, 0.0005)):
+        engine.each, deadline = each, engine.now + 0.02
+        plan = by.plan(replace(STATE, time=1.0 + 0.02 * number), HOME, BELIEF, deadline)
+        assert engine.now <= deadline + 1e-9
+        made.append(plan.step.rollouts if plan.step else 0)
+    assert made[:2] == [12, 12] and max(made[2:4]) < 10 and made[-1] == 12
+
+
+def test_of_rollouts_there_is_no_time_for_the_best_plan_so_far_is_never_one() -> None:
+    engine = Slow(each=0.02)
+    by = controller(Standing(), engine, RolloutPace(lambda: engine.now), samples=12)
+    first = by.plan(STATE, HOME, BELIEF)
+    assert first.step is not None
+    plan = by.plan(LATER, HOME, BELIEF, engine.now)
+    assert plan.step is not None and plan.step.rollouts == 4
+    assert plan.step.best <= first.step.best + 1e-12, "the best of twelve is one of the four"
 
 
 def test_targets_stay_within_the_joints_limits() -> None:

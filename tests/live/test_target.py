@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +22,9 @@ STAND = np.full(12, -1.0)
 
 class Player:
     """A plant that only notes what it is told: (time, first joint's target)."""
+
+    state: Any = None
+    parameters: Any = None
 
     def __init__(self) -> None:
         self.played: list[tuple[float, float]] = []
@@ -165,3 +169,12 @@ def test_a_simulated_target_knows_the_truth() -> None:
     assert target.truth.time == now
     np.testing.assert_array_equal(target.truth.joints, plant.state.joints)
     assert target.parameters == plant.parameters
+
+
+def test_a_plan_is_due_a_period_after_its_measurements_by_the_clock_alone(clock: Clock) -> None:
+    waiting, racing = (SimTarget(Player(), PERIOD, STAND, realtime) for realtime in (False, True))
+    waiting.measure()
+    assert waiting.deadline is None
+    begun = clock.now
+    racing.measure()
+    assert racing.deadline == pytest.approx(begun + 2 * PERIOD)

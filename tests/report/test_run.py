@@ -12,7 +12,7 @@ RECORD: dict[str, Any] = {
     "error": None, "fell": False, "interrupted": False, "success": True, "arrived": True, "on_time": True,
     "goal_error_m": 0.02, "time_s": 14.0, "duration": 40.0, "cut_short": False, "lock_step": True,
     "cycles": 500, "deadline_misses": 100, "cycle_ms": {"p50": 19.0, "p99": 25.0}, "speed_rmse": 0.03,
-    "path_rmse_m": 0.01, "cost": 1200.0, "diverged": 0, "rollouts": 4000,
+    "path_rmse_m": 0.01, "cost": 1200.0, "diverged": 0, "rollouts": 4000, "least_rollouts": 4,
     "belief": {"box_mass": 4.0}, "truth": {"box_mass": 4.0},
 }  # fmt: skip
 

@@ -27,12 +27,13 @@ class Tracker:
         self._due = -np.inf
         self._late = False
 
-    def feed(self, samples: Samples, now: float | None = None) -> tuple[News, ...]:
+    def feed(self, samples: Samples, now: float | None = None, begin: bool = True) -> tuple[News, ...]:
         """Take in the next samples; never waits for the estimator.
 
         Args:
             samples: Samples since the last call, of the system's signals and perhaps of others.
             now: Time at which a new window ends [s]; None: that of the newest sample.
+            begin: Whether an update may begin now; False where the computer is needed for something else.
 
         Returns:
             Estimates that take effect now, and troubles of the estimator, since the last call.
@@ -40,7 +41,18 @@ class Tracker:
         self._buffer.append(samples)
         now = self._buffer.newest if now is None else now
         news = self._worker.poll(now)
-        return news + self._begin(now) if now >= self._due - 1e-6 else news
+        if now < self._due - 1e-6:
+            return news
+        return news + (self._begin(now) if begin else self._skip(now))
+
+    def _skip(self, now: float) -> tuple[Trouble, ...]:
+        """Let an update wait; one that waits for a whole period is left out."""
+        if np.isinf(self._due):
+            self._due = now
+        if now < self._due + self._period - 1e-6 or not self._worker.ready:
+            return ()
+        self._due = now
+        return (Trouble(now, "the estimator gave way to the planner: an update was left out"),)
 
     def _begin(self, now: float) -> tuple[Trouble, ...]:
         """Begin the update that is due; where the one before still runs, report that, once."""

@@ -39,6 +39,7 @@ def run_record(measures: Measures, history: History, ending: Ending) -> dict[str
             "cycle_ms": quantiles(columns.get("plan_ms", np.empty(0))),
             "deadline_misses": history.misses,
             "rollouts": int(columns["rollouts"].sum()) if columns else 0,
+            "least_rollouts": int(columns["rollouts"].min()) if columns else 0,
             "diverged": int(columns["diverged"].sum()) if columns else 0,
         }
     )

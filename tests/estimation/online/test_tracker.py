@@ -59,7 +59,9 @@ def test_it_finds_the_mass(cart: System, drive: Drive) -> None:
         (now, one) for now, part in portions(sampled(drive(4.0)), 0.01, 4.0) for one in tracker.feed(part)
     ]
     assert all(isinstance(one, Estimate) and now >= one.time + 0.03 - 1e-6 for now, one in found)
-    assert found[-1][1].theta[0] == pytest.approx(2.0, rel=0.05), "from 1.5"
+    last = found[-1][1]
+    assert isinstance(last, Estimate)
+    assert last.theta[0] == pytest.approx(2.0, rel=0.05), "from 1.5"
 
 
 @pytest.mark.parametrize("period", [0.01, 0.045])
@@ -131,6 +133,20 @@ def test_windows_wait_for_every_signal_and_end_at_the_newest_sample(cart: System
     assert at == pytest.approx(max(times[-1] for times, _ in samples.values()))
     assert set(window.log.series) == set(samples), "signals of others are passed over"
     assert window.length * window.log.dt == pytest.approx(cart.settings.mhe.window)
+
+
+def test_updates_wait_while_the_computer_is_needed_and_those_left_out_are_reported(
+    cart: System, drive: Drive
+) -> None:
+    period, worker = cart.settings.mhe.update_period, Slow(0)
+    tracker, troubles = Tracker(cart, worker), 0
+    for now, part in portions(sampled(drive(3.0)), 0.01, 3.0):
+        news = tracker.feed(part, now, begin=not 1.0 < now < 2.0)
+        troubles += sum(isinstance(one, Trouble) and "gave way" in one.text for one in news)
+    ends = np.array([at for _, at in worker.windows])
+    assert not ((ends > 1.0 + 1e-6) & (ends < 2.0 - 1e-6)).any()
+    assert (ends <= 1.0 + 1e-6).any() and (ends > 2.0).any()
+    assert troubles == pytest.approx(1.0 / period - 1.0, abs=1.0)
 
 
 def test_a_late_estimator_is_reported_once_until_it_is_ready_again(cart: System, drive: Drive) -> None:

@@ -7,6 +7,7 @@ run's own time is ours since the operator let it begin.
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
@@ -16,20 +17,24 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.control.controller import Plan
+from amhe_cli.control.mpopi import MpopiStep
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import AmheError
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.report import SenderReport
+from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
 from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
 from amhe_cli.robots.go1.poses.source import Pose, PoseError
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
 from amhe_cli.robots.go1.state import State
 
+#: More than this share of the rollouts of so many cycles in a row may not diverge.
+_DIVERGED, _CYCLES = 0.25, 5
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
 _STEP = 0.01
@@ -74,7 +79,9 @@ class Go1Target:
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []
         self._poses: list[tuple[float, Pose, Pose]] = []
-        self._playing = False
+        self._playing, self._sends = False, True
+        self._doubtful = 0
+        self._diverged: StoppedError | None = None
         self._opened = ExitStack()
         self.misses = 0
         self.begun = False
@@ -154,6 +161,15 @@ class Go1Target:
             )
         self._wait_for(Phase.RUN)
         self._look_again()
+        gc.freeze()  # a search for garbage in all that is loaded would take the time of several plans
+        self._begin_time()
+
+    def rehearse(self) -> None:
+        """Let the run's time begin now; plans are not sent, and the robot does not move."""
+        self._sends = False
+        self._begin_time()
+
+    def _begin_time(self) -> None:
         self._start = self._clock.now()
         self._robot.clear()
         self._poses.clear()
@@ -175,6 +191,16 @@ class Go1Target:
 
     # -- the run --------------------------------------------------------------------------------------
 
+    @property
+    def deadline(self) -> float | None:
+        """See `Target`."""
+        return self.slow * (self._start + self._time + self._period - self._lead)
+
+    @property
+    def _lead(self) -> float:
+        """Time that a command takes to the robot [s]: plans are handed over so much earlier."""
+        return 0.5e-3 * self.report.contact.get("round_trip_ms", 0.0)
+
     def in_force(self, at: float) -> FloatArray:
         """See `Target`."""
         return self._plan.at(at)
@@ -195,15 +221,36 @@ class Go1Target:
             self._check_phase()
         return self._time, self._measured()
 
+    @property
+    def stop(self) -> AmheError | None:
+        """What has ended the run before its end: a trip, or the operator; None: nothing."""
+        return self._diverged or (self.report.stop if self.report.trip else None)
+
     def play(self, plan: Plan) -> None:
-        """See `Target`."""
+        """See `Target`.
+
+        Raises:
+            StoppedError: Too many rollouts diverge: the robot is not where the planner takes it to be.
+        """
+        self._watch(plan.step)
         # what is in force until then comes first, so that targets are handed over without a step
         before = self._plan.at(plan.start - 0.5 * self._period)
-        lead = 0.5e-3 * self.report.contact.get("round_trip_ms", 0.0)
-        start = self._start + plan.start - plan.period - lead
+        start = self._start + plan.start - plan.period - self._lead
         targets = Targets(start, plan.period, np.vstack((before, plan.targets)))
-        self._link.play(targets, self._oldest)
+        if self._sends:
+            self._link.play(targets, self._oldest)
         self._plan, self._playing = plan, True
+
+    def _watch(self, step: MpopiStep | None) -> None:
+        if step is None:
+            return
+        self._doubtful = self._doubtful + 1 if step.diverged > _DIVERGED * step.rollouts else 0
+        if self._doubtful >= _CYCLES:
+            self._diverged = StoppedError(
+                f"trip diverged: {step.diverged} of {step.rollouts} rollouts diverged, and too many in each "
+                f"of {_CYCLES} cycles"
+            )
+            raise self._diverged
 
     def _sleep_to_the_next_period(self) -> None:
         elapsed = self._clock.now() - self._start

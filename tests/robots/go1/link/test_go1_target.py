@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time as clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.control.controller import Plan
+from amhe_cli.control.mpopi import MpopiStep
 from amhe_cli.core.errors import OperatorStopError
 from amhe_cli.core.rotations import exp
 from amhe_cli.core.samples import Samples, merged
@@ -177,3 +179,39 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
                 plan = Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
                 time, _ = exchange(target, plan)
         puppet.wait(damps)
+
+
+def test_rollouts_that_diverge_sit_the_robot_down(puppet: Puppet) -> None:
+    """More than a quarter of them in five cycles in a row; four are forgiven."""
+    with a_target(puppet) as (target, _):
+        target.check()
+        target.begin(lambda text: None)
+        time, _ = target.measure()
+
+        def play(diverged: int) -> None:
+            nonlocal time
+            step = MpopiStep(np.zeros(1), np.zeros(8), 8, diverged, 1.0, 0.0, 0.0, {})
+            target.play(Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1)), step=step))
+            time, _ = target.measure()
+
+        for diverged in (3, 3, 3, 3, 2, 3, 3, 3, 3):
+            play(diverged)
+        assert target.stop is None
+        with pytest.raises(StoppedError, match="trip diverged: 3 of 8 rollouts"):
+            play(3)
+        assert target.stop is not None
+    driven = [got.position for _, got in puppet.received if got.kp[0] > 0]
+    np.testing.assert_allclose(driven[-1], np.tile([0.0, 1.2, -2.6], 4), atol=0.05)
+
+
+def test_a_rehearsal_measures_on_the_runs_clock_and_sends_nothing(puppet: Puppet) -> None:
+    with a_target(puppet) as (target, _):
+        target.check()
+        target.rehearse()
+        time, measured = target.measure()
+        assert target.deadline is not None
+        assert target.deadline - clock.monotonic() < PERIOD
+        for _ in range(3):
+            time, measured = exchange(target, Plan(time + PERIOD, PERIOD, np.tile(HOME + 0.3, (16, 1))))
+            assert measured["joints.position"][0].size
+    assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
