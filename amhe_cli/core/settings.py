@@ -103,7 +103,8 @@ class IdentifySettings(SettingsGroup):
     iterations: Annotated[int, Field(ge=1)] = 16
     """Iterations of the linearised method."""
     polish: Annotated[int, Field(ge=1)] = 6
-    """Of these, at most so many on fixed clips at the end; those before draw random clips."""
+    """Of these, at most so many on fixed clips at the end; those before draw random clips, where things touch
+    or logs are long."""
     cmaes_iterations: Annotated[int, Field(ge=1)] = 40
     """Iterations of one CMA-ES start."""
     cmaes_starts: Annotated[int, Field(ge=1)] = 3

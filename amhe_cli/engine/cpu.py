@@ -20,6 +20,7 @@ from amhe_cli.engine.rollout import (
     predicted_in_parts,
     turns_of,
 )
+from amhe_cli.engine.states import without_contacts
 from amhe_cli.system.edits import ModelEdits
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
@@ -45,7 +46,7 @@ class CpuEngine:
     def __init__(
         self, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, threads: int, sensors: bool
     ) -> None:
-        self._model, self._edits, self._input_spec = model, edits, input_spec
+        self._model, self._edits, self._input_spec = without_contacts(model), edits, input_spec
         self._threads, self._sensors = threads, sensors
         self._batch: mujoco.batch.Batch | None = None
         self._fields: dict[str, np.ndarray] = {}

@@ -12,6 +12,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
+from amhe_cli.engine.states import collides
 from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.system import System
 
@@ -95,7 +96,7 @@ def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]
     Returns:
         Name of the variant -> its engine; empty for a model that cannot collide.
     """
-    if not _collides(model):
+    if not collides(model):
         return {}
     return {
         "contacts twice as soft": engine.upon(_with_time_constant(model, 2.0)),
@@ -121,7 +122,7 @@ def finer_step(engine: Engine, model: mujoco.MjModel) -> tuple[Engine, int]:
 
 def finer_solver(engine: Engine, model: mujoco.MjModel) -> Engine | None:
     """The same engine with a solver that goes on for longer; None for a model without constraints."""
-    constrained = model.jnt_limited.any() or model.dof_frictionloss.any() or model.neq or _collides(model)
+    constrained = model.jnt_limited.any() or model.dof_frictionloss.any() or model.neq or collides(model)
     if not constrained:
         return None
     changed = copy.copy(model)
@@ -129,7 +130,3 @@ def finer_solver(engine: Engine, model: mujoco.MjModel) -> Engine | None:
     changed.opt.ls_iterations *= 10
     changed.opt.tolerance *= 1e-3
     return engine.upon(changed)
-
-
-def _collides(model: mujoco.MjModel) -> bool:
-    return bool(model.npair > 0 or (model.geom_contype.any() and model.geom_conaffinity.any()))

@@ -5,6 +5,7 @@ The tangent space of a quaternion has three coordinates, not four.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 
 import mujoco
@@ -57,6 +58,20 @@ def home(model: mujoco.MjModel, keyframe: int | None, input_spec: int) -> tuple[
     inputs = np.empty(mujoco.mj_stateSize(model, input_spec))
     mujoco.mj_getState(model, data, inputs, input_spec)
     return np.array(data.qpos), inputs
+
+
+def collides(model: mujoco.MjModel) -> bool:
+    """Whether any two shapes of a model can collide."""
+    return bool(model.npair > 0 or (model.geom_contype.any() and model.geom_conaffinity.any()))
+
+
+def without_contacts(model: mujoco.MjModel) -> mujoco.MjModel:
+    """The model; where nothing in it can collide, a copy that does not look for contacts: that takes time."""
+    if collides(model):
+        return model
+    changed = copy.copy(model)
+    changed.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    return changed
 
 
 def touching(model: mujoco.MjModel, qpos: FloatArray) -> bool:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber_weight
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
 from amhe_cli.matching.cost import MatchingCost, Residuals
@@ -52,16 +52,22 @@ class Information:
         """Best first-state errors of every clip after steps dz (p, d): shape (p, c, nx)."""
         return self.nuisance + np.einsum("cxd,pd->pcx", self.nuisance_gain, dz)
 
-    def first_states(self, dz: FloatArray, narrowest: float) -> FirstStates:
+    def first_states(
+        self, dz: FloatArray, narrowest: float, alike: Sequence[IntArray] | None = None
+    ) -> FirstStates:
         """Posterior of the first-state errors after a step of z.
 
         Args:
             dz: The step, shape (d,).
             narrowest: Smallest sampling sd along any direction, in sd of the recorded state.
+            alike: Groups of errors of which no sample mixes two; None: one group.
         """
-        values, vectors = np.linalg.eigh(self.nuisance_precision)
-        sd = np.maximum(1.0 / np.sqrt(values), narrowest)
-        return FirstStates(self.first(dz[None])[0], vectors * sd[:, None, :])
+        shape = np.zeros_like(self.nuisance_precision)
+        for rows in alike or [np.arange(shape.shape[1])]:
+            block = (slice(None), rows[:, None], rows)
+            values, vectors = np.linalg.eigh(self.nuisance_precision[block])
+            shape[block] = vectors * np.maximum(1.0 / np.sqrt(values), narrowest)[:, None, :]
+        return FirstStates(self.first(dz[None])[0], shape)
 
 
 def marginalised(

@@ -22,8 +22,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, namespace_of, to_host
+from amhe_cli.estimation.core.reach import Reach, colours, moved_along, patterns
 from amhe_cli.estimation.core.shape import coordinates
 from amhe_cli.matching.cost import MatchingCost, Residuals
+
+#: Steps to one side alone, in sd of the samples: what bends in them is less by this factor.
+SHORT = 0.01
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +58,7 @@ class Linearisation:
         centre: Residuals at (z, first) itself, shape (c, R).
         gain: Slopes by the d coordinates of z and the nx of the first state, shape (c, d + nx, R).
         curves: Nonlinear (even) response to each of h pairs of samples, 0 for pairs that diverged, shape
-            (h, c, R); numpy's or on the engine's device.
+            (h, c, R); numpy's or on the engine's device. None of samples to one side.
         bend: Mean square of the nonlinear response (bend), shape (c, R).
         first: What was known of the first-state errors; the samples followed it.
         completed: Clips that could be linearised, shape (c,).
@@ -82,6 +86,8 @@ def linearise(
     rng: np.random.Generator,
     *,
     averaged: bool = False,
+    straight: bool = False,
+    reach: Reach | None = None,
 ) -> Linearisation:
     """Linearise the residuals of every clip about z and its first-state error.
 
@@ -90,33 +96,43 @@ def linearise(
         z: Where to linearise, shape (d,).
         first: What is known of the first-state errors.
         shape: Samples are z + shape w with w of unit variance, shape (d, d).
-        samples: Number of candidates; raised to two for each unknown of the regression.
+        samples: Number of candidates; raised to two for each unknown of one residual.
         rng: Draws the directions.
         averaged: Return the samples' mean as the residual, for a rough model, instead of the centre.
+        straight: Take short steps to one side instead of pairs, where samples have shown that hardly anything
+            bends in them: half of the rollouts, and no bend.
+        reach: What the unknowns move, where they do not move everything.
     """
     d, nx = z.size, first.mean.shape[1]
-    directions = orthogonal_directions(d + nx, max(d + nx, samples // 2), rng)
-    half, signs = len(directions), np.concatenate((directions, -directions, np.zeros((1, d + nx))))
+    moves = None if reach is None else _moved(cost, reach, shape, first.shape)
+    columns = np.arange(d + nx) if moves is None else colours(moves)
+    unknowns = int(columns.max()) + 1
+    directions = orthogonal_directions(unknowns, max(unknowns, samples // 2), rng)[:, columns]
+    directions = directions * SHORT if straight else directions
+    half, others = len(directions), directions[:0] if straight else -directions
+    signs = np.concatenate((directions, others, np.zeros((1, d + nx))))
     candidates = cost.system.space.clip(z + signs[:, :d] @ shape.T)  # h pairs, and their centre
     errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
     residuals = cost.residuals(candidates, errors if nx else None)
     odd, even, pairs = _parity(residuals, half)
 
     # a bound may have cut a step short: the step that was really taken is half the pair's difference
-    plus, minus = candidates[:half], candidates[half:-1]
-    steps = np.concatenate((coordinates(shape, 0.5 * (plus - minus)), directions[:, d:]), axis=1)
-    gain = _by_coordinates(_regress(odd, pairs, steps), shape, first.shape)
+    plus, minus = candidates[:half], candidates[-1:] if straight else candidates[half:-1]
+    first_steps = directions[:, d:] * (0.5 if straight else 1.0)
+    steps = np.concatenate((coordinates(shape, 0.5 * (plus - minus)), first_steps), axis=1)
+    gain = _by_coordinates(_regress(odd, pairs, steps, moves), shape, first.shape)
 
     # then the pair's middle is not z either, and its share of the even response is linear
-    curves = even - _predicted(gain[:, :d], 0.5 * (plus + minus) - z, even)
-    lift, bend = _moments(curves, pairs)
+    bent = len(even)
+    curves = even - _predicted(gain[:, :d], 0.5 * (plus + minus)[:bent] - z, even)
+    lift, bend = _moments(curves, pairs[:, :bent])
     centre = to_host(residuals.stacked[-1])
     return Linearisation(
         cost=cost,
         residual=centre + averaged * lift,
         centre=centre,
         gain=gain,
-        curves=curves * namespace_of(curves).asarray(pairs.T[:, :, None]),
+        curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
         bend=bend - lift**2 if averaged else bend,
         first=first,
         completed=residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half),
@@ -137,31 +153,49 @@ def orthogonal_directions(dimension: int, count: int, rng: np.random.Generator) 
     return np.concatenate(blocks)[:count] * np.sqrt(dimension)
 
 
+def _moved(cost: MatchingCost, reach: Reach, shape: FloatArray, first_shape: FloatArray) -> BoolArray:
+    """Which residuals each coordinate w of the samples moves, shape (d + nx, R)."""
+    d, nx = len(shape), first_shape.shape[1]
+    moves = reach.residuals(cost, nx > 0)
+    parts = moved_along(moves[:d], shape), moved_along(moves[d:], np.abs(first_shape).sum(axis=0))
+    return np.concatenate(parts)
+
+
 def _parity(residuals: Residuals, half: int) -> tuple[AnyArray, AnyArray, FloatArray]:
     """Odd and even response to each of h pairs of samples, and which pairs completed.
 
     Args:
-        residuals: Residuals of 2 h + 1 candidates: one side of each pair, the other side, the centre.
+        residuals: Residuals of one side of each pair, the other side where there is one, and the centre.
         half: Number of pairs, h.
 
     Returns:
-        Half the difference within each pair and its mean less the centre, shape (h, c, R) each; 1 for the
-        pairs that completed, else 0, shape (c, h).
+        Half the difference within each pair, shape (h, c, R), and its mean less the centre, likewise, of no
+        pair where the centre is the other side of all; 1 for the pairs that completed, else 0, shape (c, h).
     """
     done, values = residuals.completed, residuals.stacked
-    plus, minus, centre = values[:half], values[half:-1], values[-1]
-    pairs = (done[:half] & done[half:-1] & done[-1]).T.astype(float)
-    return 0.5 * (plus - minus), 0.5 * (plus + minus) - centre, pairs
+    other = slice(half, -1) if len(values) > half + 1 else slice(half, None)
+    plus, minus, centre = values[:half], values[other], values[-1]
+    pairs = (done[:half] & done[other] & done[-1]).T.astype(float)
+    even = (0.5 * (plus + minus) - centre)[: len(values) - 1 - half]
+    return 0.5 * (plus - minus), even, pairs
 
 
-def _regress(odd: AnyArray, pairs: FloatArray, steps: FloatArray) -> FloatArray:
+def _regress(
+    odd: AnyArray, pairs: FloatArray, steps: FloatArray, moves: BoolArray | None = None
+) -> FloatArray:
     """Least squares of the odd response on the steps: slopes (c, n, R); even orders have cancelled.
 
     Args:
         odd: Odd response to h pairs of samples, shape (h, c, R).
         pairs: Weight of each pair on each clip, shape (c, h).
         steps: Steps of the pairs, shape (h, n).
+        moves: Which residuals each of the unknowns moves, shape (n, R); None: all.
     """
+    if moves is not None:
+        slopes = np.zeros((len(pairs), *moves.shape))
+        for rows, those in patterns(moves):
+            slopes[:, rows[:, None], those] = _regress(odd[:, :, those], pairs, steps[:, rows])
+        return slopes
     xp = namespace_of(odd)
     normal = np.einsum("ch,hi,hj->cij", pairs, steps, steps)
     size = np.einsum("hi,hi->i", steps, steps)

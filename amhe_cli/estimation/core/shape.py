@@ -7,9 +7,11 @@ leave it by hundreds of its widths, and the bend of the residuals there would co
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.parameters import ParameterSpace
 
 #: Widest sampling sd along any direction, in prior sd.
@@ -26,7 +28,13 @@ def diagonal(sd: float, active: BoolArray) -> FloatArray:
     return np.diag(np.where(active, sd, 0.0))
 
 
-def adapted(covariance: FloatArray, before: FloatArray, floor: FloatArray, active: BoolArray) -> FloatArray:
+def adapted(
+    covariance: FloatArray,
+    before: FloatArray,
+    floor: FloatArray,
+    active: BoolArray,
+    alike: Sequence[IntArray] | None = None,
+) -> FloatArray:
     """Shape of two posterior sd, with a fading memory of the one before.
 
     Args:
@@ -34,21 +42,41 @@ def adapted(covariance: FloatArray, before: FloatArray, floor: FloatArray, activ
         before: The shape before; its directions fade by 0.6 a time.
         floor: Smallest sampling sd of each parameter, shape (d,).
         active: Parameters that are sampled at all, shape (d,).
+        alike: Groups of parameters of which no sample mixes two; None: one group.
     """
-    return bounded(4.0 * covariance + 0.36 * before @ before.T, floor, active)
+    return bounded(4.0 * within(covariance, alike) + 0.36 * before @ before.T, floor, active, alike)
 
 
-def bounded(covariance: FloatArray, floor: FloatArray, active: BoolArray) -> FloatArray:
-    """Shape of a sampling covariance, no direction thinner than the floor or wider than WIDEST."""
-    rows = np.flatnonzero(active)
-    scale = floor[rows]
-    block = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
-    values, vectors = np.linalg.eigh(block)
-    part = scale[:, None] * vectors * np.sqrt(np.maximum(values, 1.0))  # in units of the floor, which is 1
-    part = part * np.minimum(1.0, WIDEST / np.linalg.norm(part, axis=0))
+def bounded(
+    covariance: FloatArray, floor: FloatArray, active: BoolArray, alike: Sequence[IntArray] | None = None
+) -> FloatArray:
+    """Shape of a sampling covariance, no direction thinner than the floor or wider than WIDEST.
+
+    Args:
+        covariance: Sampling covariance of z, shape (d, d); what it says across groups is ignored.
+        floor, active, alike: See `adapted`.
+    """
     shape = np.zeros_like(covariance)
-    shape[np.ix_(rows, rows)] = part
+    for group in alike or [np.arange(len(covariance))]:
+        rows = group[active[group]]
+        scale = floor[rows]
+        block = covariance[np.ix_(rows, rows)] / np.outer(scale, scale)
+        values, vectors = np.linalg.eigh(block)
+        part = (
+            scale[:, None] * vectors * np.sqrt(np.maximum(values, 1.0))
+        )  # in units of the floor, which is 1
+        shape[np.ix_(rows, rows)] = part * np.minimum(1.0, WIDEST / np.linalg.norm(part, axis=0))
     return shape
+
+
+def within(covariance: FloatArray, alike: Sequence[IntArray] | None) -> FloatArray:
+    """Covariance (d, d) of each group of parameters, given all others: no sample leaves a common valley."""
+    if alike is None or len(alike) == 1:
+        return covariance
+    precision, part = np.linalg.inv(covariance), np.zeros_like(covariance)
+    for rows in alike:
+        part[np.ix_(rows, rows)] = np.linalg.inv(precision[np.ix_(rows, rows)])
+    return part
 
 
 def coordinates(shape: FloatArray, steps: FloatArray) -> FloatArray:

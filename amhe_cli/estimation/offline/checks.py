@@ -91,10 +91,11 @@ def _halves(problem: Problem, finding: Finding) -> Disagreement | None:
     late = np.array([w.start + 0.5 * w.length > 0.5 * (w.log.steps - 1) for w in problem.clips])
     if not _both(late):
         return None
+    straight = finding.shape if isinstance(finding, SearchState) and finding.straight else None
     means, covariances = [], []
     for rows in (np.flatnonzero(late), np.flatnonzero(~late)):
-        part = replace(problem, only=tuple(problem.clips[i] for i in rows))
-        state = search.restart(part, finding.z)
+        part = problem.part(rows)
+        state = search.restart(part, finding.z, straight)
         for _ in range(REFITS):
             state = search.advance(part, state)
         found = final_fit(part, state).posterior

@@ -148,7 +148,8 @@ def _evidence(
     widening, causes = _systematic(problem, fit, compared, shifts, doubled, resampled, again)
     covariance = own + widening
     points = setting.profile_points
-    rollouts = points * int(problem.active.sum()) * len(problem.clips)
+    unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
+    rollouts = points * int(unknowns) * len(problem.clips)
     return Evidence(
         z=finding.z,
         covariance=covariance,
@@ -161,7 +162,7 @@ def _evidence(
         shifts=shifts,
         profiles=profiles(
             space,
-            fit.cost_beside,
+            lambda rows, values: fit.costs_along(rows, values, problem.reach),
             finding.z,
             np.sqrt(np.diag(covariance)),
             problem.active,

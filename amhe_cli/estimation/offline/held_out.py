@@ -15,7 +15,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, to_host
 from amhe_cli.core.log import Window
 from amhe_cli.estimation.core.information import Information, channel_times, information
-from amhe_cli.estimation.core.linearise import FirstStates, linearise
+from amhe_cli.estimation.core.linearise import FirstStates
 from amhe_cli.estimation.offline.checks import WHITE
 from amhe_cli.estimation.offline.clips import ClipPool
 from amhe_cli.estimation.offline.posterior import FinalFit, Finding
@@ -73,8 +73,8 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
         shape: Shape of the samples of z, (d, d).
     """
     nx = 0 if problem.settings.identify.first_state == "never" else cost.nx
-    first, samples = FirstStates.recorded(len(cost.clips.windows), nx), problem.settings.identify.samples
-    slopes = linearise(cost, z, first, shape, samples, problem.rng(5), averaged=problem.rough)
+    first = FirstStates.recorded(len(cost.clips.windows), nx)
+    slopes = problem.linearised(cost, z, first, shape, problem.rng(5), straight=not problem.touches)
     found = information(slopes)
     tried = LINE[:, None, None] * found.nuisance
     residuals = cost.residuals(np.repeat(z[None], len(LINE), axis=0), tried if nx else None)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.estimation.core.information import (
     Information,
     channel_times,
@@ -17,10 +17,11 @@ from amhe_cli.estimation.core.information import (
     information,
     objective,
 )
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
-from amhe_cli.estimation.core.shape import bounded, changed, diagonal, sampling_sd
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
+from amhe_cli.estimation.core.reach import Reach, colours
+from amhe_cli.estimation.core.shape import bounded, changed, diagonal, sampling_sd, within
 from amhe_cli.estimation.offline.cma import CmaState
-from amhe_cli.estimation.offline.problem import Problem, first_floor, spread_floor
+from amhe_cli.estimation.offline.problem import Problem, spread_floor
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import Watch
 
@@ -197,14 +198,43 @@ class FinalFit:
         """Autocorrelation time of each channel's residuals, in samples."""
         return channel_times(self.slopes.cost, self.found.residual, self.slopes.completed)
 
-    def cost_beside(self, z: FloatArray) -> FloatArray:
-        """Mean cost of candidates z (p, d) near the estimate, first states fitted along, shape (p,)."""
-        cost = self.slopes.cost
-        first = self.found.first(z - self.z)
-        residuals = cost.residuals(z, first if first.shape[2] else None)
+    def costs_along(self, rows: IntArray, values: FloatArray, reach: Reach | None) -> FloatArray:
+        """Mean cost with one parameter moved at a time, first states fitted along.
+
+        Parameters that move different measurements are moved in the same rollouts, and their costs put
+        together from what each of them moves.
+
+        Args:
+            rows: Which parameters, shape (m,).
+            values: What each of them is set to, in z, shape (m, p).
+            reach: What the parameters move, where they do not move everything.
+
+        Returns:
+            Costs, shape (m, p).
+        """
+        cost, costs = self.slopes.cost, np.empty_like(values)
         counted = (self.weight > 0.0).astype(float)
-        total = objective(cost, residuals, first, (1.0,) * len(residuals.values), counted)
-        return total / max(float((counted * cost.clips.counts).sum()), 1.0)
+        together, here = np.arange(len(rows)), ()
+        if reach is not None:
+            together = colours(reach.residuals(cost, False)[rows])
+            here = cost.residuals(self.z[None], self._first(self.z[None])).values
+        for colour in range(together.max() + 1):
+            some = np.flatnonzero(together == colour)
+            z = np.repeat(self.z[None], values.shape[1], axis=0)
+            z[:, rows[some]] = values[some].T
+            found = cost.residuals(z, self._first(z))
+            for i in some:
+                own = found if reach is None else reach.alone(rows[i], cost, found, here)
+                alone = np.repeat(self.z[None], len(z), axis=0)
+                alone[:, rows[i]] = values[i]
+                first = self.found.first(alone - self.z)
+                costs[i] = objective(cost, own, first, (1.0,) * len(own.values), counted)
+        return costs / max(float((counted * cost.clips.counts).sum()), 1.0)
+
+    def _first(self, z: FloatArray) -> FloatArray | None:
+        """First-state errors (p, c, nx) that fit best under candidates z (p, d); None: none are fitted."""
+        first = self.found.first(z - self.z)
+        return first if first.shape[2] else None
 
 
 def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) -> FinalFit:
@@ -219,8 +249,8 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     searched = isinstance(finding, SearchState)
     shape = finding.shape if searched else diagonal(SMALL, problem.active)
     scale, first = finding.scale, finding.first if searched else None
-    # on a rough cost, the last steps of the search have sampled in this shape and fitted the first states
-    known = problem.rough and first is not None
+    # the last steps of the search have sampled in this shape and fitted the first states
+    known = searched and first is not None and (problem.rough or finding.settled)
     for turn in range(TURNS):
         slopes = _linearised(problem, finding, scale, shape, first, turn)
         found = information(slopes)
@@ -228,7 +258,8 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
         fit = FinalFit(
             slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z
         )
-        wanted = bounded(4.0 * fit.posterior.covariance, floor, problem.active)
+        covariance = within(fit.posterior.covariance, problem.alike)
+        wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
         if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
             break
         if watch is not None:
@@ -236,7 +267,7 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
             if not watch.affords(2 * slopes.rollouts):
                 break
         shape, scale, known = wanted, fitted_noise_scale(slopes, found, scale), True
-        first = found.first_states(np.zeros_like(finding.z), first_floor(problem))
+        first = problem.first_states(found, np.zeros_like(finding.z))
     return fit
 
 
@@ -258,5 +289,4 @@ def _linearised(
     cost = problem.cost(problem.clips, scale)
     fitted = problem.settings.identify.first_state != "never"
     at = first or FirstStates.recorded(len(problem.clips), cost.nx if fitted else 0)
-    samples = problem.settings.identify.samples
-    return linearise(cost, finding.z, at, shape, samples, problem.rng(3, place), averaged=problem.rough)
+    return problem.linearised(cost, finding.z, at, shape, problem.rng(3, place))

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, to_host
 from amhe_cli.core.each_log import owner_free
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.states import nearest, touching
+from amhe_cli.estimation.core.information import Information
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
+from amhe_cli.estimation.core.reach import Reach
 from amhe_cli.estimation.core.shape import sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool
-from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_errors
 from amhe_cli.system.contacts import geom_name, needed_contacts
 from amhe_cli.system.system import System
@@ -27,6 +30,11 @@ OUT_OF_REACH = 1e-2
 FEWEST = 8
 #: Even over odd response to small steps from which a model is rough.
 ROUGH = 0.02
+#: Clips that show what the errors of a first state move.
+FEW = 2
+#: Smallest sampling sd of a first state along any direction where the model is rough, in its recorded sd:
+#: slopes from narrower samples are jitter, and would count as knowledge of the first state.
+NARROWEST = 0.7
 #: Instants of the rollouts at which a missing contact is looked for, and the gap [m] that is none.
 _LOOKS, _TOUCH = 400, 0.005
 
@@ -41,6 +49,7 @@ class Problem:
         engine: Engine of the rollouts.
         seed: Seed of every random draw.
         only: Fit these clips alone, a part of the problem.
+        whole: The problem of which this is a part: what moves what is the same.
     """
 
     system: System
@@ -48,6 +57,11 @@ class Problem:
     engine: Engine
     seed: int
     only: tuple[Window, ...] = ()
+    whole: Problem | None = None
+
+    def part(self, clips: IntArray) -> Problem:
+        """The same problem on some of its clips."""
+        return replace(self, only=tuple(self.clips[i] for i in clips), whole=self)
 
     @property
     def settings(self) -> Settings:
@@ -93,22 +107,89 @@ class Problem:
     @cached_property
     def linearisation(self) -> int:
         """Rollouts of one linearisation of all clips, its first states included."""
-        setting = self.settings.identify
+        setting, d = self.settings.identify, len(self.system.space)
         fitted = setting.first_state != "never"
-        nuisances = len(first_errors(self.system, self.clips[0].log)[0]) if fitted else 0
-        pairs = max(len(self.system.space) + nuisances, setting.samples // 2)
-        return (2 * pairs + 1) * len(self.clips)
+        unknowns = d + fitted * len(first_errors(self.system, self.clips[0].log)[0])
+        if self.reach is not None:
+            unknowns = self.reach.unknowns(fitted)
+        return (2 * max(unknowns, setting.samples // 2) + 1) * len(self.clips)
+
+    def linearised(
+        self,
+        cost: MatchingCost,
+        z: FloatArray,
+        first: FirstStates,
+        shape: FloatArray,
+        rng: np.random.Generator,
+        *,
+        straight: bool = False,
+    ) -> Linearisation:
+        """Slopes of a cost about z (d,) and first-state errors, from samples of a shape (d, d)."""
+        samples, rough = self.settings.identify.samples, self.rough
+        return linearise(
+            cost, z, first, shape, samples, rng, averaged=rough, straight=straight, reach=self.reach
+        )
+
+    def first_states(self, found: Information, dz: FloatArray) -> FirstStates:
+        """What the clips of an information know of their first states after a step of z (d,)."""
+        alike = None if self.reach is None else self.reach.first_alike
+        return found.first_states(dz, NARROWEST if self.rough else 0.0, alike)
+
+    @cached_property
+    def _some_clips(self) -> Sequence[Window]:
+        """Clips that show what moves what."""
+        return self.clips[:: max(1, len(self.clips) // 8)]
+
+    @cached_property
+    def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
+        """Which columns of each channel a step of half a prior sd moves, (d, k), and which diverge, (d,).
+
+        The other side is tried of those alone that the first side leaves without an effect.
+        """
+        d, cost = len(self.system.space), self.cost(self._some_clips)
+        moved = {o.channel.key: np.zeros((d, o.width), dtype=bool) for o in cost.clips.observed}
+        diverged, left = np.zeros(d, dtype=bool), np.arange(d)
+        for side in (0.5, -0.5):
+            steps = side * np.concatenate((np.zeros((1, d)), np.eye(d)[left]))
+            residuals = cost.residuals(self.system.space.clip(steps))
+            for key, columns in _moved_columns(cost, residuals).items():
+                moved[key][left] = columns
+            diverged[left] = ~residuals.completed[1:].all(axis=1)
+            felt = np.any([columns[left].any(axis=1) for columns in moved.values()], axis=0)
+            left = left[~(felt | diverged[left])]
+            if not left.size:
+                break
+        return moved, diverged
 
     @cached_property
     def active(self) -> BoolArray:
         """Which parameters these logs depend on at all, shape (d,)."""
-        d = len(self.system.space)
-        clips = self.clips[:: max(1, len(self.clips) // 8)]
-        steps = np.concatenate((np.zeros((1, d)), 0.5 * np.eye(d), -0.5 * np.eye(d)))
-        residuals = self.cost(clips).residuals(self.system.space.clip(steps))
-        moved = np.abs(residuals.flat - residuals.flat[0]).max(axis=(1, 2))[1:].reshape(2, d)
-        diverged = np.any(~residuals.completed, axis=1)[1:].reshape(2, d)  # the step had an effect
-        return (moved > OUT_OF_REACH).any(axis=0) | diverged.any(axis=0)
+        if self.whole is not None:
+            return self.whole.active
+        moved, diverged = self._moved  # a step that diverges had an effect
+        return np.any([one.any(axis=1) for one in moved.values()], axis=0) | diverged
+
+    @cached_property
+    def reach(self) -> Reach | None:
+        """Which measurements the unknowns move; None: any may move all, as where something touches."""
+        if self.whole is not None:
+            return self.whole.reach
+        moved, diverged = self._moved
+        if self.touches or diverged.any():
+            return None
+        cost = self.cost(self._some_clips[:FEW])
+        z = np.zeros((cost.nx + 1, len(self.system.space)))
+        errors = np.concatenate((np.zeros((1, cost.nx)), np.eye(cost.nx)))
+        first = np.repeat(errors[:, None], len(cost.clips.windows), axis=1)
+        residuals = cost.residuals(z, first)
+        found = Reach(moved, _moved_columns(cost, residuals))
+        unknowns = len(self.system.space) + cost.nx
+        return found if residuals.completed.all() and found.unknowns(True) < unknowns else None
+
+    @property
+    def alike(self) -> list[IntArray] | None:
+        """The parameters that move the same measurements; None: all do."""
+        return None if self.reach is None else self.reach.alike
 
     @cached_property
     def rough(self) -> bool:
@@ -116,15 +197,17 @@ class Problem:
 
         A response bends for other reasons, too: without anything that touches, no model is rough.
         """
+        if self.whole is not None or not self.touches:
+            return self.whole is not None and self.whole.rough
         d = len(self.system.space)
         steps = np.diag(self.system.space.in_z(0.005) * self.active)
         middle = self._off_grid
         candidates = self.system.space.clip(middle + np.concatenate((np.zeros((1, d)), steps, -steps)))
-        cost = self.cost(self.clips[:: max(1, len(self.clips) // 8)])
+        cost = self.cost(self._some_clips)
         centre, plus, minus = np.split(cost.residuals(candidates).flat, [1, d + 1])
         odd = ((plus - minus) ** 2).sum(axis=(0, 2))  # (c,)
         even = ((plus + minus - 2.0 * centre) ** 2).sum(axis=(0, 2))
-        return bool(np.median(even) > ROUGH * np.median(odd)) and self._touches(cost, middle)
+        return bool(np.median(even) > ROUGH * np.median(odd))
 
     @property
     def _off_grid(self) -> FloatArray:
@@ -147,7 +230,7 @@ class Problem:
         ]
         if not names:
             return {}
-        cost = self.cost(self.clips[:: max(1, len(self.clips) // 8)])
+        cost = self.cost(self._some_clips)
         qpos, inputs = self._states(cost, np.zeros(len(self.system.space)))
         rows = np.linspace(0, len(qpos) - 1, min(len(qpos), _LOOKS)).astype(int)
         cells = {parameter.name: own for parameter, own in self.system.edits.by_parameter()}
@@ -164,9 +247,12 @@ class Problem:
                     )
         return reasons
 
-    def _touches(self, cost: MatchingCost, z: FloatArray) -> bool:
-        """Whether anything touches, or reaches a limit of its range, in rollouts under z (d,)."""
-        return touching(self.system.model, self._states(cost, z)[0])
+    @cached_property
+    def touches(self) -> bool:
+        """Whether anything touches, or reaches a limit of its range, in rollouts at the prior's mean."""
+        if self.whole is not None:
+            return self.whole.touches
+        return touching(self.system.model, self._states(self.cost(self._some_clips), self._off_grid)[0])
 
     def _states(self, cost: MatchingCost, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Positions (n, nq) and inputs (n, nu) at every step of the clips' rollouts under z (d,)."""
@@ -189,9 +275,10 @@ def spread_floor(problem: Problem) -> FloatArray:
     return sampling_width(problem.system.space, problem.settings.identify.step if problem.rough else smooth)
 
 
-def first_floor(problem: Problem) -> float:
-    """Smallest sampling sd of a first state along any direction, in its recorded sd.
-
-    On rough costs slopes from narrower samples are jitter, and would count as knowledge of the first state.
-    """
-    return 0.7 if problem.rough else 0.0
+def _moved_columns(cost: MatchingCost, residuals: Residuals) -> dict[str, BoolArray]:
+    """Which columns of each channel all candidates but the first move against it, shape (p - 1, k)."""
+    moved: dict[str, BoolArray] = {}
+    for observed, lent in zip(cost.clips.observed, residuals.values, strict=True):
+        values = to_host(lent)
+        moved[observed.channel.key] = np.abs(values[1:] - values[0]).max(axis=(1, 2)) > OUT_OF_REACH
+    return moved

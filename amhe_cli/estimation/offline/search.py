@@ -20,7 +20,7 @@ from amhe_cli.estimation.core.information import (
     information,
     objective,
 )
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
 from amhe_cli.estimation.core.shape import (
     WIDEST,
     adapted,
@@ -30,7 +30,7 @@ from amhe_cli.estimation.core.shape import (
     diagonal,
     sampling_sd,
 )
-from amhe_cli.estimation.offline.problem import Problem, first_floor, spread_floor
+from amhe_cli.estimation.offline.problem import Problem, spread_floor
 from amhe_cli.estimation.offline.result import Iteration
 from amhe_cli.matching.cost import quadratic_prior
 
@@ -38,6 +38,8 @@ Stage = Literal["explore", "polish", "done"]
 
 #: A step shorter than this, in posterior sd, has settled.
 SETTLED = 0.3
+#: Samples whose bend has a smaller mean square than this, in noise variances, are straight.
+STRAIGHT = 0.1
 #: A step may leave the middle of the samples by this many of their sd.
 REACH = 3.0
 #: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
@@ -61,6 +63,7 @@ class SearchState:
         settled: The last step was short, and the samples no wider than the posterior.
         trail: Estimates after each step of polishing a rough cost, shape (k, d).
         first: Posterior of the clips' first states; None: as recorded.
+        straight: Nothing touches, and samples of this width hardly bend: short steps to one side do.
     """
 
     stage: Stage
@@ -72,6 +75,7 @@ class SearchState:
     settled: bool = False
     trail: FloatArray = field(default_factory=lambda: np.empty((0, 0)))
     first: FirstStates | None = None
+    straight: bool = False
 
     @property
     def done(self) -> bool:
@@ -80,8 +84,13 @@ class SearchState:
 
 
 def start(problem: Problem) -> SearchState:
-    """State before the first iteration: at the prior's mean, sampling with half its sd."""
-    return SearchState("explore", 0, np.zeros(len(problem.system.space)), diagonal(WIDEST, problem.active))
+    """State before the first iteration: at the prior's mean, sampling with half its sd.
+
+    Random clips show other contacts each time, and more of long logs. Without either they are no use.
+    """
+    few = len(problem.clips) <= problem.clip_count and problem.settings.identify.first_state != "polish"
+    stage = "polish" if few and not problem.touches else "explore"
+    return SearchState(stage, 0, np.zeros(len(problem.system.space)), diagonal(WIDEST, problem.active))
 
 
 def total(problem: Problem, state: SearchState) -> int:
@@ -89,8 +98,16 @@ def total(problem: Problem, state: SearchState) -> int:
     return problem.settings.identify.iterations
 
 
-def restart(problem: Problem, z: FloatArray) -> SearchState:
-    """State that polishes from z (d,), for a part of a solved problem."""
+def restart(problem: Problem, z: FloatArray, shape: FloatArray | None = None) -> SearchState:
+    """State that polishes from z (d,), for a part of a solved problem.
+
+    Args:
+        problem: The part.
+        z: Where to start, shape (d,).
+        shape: Shape of the samples of z (d, d) that proved to be straight; None: none did.
+    """
+    if shape is not None:
+        return SearchState("polish", 0, z, shape, straight=True)
     return SearchState("polish", 0, z, diagonal(0.5 * WIDEST, problem.active))
 
 
@@ -103,7 +120,7 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     cost = problem.cost(windows, state.scale)
     nx = cost.nx if _fits_first_states(setting.first_state, exploring) else 0
     first = state.first or FirstStates.recorded(len(windows), nx)
-    slopes = linearise(cost, state.z, first, state.shape, setting.samples, rng, averaged=problem.rough)
+    slopes = problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
     found = information(slopes)
     taken = gauss_newton(problem, state, slopes, found)
     shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
@@ -125,7 +142,8 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
         scale=fitted_noise_scale(slopes, found, state.scale),
         record=(*state.record, _entry(problem, state, taken, slopes)),
         # these clips are the same next time; random ones are not
-        first=None if exploring else found.first_states(z - state.z, first_floor(problem)),
+        first=None if exploring else problem.first_states(found, z - state.z),
+        straight=not (problem.touches or taken.far) and float(slopes.bend.mean()) < STRAIGHT,
     )
 
 
@@ -136,7 +154,7 @@ class LineStep:
     Args:
         z: The new estimate, shape (d,).
         moved: Length of the step, in posterior sd.
-        far: The full step left the region that was sampled, and was shortened.
+        far: The full step left the region that was sampled, and was shortened, or did not help.
         cost: Cost at the new estimate, in units of the declared noise.
     """
 
@@ -156,7 +174,9 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
     score = np.einsum("c,ci->i", weight, found.score)
     step, hessian = gauss_newton_step(matrix, score, prior, state.z)
     step = step * problem.active
-    reach = np.abs(coordinates(state.shape, step[None])).max() / REACH
+    # slopes of a smooth cost are good beyond the samples: there, the true cost alone decides how far
+    width = state.shape if problem.touches else diagonal(WIDEST, problem.active)
+    reach = np.abs(coordinates(width, step[None])).max() / REACH
     blind = problem.rough and state.stage == "polish"
     line = BLIND_LINE if blind else LINE
     tried = problem.system.space.clip(state.z + line[:, None] * step / max(1.0, reach))
@@ -167,11 +187,12 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
     values = values + quadratic_prior(tried, np.zeros_like(state.z), prior)
     best = int(np.argmax(np.isfinite(values)) if blind else np.argmin(values))
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
-    moved = tried[best] - state.z
+    moved = tried[best] - state.z if problem.touches else step
+    length = float(np.sqrt(moved @ hessian @ moved))
     return LineStep(
         z=tried[best],
-        moved=float(np.sqrt(moved @ hessian @ moved)),
-        far=bool(reach > 1.0),
+        moved=length,
+        far=bool(reach > 1.0) or (line[best] == 0.0 and length > SETTLED),
         cost=float(cost.rescaled(residuals, declared)[best]),
         rollouts=residuals.completed.size,
         diverged=int((~residuals.completed).sum()),
@@ -187,10 +208,11 @@ def _reshaped(
     """
     floor = spread_floor(problem)
     if taken.far:
-        return bounded(4.0 * state.shape @ state.shape.T, floor, problem.active)
+        return bounded(4.0 * state.shape @ state.shape.T, floor, problem.active, problem.alike)
     known = straight.matrix.sum(axis=0) * problem.coverage(windows)
     covariance = np.linalg.inv(known + problem.system.space.prior_precision)
-    return adapted(covariance, state.shape, floor, problem.active)
+    before = state.shape if problem.touches else np.zeros_like(state.shape)
+    return adapted(covariance, before, floor, problem.active, problem.alike)
 
 
 def _averaged(trail: FloatArray) -> FloatArray:

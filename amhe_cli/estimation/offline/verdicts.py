@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import Z90, correlation
 from amhe_cli.estimation.offline.posterior import Disagreement
@@ -303,7 +303,7 @@ def size(space: ParameterSpace, i: int, dz: float) -> str:
 
 def profiles(
     space: ParameterSpace,
-    cost: Callable[[FloatArray], FloatArray],
+    costs_along: Callable[[IntArray, FloatArray], FloatArray],
     z: FloatArray,
     sd: FloatArray,
     active: np.ndarray,
@@ -312,18 +312,19 @@ def profiles(
     """Cost along each active parameter through the estimate, the others held.
 
     Args:
-        cost: Costs (p,) of candidates (p, d).
+        costs_along: Costs (m, p) of m parameters, by their rows (m,), at values of z (m, p).
         sd: Posterior sd of z: the profile reaches 4 of them, at least 0.3 prior sd, to either side.
         points: Points of each profile.
     """
     columns = np.flatnonzero(active)
     if points < 3 or not columns.size:
         return {}
-    reach = np.maximum(4.0 * sd, 0.3)
+    reach = np.maximum(4.0 * sd, 0.3)[columns]
+    lower, upper = (bound[columns] for bound in space.bounds)
+    middle = z[columns]
+    values = np.linspace(np.maximum(lower, middle - reach), np.minimum(upper, middle + reach), points, axis=1)
+    costs = costs_along(columns, values)
     candidates = np.repeat(z[None], columns.size * points, axis=0).reshape(columns.size, points, -1)
-    for row, i in enumerate(columns):
-        lower, upper = (b[i] for b in space.bounds)
-        candidates[row, :, i] = np.linspace(max(lower, z[i] - reach[i]), min(upper, z[i] + reach[i]), points)
-    costs = cost(candidates.reshape(-1, z.size)).reshape(columns.size, points)
+    candidates[np.arange(columns.size), :, columns] = values
     theta = space.theta_of(candidates)
     return {int(i): (theta[row, :, i], costs[row]) for row, i in enumerate(columns)}

@@ -30,7 +30,7 @@ def test_a_model_without_contacts_is_smooth_however_its_response_bends(monkeypat
 
 def test_the_kink_of_a_command_delay_on_the_command_grid_is_no_roughness(monkeypatch, delayed, swing):
     """At a delay of ten time steps the even response is 0.0025 of the odd one; between them it vanishes."""
-    monkeypatch.setattr(Problem, "_touches", lambda *_: True)
+    monkeypatch.setattr(Problem, "touches", True)
     monkeypatch.setattr(module, "ROUGH", 1e-4)
     monkeypatch.setattr(Problem, "active", np.array([False, False, False, False, True]))
     found = problem(delayed, swing(3.0))

@@ -211,10 +211,10 @@ def test_a_combination_names_no_factor_with_an_exponent_of_zero() -> None:
 
 def test_a_profile_passes_through_the_estimate_within_the_bounds() -> None:
     z, sd, active = np.array([0.4, -0.2, 4.4]), np.full(3, 0.05), np.array([True, False, True])
-    found = profiles(SPACE, lambda c: ((c - z) ** 2).sum(axis=1), z, sd, active, points=11)
+    found = profiles(SPACE, lambda rows, at: (at - z[rows, None]) ** 2, z, sd, active, points=11)
     assert set(found) == {0, 2}
     theta, costs = found[0]
     assert theta[5] == pytest.approx(SPACE.theta_of(z)[0]) and costs[5] == pytest.approx(0.0, abs=1e-12)
     assert costs[[0, -1]] == pytest.approx(0.09)
     assert found[2][0].max() <= 1.0, "the upper bound"
-    assert profiles(SPACE, lambda c: c[:, 0], z, sd, active, points=2) == {}
+    assert profiles(SPACE, lambda rows, at: at, z, sd, active, points=2) == {}
