@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from math import isfinite
 from typing import TYPE_CHECKING
 
@@ -9,6 +10,7 @@ import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.session import Session
+from amhe_cli.cli.watching import watched, watching_robot
 
 if TYPE_CHECKING:
     from amhe_cli.cli.settings import Overrides
@@ -84,6 +86,7 @@ OFFSET = _Offset()
     help="Box in its rigid body.  [default: go1.box_offset]",
 )
 @click.option("--seed", type=options.WholeNumber(min=0), default=0, show_default=True, metavar="N")
+@watched
 @options.tuning
 @options.common
 @click.pass_obj
@@ -99,6 +102,7 @@ def emulate(
     seed: int,
     trunk_offset: tuple[float, ...] | None,
     box_offset: tuple[float, ...] | None,
+    watch: bool,
     overrides: Overrides,
 ) -> None:
     """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
@@ -130,7 +134,8 @@ def emulate(
         seen = f", motion capture on {cameras[0]}:{cameras[1]}" if cameras else ""
         session.say("", f"a Go1 before the box of {task} on {robot[0]}:{robot[1]}{seen}; Ctrl-C ends")
         take_priority(ROBOT)  # a robot does not wait for whoever plans on the same computer
-        emulator.serve(stopped)
+        with watching_robot(session, system, measured, emulator.body) if watch else nullcontext() as show:
+            emulator.serve(lambda: (show() if show else None) or stopped())
         accepted, rejected = emulator.counts
         lag = f"; this computer was {emulator.lag:.1f} s too slow" if emulator.lag > 0.05 else ""
         session.say("", f"{accepted} commands, {rejected} damaged datagrams{lag}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,7 @@ from amhe_cli.cli import log_path, options
 from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.prior_options import believed, narrowing
 from amhe_cli.cli.session import Session
+from amhe_cli.cli.watching import watched, watching_replay
 
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
@@ -31,6 +33,7 @@ _SHOWN = 4
     "Start from a belief.yaml, its sd floored so that it can still move, instead of the system's prior."
 )
 @narrowing
+@watched
 @estimator
 @options.work
 @options.tuning
@@ -48,6 +51,7 @@ def mhe_replay(
     seed: int,
     threads: int,
     engine: str,
+    watch: bool,
     overrides: Overrides,
     out: options.Output,
 ) -> None:
@@ -83,8 +87,17 @@ def mhe_replay(
         paced=follows,
     )  # fmt: skip
     with stopping(session) as stopped:
-        with progress(session, "mhe-replay", partial(_shown, problem)) as show:
-            done = replayed(problem, show, stopped)
+        with (
+            progress(session, "mhe-replay", partial(_shown, problem)) as show,
+            watching_replay(session, problem) if watch else nullcontext(None) as watching,
+        ):
+
+            def on_estimate(estimate: Estimate) -> None:
+                show(estimate)
+                if watching:
+                    watching(estimate)
+
+            done = replayed(problem, on_estimate, stopped)
         caution(done)
         session.interrupted = done.interrupted
         predicted, fits = predictions(done, problem.engine), replay_fits(done, problem.engine)

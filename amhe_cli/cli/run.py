@@ -13,11 +13,13 @@ from amhe_cli.cli import at_the_robot, options
 from amhe_cli.cli.estimator_options import estimator
 from amhe_cli.cli.prior_options import believed
 from amhe_cli.cli.session import Session
+from amhe_cli.cli.watching import watched, watching_run
 
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
     from amhe_cli.cli.settings import Overrides
     from amhe_cli.core.errors import Ending
+    from amhe_cli.live.episode import Cycle
 
 _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
@@ -64,6 +66,7 @@ _TASKS = (
     metavar="XML",
     help="MJCF of another Go1 to simulate; the planner keeps its own.",
 )
+@watched
 @estimator
 @options.tuning
 @options.out
@@ -83,6 +86,7 @@ def run(
     realtime: bool,
     video: bool,
     plant: Path | None,
+    watch: bool,
     overrides: Overrides,
     out: options.Output,
     **wire: Any,
@@ -128,11 +132,15 @@ def run(
                 stack.enter_context(film.shooting(scratch / "video.mp4", later=realtime)) if film else None
             )
 
+            watching = stack.enter_context(watching_run(session, opened)) if watch else None
+
             def go() -> Ending:
                 with progress(session, f"{task} {mode}", _shown(), stays=opened.plant is None) as show:
 
-                    def on_cycle(cycle: object, row: dict[str, float]) -> None:
+                    def on_cycle(cycle: Cycle, row: dict[str, float]) -> None:
                         show(row)
+                        if watching:
+                            watching(cycle, row)
                         if shoot and opened.plant:
                             shoot(row["time"], opened.plant.qpos)
 

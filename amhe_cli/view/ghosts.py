@@ -138,7 +138,7 @@ def viewing(
     length = settings.held_out_length or 0.5 * sum(settings.length)
     cut = [(w, held) for part, held in parts for w in ClipPool(system, [part], settings).cut(length)]
     kept = cut[:: max(1, -(-sum(w.length for w, _ in cut) // _STEPS), -(-len(cut) // _TAKES))]
-    columns = tuple(_columns(system, logs[0]))
+    columns = tuple(columns_of(system, logs[0]))
     frame = 14 * len(scene.bodies) + 2 * len(columns)
     seconds = (1 + len(candidates)) * sum(w.duration for w, _ in kept)
     rate = min(RATE, _CLIPS * _BYTES / (frame * max(seconds, 1e-9)))
@@ -146,15 +146,16 @@ def viewing(
     z = np.stack(list(candidates.values()))
     recordings, takes = [], []
     for number, log in enumerate(logs):
-        measured = _Measured(scene, log, z[-1])
+        measured = MeasuredLog(scene, log, z[-1])
         recordings.append(Recording(Path(log.source).name, measured.track(coarse), measured.gaps))
         own = [(w, held) for w, held in kept if w.log is log]
-        takes += _takes(measured, number, own, z, engine, rate) if own else ()
+        takes += takes_of(measured, number, own, z, engine, rate) if own else ()
     takes.sort(key=lambda take: (take.held_out is not True, -take.costs[-1]))
     return Viewing(scene, columns, tuple(candidates), tuple(recordings), tuple(takes), len(cut) - len(kept))
 
 
-def _columns(system: System, log: Log) -> Iterator[Plotted]:
+def columns_of(system: System, log: Log) -> Iterator[Plotted]:
+    """What is plotted of a system's logs."""
     for channel in _shown(system):
         turn = channel.kind == "rotation"
         for name in ("x", "y", "z") if turn else log[channel.key].columns:
@@ -165,7 +166,7 @@ def _shown(system: System) -> list[Channel]:
     return [channel for channel in system.channels if channel.compared]
 
 
-class _Measured:
+class MeasuredLog:
     """States of a log at any of its rows, as true states under z (d,)."""
 
     def __init__(self, scene: Scene, log: Log, z: FloatArray) -> None:
@@ -187,6 +188,7 @@ class _Measured:
 
     @property
     def gaps(self) -> FloatArray:
+        """Times at which a gap begins and ends [s], shape (m, 2)."""
         edges = np.flatnonzero(np.diff(np.concatenate(([True], self.usable, [True])).astype(int)))
         return np.array(edges.reshape(-1, 2) * self.log.dt, dtype=np.float64)
 
@@ -231,15 +233,24 @@ class _Measured:
         return np.broadcast_to(self.zero[channel.key], (count, 4))
 
 
-def _takes(
-    measured: _Measured,
+def takes_of(
+    measured: MeasuredLog,
     recording: int,
     windows: Sequence[tuple[Window, bool | None]],
     z: FloatArray,
     engine: Engine,
     rate: float,
 ) -> Iterator[Take]:
-    """Clips of one log under candidates z (p, d)."""
+    """Clips of one log, with ghosts.
+
+    Args:
+        measured: The log.
+        recording: Row of its recording.
+        windows: The clips, and whether each was held out.
+        z: The candidates, shape (p, d).
+        engine: The system's engine.
+        rate: Frames of a second.
+    """
     system, dt = measured.scene.system, measured.log.dt
     cost = MatchingCost(system, [window for window, _ in windows], engine, system.settings.cost)
     costs = cost.clip_costs(cost.residuals(z))
@@ -253,7 +264,7 @@ def _takes(
 
 
 def _ghost(
-    measured: _Measured, starts: Starts, rolled: RolledOut, i: int, rows: IntArray, own: Track
+    measured: MeasuredLog, starts: Starts, rolled: RolledOut, i: int, rows: IntArray, own: Track
 ) -> Track | None:
     """Clip i of rollouts at some of its instants; None where it diverged."""
     if not rolled.rollouts.completed[i]:

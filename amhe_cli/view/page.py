@@ -9,8 +9,8 @@ import html
 import json
 import re
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from typing import Any
 
@@ -21,15 +21,15 @@ from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import Belief, ParameterSpace
 from amhe_cli.core.statistics import Z90
 from amhe_cli.core.text import printable
-from amhe_cli.view.ghosts import Plotted, Track, Viewing
-from amhe_cli.view.scene import Scene
+from amhe_cli.view.ghosts import Plotted, Take, Track, Viewing
+from amhe_cli.view.scene import Geom, Scene
 
 #: How far ghosts may leave the measured places, before they stop at an edge [m].
 _BEYOND = 2.0
 #: The number that stands for no value, and the largest one of a value.
 _NONE, _MOST = -32768, 32767
 #: Files of the page's script, in their order.
-_SCRIPTS = ("numbers.js", "stage.js", "plots.js", "player.js")
+_SCRIPTS = ("numbers.js", "stage.js", "plots.js", "live.js", "player.js")
 _PART = re.compile(r"\{\{(\w+)\}\}")
 
 
@@ -50,38 +50,85 @@ class Heading:
     parameters: Sequence[Mapping[str, Any]] = field(default_factory=tuple)
 
 
+#: Packs a track as plain values.
+Packed = Callable[[Track], dict[str, Any]]
+
+
 def saved_page(viewing: Viewing, heading: Heading) -> str:
     """The page of a viewing, with all of its frames."""
+    data, packed = _recorded(viewing)
+    return _page(heading, data | {"takes": [take_data(take, packed) for take in viewing.takes]})
+
+
+def replay_page(
+    viewing: Viewing, heading: Heading, curves: Mapping[str, tuple[str, str]]
+) -> tuple[str, Packed]:
+    """A page of recordings whose clips are still to come, and what packs their tracks.
+
+    Args:
+        viewing: The recordings.
+        heading: What stands around the scene.
+        curves: Name of each curve that will come -> its group and its unit.
+    """
+    data, packed = _recorded(viewing)
+    return _page(heading, data | {"takes": [], "live": {"curves": curves}}), packed
+
+
+def live_page(
+    scene: Scene,
+    ghosts: Sequence[str],
+    curves: Mapping[str, tuple[str, str]],
+    step: float,
+    heading: Heading,
+    more: Sequence[Geom] = (),
+) -> str:
+    """A page whose frames are still to come.
+
+    Args:
+        scene: What is drawn.
+        ghosts: Names of the ghosts.
+        curves: Name of each curve -> its group and its unit.
+        step: Time between two frames [s].
+        heading: What stands around the scene.
+        more: Geoms that do not move, drawn beside the scene's own.
+    """
+    empty = {"step": step, "poses": "", "values": ""}
+    data = {
+        **_about(replace(scene, geoms=(*scene.geoms, *more)), (), ghosts),
+        "ranges": {"poses": ([0.0] * 7, [0.0] * 7), "values": ([], [])},
+        "recordings": [{"name": "", "gaps": [], "track": empty}],
+        "takes": [],
+        "live": {"curves": curves},
+    }
+    return _page(heading, data)
+
+
+def take_data(take: Take, packed: Packed) -> dict[str, Any]:
+    """A clip as plain values."""
+    tracks = (take.measured, *take.ghosts)
+    return {
+        "recording": take.recording, "start": take.start, "stop": take.stop, "held": take.held_out,
+        "costs": take.costs, "tracks": [None if one is None else packed(one) for one in tracks],
+    }  # fmt: skip
+
+
+def _recorded(viewing: Viewing) -> tuple[dict[str, Any], Packed]:
+    """The data of a page but its clips, and what packs their tracks."""
     poses = _Range.of_poses([recording.track for recording in viewing.recordings])
     values = _Range.of_values([recording.track for recording in viewing.recordings])
 
     def packed(track: Track) -> dict[str, Any]:
-        return {
-            "step": track.step,
-            "count": len(track.poses),
-            "poses": poses.packed(track.poses),
-            "values": values.packed(track.values),
-        }
+        return {"step": track.step, "poses": poses.packed(track.poses), "values": values.packed(track.values)}
 
-    return _page(
-        heading,
-        {
-            **_about(viewing.scene, viewing.columns, viewing.candidates),
-            "ranges": {"poses": poses.ends, "values": values.ends},
-            "recordings": [
-                {"name": printable(r.name), "gaps": r.gaps, "track": packed(r.track)}
-                for r in viewing.recordings
-            ],
-            "takes": [
-                {
-                    "recording": take.recording, "start": take.start, "stop": take.stop,
-                    "held": take.held_out, "costs": take.costs,
-                    "tracks": [None if one is None else packed(one) for one in (take.measured, *take.ghosts)],
-                }
-                for take in viewing.takes
-            ],
-        },
-    )  # fmt: skip
+    data = {
+        **_about(viewing.scene, viewing.columns, viewing.candidates),
+        "ranges": {"poses": poses.ends, "values": values.ends},
+        "recordings": [
+            {"name": printable(one.name), "gaps": one.gaps, "track": packed(one.track)}
+            for one in viewing.recordings
+        ],
+    }
+    return data, packed
 
 
 def parameter_rows(space: ParameterSpace, belief: Belief | None) -> list[dict[str, Any]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +12,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.system.coupled import couplings
 from amhe_cli.system.system import System
-from amhe_cli.view.shapes import Shape, shape_of
+from amhe_cli.view.shapes import Shape, boxed, shape_of
 
 #: Groups of geoms that are shown, as in MuJoCo's own viewers; the others hold collision shapes.
 _SHOWN = (0, 1, 2)
@@ -103,6 +103,13 @@ def scene_of(system: System) -> Scene:
     most = _TRIANGLES // max(1, sum(int(model.geom_dataid[g]) >= 0 for g in shown))
     geoms = [found for g in shown if (found := _geom(model, g, drawn, most)) is not None]
     return Scene(system, tuple(drawn), tuple(geoms))
+
+
+def plate(place: FloatArray, half: tuple[float, float], yaw: float, color: Sequence[float]) -> Geom:
+    """A thin plate on the floor at a place (2,) [m], so long and wide to each side, turned by a yaw [rad]."""
+    pose = np.array([*place, 0.002, np.cos(0.5 * yaw), 0.0, 0.0, np.sin(0.5 * yaw)])
+    r, g, b, a = color
+    return Geom(-1, boxed((*half, 0.0005)), pose, (r, g, b, a), False)
 
 
 def _geom(model: mujoco.MjModel, geom: int, bodies: list[int], most: int) -> Geom | None:

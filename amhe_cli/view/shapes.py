@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -53,6 +54,11 @@ def shape_of(model: mujoco.MjModel, geom: int, most: int) -> Shape | None:
     if kind in (_TYPES.mjGEOM_MESH, _TYPES.mjGEOM_SDF) and model.geom_dataid[geom] >= 0:
         return _mesh(model, int(model.geom_dataid[geom]), most)
     return None
+
+
+def boxed(half: Sequence[float]) -> Shape:
+    """A box of so many metres to each side of its centre."""
+    return _scaled(_CUBE, np.array(half))
 
 
 def decimated(shape: Shape, most: int) -> Shape:

@@ -60,6 +60,14 @@ class Track {
   constructor(step, bodies, width, poses, values) {
     Object.assign(this, { step, bodies, width, poses, values, count: poses.length / (7 * bodies || 1) });
   }
+  // Appends a frame with a number; frames that did not come are the one before.
+  push(poses, frame) {
+    const wide = 7 * this.bodies;
+    if ((frame + 1) * wide > this.poses.length) { const more = new Float32Array(2 * (frame + 1) * wide); more.set(this.poses); this.poses = more; }
+    const before = this.poses.slice((this.count - 1) * wide, this.count * wide);
+    for (; this.count < frame; this.count++) this.poses.set(before.length ? before : poses, this.count * wide);
+    if (this.count === frame) this.poses.set(poses, this.count++ * wide);
+  }
   get duration() { return this.step * Math.max(this.count - 1, 0); }
   // Poses of all bodies at a time from the track's start, between frames interpolated.
   at(time) {

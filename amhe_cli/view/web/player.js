@@ -17,17 +17,26 @@ class Player {
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.palette(); this.redraw(); });
     new ResizeObserver(() => this.redraw()).observe(document.body);
     this.redraw(); requestAnimationFrame((stamp) => this.frame(stamp));
+    if (data.live) this.live = new Live(this, data.live);
   }
   get recording() { return this.recordings[this.row]; }
   get end() { return this.recording.track.duration; }
   decode() {
     const { data } = this, count = data.bodies.length, width = data.columns.length;
     const track = (one) => one && new Track(one.step, count, width, unpacked(one.poses, data.ranges.poses), unpacked(one.values, data.ranges.values));
-    this.recordings = data.recordings.map((one) => ({ ...one, track: track(one.track), ghosts: [], takes: [] }));
-    this.takes = data.takes.map((one) => ({ ...one, tracks: one.tracks.map(track) }));
+    this.decoded = (take) => ({ ...take, tracks: take.tracks.map(track) });
+    this.recordings = data.recordings.map((one) => ({ ...one, track: track(one.track), ghosts: data.candidates.map(() => track({ ...one.track, poses: "", values: "" })), takes: [] }));
+    this.takes = data.takes.map(this.decoded);
     for (const take of this.takes) this.recordings[take.recording].takes.push(take);
     for (const one of this.recordings) one.takes.sort((a, b) => a.start - b.start);
     this.scalars = new Map(); this.events = [];
+  }
+  // A clip that has just come.
+  added(take) {
+    const own = this.decoded(take);
+    this.takes.push(own); this.takes.sort((a, b) => (b.costs.at(-1) ?? Infinity) - (a.costs.at(-1) ?? Infinity));
+    this.recordings[take.recording].takes.push(own); this.unlisted = true;
+    if (this.following && !this.take) { this.now = take.stop; this.dirty = true; }
   }
   palette() {
     const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue("--" + name).trim();
@@ -68,8 +77,8 @@ class Player {
     });
   }
   list() {
-    const { candidates, live } = this.data, box = $("list");
-    $("clips").hidden = !this.takes.length && !live; box.replaceChildren();
+    const { candidates } = this.data, box = $("list");
+    $("clips").hidden = !this.takes.length; box.replaceChildren();
     $("clipkey").textContent = this.takes.length ? `cost: ${candidates.join(" → ")}` : "";
     const largest = Math.max(...this.takes.flatMap((take) => take.costs.filter((cost) => cost !== null)), 1e-9);
     this.takes.forEach((take, i) => {
@@ -169,7 +178,7 @@ class Player {
       if (this.now > to) this.now = this.take ? from : to;
       if (this.now >= to && !this.take && !this.data.live) this.play(false);
     }
-    if (this.stale) { this.stale = false; this.redraw(); }
+    if (this.stale) { this.stale = false; if (this.unlisted) { this.unlisted = false; this.list(); } this.redraw(); }
     if (this.dirty) this.paint();
     requestAnimationFrame((next) => this.frame(next));
   }

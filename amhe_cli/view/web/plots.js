@@ -37,11 +37,11 @@ class Plots {
     for (const line of lines.filter((line) => line.frames !== false)) measure(line, line.values);
     const measured = [low, high];
     for (const line of lines.filter((line) => line.frames === false)) measure(line, line.values);
-    for (const line of lines.filter((line) => line.lower)) measure(line, line.lower, line.upper);
     if (Number.isFinite(measured[0])) {  // a curve that runs away must not flatten the others
       const most = Math.max(2 * (measured[1] - measured[0]), 1e-9);
       low = Math.max(low, measured[0] - most); high = Math.min(high, measured[1] + most);
     }
+    for (const line of lines.filter((line) => line.lower)) measure(line, line.lower, line.upper);
     if (!Number.isFinite(low)) [low, high] = [0, 1];
     const margin = 0.08 * (high - low) || 0.1 * Math.abs(high) || 1;
     low -= margin; high += margin;

@@ -12,6 +12,7 @@ from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.state import RobotState
 from amhe_cli.robots.go1.model import plant_model
 from amhe_cli.robots.go1.motor_plant import MotorPlant
+from amhe_cli.robots.go1.state import State
 from amhe_cli.robots.go1.tasks import Task
 
 STEP = 0.001
@@ -58,6 +59,11 @@ class EmulatedBody:
     def parameters(self) -> dict[str, float]:
         """The box's true numbers, by name."""
         return self._plant.parameters
+
+    @property
+    def state(self) -> State:
+        """True state of robot and box."""
+        return self._plant.state
 
     @property
     def trunk_height(self) -> float:

@@ -1,0 +1,116 @@
+"""`--view`: a page that shows what a command does, while it does it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import click
+
+from amhe_cli.cli.browser import announce
+from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.estimation.online.horizon import Estimate
+    from amhe_cli.estimation.online.replay import ReplayProblem
+    from amhe_cli.live.episode import Cycle
+    from amhe_cli.robots.go1.emulator.body import EmulatedBody
+    from amhe_cli.robots.go1.run import Run
+    from amhe_cli.robots.go1.tasks import Task
+    from amhe_cli.system.system import System
+    from amhe_cli.view.scene import Geom
+
+watched = click.option(
+    "--view", "watch", is_flag=True, help="Serve a page to this computer that shows it live (docs/view.md)."
+)
+
+
+@contextmanager
+def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[str, float]], None]]:
+    """Show the cycles of a run: its state, the estimated one as a ghost, belief and cost."""
+    from amhe_cli.robots.go1.model import layout
+    from amhe_cli.robots.go1.state import coordinates
+    from amhe_cli.view.live import Happening, StatesShown
+    from amhe_cli.view.page import Heading
+    from amhe_cli.view.scene import scene_of
+
+    system, at = run.system, layout(run.system.model)
+    units = {p.name: "" if p.unit == "-" else p.unit for p in system.space.parameters}
+    curves = {name: ("parameters", unit) for name, unit in units.items()}
+    curves |= {"speed": ("run", "m/s"), "cost": ("run", ""), "cycle time": ("run", "ms")}
+    heading = Heading(f"{run.task.name} {run.options.mode}", (run.task.title,))
+    page = StatesShown(scene_of(system), ["estimated"], curves, heading, list(_floor(run.task)))
+
+    def show(cycle: Cycle, row: dict[str, float]) -> None:
+        if not page.due(cycle.time):
+            return
+        numbers = {
+            name: tuple(row[end + name] for end in ("belief/", "lower/", "upper/") if end + name in row)
+            for name in units
+        }
+        step = cycle.plan.step
+        numbers |= {"speed": (row["speed"],), "cycle time": (cycle.plan_ms,)}
+        numbers |= {"cost": (step.best,)} if step else {}
+        true = cycle.truth
+        states = [coordinates(at, state)[0] for state in (true or cycle.estimate, cycle.estimate)]
+        jumped = any(getattr(news, "mark", "") == "jump" for news in cycle.news)
+        page.put(Happening(cycle.time, [states[0], states[1] if true else None], numbers, jumped))
+
+    with page:
+        announce(session, page.server)
+        yield show
+
+
+@contextmanager
+def watching_robot(
+    session: Session, system: System, task: Task, body: EmulatedBody
+) -> Iterator[Callable[[], None]]:
+    """Show an emulated robot; the function is called at each of its steps."""
+    from amhe_cli.robots.go1.model import layout
+    from amhe_cli.robots.go1.state import coordinates
+    from amhe_cli.view.live import Happening, StatesShown
+    from amhe_cli.view.page import Heading
+    from amhe_cli.view.scene import scene_of
+
+    at = layout(system.model)
+    page = StatesShown(scene_of(system), [], {}, Heading(f"emulated Go1, {task.name}"), list(_floor(task)))
+
+    def show() -> None:
+        if page.due(body.time):
+            page.put(Happening(body.time, [coordinates(at, body.state)[0]]))
+
+    with page:
+        announce(session, page.server)
+        yield show
+
+
+@contextmanager
+def watching_replay(session: Session, problem: ReplayProblem) -> Iterator[Callable[[Estimate], None]]:
+    """Show each window of a replay with ghosts under the first belief and under its own estimate."""
+    from amhe_cli.view.live_takes import TakesShown
+
+    page = TakesShown(problem)
+    with page:
+        announce(session, page.server)
+        yield page.show
+
+
+def _floor(task: Task) -> Iterator[Geom]:
+    """Path and goal of a task, as plates on the floor."""
+    import numpy as np
+
+    from amhe_cli.view.scene import plate
+
+    path, (depth, width) = task.floor.path, task.floor.footprint
+    blue, green = (0.15, 0.39, 0.92, 1.0), (0.08, 0.55, 0.25, 1.0)
+    for start, end in pairwise(path):
+        along = end - start
+        half = (0.5 * float(np.hypot(*along)), 0.012)
+        yield plate(0.5 * (start + end), half, float(np.arctan2(along[1], along[0])), blue)
+    yaw = task.floor.goal_yaw
+    ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
+    for side in (-0.5, 0.5):
+        yield plate(path[-1] + side * depth * ahead, (0.012, 0.5 * width), yaw, green)
+        yield plate(path[-1] + side * width * left, (0.5 * depth, 0.012), yaw, green)

@@ -1,0 +1,159 @@
+"""A page that follows what happens now: states, ghosts and numbers go to it while a loop runs.
+
+The loop only puts an item into a queue, and drops it where the queue is full. A thread of its own computes
+what is drawn, and each browser has another one: none of them makes the loop wait.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from base64 import b64encode
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from queue import Empty, Full, Queue
+from threading import Condition, Event, Thread
+from types import TracebackType
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.files import plain
+from amhe_cli.view.page import Heading, live_page
+from amhe_cli.view.scene import Geom, Scene
+from amhe_cli.view.server import PageServer
+
+logger = logging.getLogger(__name__)
+
+#: Time between two frames [s].
+STEP = 0.04
+#: Items that wait, and messages that a browser gets that comes late.
+_WAITING, _KEPT = 50, 15_000
+
+T = TypeVar("T")
+
+
+class Broadcast(Generic[T]):
+    """A served page and a stream of messages to it; use it as a context manager.
+
+    Args:
+        page: The page.
+        encode: Makes a message of an item, in the broadcast's own thread.
+    """
+
+    def __init__(self, page: str, encode: Callable[[T], Mapping[str, Any]]) -> None:
+        self._encode = encode
+        self._queue: Queue[T] = Queue(_WAITING)
+        self._messages: deque[bytes] = deque(maxlen=_KEPT)
+        self._sent, self._news, self._over = 0, Condition(), Event()
+        self._server = PageServer(page, stream=self._stream)
+        self._thread = Thread(target=self._work, daemon=True)
+
+    def put(self, item: T) -> None:
+        """Hand over what has happened; it returns at once, and drops the item where too many wait."""
+        with suppress(Full):
+            self._queue.put_nowait(item)
+
+    @property
+    def server(self) -> PageServer:
+        """The server of the page."""
+        return self._server
+
+    def __enter__(self) -> Broadcast[T]:
+        self._server.__enter__()
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._over.set()
+        self._thread.join(timeout=2.0)
+        self._server.__exit__(kind, error, trace)
+
+    def _work(self) -> None:
+        while not (self._over.is_set() and self._queue.empty()):
+            try:
+                message = plain(self._encode(self._queue.get(timeout=0.1)))
+            except Empty:
+                continue
+            except Exception as error:  # a fault of the picture is none of the loop's
+                logger.warning("the live page misses something: %s", error)
+                continue
+            with self._news:
+                self._messages.append(json.dumps(message, separators=(",", ":")).encode())
+                self._sent += 1
+                self._news.notify_all()
+
+    def _stream(self, send: Callable[[bytes], None]) -> None:
+        done = 0
+        while True:
+            with self._news:
+                if done == self._sent and self._over.is_set() and not self._thread.is_alive():
+                    return send(b'{"over":true}')
+                if done == self._sent:
+                    self._news.wait(timeout=0.5)
+                first = self._sent - len(self._messages)
+                new = list(self._messages)[max(done - first, 0) :]
+                done = self._sent
+            for text in new:
+                send(text)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Happening:
+    """What a loop shows of one instant.
+
+    Args:
+        time: Time of the instant [s].
+        states: qpos of what is measured, and of each ghost; None: there is none. Shape (nq,) each.
+        numbers: Name of a curve -> its value, and the ends of its band where it has one.
+        event: Whether something happened that one may want to jump to.
+    """
+
+    time: float
+    states: Sequence[FloatArray | None]
+    numbers: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    event: bool = False
+
+
+class StatesShown(Broadcast[Happening]):
+    """States of a system while they happen.
+
+    Args:
+        scene: What is drawn.
+        ghosts: Names of the ghosts.
+        curves: Name of each curve -> its group and its unit.
+        heading: What stands around the scene.
+        more: Geoms that do not move, drawn beside the scene's own.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        ghosts: Sequence[str],
+        curves: Mapping[str, tuple[str, str]],
+        heading: Heading,
+        more: Sequence[Geom] = (),
+    ) -> None:
+        self._scene, self._next = scene, -np.inf
+        super().__init__(live_page(scene, ghosts, curves, STEP, heading, more), self._message)
+
+    def due(self, time: float) -> bool:
+        """Whether a frame is due at a time [s]; what lies between two frames is not shown."""
+        if time < self._next:
+            return False
+        self._next = time + STEP - 1e-6
+        return True
+
+    def _message(self, item: Happening) -> dict[str, Any]:
+        known = [state for state in item.states if state is not None]
+        poses = iter(self._scene.poses(np.array(known)))
+        packed = [
+            None if state is None else b64encode(next(poses).astype("<f4").tobytes()).decode()
+            for state in item.states
+        ]
+        return {"time": item.time, "poses": packed, "numbers": item.numbers, "event": item.event}

@@ -1,0 +1,34 @@
+// Frames, clips and numbers that arrive while something runs.
+class Live {
+  constructor(player, { curves }) {
+    this.player = player; this.last = new Map();
+    for (const [name, [group, unit]] of Object.entries(curves)) player.scalars.set(name, { name, group, unit, times: [], values: [], lower: null, upper: null });
+    $("channel").replaceChildren(); player.channels(); player.following = true;
+    this.source = new EventSource("stream");
+    this.source.onmessage = (event) => this.take(JSON.parse(event.data));
+    this.source.onerror = () => this.note(this.heard ? "The run has ended, or its page is no longer served." : "No connection yet.");
+    this.source.onopen = () => { this.heard = true; };
+    setInterval(() => { if (this.news) { this.news = false; player.stale = true; } }, 200);
+  }
+  note(text) {
+    if (this.said === text) return;
+    this.said = text; this.source.close(); $("notes").append(made("li", { textContent: text }));
+  }
+  take(message) {
+    const { player } = this, { track, ghosts } = player.recording;
+    if (message.over) return this.note("The run has ended.");
+    const was = player.end;
+    if (message.take) player.added(message.take);
+    if (message.poses) message.poses.forEach((text, i) => text && (i ? ghosts[i - 1] : track).push(floats(text), Math.round(message.time / track.step)));
+    for (const [name, [value, low, high]] of Object.entries(message.numbers ?? {})) {
+      const line = player.scalars.get(name);
+      if (!line) continue;
+      line.times.push(message.time); line.values.push(value);
+      if (low !== undefined) { line.lower ??= line.times.slice(1).map(() => NaN); line.upper ??= [...line.lower]; line.lower.push(low); line.upper.push(high); }
+    }
+    if (message.event) player.events.push(message.time);
+    if (!was && player.end) player.fit();
+    if (message.poses && player.following && !player.take) { player.now = player.end; player.dirty = true; }
+    this.news = true;
+  }
+}

@@ -1,0 +1,119 @@
+"""Live pages: what happens reaches the browser, and a browser changes nothing of what happens."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+import urllib.request
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.cli.main import run
+from amhe_cli.view.live import Broadcast, Happening, StatesShown
+from amhe_cli.view.page import Heading
+from amhe_cli.view.scene import scene_of
+from tests.view.browser import browser, needs_chromium
+
+
+def messages(address: str, count: int) -> list[dict]:
+    """The first messages of a stream."""
+    found: list[dict] = []
+    with urllib.request.urlopen(f"{address}stream", timeout=30) as stream:
+        while len(found) < count:
+            line = stream.readline()
+            if line.startswith(b"data: "):
+                found.append(json.loads(line[6:]))
+    return found
+
+
+def test_items_arrive_in_their_order_also_at_a_viewer_that_comes_late() -> None:
+    with Broadcast("<p>", lambda item: {"item": item}) as shown:
+        for item in range(20):
+            shown.put(item)
+        assert [m["item"] for m in messages(shown.server.address, 20)] == list(range(20))
+        shown.put(20)
+        assert [m["item"] for m in messages(shown.server.address, 21)][-1] == 20
+
+
+def test_a_loop_never_waits_where_drawing_hangs() -> None:
+    free = Event()
+    with Broadcast("<p>", lambda item: (free.wait(30.0) and {"item": item}) or {}) as shown:
+        begun = time.perf_counter()
+        for item in range(10_000):
+            shown.put(item)
+        assert time.perf_counter() - begun < 5.0  # one item would take 30 s
+        free.set()
+
+
+def test_a_fault_of_the_picture_is_a_warning(caplog: pytest.LogCaptureFixture) -> None:
+    def faulty(item: int) -> dict[str, float]:
+        return {"item": 1 / item}
+
+    with Broadcast("<p>", faulty) as shown:
+        shown.put(0)
+        shown.put(2)
+        assert messages(shown.server.address, 1) == [{"item": 0.5}]
+    assert "misses something" in caplog.text
+
+
+def test_viewers_that_leave_or_hang_change_nothing() -> None:
+    with Broadcast("<p>", lambda item: {"item": item, "long": "x" * 100_000}) as shown:
+        host, port = shown.server.address.removeprefix("http://").rstrip("/").split(":")
+        request = f"GET /stream HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode()
+        hanging = socket.create_connection((host, int(port)))
+        hanging.sendall(request)
+        leaving = socket.create_connection((host, int(port)))
+        leaving.sendall(request)
+        leaving.close()
+        for item in range(40):
+            shown.put(item)
+        assert len(messages(shown.server.address, 40)) == 40
+        hanging.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "--task", "t4", "--duration", "0.3", "--mode", "true"],
+        ["mhe-replay", "example:t4", "--to", "1.2"],
+    ],
+    ids=["run", "mhe-replay"],
+)
+def test_a_watched_command_finds_the_same(arguments: list[str], tmp_path: Path, capsys) -> None:
+    found = []
+    for name, more in (("plain", []), ("watched", ["--view"])):
+        out = tmp_path / name
+        run([*arguments, *more, "-q", "--threads", "1", "-o", str(out)])
+        record = json.loads((out / "result.json").read_text())
+        timed = ("seconds", "out", "cycle_ms", "update_ms", "real_time_factor", "estimator", "warnings")
+        found.append({key: value for key, value in record.items() if key not in timed})
+        assert ("http://127.0.0.1:" in capsys.readouterr().err) is bool(more)
+    assert found[0] == found[1]
+
+
+@needs_chromium
+def test_the_page_follows_what_happens(tmp_path: Path) -> None:
+    scene = scene_of(amhe.System.load("pendulum"))
+    page = StatesShown(scene, ["guess"], {"load": ("parameters", "kg")}, Heading("live"))
+    with page, browser(tmp_path) as one:
+        one.open(page.server.address)
+        for i in range(50):
+            state = np.array([0.02 * i])
+            page.put(Happening(0.04 * i, [state, state + 0.3], {"load": (0.5, 0.4, 0.6)}, event=i == 20))
+        one.run(
+            "new Promise((done) => { const wait = () => player.end > 1.9 && player.now === player.end "
+            "? done() : setTimeout(wait, 20); wait(); })"
+        )
+        assert one.run("player.recording.ghosts[0].count") == 50
+        assert one.run("player.scalars.get('load').upper.length") == 50
+        turned = one.run("Math.abs(player.recording.track.at(1.96)[5])")
+        assert turned == pytest.approx(np.sin(0.5 * 0.02 * 49), abs=1e-3)
+        one.run("player.seek(0); document.getElementById('next').click()")
+        assert one.run("player.now") == pytest.approx(0.8)
+    assert one.requests[:2] == [page.server.address, f"{page.server.address}stream"]
