@@ -198,6 +198,7 @@ def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, 
         "link": {
             "trip": report.trip, "reason": report.reason, "slow": slow, "notes": report.notes,
             "round_trip_ms": report.contact.get("round_trip_ms"), "packets": report.intervals,
+            "dropped_poses": target.dropped_poses,
         }
     }  # fmt: skip
 

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _Damping = Annotated[float, Field(ge=0.0625, le=10)]
 _Speed = Annotated[float, Field(ge=1, le=40)]
 _Share = Annotated[float, Field(gt=0, le=1)]
+#: x, y, z [m].
+_Point = tuple[float, float, float]
 #: x, y, z [m], then a rotation vector [rad].
 _Offset = tuple[float, float, float, float, float, float]
 
@@ -61,13 +63,30 @@ class TripSettings(SettingsGroup):
     """Least share of the robot's last 200 states that must arrive; a second program takes about half."""
 
 
+class PoseSettings(SettingsGroup):
+    """What a pose of motion capture may be; one that is not is dropped."""
+
+    bounds: tuple[_Point, _Point] = ((-20.0, -20.0, -1.0), (20.0, 20.0, 4.0))
+    """The room: least and largest x, y, z of a rigid body in motion capture's frame [m]."""
+    trunk_speed: Annotated[float, Field(gt=0, le=5)] = 2.0
+    """Largest speed of the trunk from one pose to the next [m/s]."""
+    box_speed: Annotated[float, Field(gt=0, le=5)] = 1.5
+    """Largest speed of the box [m/s]."""
+    turn_speed: Annotated[float, Field(gt=0, le=20)] = 6.0
+    """Largest angular velocity of both [rad/s]."""
+    gate: Annotated[float, Field(ge=3, le=20)] = 6.0
+    """Largest distance from what the poses before predict, in sd."""
+    dropped: Annotated[int, Field(ge=3, le=50)] = 10
+    """This many dropped poses of the last hundred of a body end a run: the robot holds, and sits down."""
+
+
 class Go1Settings(SettingsGroup):
     """The real robot."""
 
     rate: Annotated[float, Field(ge=100, le=1000)] = 500.0
     """Rate of packets to the robot [Hz]."""
     crc: Literal["plain", "encrypted"] = "plain"
-    """Form of the commands' checksum: EDU robots take the plain one."""
+    """Form of the checksums of commands and states: EDU robots take the plain one."""
     kp: Annotated[float, Field(gt=0, le=100)] = 60.0
     """Gain of position control [N m/rad]: that of the planner's model."""
     kd: tuple[_Damping, _Damping, _Damping] = (2.0, 3.0, 3.0)
@@ -104,6 +123,7 @@ class Go1Settings(SettingsGroup):
     """Largest distance of the box from where the task puts it, before anything moves [m]."""
     pose_delay: Annotated[float, Field(ge=0)] = 0.0
     """Age of poses when they arrive, in addition to the age that the source itself gives [s]."""
+    poses: PoseSettings = PoseSettings()
     trips: TripSettings = TripSettings()
 
 

@@ -18,6 +18,7 @@ from amhe_cli.robots.go1.emulator.motive import Motive, Seen
 from amhe_cli.robots.go1.emulator.robot_port import RobotPort, bound
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.command import MotorCommand
+from amhe_cli.robots.go1.link.wire import CrcForm
 from amhe_cli.robots.go1.poses import udp
 from amhe_cli.robots.go1.poses.calibration import NO_OFFSET, Offset, rigid_body
 from amhe_cli.robots.go1.poses.source import Pose
@@ -48,6 +49,7 @@ class EmulatorOptions:
         seed: Seed of the sensors' noise.
         bodies: Names of trunk and box.
         offsets: Offsets of both in their rigid bodies, as `go1.trunk_offset` and `go1.box_offset`.
+        crc: Form of the states' checksums; commands are accepted with either.
     """
 
     task: Task
@@ -60,6 +62,7 @@ class EmulatorOptions:
     seed: int = 0
     bodies: tuple[str, str] = ("go1", "box")
     offsets: tuple[Offset, Offset] = (NO_OFFSET, NO_OFFSET)
+    crc: CrcForm = "plain"
 
 
 class Emulator:
@@ -80,7 +83,7 @@ class Emulator:
         self._driven_since: float | None = None
         self.lag = 0.0
         with ExitStack() as opening:  # a port is given back where a later step fails
-            self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults)))
+            self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults, o.crc)))
             self._cameras = opening.enter_context(closing(_cameras(o)))
             self._body = EmulatedBody(o.task, np.random.default_rng(o.seed))
             self._opened = opening.pop_all()

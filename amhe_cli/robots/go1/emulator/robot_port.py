@@ -44,6 +44,7 @@ class RobotPort:
     Args:
         host, port: Address to bind.
         faults: What goes wrong on the way.
+        crc: Form of the states' checksums.
 
     Attributes:
         command: The newest good command; before the first, one that does nothing in damping mode.
@@ -52,8 +53,9 @@ class RobotPort:
         peer: The address that sent last; None: nobody yet.
     """
 
-    def __init__(self, host: str, port: int, faults: Faults) -> None:
+    def __init__(self, host: str, port: int, faults: Faults, crc: wire.CrcForm = "plain") -> None:
         self._socket = bound(host, port)
+        self._crc: wire.CrcForm = crc
         self.cause(faults)
         self._waiting: list[tuple[float, int, bool, bytes]] = []
         self._order = itertools.count()
@@ -89,7 +91,7 @@ class RobotPort:
         """Send a state to the last sender."""
         if self.peer is None:
             return
-        self._delay(now, False, _HIGH_LEVEL if self._faults.high else state.encode(reported))
+        self._delay(now, False, _HIGH_LEVEL if self._faults.high else state.encode(reported, self._crc))
         self._deliver(now)
 
     def close(self) -> None:

@@ -7,7 +7,7 @@ import time
 
 
 class Clock:
-    """A clock in seconds that is the same for every process of this computer.
+    """A clock in seconds that is the same for every process of this computer, and is never set.
 
     Args:
         slow: How many seconds of the wall clock one of ours takes. An emulated robot may run slowed down;
@@ -25,10 +25,6 @@ class Clock:
         """Sleep until a time on this clock [s]; not at all if it has passed."""
         time.sleep(max(0.0, (then - self.now()) * self.slow))
 
-    def from_wall(self, realtime: float) -> float:
-        """Time on this clock of a recent instant on the computer's calendar clock [s]."""
-        return (time.monotonic() - (time.time() - realtime)) / self.slow
-
 
 class ClockMap:
     """Offset of another machine's clock from ours.
@@ -44,6 +40,11 @@ class ClockMap:
         self._window = window
         self._until = -math.inf
         self._last = self._least = math.inf
+
+    def ahead(self, stamp: float, arrival: float) -> float:
+        """How far a stamp is ahead of those before it [s]; 0 before the first, negative: it came late."""
+        least = min(self._least, self._last)
+        return least - (arrival - stamp) if math.isfinite(least) else 0.0
 
     def see(self, stamp: float, arrival: float) -> float:
         """Take in a message; its stamp on our clock [s], late by the shortest delay of a message so far."""

@@ -72,7 +72,7 @@ def decode(datagram: bytes) -> MotorCommand:
     Raises:
         PacketError: The datagram is not a command.
     """
-    motors = wire.opened(datagram, wire.COMMAND, either_form=True)["motors"][:JOINTS]
+    motors = wire.opened(datagram, wire.COMMAND, encrypted_too=True)["motors"][:JOINTS]
     return MotorCommand(
         int(motors["mode"][0]),
         motors["position"].astype(np.float64),

@@ -67,7 +67,7 @@ class Contact:
     _turned: float = -1.0
     _good: int = 0
     _ticks: tuple[int, int] | None = None
-    _strange: Counter[int] = field(default_factory=Counter)
+    _strange: Counter[tuple[int, str]] = field(default_factory=Counter)
 
     def turn(self, now: float) -> int:
         """The motors' mode to command at a time [s]."""
@@ -95,9 +95,9 @@ class Contact:
         if since >= _PACED_LONGEST:
             self._paced = tick, arrival
 
-    def see_strange(self, datagram: bytes) -> None:
-        """Count a datagram that is not a state."""
-        self._strange[len(datagram)] += 1
+    def see_strange(self, size: int, why: str) -> None:
+        """Count a datagram of so many bytes that is not a state, and why it is none."""
+        self._strange[size, why] += 1
 
     @property
     def complete(self) -> bool:
@@ -118,7 +118,7 @@ class Contact:
     def report(self) -> dict[str, Any]:
         """The findings as plain values; `share` is that of the robot's states that arrived."""
         expected = self._ticks[1] - self._ticks[0] + 1 if self._ticks else 0
-        strange = self._strange.most_common(1)
+        (size, why), _ = (self._strange.most_common(1) or [((0, ""), 0)])[0]
         return {
             "complete": self.complete,
             "pace": round(self.pace, 3),
@@ -127,5 +127,6 @@ class Contact:
             "states": self._good,
             "share": round(min(1.0, self._good / expected), 3) if expected > 0 else 0.0,
             "strange": sum(self._strange.values()),
-            "strange_size": strange[0][0] if strange else 0,
+            "strange_size": size,
+            "strange_why": why,
         }

@@ -12,7 +12,7 @@ from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import Any
 
-from amhe_cli.robots.go1.link import mail
+from amhe_cli.robots.go1.link import mail, wire
 from amhe_cli.robots.go1.link.child import Child
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.mail import Phase
@@ -127,6 +127,10 @@ class Link:
         if self._child:
             self._child.pipe.send(mail.plan_message(plan, pose_time, self._clock.now()))
 
+    def doubt(self, why: str) -> None:
+        """Say why poses cannot be believed any more: a robot that runs holds, and sits down."""
+        self._order(mail.DOUBT + why.encode())
+
     def samples(self) -> list[Any]:
         """States that arrived since the last call, as records of `mail.SAMPLE`."""
         return self._watch.samples() if self._watch else []
@@ -165,7 +169,7 @@ class Link:
         if report.phase != Phase.CONNECT:
             raise report.stop
         if not states and contact.get("strange"):
-            raise LinkError(_strange(where, contact["strange_size"]))
+            raise LinkError(_strange(where, contact["strange_size"], contact["strange_why"]))
         if not states and report.refused:
             raise LinkError(f"nobody listens on {where}: is it the robot's address, and is the robot on?")
         if not states:
@@ -205,10 +209,12 @@ def _as_file(keys: int) -> Iterator[list[int]]:
         os.close(again)
 
 
-def _strange(where: str, size: int) -> str:
+def _strange(where: str, size: int, why: str) -> str:
     if size == _HIGH_LEVEL:
         return (
             f"the robot on {where} is in high-level mode: on the remote L2+A, L2+A, L2+B, L1+L2+START, with "
             "the robot lying or hanging (docs/go1.md)"
         )
+    if size == wire.STATE.itemsize:
+        return f"{where} sends what is no state: {why}"
     return f"what answers from {where} is no Go1: datagrams of {size} bytes"

@@ -38,12 +38,13 @@ class Inbox:
 
     Args:
         state: Newest state of the robot; None: none yet.
-        state_time: Time at which it arrived [s].
+        state_time: Time after which it arrived [s].
         bad_packets: Damaged datagrams since the last good one.
         share: Share of the robot's last states that reached us.
         plan: Newest plan.
         plan_time: Time at which the program sent it [s].
         pose_time: Time of the older one of the newest poses of trunk and box [s].
+        doubt: Why poses cannot be believed any more; '' if they can.
         stand, arm, finish: Whether the operator, or the program, wants this.
         stop: Why motors are to be damped at once; '' if they are not.
     """
@@ -55,6 +56,7 @@ class Inbox:
     plan: Targets | None = None
     plan_time: float = -np.inf
     pose_time: float = -np.inf
+    doubt: str = ""
     stand: bool = False
     arm: bool = False
     finish: bool = False
@@ -175,6 +177,7 @@ class Machine:
             share=inbox.share,
             jump=self._jump,
             targets=wanted,
+            doubt=inbox.doubt,
             order=inbox.stop,
         )
 

@@ -37,6 +37,8 @@ class Phase(IntEnum):
 #: One-byte orders. Smaller bytes are numbers of signals: the program's signal handler writes them itself, at
 #: once, even while the program's own thread is inside of a long computation.
 STAND, ARM, FINISH, STOP = b"S", b"A", b"F", b"X"
+#: Begins the reason why poses cannot be believed any more.
+DOUBT = b"D"
 _PLAN, _SAMPLE, _REPORT = b"P", b"s", b"r"
 
 #: A state of the robot, on our clock, with the phase in which it arrived and the joint targets followed then.

@@ -1,10 +1,10 @@
-"""The UDP socket to the robot: packets out, states in with the time at which they arrived."""
+"""The UDP socket to the robot: packets out, states in as they arrive."""
 
 from __future__ import annotations
 
+import math
+import select
 import socket
-import struct
-import sys
 from collections.abc import Iterator
 
 import numpy as np
@@ -14,10 +14,8 @@ from amhe_cli.robots.go1.link.command import MotorCommand, encode
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
 
-#: Linux stamps datagrams as they arrive, whenever the program reads them; Python has no name for the option.
-_SO_TIMESTAMPNS = 35
-_TIMESPEC = struct.Struct("@qq")
-_LARGEST = 2048
+#: Largest datagram, and the most that are read at one go: a flood does not hold packets up.
+_LARGEST, _MOST = 2048, 1000
 
 
 class RobotSocket:
@@ -29,6 +27,7 @@ class RobotSocket:
 
     Attributes:
         refused: How often the other computer reported that no program listens there.
+        empty: When there was nothing to read for the last time [s]: what is read next arrived later.
 
     Raises:
         LinkError: There is no such host.
@@ -38,14 +37,13 @@ class RobotSocket:
         self._clock = clock
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
-        if sys.platform == "linux":
-            self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         try:
             self._socket.connect((host, port))
         except OSError as error:
             self._socket.close()
             raise LinkError(f"no way to {host}:{port}: {error.strerror or error}") from error
         self.refused = 0
+        self.empty = -math.inf
 
     def send(self, packet: bytes) -> bool:
         """Send a packet; False where the network did not take it."""
@@ -58,28 +56,28 @@ class RobotSocket:
             return False
         return True
 
-    def received(self) -> Iterator[tuple[bytes, float]]:
-        """All datagrams that have arrived, each with its time of arrival [s]."""
-        while True:
+    def received(self, until: float) -> Iterator[tuple[bytes, float]]:
+        """All datagrams that arrive until a time [s], each with the time at which it was read [s].
+
+        The kernel's own stamps are not used: they are of a clock that may be set.
+        """
+        for _ in range(_MOST):
+            now = self._clock.now()
             try:
-                datagram, extra, _, _ = self._socket.recvmsg(_LARGEST, 64)
+                datagram = self._socket.recv(_LARGEST)
             except ConnectionRefusedError:
                 self.refused += 1
-                continue
             except OSError:
-                return
-            yield datagram, self._arrival(extra)
+                self.empty = now
+                if now >= until:
+                    return
+                select.select([self._socket], [], [], (until - now) * self._clock.slow)
+            else:
+                yield datagram, self._clock.now()
 
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
-
-    def _arrival(self, extra: list[tuple[int, int, bytes]]) -> float:
-        for level, kind, value in extra:
-            if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(value) >= _TIMESPEC.size:
-                seconds, nanoseconds = _TIMESPEC.unpack(value[: _TIMESPEC.size])
-                return self._clock.from_wall(seconds + 1e-9 * nanoseconds)
-        return self._clock.now()
 
 
 def let_down(robot: RobotSocket, settings: Go1Settings, clock: Clock, least: float = 0.0) -> None:

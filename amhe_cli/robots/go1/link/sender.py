@@ -121,8 +121,7 @@ class Sender:
         period = 1.0 / self._settings.rate
         due = self._clock.now()
         while self._machine.phase != Phase.OVER:
-            self._clock.sleep_until(due)
-            self._read_robot()
+            self._read_robot(due)
             self._read_pipe()
             self._read_keys()
             now = self._clock.now()
@@ -145,13 +144,13 @@ class Sender:
 
     # -- what comes in --------------------------------------------------------------------------------
 
-    def _read_robot(self) -> None:
-        for datagram, arrival in self._robot.received():
+    def _read_robot(self, until: float) -> None:
+        for datagram, arrival in self._robot.received(until):
             try:
-                read = state.decode(datagram)
-            except wire.PacketError:
+                read = state.decode(datagram, self._settings.crc)
+            except wire.PacketError as error:
                 self._inbox.bad_packets += 1
-                self._contact.see_strange(datagram)
+                self._contact.see_strange(len(datagram), str(error))
                 continue
             self._inbox.bad_packets = 0
             if read.tick != self._tick:  # a robot whose clock stands still gives no new information
@@ -159,7 +158,7 @@ class Sender:
 
     def _take(self, read: RobotState, arrival: float) -> None:
         self._tick = read.tick
-        self._inbox.state, self._inbox.state_time = read, arrival
+        self._inbox.state, self._inbox.state_time = read, self._robot.empty
         self._inbox.share = self._share.see(read.tick)
         time = self._ticks.see(1e-3 * read.tick, arrival) - 0.5 * self._contact.round_trip
         if self._machine.phase == Phase.CONNECT:
@@ -177,6 +176,8 @@ class Sender:
             plan = mail.read_plan(message)
             if plan is not None:
                 self._inbox.plan, self._inbox.pose_time, self._inbox.plan_time = plan
+            elif message[:1] == mail.DOUBT:
+                self._inbox.doubt = message[1:].decode()
             elif message in _ORDERS:
                 _ORDERS[message](self._inbox)
             elif len(message) == 1 and message[0] in _STOPPING:

@@ -100,13 +100,18 @@ class RobotState:
 
 
 @np.errstate(invalid="ignore")  # a signalling NaN is a matter for the trips
-def decode(datagram: bytes) -> RobotState:
+def decode(datagram: bytes, crc: wire.CrcForm = "plain") -> RobotState:
     """The state of a packet.
 
+    Args:
+        datagram: Bytes as they were received.
+        crc: Form of the robot's checksums. If it is 'plain', an encrypted one is rejected, as by the vendor's
+            own library; else either is accepted, since nobody knows what such a robot sends.
+
     Raises:
-        PacketError: It is not a state; an encrypted checksum is rejected too, as by the vendor's own library.
+        PacketError: It is not a state.
     """
-    record = wire.opened(datagram, wire.STATE)
+    record = wire.opened(datagram, wire.STATE, encrypted_too=crc == "encrypted")
     motors = record["motors"][:JOINTS]
     imu = np.frombuffer(datagram, "<f4", 10, _IMU_AT).astype(np.float64)  # three fields at once
     return RobotState(
@@ -127,7 +132,7 @@ def decode(datagram: bytes) -> RobotState:
     )
 
 
-def encode(state: RobotState) -> bytes:
+def encode(state: RobotState, crc: wire.CrcForm = "plain") -> bytes:
     """The packet of a state, 807 bytes, as a robot in low-level mode sends it.
 
     Torques and temperatures are clipped to what fits.
@@ -147,7 +152,7 @@ def encode(state: RobotState) -> bytes:
     record["foot_force"] = np.minimum(np.maximum(state.foot_force, -32768), 32767)
     record["tick"] = state.tick % 2**32
     record["remote"] = np.frombuffer(state.remote, dtype=np.uint8)
-    return wire.seal(packet)
+    return wire.seal(packet, crc)
 
 
 def _rpy(q: FloatArray) -> tuple[float, float, float]:

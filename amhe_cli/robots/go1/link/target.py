@@ -29,6 +29,7 @@ from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
 from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
+from amhe_cli.robots.go1.poses.gate import Gate
 from amhe_cli.robots.go1.poses.source import Pose, PoseError
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
 from amhe_cli.robots.go1.state import State
@@ -76,6 +77,8 @@ class Go1Target:
         self._time = 0.0
         self._plan = Plan(0.0, period, np.asarray(HOME)[None])
         self._newest = {name: _never(name) for name in (settings.trunk, settings.box)}
+        self._gate = Gate(settings.poses, settings.trunk, settings.box)
+        self._imu = np.array([1.0, 0.0, 0.0, 0.0])
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []
         self._poses: list[tuple[float, Pose, Pose]] = []
@@ -102,6 +105,11 @@ class Go1Target:
     def slow(self) -> float:
         """How many times slower than the wall clock time goes."""
         return self._clock.slow
+
+    @property
+    def dropped_poses(self) -> int:
+        """Number of poses of the run that could not be true."""
+        return self._gate.dropped
 
     @property
     def report(self) -> SenderReport:
@@ -171,6 +179,7 @@ class Go1Target:
 
     def _begin_time(self) -> None:
         self._start = self._clock.now()
+        self._gate.begin()
         self._robot.clear()
         self._poses.clear()
 
@@ -266,13 +275,20 @@ class Go1Target:
     # -- what comes in --------------------------------------------------------------------------------
 
     def _collect(self) -> None:
-        """Take in all that has arrived and is not older than the beginning of the run."""
+        """Take in all that has arrived, can be true, and is not older than the beginning of the run."""
         self._robot += [sample for sample in self._link.samples() if sample["time"] >= self._start]
+        self._imu = self._robot[-1]["quaternion"] if self._robot else self._imu
         for pose in self._feed.poses():
             exposed = replace(pose, time=pose.time - self._settings.pose_delay)
-            if pose.body in self._newest and exposed.time >= self._start:
+            if pose.body in self._newest and exposed.time >= self._start and self._believes(exposed):
                 self._newest[pose.body] = max(self._newest[pose.body], exposed, key=lambda one: one.time)
                 self._pair(exposed)
+        if self._gate.doubt and self._start:
+            self._link.doubt(self._gate.doubt)
+
+    def _believes(self, pose: TimedPose) -> bool:
+        place, now = self._offset(pose), self._clock.now()
+        return self._gate.believes(pose.body, pose.time, place, now, self._imu, pose.flaw)
 
     def _pair(self, pose: TimedPose) -> None:
         """Join the poses of trunk and box in one frame; a pose without a partner is left out."""

@@ -36,6 +36,7 @@ class View:
         jump: Step from the targets in force to a plan that is new in this tick, or between two of its rows,
             the larger one for each joint [rad], shape (12,).
         targets: Joint targets to send, before they are clipped [rad], shape (12,).
+        doubt: Why poses cannot be believed any more; '' if they can.
         order: Why the program or the operator has ordered a stop; '' if none has.
     """
 
@@ -50,6 +51,7 @@ class View:
     share: float
     jump: FloatArray
     targets: FloatArray
+    doubt: str
     order: str
 
 
@@ -165,6 +167,10 @@ def _pose_lost(view: View, limits: TripSettings) -> str | None:
     return f"no pose of trunk or box for {1e3 * view.pose_age:.0f} ms" if late else None
 
 
+def _doubtful(view: View, limits: TripSettings) -> str | None:
+    return view.doubt or None if view.phase == Phase.RUN else None
+
+
 #: Trip -> the phase that follows, most urgent first.
 TRIPS: dict[str, tuple[Trip, Phase]] = {
     "order": (_ordered, Phase.DAMP),
@@ -183,6 +189,7 @@ TRIPS: dict[str, tuple[Trip, Phase]] = {
     "range": (_out_of_range, Phase.DAMP),
     "target_jump": (_jumping, Phase.DAMP),
     "plan_lost": (_plan_lost, Phase.PAUSE),
+    "pose_doubt": (_doubtful, Phase.PAUSE),
     "pose_lost": (_pose_lost, Phase.PAUSE),
 }
 

@@ -95,13 +95,13 @@ def seal(packet: bytearray, form: CrcForm = "plain") -> bytes:
     return bytes(packet)
 
 
-def opened(datagram: bytes, layout: Any, either_form: bool = False) -> Any:
+def opened(datagram: bytes, layout: Any, encrypted_too: bool = False) -> Any:
     """A datagram as a record of `layout`, read-only.
 
     Args:
         datagram: Bytes as they were received.
         layout: Expected layout, `COMMAND` or `STATE`.
-        either_form: Whether an encrypted checksum is accepted as well.
+        encrypted_too: Whether an encrypted checksum is accepted as well.
 
     Raises:
         PacketError: Length, head, level or checksum is wrong.
@@ -113,8 +113,11 @@ def opened(datagram: bytes, layout: Any, either_form: bool = False) -> Any:
     if datagram[2] != LOW_LEVEL:
         raise PacketError(f"of level {datagram[2]:#04x}, not {LOW_LEVEL:#04x}")
     sent, crc = int.from_bytes(datagram[-4:], "little"), _checksum(datagram)
-    if sent != crc and not (either_form and sent == encrypted(crc)):
-        raise PacketError("its checksum is wrong")
+    of = f"checksum of {len(datagram)}-byte {'states' if layout is STATE else 'commands'}"
+    if sent not in (crc, encrypted(crc)):
+        raise PacketError(f"{of} is wrong")
+    if sent != crc and not encrypted_too:
+        raise PacketError(f"{of} is encrypted (`go1.crc=encrypted`)")
     return np.frombuffer(datagram, dtype=layout)[0]
 
 

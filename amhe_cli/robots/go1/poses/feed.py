@@ -28,6 +28,8 @@ from amhe_cli.robots.go1.poses.udp import UdpPoses
 
 KINDS = ("natnet", "motioncapture", "ros2", "udp")
 _WAIT, _STEP, _START = 0.05, 0.005, 20.0
+#: A stamp further ahead than this is wrong [s], unless so many in a row are.
+_AHEAD, _AGAIN = 0.25, 100
 _PR_SET_PDEATHSIG = 1
 
 
@@ -76,12 +78,14 @@ class TimedPose:
         time: Time of the exposure [s].
         position: Position [m], shape (3,).
         orientation: Unit quaternion w, x, y, z, shape (4,).
+        flaw: Why it cannot be believed; '' if nothing is known against it.
     """
 
     body: str
     time: float
     position: FloatArray
     orientation: FloatArray
+    flaw: str = ""
 
 
 class PoseFeed:
@@ -171,7 +175,7 @@ def _pose(message: dict[str, Any]) -> TimedPose | None:
     if "body" not in message:
         return None
     position, orientation = np.array(message["position"]), np.array(message["orientation"])
-    return TimedPose(message["body"], message["time"], position, orientation)
+    return TimedPose(message["body"], message["time"], position, orientation, message["flaw"])
 
 
 class _Sender:
@@ -180,6 +184,7 @@ class _Sender:
     def __init__(self, pipe: Pipe, clock: Clock) -> None:
         self._pipe, self._clock, self._map = pipe, clock, ClockMap()
         self._last: dict[str, bytes] = {}
+        self._strange = 0
 
     def say(self, message: dict[str, Any]) -> None:
         self._pipe.send(json.dumps(message).encode())
@@ -190,10 +195,23 @@ class _Sender:
         if seen.stamp is None and pose == before:  # a camera is never so still: the source has frozen
             return
         arrival = self._clock.now()
+        flaw = self._flaw(seen.stamp, arrival)
         # the least delay from a stamp to us is at least the age that the source gives
-        time = (arrival if seen.stamp is None else self._map.see(seen.stamp, arrival)) - seen.age
+        stamped = arrival if seen.stamp is None or flaw else self._map.see(seen.stamp, arrival)
         position, orientation = seen.position.tolist(), seen.orientation.tolist()
-        self.say({"body": seen.body, "time": time, "position": position, "orientation": orientation})
+        found = {"body": seen.body, "time": stamped - seen.age, "flaw": flaw}
+        self.say(found | {"position": position, "orientation": orientation})
+
+    def _flaw(self, stamp: float | None, arrival: float) -> str:
+        """What is wrong with a stamp: a single one far ahead would make all later ones look old.
+
+        Many in a row are a clock that was set: then they count again, for a source that is not in use yet.
+        """
+        ahead = 0.0 if stamp is None else self._map.ahead(stamp, arrival)
+        self._strange = self._strange + 1 if ahead > _AHEAD else 0
+        if self._strange >= _AGAIN:
+            self._map, self._strange = ClockMap(), 0
+        return f"its stamp is {ahead:.3g} s ahead of the ones before" if self._strange else ""
 
 
 def _end_with_the_program() -> None:

@@ -11,7 +11,7 @@ from amhe_cli.core.rotations import conjugate, exp, multiply, rotate, yaw_of
 from amhe_cli.robots.go1.poses.source import Pose, PoseError
 
 #: IMU and cameras may differ by so much about the trunk's up [rad].
-_LEVEL = float(np.deg2rad(15.0))
+LEVEL = float(np.deg2rad(15.0))
 #: Height of a lying or standing trunk over the floor [m]: what is outside is not in metres, or not the trunk.
 _HEIGHTS = (0.03, 0.6)
 
@@ -71,12 +71,12 @@ def check_axes(trunk: Pose, imu: FloatArray) -> None:
     position, orientation = trunk
     height = float(position[2])
     between = float(np.arccos(np.clip(up(orientation) @ up(imu), -1.0, 1.0)))
-    if between > _LEVEL and abs(float(up(orientation)[2])) < 0.5:
+    if between > LEVEL and abs(float(up(orientation)[2])) < 0.5:
         raise PoseError(
             f"by motion capture the trunk leans {np.rad2deg(between):.0f} degrees more than by its IMU: is "
             "its up axis z? (Motive: Settings > Streaming > Up Axis: Z)"
         )
-    if between > _LEVEL:
+    if between > LEVEL:
         raise PoseError(
             f"motion capture and IMU disagree by {np.rad2deg(between):.0f} degrees about the trunk's tilt: "
             "align the rigid body with the trunk, or set go1.trunk_offset"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -70,12 +71,16 @@ class EstimateSink(Protocol):
 def sighting(
     body: str, position: object, orientation: object, stamp: float | None = None, age: float = 0.0
 ) -> Sighting | None:
-    """A sighting of a valid pose; None for any other: sources mark lost bodies by NaN or 0."""
+    """A sighting of a valid pose; None for any other: sources mark lost bodies by NaN or 0.
+
+    Raises:
+        ValueError, TypeError, OverflowError: Position or orientation are no numbers that fit.
+    """
     place = np.asarray(position, dtype=np.float64)
     turn = np.asarray(orientation, dtype=np.float64)
     if place.shape != (3,) or turn.shape != (4,):
         return None
     size = float(np.linalg.norm(turn))
-    if not (np.isfinite(place).all() and 0.5 < size < 2.0):
+    if not (np.isfinite(place).all() and 0.5 < size < 2.0 and math.isfinite(stamp or 0.0)):
         return None
     return Sighting(body, place, turn / size, stamp, age)

@@ -37,7 +37,7 @@ def read(message: bytes) -> Sighting | None:
             content["orientation"],
             None if stamp is None else float(stamp),
         )
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         return None
 
 

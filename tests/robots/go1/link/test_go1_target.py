@@ -215,3 +215,45 @@ def test_a_rehearsal_measures_on_the_runs_clock_and_sends_nothing(puppet: Puppet
             time, measured = exchange(target, Plan(time + PERIOD, PERIOD, np.tile(HOME + 0.3, (16, 1))))
             assert measured["joints.position"][0].size
     assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
+
+
+def walk_on(target: Go1Target, cycles: int) -> list[np.ndarray]:
+    """Play plans; all positions of the box that were believed."""
+    seen, (now, _) = [], target.measure()
+    for _ in range(cycles):
+        now, measured = exchange(target, Plan(now + PERIOD, PERIOD, np.tile(HOME, (16, 1))))
+        seen += list(measured["box.position"][1])
+    return seen
+
+
+@pytest.mark.parametrize(
+    "datagram",
+    [
+        '{"body": "box", "position": [1e300, 0, 0], "orientation": [1, 0, 0, 0]}',
+        '{"body": "box", "time": 1e9, "position": [2.6, -1.0, 0.15], "orientation": [1, 0, 0, 0]}',
+        '{"body": "box", "position": [NaN, 0, 0], "orientation": [1, 0, 0, 0]}',
+        '{"body": "box", "time": 1%s, "position": [2, 0, 0], "orientation": [1, 0, 0, 0]}' % ("0" * 400),
+    ],
+)
+def test_one_datagram_that_cannot_be_true_changes_nothing(puppet: Puppet, datagram: str) -> None:
+    with a_target(puppet) as (target, cameras):
+        target.check()
+        target.begin(lambda text: None)
+        walk_on(target, 5)
+        cameras.extra.append(datagram.encode())
+        seen = walk_on(target, 20)
+        assert target.report.trip == ""
+    assert len(seen) > 10
+    np.testing.assert_allclose(seen, np.tile(BOX, (len(seen), 1)), atol=1e-6)
+
+
+def test_many_poses_that_cannot_be_true_let_the_robot_down(puppet: Puppet) -> None:
+    with a_target(puppet) as (target, cameras):
+        target.check()
+        target.begin(lambda text: None)
+        walk_on(target, 5)
+        cameras.shift_box(30)
+        with pytest.raises(StoppedError, match="of the last 100 poses of 'box' cannot be true: it steps"):
+            walk_on(target, 100)
+        puppet.wait(damps)
+    assert target.report.trip == "pose_doubt"

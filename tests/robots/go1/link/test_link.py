@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,10 +27,12 @@ from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.report import StoppedError
+from amhe_cli.robots.go1.link.robot_socket import RobotSocket
 from amhe_cli.robots.go1.link.sender import Sender
 from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
+from tests.robots.go1.link.makers import a_state
 from tests.robots.go1.link.puppet import Puppet, damps
 
 ROOT = Path(__file__).parents[4]
@@ -347,14 +350,69 @@ def test_nobody_there() -> None:
         link.connect()
 
 
+ENCRYPTED = state.encode(a_state(), "encrypted")
+
+
 @pytest.mark.parametrize(
     ("answer", "message"),
-    [(bytes(1087), "high-level mode"), (b"hello", "no Go1: datagrams of 5 bytes")],
+    [
+        (bytes(1087), "high-level mode"),
+        (b"hello", "no Go1: datagrams of 5 bytes"),
+        (ENCRYPTED, "checksum of 807-byte states is encrypted .`go1.crc=encrypted`"),
+        (ENCRYPTED[:-2] + b"no", "checksum of 807-byte states is wrong"),
+        (bytes(807), "begins with 0000, not feef"),
+    ],
 )
 def test_another_program_on_the_port(puppet: Puppet, answer: bytes, message: str) -> None:
     puppet.mangle = lambda packet: answer
     with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=message):
         link.connect()
+
+
+def test_the_setting_of_the_checksum_holds_for_states_too(puppet: Puppet) -> None:
+    puppet.mangle = lambda packet: state.encode(state.decode(packet), "encrypted")
+    with a_link(puppet, QUICK.model_copy(update={"crc": "encrypted"})) as link:
+        link.connect()
+
+
+@pytest.mark.parametrize("step", [2.0, -2.0])
+def test_a_calendar_clock_that_is_set_changes_no_time_of_arrival(
+    monkeypatch: pytest.MonkeyPatch, step: float
+) -> None:
+    true = time.time
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
+        closing(RobotSocket("127.0.0.1", bound_port(robot), CLOCK)) as ours,
+    ):
+        ours.send(b"hello")
+        _, peer = robot.recvfrom(9)
+        before = CLOCK.now()
+        robot.sendto(b"state", peer)
+        monkeypatch.setattr(time, "time", lambda: true() + step)
+        ((datagram, arrival),) = ours.received(CLOCK.now() + 0.01)
+    assert datagram == b"state"
+    assert before <= arrival <= CLOCK.now()
+
+
+def test_what_waited_unread_is_as_old_as_it_may_be() -> None:
+    """A sender that stalled must not take old states for new ones."""
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
+        closing(RobotSocket("127.0.0.1", bound_port(robot), CLOCK)) as ours,
+    ):
+        assert list(ours.received(0.0)) == []
+        looked = CLOCK.now()
+        ours.send(b"hello")
+        robot.sendto(b"state", robot.recvfrom(9)[1])
+        time.sleep(0.05)
+        for _ in ours.received(0.0):
+            assert ours.empty <= looked
+        assert ours.empty > looked
+
+
+def bound_port(end: socket.socket) -> int:
+    end.bind(("127.0.0.1", 0))
+    return end.getsockname()[1]
 
 
 def test_a_second_sender_is_noticed(puppet: Puppet) -> None:

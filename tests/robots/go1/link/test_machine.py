@@ -191,10 +191,17 @@ CHANGES: dict[str, Callable[[Robot], None]] = {
     "range": lambda robot: robot.change.update(joints=np.tile([0.0, 0.9, -2.8], 4)),
     "target_jump": lambda robot: setattr(robot, "offset", 0.7),
     "plan_lost": lambda robot: setattr(robot, "no_plans", True),
+    "pose_doubt": lambda robot: setattr(robot.inbox, "doubt", "10 of the last 100 poses cannot be true"),
     "pose_lost": lambda robot: setattr(robot, "no_poses", True),
 }
 #: From the fault to damping, at most [s]; what lets the robot sit first takes as long as sitting.
-LATEST = {"state_lost": 0.05, "plan_lost": 0.1 + 0.3 + 2.5, "pose_lost": 0.2 + 0.3 + 2.5, "power": 0.012}
+LATEST = {
+    "state_lost": 0.05,
+    "pose_doubt": 0.3 + 2.5,
+    "plan_lost": 0.1 + 0.3 + 2.5,
+    "pose_lost": 0.2 + 0.3 + 2.5,
+    "power": 0.012,
+}
 
 
 def test_every_trip_is_tested() -> None:
@@ -213,6 +220,7 @@ def test_every_trip_ends_in_damped_motors_in_time(trip: str) -> None:
     assert is_damping(commands[-1])
     # whatever it was, it is over: even a robot that is well again is not driven any more
     robot.change, robot.silent, robot.no_plans, robot.no_poses, robot.inbox.stop = {}, False, False, False, ""
+    robot.inbox.doubt = ""
     robot.inbox.arm = robot.inbox.stand = True
     assert all(command.kp.max() == 0.0 for command in robot.for_a_while(3.0))
 

@@ -37,6 +37,8 @@ class Stage:
         turn: np.ndarray | None = None, names: tuple[str, str] = ("go1", "box"),
     ) -> None:  # fmt: skip
         self.trunk, self.silent = TRUNK, False
+        self.extra: list[bytes] = []
+        self.off = 0
         floor = TRUNK[0] * [1.0, 1.0, 0.0]
         poses = [TRUNK, (floor + rotate(TRUNK[1], np.array(box)), TRUNK[1])]
         if turn is not None:
@@ -58,11 +60,20 @@ class Stage:
         name, (place, turn) = self._bodies[1]
         self._bodies[1] = name, (place + by, turn)
 
+    def shift_box(self, frames: int) -> None:
+        """Show it 0.5 m off to the side in the next frames."""
+        self.off = frames
+
     def _send(self) -> None:
         clock = Clock()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:
             while not self._stop.wait(0.01):
                 now = clock.now() - 77.0
-                for name, (place, pose) in self._bodies:
+                while self.extra:
+                    client.sendto(self.extra.pop(), self._to)
+                shift = np.array([0.0, 0.5, 0.0]) if self.off > 0 else np.zeros(3)
+                self.off -= 1
+                for number, (name, (true, pose)) in enumerate(self._bodies):
+                    place = true + number * shift
                     if not self.silent:
                         client.sendto(udp.datagram(name, now, place, pose), self._to)
