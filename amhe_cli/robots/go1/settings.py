@@ -78,6 +78,16 @@ class PoseSettings(SettingsGroup):
     """Largest distance from what the poses before predict, in sd."""
     dropped: Annotated[int, Field(ge=3, le=50)] = 10
     """This many dropped poses of the last hundred of a body end a run: the robot holds, and sits down."""
+    data_port: Annotated[int, Field(ge=1, le=65535)] = 1511
+    """natnet: port from which Motive sends its frames, besides its command port; others are ignored."""
+    peer: str = ""
+    """udp: ADDRESS:PORT that poses are taken from; by default the first that sends one."""
+    key: str = ""
+    """udp: file with a key that the sender has too; each datagram must then be signed with it."""
+    interface: str = "127.0.0.1"
+    """ros2: address of the network interface that DDS uses."""
+    peers: tuple[str, ...] = ()
+    """ros2: addresses of the computers that publish poses, which DDS does not look for by multicast."""
 
 
 class Go1Settings(SettingsGroup):

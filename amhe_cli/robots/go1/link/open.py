@@ -128,7 +128,7 @@ def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
     bodies = (settings.trunk, settings.box)
     if bodies[0] == bodies[1]:
         raise ConfigError(f"go1.trunk and go1.box have the same name {bodies[0]!r}")
-    return FeedOptions(wire.pose, host, port, bodies, settings.connect_time, wire.slow)
+    return FeedOptions(wire.pose, host, port, bodies, settings.connect_time, wire.slow, settings.poses)
 
 
 def _box_centre(task: Task) -> FloatArray:

@@ -140,6 +140,7 @@ class Go1Target:
             "battery": f"{report.robot['charge']} %",
             "hottest motor": f"{report.robot['hottest']:.0f} deg C",
             "trunk": f"{trunk[0][2]:.3f} m high; off the IMU by {tilt[0]:+.1f}, {tilt[1]:+.1f} degrees",
+            "poses": self._feed.about,
             "box": f"at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m of the task's frame",
             **({"not by default": changed} if (changed := deviations(s)) else {}),
             **{f"note {number}": note for number, note in enumerate(report.notes, start=1)},

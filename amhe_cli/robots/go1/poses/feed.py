@@ -11,7 +11,7 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Any
 
@@ -25,6 +25,7 @@ from amhe_cli.robots.go1.poses.natnet import NatNet
 from amhe_cli.robots.go1.poses.ros2 import Ros2
 from amhe_cli.robots.go1.poses.source import EstimateSink, PoseError, PoseSource, Sighting
 from amhe_cli.robots.go1.poses.udp import UdpPoses
+from amhe_cli.robots.go1.settings import PoseSettings
 
 KINDS = ("natnet", "motioncapture", "ros2", "udp")
 _WAIT, _STEP, _START = 0.05, 0.005, 20.0
@@ -45,6 +46,7 @@ class FeedOptions:
         bodies: Names of the two bodies.
         seconds: Longest wait for the first poses [s].
         slow: See `Clock`.
+        settings: Who may send poses.
     """
 
     kind: str
@@ -53,17 +55,19 @@ class FeedOptions:
     bodies: Sequence[str]
     seconds: float
     slow: float = 1.0
+    settings: PoseSettings = field(default_factory=PoseSettings)
 
 
 def source_of(options: FeedOptions) -> PoseSource:
     """The source that options describe."""
     match options.kind:
         case "natnet":
-            return NatNet(options.host, options.port, options.seconds)
+            return NatNet(options.host, options.port, options.seconds, options.settings.data_port)
         case "udp":
-            return UdpPoses(options.host, options.port)
+            return UdpPoses(options.host, options.port, options.settings.peer, options.settings.key)
         case "ros2":
-            return Ros2(list(options.bodies), int(options.host or 0))
+            who = options.settings.interface, options.settings.peers
+            return Ros2(list(options.bodies), int(options.host or 0), *who)
         case _:
             kind, _, host = options.host.partition(":")
             return MotionCapture(kind, host)
@@ -93,17 +97,21 @@ class PoseFeed:
 
     Args:
         options: Kind, address and bodies of the source.
+
+    Attributes:
+        about: Whom the source listens to, in words.
     """
 
     def __init__(self, options: FeedOptions) -> None:
         self._options = options
+        self.about = ""
         self._child: Child | None = None
 
     def __enter__(self) -> PoseFeed:
         o = self._options
         self._child = Child("amhe_cli.robots.go1.poses.feed", {
             "kind": o.kind, "host": o.host, "port": o.port, "bodies": list(o.bodies), "seconds": o.seconds,
-            "slow": o.slow,
+            "slow": o.slow, "settings": o.settings.model_dump(),
         })  # fmt: skip
         return self
 
@@ -127,6 +135,7 @@ class PoseFeed:
             for message in self._messages():
                 if "connecting" in message and not begun:  # its Python has started: the wait begins now
                     begun, end = True, time.monotonic() + self._options.seconds * max(1.0, self._options.slow)
+                    self.about = message["connecting"]
                 pose = _pose(message)
                 if pose is not None:
                     seen[pose.body] = pose
@@ -229,10 +238,10 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)
     _end_with_the_program()
     pipe, given = begun()
-    options = FeedOptions(**given)
+    options = FeedOptions(settings=PoseSettings.model_validate(given.pop("settings")), **given)
     sender = _Sender(pipe, Clock(options.slow))
     source = source_of(replace(options, seconds=options.seconds * max(1.0, options.slow)))
-    sender.say({"connecting": True})
+    sender.say({"connecting": source.about})
     try:
         source.connect()
         while pipe.open:

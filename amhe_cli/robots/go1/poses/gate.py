@@ -17,8 +17,9 @@ from amhe_cli.robots.go1.state_estimator.kalman import ValueFilter
 #: Noise of positions [m], first sd of the velocity [m/s], and the root of the density of accelerations
 #: [m/s^2/sqrt(Hz)]: those of a robot that walks, and of a box that is hit.
 _NOISE, _FIRST_SPEED, _DRIVE = 0.002, 0.3, 1.0
-#: Noise of orientations allows this angle besides the turning [rad]; a stamp may be early by this [s].
-_ANGLE, _EARLY = 0.1, 0.05
+#: Noise of orientations allows this angle besides the turning [rad]; a stamp may be early by this, and come
+#: after a newer one by that [s].
+_ANGLE, _EARLY, _LATE = 0.1, 0.05, 0.1
 #: Number of poses of which the share of dropped ones is taken.
 _SPAN = 100
 #: Cameras and IMU may disagree about the trunk's tilt for so long [s].
@@ -34,7 +35,7 @@ class _Track:
     speed: float
     place: ValueFilter | None = None
     turn: FloatArray = field(default_factory=lambda: np.array([1.0, 0.0, 0.0, 0.0]))
-    last: float = 0.0
+    last: float = -np.inf
     dropped: deque[bool] = field(default_factory=lambda: deque(maxlen=_SPAN))
 
 
@@ -93,6 +94,8 @@ class Gate:
         low, high = np.array(self._settings.bounds)
         if not (np.isfinite(turn).all() and (place >= low).all() and (place <= high).all()):  # NaN is outside
             return "it is outside of the room (`go1.poses.bounds`)"
+        if time < track.last - _LATE:  # whatever it shows, nobody can say that it is too far for its time
+            return f"it is {track.last - time:.3g} s older than the one before"
         if time > now + _EARLY:
             return f"its stamp is {time - now:.3g} s ahead"
         if track.place is not None:

@@ -26,6 +26,11 @@ class MotionCapture:
         self._kind, self._host = kind, host
         self._client: Any = None
 
+    @property
+    def about(self) -> str:
+        """See `PoseSource`."""
+        return f"{self._kind} at {self._host}, by libmotioncapture, which checks no sender"
+
     def connect(self) -> None:
         """See `PoseSource`."""
         try:

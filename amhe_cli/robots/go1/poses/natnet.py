@@ -27,13 +27,19 @@ class NatNet:
         host: Host of Motive.
         port: Motive's command port.
         seconds: Longest wait for an answer [s].
+        data_port: Port from which Motive sends frames, if not from its command port.
     """
 
-    def __init__(self, host: str, port: int, seconds: float) -> None:
-        self._host, self._port, self._seconds = host, port, seconds
+    def __init__(self, host: str, port: int, seconds: float, data_port: int = 1511) -> None:
+        self._host, self._port, self._seconds, self._data_port = host, port, seconds, data_port
         self._client: Any = None
         self._names: dict[int, str] = {}
         self._seen: list[Sighting] = []
+
+    @property
+    def about(self) -> str:
+        """See `PoseSource`."""
+        return f"natnet from {self._host}, ports {self._port} and {self._data_port}; NatNet is not signed"
 
     def connect(self) -> None:
         """See `PoseSource`."""
@@ -42,7 +48,8 @@ class NatNet:
         except ImportError:
             raise PoseError("`pose=natnet` needs the package natnet: pip install 'amhe[mocap]'") from None
         motive = _address(self._host)
-        self._client = _listening_to(motive, NatNetClient)(
+        peers = {(motive, self._port), (motive, self._data_port)}
+        self._client = _listening_to(peers, NatNetClient)(
             motive, _own_address(motive, self._port), command_port=self._port, use_multicast=False
         )
         self._client.on_data_description_received_event.handlers.append(self._describe)
@@ -92,20 +99,20 @@ class NatNet:
 
 
 class _PeerSocket(socket.socket):
-    """A UDP socket that receives from one address only; `bind` first."""
+    """A UDP socket that receives from some addresses and ports only; `bind` first."""
 
-    peer: str = ""
+    peers: frozenset[tuple[str, int]] = frozenset()
 
     def recvfrom(self, bufsize: int, flags: int = 0) -> tuple[bytes, Any]:  # type: ignore[override]
-        """Receive a datagram of that address; those of others are dropped."""
+        """Receive a datagram of one of them; those of others are dropped."""
         while True:
             datagram, sender = super().recvfrom(bufsize, flags)
-            if sender[0] == self.peer:
+            if sender in self.peers:
                 return datagram, sender
 
 
-def _listening_to(motive: str, client: type) -> type:
-    """A client of the package whose sockets are at its own address, and receive from Motive only.
+def _listening_to(peers: set[tuple[str, int]], client: type) -> type:
+    """A client of the package whose sockets are at its own address, and receive from these peers only.
 
     The package's own ones take datagrams from everybody, the one for data on every network of this computer.
 
@@ -118,7 +125,7 @@ def _listening_to(motive: str, client: type) -> type:
     class Client(client):
         def _NatNetClient__create_socket(self, address: str = "", port: int = 0) -> socket.socket:  # noqa: N802
             made = _PeerSocket(socket.AF_INET, socket.SOCK_DGRAM)
-            made.peer = motive
+            made.peers = frozenset(peers)
             made.setblocking(False)
             made.bind((address or self.local_ip_address, port))
             return made

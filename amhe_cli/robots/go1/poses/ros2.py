@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from typing import Any
+from xml.etree.ElementTree import Element, SubElement, tostring
 
 from amhe_cli.robots.go1.poses.ros2_messages import headed, joint_state_type, pose_types
 from amhe_cli.robots.go1.poses.source import PoseError, Sighting, sighting
@@ -24,24 +25,42 @@ class Ros2:
     Args:
         topics: Topics of the bodies.
         domain: ROS_DOMAIN_ID.
+        interface: Address of the network interface to use; others are not.
+        peers: Addresses of other computers to look for participants on.
     """
 
-    def __init__(self, topics: list[str], domain: int) -> None:
-        self._topics, self._domain = topics, domain
+    def __init__(
+        self, topics: list[str], domain: int, interface: str = "127.0.0.1", peers: Sequence[str] = ()
+    ) -> None:
+        self._topics, self._domain, self._interface, self._peers = topics, domain, interface, peers
         self._readers: list[tuple[str, Any]] = []
         self._writer: Any = None
+
+    @property
+    def about(self) -> str:
+        """See `PoseSource`."""
+        others = f" and {', '.join(self._peers)}" if self._peers else ""
+        return (
+            f"DDS domain {self._domain} on {self._interface}{others}, not signed; it opens UDP ports from "
+            f"{7400 + 250 * self._domain} on, on all addresses of this computer"
+        )
 
     def connect(self) -> None:
         """See `PoseSource`."""
         try:
-            from cyclonedds.core import Policy, Qos  # pyright: ignore[reportMissingImports]
-            from cyclonedds.domain import DomainParticipant  # pyright: ignore[reportMissingImports]
+            from cyclonedds.core import DDSException, Policy, Qos  # pyright: ignore[reportMissingImports]
+            from cyclonedds.domain import Domain, DomainParticipant  # pyright: ignore[reportMissingImports]
             from cyclonedds.pub import DataWriter  # pyright: ignore[reportMissingImports]
             from cyclonedds.sub import DataReader  # pyright: ignore[reportMissingImports]
             from cyclonedds.topic import Topic  # pyright: ignore[reportMissingImports]
         except ImportError:
             raise PoseError("`pose=ros2` needs the package cyclonedds: pip install 'amhe[mocap]'") from None
-        participant = DomainParticipant(self._domain)
+        try:
+            self._opened = Domain(self._domain, configuration(self._interface, self._peers))
+            participant = DomainParticipant(self._domain)
+        except DDSException as error:
+            where = f"domain {self._domain} on {self._interface}"
+            raise PoseError(f"DDS does not open {where}: {error}; see `go1.poses.interface`") from error
         # best effort matches both kinds of publishers; only the newest counts
         qos = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(10))
         for name in self._topics:
@@ -80,6 +99,22 @@ class Ros2:
         """See `PoseSource`."""
         self._readers.clear()
         self._writer = None
+
+
+def configuration(interface: str, peers: Sequence[str] = ()) -> str:
+    """CycloneDDS's configuration: one interface, no multicast, participants at these addresses alone."""
+    general, discovery = Element("General"), Element("Discovery")
+    SubElement(SubElement(general, "Interfaces"), "NetworkInterface", address=interface)
+    SubElement(general, "AllowMulticast").text = "false"
+    SubElement(discovery, "ParticipantIndex").text = "auto"
+    found = SubElement(discovery, "Peers")
+    for peer in (interface, *peers):
+        SubElement(found, "Peer", Address=peer)
+    domain = Element("Domain", Id="any")
+    domain.extend((general, discovery))
+    whole = Element("CycloneDDS")
+    whole.append(domain)
+    return tostring(whole, encoding="unicode")
 
 
 def _read(name: str, message: Any) -> Sighting | None:

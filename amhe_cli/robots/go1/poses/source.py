@@ -42,6 +42,11 @@ class Sighting:
 class PoseSource(Protocol):
     """A source of poses. It lives in a process of its own: it may block, and may die."""
 
+    @property
+    def about(self) -> str:
+        """Whom it listens to, in words."""
+        ...
+
     def connect(self) -> None:
         """Reach the source.
 
@@ -80,7 +85,7 @@ def sighting(
     turn = np.asarray(orientation, dtype=np.float64)
     if place.shape != (3,) or turn.shape != (4,):
         return None
-    size = float(np.linalg.norm(turn))
+    size = math.hypot(*turn.tolist())
     if not (np.isfinite(place).all() and 0.5 < size < 2.0 and math.isfinite(stamp or 0.0)):
         return None
     return Sighting(body, place, turn / size, stamp, age)

@@ -237,13 +237,14 @@ def test_natnet_reads_what_motive_streams(motive: Motive) -> None:
     assert seen["go1"].age == pytest.approx(0.004)
 
 
-def test_natnet_listens_at_one_address_and_to_one(motive: Motive) -> None:
+@pytest.mark.parametrize("address", ["127.0.0.2", "127.0.0.1"])
+def test_natnet_listens_at_one_address_and_to_one_port(motive: Motive, address: str) -> None:
     pytest.importorskip("natnet")
     there = Seen(np.array([9.0, 9.0, 9.0]), TURN)
     with (
         serving(motive),
         closing(NatNet(*motive.address, 2.0)) as source,
-        closing(Motive("127.0.0.2", 0, ("go1", "box"))) as impostor,
+        closing(Motive(address, 0, ("go1", "box"))) as impostor,
     ):
         source.connect()
         client = source._client

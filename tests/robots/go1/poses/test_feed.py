@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap
 from amhe_cli.robots.go1.poses import udp
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
-from amhe_cli.robots.go1.poses.ros2 import ESTIMATES, Ros2
+from amhe_cli.robots.go1.poses.ros2 import ESTIMATES, Ros2, configuration
 from amhe_cli.robots.go1.poses.ros2_messages import headed, joint_state_type, pose_types
 from amhe_cli.robots.go1.poses.source import PoseError
 
@@ -206,7 +206,7 @@ def test_ros2_poses_and_odometry_come_through() -> None:
 def test_estimates_go_back_to_ros2_even_to_who_comes_late() -> None:
     pytest.importorskip("cyclonedds")
     from cyclonedds.core import Policy, Qos
-    from cyclonedds.domain import DomainParticipant
+    from cyclonedds.domain import Domain, DomainParticipant
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
 
@@ -215,6 +215,7 @@ def test_estimates_go_back_to_ros2_even_to_who_comes_late() -> None:
     with PoseFeed(FeedOptions("ros2", "78", 0, ("/go1/pose", "/box/odom"), 1.0)) as feed:
         feed.publish(names, 2.0 * values, sd)
         feed.publish(names, values, sd)
+        _domain = Domain(78, configuration("127.0.0.1"))
         listener = DomainParticipant(78)
         kept = Qos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
         reader = DataReader(listener, Topic(listener, f"rt{ESTIMATES}", joint_state_type(), qos=kept), kept)
@@ -263,3 +264,62 @@ def test_the_offset_of_a_clock_is_found_under_jitter_and_drift() -> None:
     late = np.array(errors[1000:])
     assert late.min() > 0.0
     assert late.max() < 0.0007
+
+
+def test_poses_are_taken_from_the_first_that_sends_one(tmp_path: Path) -> None:
+    port = free_port()
+    with closing(udp.UdpPoses("127.0.0.1", port)) as source, a_socket() as one, a_socket() as other:
+        source.connect()
+        for number in range(3):
+            one.sendto(MESSAGE % (b"go1", number), ("127.0.0.1", port))
+            other.sendto(MESSAGE % (b"box", number), ("127.0.0.1", port))
+        assert [seen.body for seen in source.wait(1.0)] == ["go1"] * 3
+
+
+def test_poses_are_taken_from_the_named_port_only() -> None:
+    port = free_port()
+    with a_socket() as one, a_socket() as other:
+        one.bind(("127.0.0.1", 0))
+        with closing(udp.UdpPoses("127.0.0.1", port, f"127.0.0.1:{one.getsockname()[1]}")) as source:
+            source.connect()
+            other.sendto(MESSAGE % (b"box", 1), ("127.0.0.1", port))
+            one.sendto(MESSAGE % (b"go1", 1), ("127.0.0.1", port))
+            assert [seen.body for seen in source.wait(1.0)] == ["go1"]
+
+
+def test_signed_poses_are_neither_forged_nor_sent_again(tmp_path: Path) -> None:
+    file, port = tmp_path / "key", free_port()
+    file.write_text("0123456789abcdef")
+    key = udp.read_key(str(file))
+    good = [udp.signed(MESSAGE % (b"go1", number), key, number) for number in (7, 8, 9)]
+    forged = [MESSAGE % (b"go1", 10), udp.signed(MESSAGE % (b"go1", 10), b"another key", 10), b"", bytes(40)]
+    changed = bytearray(udp.signed(MESSAGE % (b"go1", 4), key, 11))
+    changed[-20] ^= 1
+    with closing(udp.UdpPoses("127.0.0.1", port, key=str(file))) as source, a_socket() as sender:
+        source.connect()
+        for datagram in (*good, *forged, bytes(changed), good[2], good[0]):
+            sender.sendto(datagram, ("127.0.0.1", port))
+        assert [seen.position[2] for seen in source.wait(1.0)] == [7.0, 8.0, 9.0]
+
+
+@pytest.mark.parametrize(("content", "message"), [(None, "No such file"), ("short", "at least 16")])
+def test_a_key_that_is_none_is_one_line(tmp_path: Path, content: str | None, message: str) -> None:
+    if content:
+        (tmp_path / "key").write_text(content)
+    with pytest.raises(PoseError, match=message):
+        udp.read_key(str(tmp_path / "key"))
+
+
+def test_dds_keeps_to_its_interface() -> None:
+    pytest.importorskip("cyclonedds")
+    source = Ros2(["/go1/pose"], 79, "192.0.2.7")
+    assert "domain 79 on 192.0.2.7" in source.about
+    with pytest.raises(PoseError, match="`go1.poses.interface`"):
+        source.connect()
+
+
+MESSAGE = b'{"body": "%s", "position": [1, 2, %d], "orientation": [1, 0, 0, 0]}'
+
+
+def a_socket() -> socket.socket:
+    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -43,7 +43,7 @@ def cameras() -> Cameras:
     [
         {"by": (1e300, 0.0, 0.0)}, {"by": (np.nan, 0.0, 0.0)}, {"by": (0.0, 25.0, 0.0)},
         {"by": (0.0, 0.1, 0.0)}, {"by": (0.0, 0.05, 0.0)}, {"turn": (0.0, 0.0, 0.5)},
-        {"early": 1e9},
+        {"early": 1e9}, {"early": -0.2},
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("body", ["go1", "box"])
