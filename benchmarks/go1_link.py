@@ -109,6 +109,7 @@ def trips(repeats: int) -> Table:
         "SIGINT": 20,
         "SIGTERM": 20,
         "SIGKILL": 100,
+        "sender hangs": 150,
         "plans stop": 100,
         "poses stop": 200,
     }
@@ -139,6 +140,11 @@ def trips(repeats: int) -> Table:
             for _ in range(repeats)
         ]
         table.add_row(*_row(name, "damped", limits, times))
+    for name, pause in (("sender hangs", None), ("sender stalls 40 ms", 0.04)):
+        times = [
+            _reaction(lambda robot, pause=pause: _stall(robot.sender, pause), damps) for _ in range(repeats)
+        ]
+        table.add_row(*_row(name, "damped", limits, times))
     for name, number in (("plans stop", signal.SIGSTOP), ("poses stop", signal.SIGUSR1)):
         for reaction, test in (("held", holds), ("sat down, then damped", damps)):
             times = [
@@ -147,6 +153,14 @@ def trips(repeats: int) -> Table:
             ]
             table.add_row(*_row(name, reaction, limits if test is holds else {}, times))
     return table
+
+
+def _stall(sender: int, pause: float | None) -> None:
+    """Stop the sender's process for a pause [s]; None: for good."""
+    os.kill(sender, signal.SIGSTOP)
+    if pause is not None:
+        time.sleep(pause)
+        os.kill(sender, signal.SIGCONT)
 
 
 def _row(fault: str, reaction: str, limits: dict[str, int], times: list[float]) -> list[str]:
@@ -170,7 +184,9 @@ class Robot:
             stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         assert self.process.stdout is not None
-        self.runs = "running" in self.process.stdout.readline()
+        words = self.process.stdout.readline().split()
+        self.runs = "running" in words
+        self.sender = int(words[-1]) if self.runs else 0
 
     def _serve(self) -> None:
         # a robot's own computer does nothing else either: what is measured is the sender, not this thread
@@ -251,7 +267,8 @@ def program(port: int, plan: bool) -> None:
         _wait(link, Phase.RUN)
         if plan:
             threading.Thread(target=_plan, args=(stop, work), daemon=True).start()
-        print("running", flush=True)
+        assert link._child is not None
+        print("running", link._child.process.pid, flush=True)
         pose_time = clock.now()
         while not stop.wait(0.02) and link.report.phase == Phase.RUN:
             now = clock.now()
