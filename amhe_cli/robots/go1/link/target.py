@@ -243,8 +243,9 @@ class Go1Target:
             StoppedError: Too many rollouts diverge: the robot is not where the planner takes it to be.
         """
         self._watch(plan.step)
-        # what is in force until then comes first, so that targets are handed over without a step
-        before = self._plan.at(plan.start - 0.5 * self._period)
+        # what is in force until then comes first, so that targets are handed over without a step; from
+        # standing to the first plan the sender leads, since that may begin in the midst of a stride
+        before = self._plan.at(plan.start - 0.5 * self._period) if self._playing else plan.targets[0]
         start = self._start + plan.start - plan.period - self._lead
         targets = Targets(start, plan.period, np.vstack((before, plan.targets)))
         if self._sends:

@@ -131,6 +131,18 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
     assert cameras.trunk is TRUNK
 
 
+def test_a_first_plan_in_the_midst_of_a_stride_is_no_jump(puppet: Puppet) -> None:
+    stride = HOME + np.tile([0.0, 0.1, -0.65], 4)
+    with a_target(puppet) as (target, _):
+        target.check()
+        target.begin(lambda text: None)
+        time, _ = target.measure()
+        for _ in range(25):
+            time, _ = exchange(target, Plan(time + PERIOD, PERIOD, np.tile(stride, (16, 1))))
+        assert target.report.trip == ""
+        np.testing.assert_allclose(puppet.received[-1][1].position, stride, atol=1e-3)
+
+
 def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: pytest.MonkeyPatch) -> None:
     handed: list[float] = []
     with a_target(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
