@@ -8,10 +8,14 @@ from datetime import datetime
 from pathlib import Path
 from tempfile import mkdtemp
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import abandoned, write_whole
 
 logger = logging.getLogger(__name__)
+
+
+class PageError(AmheError):
+    """The page of results that are written cannot be made."""
 
 
 def reserve(out: Path | None, command: str, force: bool) -> Path:
@@ -51,10 +55,21 @@ def write_page(folder: Path, page: Callable[[], str]) -> None:
     Args:
         folder: Folder of the results.
         page: Makes the page.
+
+    Raises:
+        PageError: It cannot be made; the traceback is in the log, at level debug.
     """
     path = folder / "report.html"
     path.unlink(missing_ok=True)  # that of other results
-    write_whole(path, page())
+    try:
+        content = page()
+    except Exception as fault:
+        logger.debug("report.html", exc_info=True)
+        raise PageError(
+            f"report.html could not be made ({type(fault).__name__}: {fault}); the results beside it are "
+            "complete. This is a bug in amhe: please report it"
+        ) from fault
+    write_whole(path, content)
 
 
 def _fresh(path: Path) -> Path:

@@ -14,6 +14,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.files import json_text
 from amhe_cli.core.floor import Floor
 from amhe_cli.report import figures, numbers, run_figures
+from amhe_cli.report.folder import write_page
 from amhe_cli.report.page import Key, Section, Statement, Tone, result_page
 from amhe_cli.report.tables import STRONG, Table, rich_table
 
@@ -58,8 +59,7 @@ def write_run(
         provenance: Versions, hashes, seed and command.
     """
     (folder / "result.json").write_text(json_text(record), encoding="utf-8")
-    page = run_page(task, columns, record, provenance)
-    (folder / "report.html").write_text(page, encoding="utf-8")
+    write_page(folder, lambda: run_page(task, columns, record, provenance))
 
 
 def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Console) -> None:

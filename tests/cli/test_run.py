@@ -176,13 +176,15 @@ def test_a_plant_that_diverges_is_a_failure_that_keeps_its_log(monkeypatch, caps
     assert not survey(Path("out/log.mcap")).problems
 
 
-def test_a_fault_of_the_page_costs_no_log(monkeypatch) -> None:
+def test_a_fault_of_the_page_costs_no_log_and_is_one_line(monkeypatch, capsys) -> None:
     def broken(*arguments: object) -> str:
         raise RuntimeError("no page")
 
     monkeypatch.setattr("amhe_cli.report.run.run_page", broken)
     assert run(["run", "--task", "t1", "-o", "out", *QUICK]) == 1
     assert names("out") == ["log.mcap", "result.json"]
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "no page" in line]
+    assert line.startswith("amhe run: error: report.html could not be made (RuntimeError: no page)")
 
 
 def test_options_of_the_estimator_are_refused_where_there_is_none(capsys) -> None:

@@ -10,6 +10,7 @@ import struct
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from unittest.mock import Mock
 
 import lz4.frame
 import numpy as np
@@ -20,6 +21,7 @@ from mcap.writer import CompressionType, Writer
 from amhe_cli.core.errors import AmheError, LogError
 from amhe_cli.core.limits import limit
 from amhe_cli.logs import Survey, survey
+from amhe_cli.logs.containers.arrow_sizes import unfolded_sizes
 from amhe_cli.logs.containers.folder import open_log
 from tests.logs.log_makers import ROS2, motion, write_rosbag2
 
@@ -298,6 +300,40 @@ def test_tables_of_zeros(write: Callable[[Path], None], tmp_path: Path) -> None:
     write(path)
     assert path.stat().st_size < 2**20
     assert "beyond the limit growth = 100" in refused(path)
+
+
+def test_a_feather_batch_is_measured_before_it_is_unfolded(tmp_path: Path, monkeypatch) -> None:
+    pa = pytest.importorskip("pyarrow")
+    _feather(tmp_path / "log")
+    monkeypatch.setattr(pa.ipc, "open_file", Mock(side_effect=AssertionError("it was unfolded")))
+    with limit(piece_mib=1):
+        assert "beyond the limit growth = 100" in refused(tmp_path / "log")
+
+
+@pytest.mark.parametrize("compression", [None, "zstd", "lz4"])
+def test_the_unfolded_size_of_a_feather_batch(tmp_path: Path, compression: str | None) -> None:
+    pa = pytest.importorskip("pyarrow")
+    batch = pa.record_batch({"time": np.zeros(1000), "q": np.random.default_rng(0).normal(size=1000)})
+    options = pa.ipc.IpcWriteOptions(compression=compression)
+    with (
+        pa.OSFile(str(tmp_path / "log"), "wb") as sink,
+        pa.ipc.new_file(sink, batch.schema, options=options) as file,
+    ):
+        file.write_batch(batch)
+    assert list(unfolded_sizes(tmp_path / "log")) == [batch.nbytes]
+
+
+def test_texts_in_a_parquet_file_are_not_unfolded(tmp_path: Path) -> None:
+    """One text of 16 KiB, 65,536 times, is a small file and a GiB."""
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    text = pa.DictionaryArray.from_arrays(pa.array(np.zeros(2**16, dtype=np.int32)), ["x" * 2**14])
+    columns = {"time": np.arange(2.0**16), "text": text}
+    parquet.write_table(pa.table(columns), tmp_path / "log", store_schema=False)
+    (topic,) = survey(tmp_path / "log").topics
+    assert topic.count == 2**16
+    assert pa.default_memory_pool().max_memory() < 2**29
 
 
 def test_a_table_opens_no_other_file(tmp_path: Path) -> None:

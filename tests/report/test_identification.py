@@ -11,6 +11,7 @@ from rich.console import Console
 
 from amhe_cli.core.files import plain
 from amhe_cli.estimation.offline.result import HeldOut, Identification
+from amhe_cli.report.folder import PageError
 from amhe_cli.report.identification import (
     held_out_line,
     identification_record,
@@ -231,7 +232,7 @@ def test_a_fault_of_the_page_costs_no_result(tmp_path, monkeypatch: pytest.Monke
 
     monkeypatch.setattr("amhe_cli.report.identification.identification_page", fail)
     result = identification()
-    with pytest.raises(RuntimeError):
+    with pytest.raises(PageError, match=r"could not be made \(RuntimeError: a glyph\); the results"):
         write_identification(tmp_path, system, result, result.belief, {}, ORIGIN)
     written = {path.name for path in tmp_path.iterdir()}
     assert {"belief.yaml", "identified.xml", "result.json"} <= written and "report.html" not in written

@@ -18,6 +18,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.logs.containers import text_table
+from amhe_cli.logs.containers.arrow_sizes import unfolded_sizes
 from amhe_cli.logs.containers.compression import check_growth
 from amhe_cli.logs.containers.table_file import NumberTable, TableFile, is_time, listed
 from amhe_cli.logs.containers.text_dialect import Column, dialect_of, looks_like_text
@@ -90,7 +91,8 @@ def _parquet(path: Path) -> list[NumberTable]:
     import pyarrow.parquet
 
     check_parquet(path)
-    return [in_memory(path, _stem(path), arrow_arrays(pyarrow.parquet.read_table(path)))]
+    wanted = number_columns(pyarrow.parquet.read_schema(path))
+    return [in_memory(path, _stem(path), arrow_arrays(pyarrow.parquet.read_table(path, columns=wanted)))]
 
 
 def check_parquet(path: Path) -> None:
@@ -103,21 +105,38 @@ def check_parquet(path: Path) -> None:
 
     about = pyarrow.parquet.read_metadata(path)
     groups = [about.row_group(i) for i in range(about.num_row_groups)]
-    values = sum(group.column(i).num_values for group in groups for i in range(group.num_columns))
-    check_growth(path, 8 * values)
+    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
+    check_growth(path, sum(max(8 * one.num_values, one.total_uncompressed_size) for one in columns))
 
 
 def _feather(path: Path) -> list[NumberTable]:
     needed(path, "pyarrow", "a feather file")
     import pyarrow as pa
 
+    size = 0
+    for batch in unfolded_sizes(path):
+        size += batch
+        check_growth(path, size)
     with pa.memory_map(str(path)) as file:
-        reader, batches, size = pa.ipc.open_file(file), [], 0
-        for i in range(reader.num_record_batches):
-            batches.append(reader.get_batch(i))
-            size += batches[-1].nbytes
-            check_growth(path, size)
+        reader = pa.ipc.open_file(file)
+        batches = [reader.get_batch(i) for i in range(reader.num_record_batches)]
+        for batch in batches:
+            batch.validate()  # one longer than its buffers would be read beyond their end
     return [in_memory(path, _stem(path), arrow_arrays(pa.Table.from_batches(batches, reader.schema)))]
+
+
+def number_columns(schema: Any) -> list[str]:
+    """Columns of a pyarrow schema that `arrow_arrays` takes; texts, say, need not be unfolded."""
+    return [name for name, kind in zip(schema.names, schema.types, strict=True) if _of_numbers(kind)]
+
+
+def _of_numbers(kind: Any) -> bool:
+    import pyarrow as pa
+
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        kind = kind.value_type
+    number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+    return number or pa.types.is_timestamp(kind)
 
 
 def arrow_arrays(table: Any) -> dict[str, np.ndarray]:
@@ -125,7 +144,7 @@ def arrow_arrays(table: Any) -> dict[str, np.ndarray]:
     import pyarrow as pa
 
     arrays: dict[str, np.ndarray] = {}
-    for name in table.column_names:
+    for name in number_columns(table.schema):
         column = table[name].combine_chunks()
         kind = column.type
         if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
@@ -134,7 +153,7 @@ def arrow_arrays(table: Any) -> dict[str, np.ndarray]:
                 arrays[name] = flat.reshape(len(column), -1)
         elif pa.types.is_timestamp(kind):
             arrays[name] = column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False)
-        elif pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind):
+        else:
             arrays[name] = column.to_numpy(zero_copy_only=False)
     return arrays
 

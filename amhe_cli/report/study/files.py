@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from amhe_cli.core.files import plain
+from amhe_cli.report.folder import write_page
 from amhe_cli.report.study.drawing import StudyTask, drawn
 from amhe_cli.report.study.figures import drawings
 from amhe_cli.report.study.formats import FORMATS, text
@@ -57,8 +58,7 @@ def write_study(store: Store, tasks: Mapping[str, StudyTask], modes: Sequence[st
         for suffix, form in FORMATS.items():
             _write(store.folder / "tables" / f"{table.name}.{suffix}", form(table))
     pictures = drawn(drawings(groups, tried, tasks), store.folder / "figures")
-    page = study_page(store.study, groups, failures, made, pictures)
-    _write(store.folder / "report.html", page)
+    write_page(store.folder, lambda: study_page(store.study, groups, failures, made, pictures))
     return Report(len(results) - len(failures), failures, content, "\n".join(map(text, made)))
 
 

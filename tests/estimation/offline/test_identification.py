@@ -10,6 +10,7 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.log import Log, Series
+from amhe_cli.estimation.offline.checkpoint import _sum
 from amhe_cli.estimation.offline.conclude import PARTS
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.system.system import System
@@ -111,6 +112,13 @@ def test_a_checkpoint_of_another_problem_is_refused(pendulum, swing, tmp_path):
     for change in ([], "x", {"z": []}, None):
         file.write_text(json.dumps(json.loads(saved) | {"state": change}))
         with pytest.raises(ConfigError, match="its content was changed"):
+            identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
+    nan = {"array": [float("nan")] * 2, "shape": [2]}
+    changes = [{"z": []}, {"z": "x"}, {"z": nan}, {"record": []}, {"stage": "x"}, {"scale": {"a": "x"}}]
+    for change in (*changes, {"number": -1}, {"shape": {"array": [1.0], "shape": [1, 1]}}, {"first": 3}):
+        state = json.loads(saved)["state"] | change  # its checksum fits
+        file.write_text(json.dumps(json.loads(saved) | {"state": state, "sum": _sum(state)}))
+        with pytest.raises(ConfigError, match="delete it"):
             identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
     for text in (saved.replace('"number": ', '"number": 1', 1), "[" * 10**5, "[]", saved[:-9]):
         file.write_text(text)
