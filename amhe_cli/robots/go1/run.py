@@ -181,6 +181,10 @@ def controller_for(
     planner = planner_model(task.box, timestep=settings.period / settings.substeps)
     engine = open_engine(system, threads=threads, kind=kind, model=planner, sensors=False)
     robot = Go1(layout(planner), settings.joint_sigma)
+    # its simulations are made now: the first plan at a robot would take twice the time of the others
+    n, inputs = settings.samples, np.zeros((settings.samples, 1, planner.nu))
+    theta = np.tile(system.space.nominal, (n, 1))
+    engine.rollout(theta, planner.qpos0, np.zeros(planner.nv), inputs, np.ones(n, dtype=np.int64))
     return Controller(behaviour, robot, engine, settings, system.space.names, samples)
 
 
