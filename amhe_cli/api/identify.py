@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import io
 import logging
 import time
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
+from amhe_cli.api.show import SavedView
 from amhe_cli.core.each_log import check_logs
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
@@ -130,7 +132,13 @@ class Result:
         from amhe_cli.report.identification import write_identification
 
         origin = provenance(command, self.seed, self.found.method, self.system, logs, held_out)
-        write_identification(folder, self.system, self.found, self.belief, record, origin)
+
+        def pictures() -> Iterator[tuple[str, str]]:
+            from amhe_cli.view.open import strips
+
+            return strips(self.system, self.logs, self.held_out, self.belief)
+
+        write_identification(folder, self.system, self.found, self.belief, record, origin, pictures)
 
     def __repr__(self) -> str:
         verdicts = ", ".join(f"{p.name} {p.estimate:.4g} ({p.verdict})" for p in self.parameters.values())
@@ -142,6 +150,13 @@ class Result:
     def _repr_html_(self) -> str:
         """The table, for a notebook."""
         return self._rendered().export_html(inline_styles=True, code_format="<pre>{code}</pre>")
+
+    def plot(self) -> SavedView:
+        """Measured against predicted for the best, a middling and the worst clip; a notebook shows it."""
+        from amhe_cli.report.identification_page import fit_section
+
+        clips = (f"<h4>{html.escape(one.title)}</h4>{one.content}" for one in fit_section(self.fits).folds)
+        return SavedView(f'<body style="background:#fff;font-family:sans-serif">{"".join(clips)}</body>')
 
     def _rendered(self) -> Any:
         from amhe_cli.report.identification import print_identification

@@ -1,8 +1,9 @@
-"""Figures of the report as inline SVG: no script, no network, sharp at any size."""
+"""Figures of the report as inline SVG: no network, sharp at any size; complete without the page's script."""
 
 from __future__ import annotations
 
 import io
+import json
 import logging
 import re
 from collections.abc import Sequence
@@ -262,7 +263,26 @@ def svg(figure: Figure) -> Markup:
     figure.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     whole = printable(text.getvalue(), keep="\n")
     whole = whole[whole.index("<svg") :].replace("'DejaVu Sans'", FONTS)
+    whole = whole.replace("<svg", f"<svg data-axes='{json.dumps(_places(figure))}'", 1)
     return Markup(_PATH.sub(lambda path: _DIGITS.sub(r"\1", path[0]), whole))
+
+
+def _places(figure: Figure) -> list[dict[str, Any]]:
+    """Where axes with numbers lie in the SVG element [pt], and their ends: what the page's script needs."""
+    wide, high = (72.0 * size for size in figure.get_size_inches())
+    found = []
+    for axes in figure.axes:
+        at = axes.get_position()
+        box = (at.x0 * wide, (1.0 - at.y1) * high, at.x1 * wide, (1.0 - at.y0) * high)
+        ends = {
+            name: (*map(float, limits), scale == "log")
+            for name, limits, scale in (
+                ("x", axes.get_xlim(), axes.get_xscale()),
+                ("y", axes.get_ylim(), axes.get_yscale()),
+            )
+        }
+        found.append({"box": [round(edge, 1) for edge in box], **ends})
+    return found
 
 
 def fit_legend(initial: str, identified: str) -> tuple[Key, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -75,6 +75,7 @@ def write_identification(
     belief: Belief,
     record: Mapping[str, Any],
     provenance: dict[str, object],
+    pictures: Callable[[], Iterable[tuple[str, str]]] = tuple,
 ) -> None:
     """Write belief.yaml, identified.xml (its meshes in assets/), result.json, all or none; then report.html.
 
@@ -85,6 +86,7 @@ def write_identification(
         belief: What is believed of the system's parameters.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command; goes into belief.yaml too.
+        pictures: Makes names and SVG elements of clips, measured and predicted.
     """
     contents = {
         "belief.yaml": belief_text(replace(belief, provenance=provenance)),
@@ -100,7 +102,7 @@ def write_identification(
                 continue
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, scratch / name)
-    write_page(folder, lambda: identification_page(result, record, provenance))
+    write_page(folder, lambda: identification_page(result, record, provenance, pictures()))
 
 
 def print_identification(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from amhe_cli.estimation.offline.result import (
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.bodies import body_table
 from amhe_cli.report.held_out import held_out_sections, held_out_statement
-from amhe_cli.report.page import Fold, Section, Statement, Tone, cell, fixed_statement, result_page
+from amhe_cli.report.page import Fold, Key, Section, Statement, Tone, cell, fixed_statement, result_page
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn, and how many of them are open at once.
@@ -39,7 +39,10 @@ _TONES: Mapping[str, Tone] = {"weak": "mixed", "prior": "mixed", "model-sensitiv
 
 
 def identification_page(
-    result: Identification, record: Mapping[str, Any], provenance: Mapping[str, Any]
+    result: Identification,
+    record: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+    pictures: Iterable[tuple[str, str]] = (),
 ) -> str:
     """The page as HTML.
 
@@ -47,6 +50,7 @@ def identification_page(
         result: The identification.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
+        pictures: Names and SVG elements of clips, measured and predicted.
     """
     clips, logs = result.clips, len(result.logs)
     return result_page(
@@ -60,7 +64,7 @@ def identification_page(
         ),
         headline=headline(result),
         statements=statements(result),
-        sections=list(_sections(result, record["truth"])),
+        sections=list(_sections(result, record["truth"], list(pictures))),
     )
 
 
@@ -135,7 +139,9 @@ def _divergence(result: Identification) -> Iterator[Statement]:
         )
 
 
-def _sections(result: Identification, truth: Mapping[str, float]) -> Iterator[Section]:
+def _sections(
+    result: Identification, truth: Mapping[str, float], pictures: Sequence[tuple[str, str]]
+) -> Iterator[Section]:
     yield Section("Parameters", table=_parameter_table(result, truth), note=_legend_of_verdicts())
     if result.bodies:
         yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies))
@@ -144,7 +150,18 @@ def _sections(result: Identification, truth: Mapping[str, float]) -> Iterator[Se
     if result.held_out:
         yield from held_out_sections(result.held_out)
     if result.fits:
-        yield _fit_section(result.fits)
+        yield fit_section(result.fits)
+    if pictures:
+        yield Section(
+            "At three instants",
+            text="A clip one and two thirds of its time after its first state, and its end. Where a colour "
+            "is not seen, that prediction is where the body was measured.",
+            legend=(
+                Key("predicted with the nominal parameters", figures.INITIAL, "patch"),
+                Key("predicted with the identified parameters", figures.IDENTIFIED, "patch"),
+            ),
+            folds=[Fold(name, Markup(svg)) for name, svg in pictures],
+        )
     if result.noise_scale:
         yield Section(
             "Residuals against declared noise",
@@ -272,7 +289,7 @@ def _residual_table(noise_scale: Mapping[str, float]) -> Table:
     return Table(("channel", "residual sd / noise sd", ""), ("name", STRONG, ""), rows)
 
 
-def _fit_section(fits: Sequence[Fit]) -> Section:
+def fit_section(fits: Sequence[Fit]) -> Section:
     """The fit of a few clips, those that were not fitted first."""
     clips: dict[str, list[Fit]] = {}
     for fit in sorted(fits, key=lambda fit: not fit.held_out):

@@ -1,4 +1,4 @@
-"""A report: one page of HTML that opens without a network and runs no script."""
+"""A report: one page of HTML that opens without a network; its script only shows numbers and zooms."""
 
 from __future__ import annotations
 

@@ -121,6 +121,7 @@ def viewing(
     parts: Sequence[tuple[Window, bool | None]],
     candidates: Mapping[str, FloatArray],
     engine: Engine,
+    most: int = _STEPS,
 ) -> Viewing:
     """Logs, and their clips rolled out under each candidate.
 
@@ -129,6 +130,7 @@ def viewing(
         parts: Parts of the logs, and whether each was held out; None: nothing was fitted.
         candidates: Name of a candidate -> its z, shape (d,); the best one last.
         engine: The system's engine.
+        most: Most steps of all clips; of more clips some from all over the logs are taken.
 
     Raises:
         LogError: A log has no instant at which all of the state was measured.
@@ -137,7 +139,7 @@ def viewing(
     settings = system.settings.clips
     length = settings.held_out_length or 0.5 * sum(settings.length)
     cut = [(w, held) for part, held in parts for w in ClipPool(system, [part], settings).cut(length)]
-    kept = cut[:: max(1, -(-sum(w.length for w, _ in cut) // _STEPS), -(-len(cut) // _TAKES))]
+    kept = cut[:: max(1, -(-sum(w.length for w, _ in cut) // most), -(-len(cut) // _TAKES))]
     columns = tuple(columns_of(system, logs[0]))
     frame = 14 * len(scene.bodies) + 2 * len(columns)
     seconds = (1 + len(candidates)) * sum(w.duration for w, _ in kept)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.parameters import Belief, completed
 from amhe_cli.engine.open import open_engine
@@ -13,6 +14,10 @@ from amhe_cli.estimation.offline.clips import split_held_out, whole
 from amhe_cli.system.system import System
 from amhe_cli.view.ghosts import Viewing, viewing
 from amhe_cli.view.page import Heading, parameter_rows, saved_page
+from amhe_cli.view.strip import strip
+
+#: Most steps of the clips among which those of a report's pictures are chosen.
+_PICTURED = 8_000
 
 
 def page_of(
@@ -43,7 +48,7 @@ def page_of(
     """
     candidates = {"nominal": np.zeros(len(system.space))}
     if belief is not None:
-        candidates["identified"] = system.space.z_of(completed(belief, system).estimate)
+        candidates["identified"] = _identified(system, belief)
     parts = list(_parts(system, logs, held_out)) if fitted else [(whole(log), None) for log in logs]
     found = viewing(system, parts, candidates, open_engine(system, threads=threads))
     seconds = sum(log.duration for log in (*logs, *held_out))
@@ -54,6 +59,33 @@ def page_of(
         parameter_rows(system.space, belief),
     )
     return saved_page(found, heading)
+
+
+def strips(
+    system: System, logs: Sequence[Log], held_out: Sequence[Log], belief: Belief
+) -> Iterator[tuple[str, str]]:
+    """Name and picture of the worst and of the median clip that were not fitted, or of all if none was kept.
+
+    Args:
+        system: The system.
+        logs: The logs that were fitted.
+        held_out: Further logs that were only used to validate.
+        belief: What was identified.
+    """
+    parts = list(_parts(system, logs, held_out))
+    kept = [part for part in parts if part[1]] or parts
+    z = {"nominal": np.zeros(len(system.space)), "identified": _identified(system, belief)}
+    found = viewing(system, kept, z, open_engine(system), _PICTURED)
+    rows = sorted({0, len(found.takes) // 2}) if found.takes else ()
+    for kind, row in zip(("worst", "median"), rows, strict=False):
+        take = found.takes[row]
+        costs = " -> ".join(f"{cost:.3g}" for cost in take.costs)
+        name = found.recordings[take.recording].name
+        yield f"{kind}: {name} {take.start:.2f}-{take.stop:.2f} s, cost {costs}", strip(found, take)
+
+
+def _identified(system: System, belief: Belief) -> FloatArray:
+    return system.space.z_of(completed(belief, system).estimate)
 
 
 def _parts(

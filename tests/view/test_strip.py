@@ -1,0 +1,96 @@
+"""Pictures of clips in a report, and its figures under the pointer."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.core.parameters import belief_of
+from amhe_cli.report.figures import thinned
+from amhe_cli.view.open import strips
+from amhe_cli.view.strip import _outline
+from tests.view.browser import browser, needs_chromium
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def pictures(log: Path, z: float) -> list[tuple[str, list[ElementTree.Element]]]:
+    """Names of the strips for an estimate z of all parameters, and their pictures."""
+    system = amhe.System.load("pendulum")
+    belief = belief_of(system, np.full(4, z), 1e-4 * np.eye(4))
+    found = strips(system, [amhe.read_log(log, system)], [], belief)
+    return [(name, ElementTree.fromstring(text).findall(f"{SVG}svg")) for name, text in found]
+
+
+def ghosts(picture: ElementTree.Element) -> list[list[str]]:
+    """Outlines of each ghost."""
+    groups = [group for group in picture.findall(f"{SVG}g") if group.get("opacity") == "0.55"]
+    return [[one.get("points", "") for one in group] for group in groups]
+
+
+def test_the_worst_and_the_median_clip_at_three_instants(pendulum_log: Path) -> None:
+    found = pictures(pendulum_log, 0.5)
+    assert [name.partition(":")[0] for name, _ in found] == ["worst", "median"]
+    for _, shown in found:
+        times = [float(one.findall(f"{SVG}text")[0].text.split()[0]) for one in shown]  # type: ignore[union-attr]
+        assert len(times) == 3
+        assert np.diff(times) == pytest.approx(np.diff(times)[0], abs=0.05)
+        nominal, identified = ghosts(shown[-1])
+        assert nominal != identified
+
+
+def test_equal_parameters_give_equal_ghosts(pendulum_log: Path) -> None:
+    for _, shown in pictures(pendulum_log, 0.0):
+        for picture in shown:
+            nominal, identified = ghosts(picture)
+            assert nominal == identified
+
+
+def test_an_outline_holds_all_points_and_only_corners() -> None:
+    inside = np.random.default_rng(0).uniform(1.0, 9.0, (50, 2))
+    corners = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0]])
+    found = _outline(np.concatenate((inside, corners, [[5.0, 0.0]])))
+    assert sorted(found.tolist()) == sorted(corners.tolist())
+
+
+@needs_chromium
+def test_a_report_shows_numbers_under_the_pointer_and_zooms(tmp_path: Path) -> None:
+    from amhe_cli.report.figures import Grid, styled, svg
+    from amhe_cli.report.page import Origin, Page, Section
+
+    with styled("test"):
+        figure = (grid := Grid(1, 1, 3.0)).figure()
+        axes = grid.axes(figure, 0)
+        axes.plot(*thinned(np.linspace(0.0, 8.0, 9), np.linspace(2.0, 4.0, 9)))
+        axes.set_xlim(0.0, 8.0)
+        axes.set_ylim(2.0, 4.0)
+        element = svg(figure)
+    page = Page("identify", "x", (), "h", (), [Section("f", figure=element)], (), Origin(("amhe",)))
+    (tmp_path / "page.html").write_text(page.html(), encoding="utf-8")
+    with browser(tmp_path / "profile") as one:
+        one.open((tmp_path / "page.html").as_uri())
+        one.run("document.querySelector('svg[data-axes]').scrollIntoView()")
+        middle = one.run(
+            "(() => { const svg = document.querySelector('svg[data-axes]'), [l, t, r, b] = "
+            "JSON.parse(svg.dataset.axes)[0].box, m = svg.getScreenCTM(); const at = (x, y) => "
+            "{ const p = new DOMPoint(x, y).matrixTransform(m); return [p.x, p.y]; };"
+            "return [at((l + r) / 2, (t + b) / 2), at(r - 20, b - 20)]; })()"
+        )
+
+        def mouse(kind: str, place: list[float], **more: object) -> None:
+            one.ask("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], **more)
+
+        mouse("mouseMoved", middle[0])
+        x, y = map(float, one.run("document.querySelector('.tip').textContent").split(","))
+        assert (x, y) == pytest.approx((4.0, 3.0), abs=0.05)
+        whole = one.run("document.querySelector('svg[data-axes]').getAttribute('viewBox')")
+        mouse("mousePressed", middle[0], button="left", clickCount=1)
+        mouse("mouseMoved", middle[1], button="left", buttons=1)
+        mouse("mouseReleased", middle[1], button="left", clickCount=1)
+        assert one.run("document.querySelector('svg[data-axes]').getAttribute('viewBox')") != whole
+        one.run("document.querySelector('svg[data-axes]').dispatchEvent(new Event('dblclick'))")
+        assert one.run("document.querySelector('svg[data-axes]').getAttribute('viewBox')") == whole
