@@ -128,7 +128,10 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     trail = state.trail
     if problem.rough and not exploring:
         trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
-    settled = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
+    scale = fitted_noise_scale(slopes, found, state.scale)
+    still = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
+    # a step is short, too, where the misfit of an iteration before passes for noise
+    settled = still and (problem.touches or not _quieter(state.scale, scale))
     stage = _next_stage(state, number, settled, setting)
     z = _averaged(trail) if stage == "done" and len(trail) else taken.z
     return replace(
@@ -139,7 +142,7 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
         trail=trail,
         settled=settled,
         shape=shape,
-        scale=fitted_noise_scale(slopes, found, state.scale),
+        scale=scale,
         record=(*state.record, _entry(problem, state, taken, slopes)),
         # these clips are the same next time; random ones are not
         first=None if exploring else problem.first_states(found, z - state.z),
@@ -213,6 +216,11 @@ def _reshaped(
     covariance = np.linalg.inv(known + problem.system.space.prior_precision)
     before = state.shape if problem.touches else np.zeros_like(state.shape)
     return adapted(covariance, before, floor, problem.active, problem.alike)
+
+
+def _quieter(before: Mapping[str, float], after: Mapping[str, float]) -> bool:
+    """Whether any channel's residuals are smaller by more than a quarter than the noise that was assumed."""
+    return any(sd < 0.8 * before.get(key, 1.0) for key, sd in after.items() if before)
 
 
 def _averaged(trail: FloatArray) -> FloatArray:
