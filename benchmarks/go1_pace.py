@@ -75,6 +75,8 @@ def run(task: str, mode: str, seed: int) -> dict[str, Any]:
 
 def described(record: dict[str, Any]) -> tuple[str, ...]:
     """The numbers of a run in words."""
+    if not record["cycles"]:  # it was stopped before its first plan
+        return (str(record["error"]), "no", "-", "-", "-", "-", "-")
     ms, estimator = record["cycle_ms"], record["estimator"] or {"updates": 0}
     mean = record["rollouts"] / max(1, record["cycles"])
     return (
