@@ -10,6 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from amhe_cli.api.compare import compare
     from amhe_cli.api.estimator import Estimator
     from amhe_cli.api.export import export
     from amhe_cli.api.identify import Result, identify
@@ -38,6 +39,7 @@ _HOMES = {
     "LogWriter": "amhe_cli.logs.messages.writer",
     "Result": "amhe_cli.api.identify",
     "System": "amhe_cli.system.system",
+    "compare": "amhe_cli.api.compare",
     "convert": "amhe_cli.logs.convert",
     "export": "amhe_cli.api.export",
     "identify": "amhe_cli.api.identify",
@@ -59,6 +61,7 @@ __all__ = [
     "Result",
     "System",
     "__version__",
+    "compare",
     "convert",
     "export",
     "identify",

@@ -237,7 +237,7 @@ def identify(
         engine=engine,
     )
     begun = time.monotonic()
-    with _warnings() as warnings:
+    with collected_warnings() as warnings:
         found = identification.identify(
             system, fitted, validation, options, progress or (lambda iteration, total: None)
         )
@@ -266,7 +266,7 @@ def _same_data(one: Log, other: Log) -> bool:
 
 
 @contextmanager
-def _warnings() -> Iterator[list[str]]:
+def collected_warnings() -> Iterator[list[str]]:
     """The library's warnings, each once, while the block runs."""
     texts: dict[str, None] = {}
     found: list[str] = []

@@ -18,6 +18,7 @@ import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.calibrate import calibrate
+from amhe_cli.cli.compare import compare
 from amhe_cli.cli.convert import convert
 from amhe_cli.cli.emulate import emulate
 from amhe_cli.cli.eval import evaluate
@@ -49,8 +50,8 @@ def amhe() -> None:
 
 
 for _command in (
-    init, inspect, convert, probe, identify, view, export, pool, mhe_replay, run_task, evaluate, emulate,
-    calibrate,
+    init, inspect, convert, probe, identify, view, compare, pool, export, mhe_replay, run_task, evaluate,
+    emulate, calibrate,
 ):  # fmt: skip
     amhe.add_command(_command)
 

@@ -42,10 +42,11 @@ def draft_wiring(
     return draft
 
 
-def joint_unit(model: mujoco.MjModel, column: int) -> str:
-    """Unit of the position of the joint that a column of qpos belongs to."""
-    kind = model.jnt_type[model.jnt_qposadr == column]
-    return "m" if mujoco.mjtJoint.mjJNT_SLIDE in kind else "rad"
+def joint_of(model: mujoco.MjModel, column: int) -> tuple[str, str]:
+    """Name of the joint that a column of qpos belongs to, and the unit of its position."""
+    row = int((model.jnt_qposadr == column).nonzero()[0][0])
+    slides = model.jnt_type[row] == mujoco.mjtJoint.mjJNT_SLIDE
+    return model.joint(row).name, "m" if slides else "rad"
 
 
 def _read_only(draft: WiringDraft, name: str, entry: SignalEntry) -> None:

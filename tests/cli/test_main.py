@@ -148,7 +148,12 @@ def test_an_unknown_option_names_the_nearest(capsys) -> None:
 @pytest.mark.parametrize("command", sorted(set(entry.amhe.commands) - {"emulate", "calibrate"}))  # no paths
 def test_a_path_that_does_not_exist_is_a_usage_error(command, capsys, tmp_path) -> None:
     task = ["--task", "t1", "--belief"]
-    option = {"run": task, "eval": ["--report"], "probe": ["--belief"]}.get(command, [])
+    option = {
+        "run": task,
+        "eval": ["--report"],
+        "probe": ["--belief"],
+        "compare": ["pendulum", "--logs"],
+    }.get(command, [])
     assert entry.run([command, *option, str(tmp_path / "nothing.mcap")]) == 2
     assert "does not exist" in capsys.readouterr().err
 

@@ -13,12 +13,13 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, to_host
 from amhe_cli.core.log import Window
+from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline.clips import ClipPool
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import HorizonError
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.windows import Observed
-from amhe_cli.system.channels import joint_unit
+from amhe_cli.system.channels import joint_of
 from amhe_cli.system.system import Channel, System
 
 #: Horizons [s]; the last one is the end of the logs.
@@ -94,6 +95,11 @@ def horizon_errors(problem: Problem, windows: Sequence[Window], z: FloatArray) -
     return tuple(found)
 
 
+def errors_of(system: System, windows: Sequence[Window], engine: Engine, z: FloatArray) -> list[ClipErrors]:
+    """Errors of one candidate z (d,) of a system at the end of each window."""
+    return list(clip_errors(MatchingCost(system, windows, engine, system.settings.cost), z[None]))
+
+
 def clip_errors(cost: MatchingCost, z: FloatArray) -> Iterator[ClipErrors]:
     """Errors of candidates z (p, d) at each clip's end: poses and joints, or all channels if none is one."""
     residuals = cost.residuals(z)
@@ -121,14 +127,16 @@ def clip_errors(cost: MatchingCost, z: FloatArray) -> Iterator[ClipErrors]:
 def _columns(cost: MatchingCost, observed: Observed) -> Iterator[tuple[str, str, list[int]]]:
     """Name, unit and residuals of each joint; of a pose all together."""
     channel, width = observed.channel, observed.width
-    names = cost.clips.windows[0].log[channel.key].columns
     if channel.kind == "rotation" or (channel.unit == "m" and width == 3):
         yield "", _unit(channel), list(range(width))
         return
+    names = cost.clips.windows[0].log[channel.key].columns
     for i, name in enumerate(names):
-        joint = channel.source == "qpos"
-        unit = joint_unit(cost.system.model, channel.columns[i]) if joint else channel.unit
-        yield (str(name) if width > 1 or joint else ""), unit, [i]
+        if channel.source == "qpos":
+            joint, unit = joint_of(cost.system.model, channel.columns[i])
+            yield joint or str(name), unit, [i]
+        else:
+            yield (str(name) if width > 1 else ""), channel.unit, [i]
 
 
 def _unit(channel: Channel) -> str:

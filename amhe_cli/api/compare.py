@@ -1,0 +1,208 @@
+"""Which model predicts better what was not fitted?"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amhe_cli import __version__
+from amhe_cli.api.arguments import checked
+from amhe_cli.api.identify import Result, collected_warnings, identify
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.log import Log, Window
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.offline.clips import split_held_out, whole
+from amhe_cli.estimation.offline.comparison import AtHorizon, at_horizon, best_of, verdict
+from amhe_cli.estimation.offline.horizon import HORIZONS, errors_of, starts
+from amhe_cli.report.comparison import comparison_record, comparison_table, write_comparison
+from amhe_cli.report.folder import reserve
+from amhe_cli.system.provenance import provenance
+from amhe_cli.system.system import System
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What several systems predict of the same held-out clips.
+
+    Args:
+        names: Names of the systems.
+        results: What was identified of each.
+        horizons: Their errors at each horizon.
+        best: Index of the system that predicts best.
+        verdicts: What the logs say of it against each other system, in words.
+        seconds: Time that the comparison took [s].
+        warnings: What was warned of on the way, by system.
+    """
+
+    names: tuple[str, ...]
+    results: tuple[Result, ...]
+    horizons: tuple[AtHorizon, ...]
+    best: int
+    verdicts: tuple[str, ...]
+    seconds: float
+    warnings: tuple[str, ...]
+
+    @property
+    def table(self) -> str:
+        """Errors of each system at each horizon, and the verdicts, as text."""
+        from amhe_cli.report.comparison import table_text
+
+        return "\n".join((table_text(comparison_table(self.names, self.horizons)), "", *self.verdicts))
+
+    def record(self) -> dict[str, Any]:
+        """The keys of a comparison in result.json."""
+        found = [result.found for result in self.results]
+        return comparison_record(self.names, found, self.horizons, self.best, self.verdicts)
+
+    def save(self, folder: str | Path, *, force: bool = False) -> Path:
+        """Write result.json and report.html, and the files of each system's identification in a folder.
+
+        Args:
+            folder: Folder of the files; made if it does not exist.
+            force: Write into a folder that is not empty; other files in it stay.
+        """
+        out = reserve(Path(folder), "compare", force)
+        head = {
+            "schema_version": 1, "command": "compare", "version": __version__,
+            "seconds": round(self.seconds, 3), "warnings": list(self.warnings),
+        }  # fmt: skip
+        self.write(out, head | self.record() | {"out": str(out)}, "amhe.compare")
+        return out
+
+    def write(self, folder: Path, record: dict[str, Any], command: str) -> None:
+        """Write the files with a given content of result.json."""
+        for name, result in zip(self.names, self.results, strict=True):
+            result.save(folder / name, force=True)
+        one = self.results[0]
+        origin = provenance(command, one.seed, one.found.method, one.system, one.logs, one.held_out)
+        found = [result.found for result in self.results]
+        write_comparison(folder, self.names, found, self.horizons, self.best, self.verdicts, record, origin)
+
+    def __str__(self) -> str:
+        return self.table
+
+
+def compare(
+    systems: Sequence[System],
+    logs: Sequence[Sequence[Log]],
+    *,
+    held_out: Sequence[Sequence[Log]] | None = None,
+    seed: int = 0,
+    threads: int | None = None,
+    engine: str = "cpu",
+    max_time: float | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Comparison:
+    """Fit each system to the same logs, and score all on the same clips that were not fitted.
+
+    Args:
+        systems: Two or more systems; the clips are cut as the first one's settings say.
+        logs: For each system the same logs, read for it.
+        held_out: Likewise logs to score on; None: a share of the logs' time is held out.
+        seed: Seed of the random numbers.
+        threads: CPU threads; None: all cores. Results do not depend on it.
+        engine: What computes the rollouts: 'cpu' or 'gpu'.
+        max_time: Time of the whole comparison [s], shared evenly; None: no limit.
+        progress: Called with a line of text now and then.
+
+    Raises:
+        ConfigError: An argument is wrong.
+        LogError: A log was not read for its system, or nothing that all systems predict was held out.
+    """
+    begun, say = time.monotonic(), progress or (lambda text: None)
+    seed, threads = checked(seed, threads, times={"max_time": max_time})
+    if len(systems) < 2:
+        raise ConfigError("`systems`: give two or more")
+    for argument, given in (("logs", logs), ("held_out", held_out or logs)):
+        if [len(own) for own in given] != [len(given[0])] * len(systems) or not given[0]:
+            raise ConfigError(f"`{argument}`: give the same logs for each of the {len(systems)} systems")
+    names = _names(systems)
+    clips = systems[0].settings.clips
+    alike = [replace(one, settings=one.settings.model_copy(update={"clips": clips})) for one in systems]
+    share = None if max_time is None else 0.9 * max_time / len(systems)
+    results, warnings = [], []
+    for i, (name, system) in enumerate(zip(names, alike, strict=True)):
+
+        def show(iteration: Any, total: int, name: str = name) -> None:
+            say(f"{name}: {iteration.method} {iteration.number}/{total}")
+
+        with collected_warnings() as texts:
+            results.append(
+                identify(
+                    system, logs[i], held_out=held_out[i] if held_out else None, seed=seed, threads=threads,
+                    engine=engine, max_time=share, progress=show,
+                )
+            )  # fmt: skip
+        warnings += [f"{name}: {text}" for text in texts]
+    say("held-out clips")
+    found = _scored(alike, results, logs, held_out, seed, threads, engine)
+    best = best_of(found)
+    verdicts = tuple(verdict(found, names, best, i) for i in range(len(names)) if i != best)
+    return Comparison(names, tuple(results), found, best, verdicts, time.monotonic() - begun, tuple(warnings))
+
+
+def _names(systems: Sequence[System]) -> tuple[str, ...]:
+    """Names of the systems, numbered where some are alike."""
+    names = [system.name for system in systems]
+    return tuple(
+        name if names.count(name) == 1 else f"{name}-{names[: i + 1].count(name)}"
+        for i, name in enumerate(names)
+    )
+
+
+def _scored(
+    systems: Sequence[System],
+    results: Sequence[Result],
+    logs: Sequence[Sequence[Log]],
+    held_out: Sequence[Sequence[Log]] | None,
+    seed: int,
+    threads: int,
+    engine: str,
+) -> tuple[AtHorizon, ...]:
+    """Errors of all systems on the same held-out windows, at each horizon that they have."""
+    given = held_out or logs
+    if held_out:
+        parts = [whole(log) for log in held_out[0]]
+    else:
+        parts = split_held_out(logs[0], systems[0].settings.clips.held_out)[1]
+    engines = [open_engine(system, threads=threads, kind=engine) for system in systems]
+    found, rng = [], np.random.default_rng([seed, 1])
+    longest = max((part.duration for part in parts), default=0.0)
+    for horizon in (*(h for h in HORIZONS if h < longest), np.inf):
+        windows = [
+            [_same_time(window, logs[0] if not held_out else held_out[0], own) for own in given]
+            for window in starts(systems[0], parts, horizon)
+        ]
+        usable = [row for row in windows if all(_usable(s, w) for s, w in zip(systems, row, strict=True))]
+        if not usable:
+            continue
+        errors = [
+            errors_of(
+                system, [row[i] for row in usable], engines[i], system.space.gaussian_of(result.belief)[0]
+            )
+            for i, (system, result) in enumerate(zip(systems, results, strict=True))
+        ]
+        seconds = min(horizon, max(row[0].duration for row in usable))
+        found.append(at_horizon(seconds, horizon == np.inf, errors, rng))
+    if not found or not found[0].errors:
+        raise LogError(
+            "`logs`: nothing that all systems compare was held out; record more, or give `held_out`"
+        )
+    return tuple(found)
+
+
+def _same_time(window: Window, logs: Sequence[Log], own: Sequence[Log]) -> Window:
+    """The window of another system's log at the same time."""
+    log = own[next(i for i, one in enumerate(logs) if one is window.log)]
+    since = 1e-9 * (window.log.start_ns - log.start_ns) + window.start * window.log.dt
+    return Window(log, round(since / log.dt), round(window.duration / log.dt))
+
+
+def _usable(system: System, window: Window) -> bool:
+    inside = window.start >= 0 and window.stop < window.log.steps
+    return inside and bool(window.log.usable(system.keys)[window.start : window.stop + 1].all())

@@ -1,0 +1,200 @@
+"""A comparison of models: a table for the terminal, result.json and report.html."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.core.files import filling, json_text, plain
+from amhe_cli.estimation.offline.comparison import FEWEST, AtHorizon
+from amhe_cli.estimation.offline.result import Identification
+from amhe_cli.report import numbers
+from amhe_cli.report.folder import write_page
+from amhe_cli.report.held_out import sized
+from amhe_cli.report.page import Section, Statement, result_page
+from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
+from amhe_cli.report.terminal import PlainConsole
+
+
+def comparison_table(names: Sequence[str], horizons: Sequence[AtHorizon]) -> Table:
+    """Rms error of each system at each horizon, over all joints and poses of a unit."""
+    units = list(dict.fromkeys(unit for at in horizons for _, unit in at.errors))
+    rows = []
+    for i, name in enumerate(names):
+        for unit in units:
+            cells = [sized(_together(at, i, unit), unit) for at in horizons]
+            rows.append((name, *cells))
+    return Table(("", *_heads(horizons)), ("name", *(NUMBER for _ in horizons)), rows)
+
+
+def ratio_table(names: Sequence[str], horizons: Sequence[AtHorizon], best: int) -> Table:
+    """Error of each other system over that of the best one, with its interval."""
+    rows = [
+        (
+            name,
+            *(
+                numbers.MISSING
+                if np.isnan(at.lower[i, best])
+                else f"{at.ratios[i, best]:.2f} ({at.lower[i, best]:.2f} to {at.upper[i, best]:.2f})"
+                for at in horizons
+            ),
+        )
+        for i, name in enumerate(names)
+        if i != best
+    ]
+    looks = ("name", *(NUMBER for _ in horizons))
+    return Table((f"error over that of {names[best]}", *_heads(horizons)), looks, rows)
+
+
+def comparison_record(
+    names: Sequence[str],
+    found: Sequence[Identification],
+    horizons: Sequence[AtHorizon],
+    best: int,
+    verdicts: Sequence[str],
+) -> dict[str, Any]:
+    """The keys of `amhe compare`, ready for JSON."""
+    return plain(
+        {
+            "systems": [_system_record(name, one) for name, one in zip(names, found, strict=True)],
+            "best": names[best],
+            "verdicts": list(verdicts),
+            "horizons": [_horizon_record(names, at, best) for at in horizons],
+        }
+    )
+
+
+def _system_record(name: str, found: Identification) -> dict[str, Any]:
+    known = {p.name: {"estimate": p.estimate, "sd": p.sd, "verdict": p.verdict} for p in found.parameters}
+    return {"name": name, "parameters": known, "held_out": found.held_out and asdict(found.held_out)}
+
+
+def _horizon_record(names: Sequence[str], at: AtHorizon, best: int) -> dict[str, Any]:
+    return {
+        "horizon": at.horizon,
+        "to_end": at.to_end,
+        "clips": at.clips,
+        "errors": [
+            {"joint": joint, "unit": unit, "errors": dict(zip(names, errors.tolist(), strict=True))}
+            for (joint, unit), errors in at.errors.items()
+        ],
+        "against_best": {
+            name: {"ratio": at.ratios[i, best], "lower": at.lower[i, best], "upper": at.upper[i, best]}
+            for i, name in enumerate(names)
+            if i != best
+        },
+    }
+
+
+def write_comparison(
+    folder: Path,
+    names: Sequence[str],
+    found: Sequence[Identification],
+    horizons: Sequence[AtHorizon],
+    best: int,
+    verdicts: Sequence[str],
+    record: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+) -> None:
+    """Write result.json, then report.html.
+
+    Args:
+        folder: Folder of the files; made if it does not exist.
+        names, found: Names of the systems, and what was identified of each.
+        horizons, best, verdicts: The comparison.
+        record: Content of result.json.
+        provenance: Versions, hashes, seed and command.
+    """
+    with filling(folder) as scratch:
+        (scratch / "result.json").write_text(json_text(record), encoding="utf-8")
+    write_page(folder, lambda: _page(names, found, horizons, best, verdicts, record, provenance))
+
+
+def _page(
+    names: Sequence[str],
+    found: Sequence[Identification],
+    horizons: Sequence[AtHorizon],
+    best: int,
+    verdicts: Sequence[str],
+    record: Mapping[str, Any],
+    provenance: Mapping[str, Any],
+) -> str:
+    better = [text for text in verdicts if "cannot tell" not in text]
+    clear = len(better) == len(verdicts)
+    return result_page(
+        record,
+        provenance,
+        title=" against ".join(names) if len(names) == 2 else numbers.joined(names),
+        facts=(
+            f"{len(names)} models",
+            f"{max(at.clips for at in horizons)} clips that were not fitted, at most",
+        ),
+        headline=f"{names[best]} predicts best." if clear else "The logs do not single out one model.",
+        statements=[
+            Statement("mixed" if "cannot tell" in text else "good", f"{text[0].upper()}{text[1:]}.")
+            for text in verdicts
+        ],
+        sections=[
+            Section(
+                "Error against horizon",
+                text="Each model was fitted to the same logs. Predictions start from recorded states of "
+                "clips that were not fitted, and follow the recorded commands. Each cell is the rms error "
+                "after so much time, over all joints.",
+                table=comparison_table(names, horizons),
+            ),
+            Section(
+                f"Against {names[best]}",
+                text="Ratios of errors on the same clips, with the 95 % interval of a bootstrap over clips; "
+                "each joint counts in units of its usual error. Above 1 the other model is worse; an "
+                f"interval that holds 1 cannot tell, and fewer than {FEWEST} clips cannot either (–).",
+                table=ratio_table(names, horizons, best),
+            ),
+            *([Section("Each joint", table=_joint_table(names, horizons))] * (len(horizons[0].errors) > 1)),
+            Section(
+                "What was identified",
+                text="The folder beside this page that is called as the model has its whole report.",
+                table=_model_table(names, found),
+            ),
+        ],
+    )
+
+
+def _joint_table(names: Sequence[str], horizons: Sequence[AtHorizon]) -> Table:
+    lines = list(dict.fromkeys(key for at in horizons for key in at.errors))
+    rows = [
+        (joint, name, *(sized(float(at.errors[joint, unit][i]), unit) for at in horizons))
+        for joint, unit in lines
+        for i, name in enumerate(names)
+    ]
+    return Table(("", "model", *_heads(horizons)), ("name", "", *(NUMBER for _ in horizons)), rows)
+
+
+def _model_table(names: Sequence[str], found: Sequence[Identification]) -> Table:
+    rows = []
+    for name, one in zip(names, found, strict=True):
+        known = sum(p.verdict == "identified" for p in one.parameters)
+        cost = numbers.MISSING if one.held_out is None else f"{one.held_out.cost:.3g}"
+        rows.append((name, f"{len(one.parameters)}", f"{known}", cost))
+    head = ("model", "parameters", "identified", "held-out cost")
+    return Table(head, ("name", NUMBER, NUMBER, STRONG), rows)
+
+
+def _heads(horizons: Sequence[AtHorizon]) -> list[str]:
+    return [f"after {at.horizon:.3g} s{' (end)' * at.to_end}" for at in horizons]
+
+
+def _together(at: AtHorizon, i: int, unit: str) -> float:
+    """Rms error of a system over all joints and poses of a unit."""
+    return float(np.sqrt(np.mean([errors[i] ** 2 for (_, own), errors in at.errors.items() if own == unit])))
+
+
+def table_text(table: Table) -> str:
+    """A table as plain text."""
+    console = PlainConsole(record=True, file=io.StringIO(), width=110, force_jupyter=False)
+    console.print(rich_table(table))
+    return console.export_text().rstrip("\n")
