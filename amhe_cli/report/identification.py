@@ -57,6 +57,13 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
             "correlations": result.correlations,
             "combinations": [asdict(c) for c in result.combinations],
+            "runs": [
+                {
+                    "log": run.log,
+                    "parameters": {name: {"estimate": v, "sd": sd} for name, (v, sd) in run.values.items()},
+                }
+                for run in result.runs
+            ],
             "spreads": [asdict(spread) for spread in result.spreads],
             "held_out": result.held_out and asdict(result.held_out),
             "rollouts": {"count": result.rollouts, "diverged": result.diverged},

@@ -147,6 +147,14 @@ def _sections(
         yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies))
     if result.combinations:
         yield _combination_section(result)
+    if result.runs:
+        yield Section(
+            "Repeatability: each run alone",
+            text="What each log says by itself, from the same linearisation; a log that hardly knows a "
+            "parameter has no value. Runs that disagree beyond chance are named with the parameter, and "
+            "widen its interval.",
+            table=_run_table(result),
+        )
     if result.held_out:
         yield from held_out_sections(result.held_out)
     if result.fits:
@@ -272,6 +280,24 @@ def _combination_section(result: Identification) -> Section:
         "than either, and another stays poorly known.",
         table=Table(("combination", "sd", "shrinkage", ""), ("name", STRONG, NUMBER, "soft"), rows),
     )
+
+
+def _run_table(result: Identification) -> Table:
+    """The estimate from each log alone, and from all together."""
+    rows = [
+        (
+            p.name,
+            *(
+                numbers.with_sd(*run.values[p.name]) if p.name in run.values else numbers.MISSING
+                for run in result.runs
+            ),
+            numbers.with_sd(p.estimate, p.sd),
+            numbers.unit_of(p.unit),
+        )
+        for p in result.parameters
+    ]
+    head = ("parameter", *(run.log for run in result.runs), "all together", "unit")
+    return Table(head, ("name", *(NUMBER for _ in result.runs), STRONG, "unit"), rows)
 
 
 def _residual_table(noise_scale: Mapping[str, float]) -> Table:

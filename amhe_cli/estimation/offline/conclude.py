@@ -38,6 +38,7 @@ from amhe_cli.estimation.offline.posterior import (
 )
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import ClipCount, Identification
+from amhe_cli.estimation.offline.runs import each_run, estimates, runs_that_differ
 from amhe_cli.estimation.offline.shifts import shifts_of
 from amhe_cli.estimation.offline.verdicts import Evidence, Shift, profiles, verdicts
 from amhe_cli.estimation.offline.watch import Watch
@@ -117,6 +118,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         interrupted=watch.interrupted,
         bodies=body_numbers(system, finding.z, evidence.covariance, problem.rng(5)),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
+        runs=estimates(system.space, finding.z, each_run(problem, finding.z, fit)),
     )
 
 
@@ -138,6 +140,7 @@ def _evidence(
         doubled = doubled_step(problem, finding, fit).covariance
     halves = watch.allows("comparison of the logs' halves", (REFITS + TURNS) * once)
     compared = disagreements(problem, finding, fit, with_halves=halves)
+    compared |= runs_that_differ(problem, each_run(problem, finding.z, fit))
     report_misfit(problem.system, fit)
     report_unsettled(problem, finding, fit)
     report_drift(space, compared)

@@ -244,6 +244,19 @@ class BodyNumber:
     prior: float
 
 
+@dataclass(frozen=True, slots=True)
+class RunEstimate:
+    """What one log says alone.
+
+    Args:
+        log: Name of the log.
+        values: Estimate and sd, in the parameter's unit, of each parameter that it says anything of.
+    """
+
+    log: str
+    values: Mapping[str, tuple[float, float]]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
     """The result of `amhe identify`."""
@@ -266,6 +279,7 @@ class Identification:
     logs: tuple[str, ...] = field(default=())
     spreads: tuple[OwnSpread, ...] = ()
     bodies: tuple[BodyNumber, ...] = ()
+    runs: tuple[RunEstimate, ...] = ()
 
 
 def known_together(result: Identification) -> list[Combination]:
