@@ -9,10 +9,12 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from amhe_cli.api.arguments import checked
-from amhe_cli.core.files import plain
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.files import filling, plain
 from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.design.design import known_record, plan_record
+from amhe_cli.estimation.design.files import log_name
 from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
 from amhe_cli.system.system import System
 
@@ -28,6 +30,10 @@ def probe(
     seed: int = 0,
     threads: int | None = None,
     engine: str = "cpu",
+    recipe: str | None = None,
+    speed: float | None = None,
+    rate: float = 100.0,
+    excitation: str | Path | None = None,
     log: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
@@ -41,7 +47,15 @@ def probe(
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
         engine: What computes the rollouts: 'cpu' or 'gpu'.
-        log: File for the log of the simulated probe (.mcap); None: it is not kept.
+        recipe: Kind of the excitation: 'chirp', 'multisine', 'steps' or 'sweep'. Simulated under draws of the
+            prior, it reaches no limit of joints, speed or force, and touches nothing. None: sums of sines
+            within the limits of the controls.
+        speed: With a recipe: largest speed of a joint [rad/s or m/s]; None: 3.14 of hinges, 0.5 of slides.
+        rate: With a recipe: commands a second [Hz].
+        excitation: With a recipe: folder for its commands: `excitation.csv`, `.npz` (times, joints, targets)
+            and `.mcap`; None: they are not kept.
+        log: File for the log of the simulated probe (.mcap; .csv where the system reads tables); None: it is
+            not kept.
         progress: Called with a line of text now and then.
 
     Returns:
@@ -54,15 +68,20 @@ def probe(
     """
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"seconds": seconds}, files={"log": log})
+    if excitation is not None and recipe is None:
+        raise ConfigError("`excitation` needs a `recipe`: one of 'chirp', 'multisine', 'steps', 'sweep'")
     start = Path(belief) if isinstance(belief, str) else belief
     options = ProbeOptions(
         seconds=seconds, belief=start, seed=seed, threads=threads, fix=fix or {}, only=only,
-        belief_anyway=belief_anyway, engine=engine,
+        belief_anyway=belief_anyway, engine=engine, recipe=recipe, speed=speed, rate=rate,
     )  # fmt: skip
     opened = ActuatorProbe(options, system)
     say = progress or (lambda text: None)
     plan = opened.design(say)
-    with _file(log) as path:
+    if excitation is not None:
+        with filling(Path(excitation)) as folder:
+            opened.excitation().write(folder)
+    with _file(log, log_name(opened.system.signals)) as path:
         ending = opened.run(plan, path, lambda: False, say)
         if ending.error:
             raise ending.error
@@ -132,10 +151,10 @@ def run(
 
 
 @contextmanager
-def _file(log: str | Path | None) -> Iterator[Path]:
+def _file(log: str | Path | None, name: str = "log.mcap") -> Iterator[Path]:
     """The file of a log, or a temporary one."""
     if log is not None:
         yield Path(log)
         return
     with TemporaryDirectory() as folder:
-        yield Path(folder) / "log.mcap"
+        yield Path(folder) / name

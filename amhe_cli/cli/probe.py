@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from amhe_cli.cli.settings import Overrides
     from amhe_cli.estimation.design.design import Accuracy
 
-#: The log that is written.
-LOG = "probe.mcap"
-
 
 @click.command(cls=options.Command, short_help="Design and record the most informative motion.")
 @options.system_or("go1_push")
@@ -46,6 +43,30 @@ LOG = "probe.mcap"
     metavar="KG MU",
     help="Mass and friction of the box that is probed in simulation, instead of the task's.",
 )
+@click.option(
+    "--chirp",
+    "recipe",
+    flag_value="chirp",
+    help="Also write excitation.csv, .npz and .mcap, commands for a robot's own program: sines whose "
+    "frequency grows.",
+)
+@click.option("--multisine", "recipe", flag_value="multisine", help="The same: sums of sines.")
+@click.option("--steps", "recipe", flag_value="steps", help="The same: targets that jump.")
+@click.option("--sweep", "recipe", flag_value="sweep", help="The same: slow ramps.")
+@click.option(
+    "--speed",
+    type=options.Number(min=0, min_open=True),
+    metavar="X",
+    help="Largest speed of a joint in a recipe [rad/s or m/s].  [default: 3.14 of hinges, 0.5 of slides]",
+)
+@click.option(
+    "--rate",
+    type=options.Number(min=10, max=1000),
+    default=100,
+    show_default=True,
+    metavar="HZ",
+    help="Commands a second in a recipe.",
+)
 @click.option("--plan-only", is_flag=True, help="Write plan.json and stop before anything moves.")
 @options.work
 @options.tuning
@@ -64,6 +85,9 @@ def probe(
     only: list[str] | None,
     plant: Path | None,
     box: tuple[float, float] | None,
+    recipe: str | None,
+    speed: float | None,
+    rate: float,
     plan_only: bool,
     seed: int,
     threads: int,
@@ -74,14 +98,18 @@ def probe(
 ) -> None:
     """Find the most informative motion, predict the accuracy of the parameters, and record the motion.
 
-    Writes plan.json, probe.mcap and result.json; the log goes into `amhe identify` as it is. On a real robot
-    (--target go1: read docs/go1.md first) it is all planned before anything is sent.
+    Writes plan.json, probe.mcap (probe.csv where the system reads tables) and result.json; the log goes into
+    `amhe identify` as it is. With --chirp, --multisine, --steps or --sweep the commands of your own robot are
+    written too: they are the recipe with the most information among those that, simulated under draws of the
+    prior, reach no limit of joints, speed or force, and touch nothing. On a real Go1 (--target go1: read
+    docs/go1.md first) it is all planned before anything is sent.
     """
     from amhe_cli.cli.progress import progress
     from amhe_cli.cli.stopping import stopping
     from amhe_cli.core.files import filling, plain
     from amhe_cli.estimation.design.design import known_record, plan_record
-    from amhe_cli.estimation.design.probe import ProbeOptions, achieved
+    from amhe_cli.estimation.design.files import log_name
+    from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
     from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.folders import bundled_systems, find_system
@@ -92,7 +120,7 @@ def probe(
     settings, schema = overrides.suited(find_system(system or "go1_push"))
     chosen = ProbeOptions(
         system, task, seconds, belief, plant, box, seed, threads, settings, schema, fix, only, belief_anyway,
-        engine,
+        engine, recipe, speed, rate,
     )  # fmt: skip
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
@@ -101,6 +129,7 @@ def probe(
     if robot and wire["dry_run"]:
         return at_the_robot.dry_run(session, robot_to_probe(chosen, robot))
     opened = open_probe(chosen, robot)
+    log = log_name(opened.system.signals)
     say = click.get_current_context().with_resource(progress(session, "probe", _shown))
     plan = opened.design(say)
     inputs = [path for path in (belief, plant) if path]
@@ -115,9 +144,11 @@ def probe(
     error = None
     with filling(folder, keep=True) as scratch:
         _write(scratch / "plan.json", record)
+        if recipe and isinstance(opened, ActuatorProbe):
+            opened.excitation().write(scratch)
         if not plan_only:
             with stopping(session) as stopped:
-                ending = opened.run(plan, scratch / LOG, stopped, say)
+                ending = opened.run(plan, scratch / log, stopped, say)
             session.interrupted, error = ending.interrupted, ending.error
             if isinstance(error, OSError):  # as on a full disk
                 raise error
@@ -125,7 +156,7 @@ def probe(
             if not session.interrupted and error is None:
                 say("computing the achieved accuracy")
                 try:
-                    known["achieved"] = achieved(opened.system, scratch / LOG, chosen)
+                    known["achieved"] = achieved(opened.system, scratch / log, chosen)
                 except KeyboardInterrupt:  # it must not cost the log
                     session.interrupted = True
             record = plain(session.record(**about, **(plan_record(plan) | known_record(known)), **link))
@@ -133,9 +164,9 @@ def probe(
             _write(scratch / "result.json", record)
     if session.json:
         session.print_json(record)
-    elif (folder / LOG).exists():
+    elif (folder / log).exists():
         own = "" if opened.system.folder in bundled_systems().values() else f" --system {system}"
-        print_achieved(record, f"amhe identify {folder / LOG}{own}", session.console())
+        print_achieved(record, f"amhe identify {folder / log}{own}", session.console())
     session.failed = at_the_robot.said(error)
     if error and not session.failed:
         raise error

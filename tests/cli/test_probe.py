@@ -12,7 +12,8 @@ import pytest
 from amhe_cli.cli.main import run
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import Ending
-from amhe_cli.estimation.design.excitation import Multisine
+from amhe_cli.engine.bounds import Broken
+from amhe_cli.estimation.design.excitation import Waves
 from amhe_cli.estimation.design.probe import ActuatorProbe
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.probing.probe import PushProbe
@@ -117,11 +118,23 @@ def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
     assert "about the system 'mine', which does not come with amhe" in capsys.readouterr().err
 
 
+def test_a_recipe_writes_commands_for_a_robots_own_program(capsys) -> None:
+    recipe = [*PENDULUM, "--steps", "--speed", "6", "--set", "probe.pairs=0", "--set", "probe.candidates=1"]
+    assert run([*recipe, "-o", "steps"]) == 0
+    files = [f"excitation.{kind}" for kind in ("csv", "mcap", "npz")]
+    assert names("steps") == [*files, "plan.json", "probe.mcap", "result.json"]
+    (commands,) = survey(Path("steps/excitation.mcap")).topics
+    assert commands.name == "/joint_commands" and commands.count == 300
+    assert "steps 1" in capsys.readouterr().out
+    assert run(["probe", "--chirp", "-q", "-o", "none"]) == 2
+    assert "a recipe drives joints as they are: give the --system of its robot" in capsys.readouterr().err
+
+
 def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> None:
     information = ActuatorProbe._information
 
-    def only_quick(self: ActuatorProbe, one: Multisine, draws: FloatArray) -> FloatArray | None:
-        return None if one.name == "slow sine" else information(self, one, draws)
+    def only_quick(self: ActuatorProbe, one: Waves, draws: FloatArray) -> FloatArray | Broken:
+        return Broken("no room") if one.name == "slow sine" else information(self, one, draws)
 
     monkeypatch.setattr(ActuatorProbe, "_information", only_quick)
     assert run([*PENDULUM, "--plan-only", "-o", "plan"]) == 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.states import home
 from amhe_cli.system.coupled import floats
+from amhe_cli.system.driven import commanded
 from amhe_cli.system.system import System
 
 #: Lowest and highest frequency [Hz]: slow ones show gravity and friction, fast ones inertia.
@@ -26,12 +28,14 @@ class DrivenControls:
 
     Args:
         columns: Columns of the controls in the engine's input vector, shape (n,).
+        actuators: Rows of their actuators, shape (n,).
         rest: Values of the controls at the home state, shape (n,).
         lower, upper: Limits of the controls, shape (n,).
         home: The whole input vector at the home state, shape (nu,).
     """
 
     columns: IntArray
+    actuators: IntArray
     rest: FloatArray
     lower: FloatArray
     upper: FloatArray
@@ -50,18 +54,54 @@ def driven_controls(system: System) -> DrivenControls:
         raise ConfigError(f"{system.name}: no signal commands an actuator, so there is nothing to drive")
     # controls stand first in the input vector: a column is the address of a control
     rows = [int(np.flatnonzero(model.actuator_ctrladr == column)[0]) for column in columns]
-    for row in rows:
+    limits = np.array([_limits(system, row) for row in rows])
+    for row, limit in zip(rows, limits, strict=True):
         name = model.actuator(row).name
-        if not model.actuator_ctrllimited[row]:
-            raise ConfigError(f"{system.name}: give actuator {name!r} a ctrlrange: a probe stays within it")
+        if not np.isfinite(limit).all():
+            raise ConfigError(
+                f"{system.name}: give actuator {name!r} a ctrlrange, or its joint a range: a probe "
+                f"stays within it"
+            )
         if floats(model, int(model.actuator_trnid[row, 0])):
             raise ConfigError(
                 f"{system.name}: actuator {name!r} moves a body that nothing holds: a robot on legs needs a "
                 f"controller, which only go1_push has"
             )
     _, rest = home(model, system.keyframe, system.input_spec)
-    limits = model.actuator_ctrlrange[rows]
-    return DrivenControls(columns, rest[columns], limits[:, 0], limits[:, 1], rest)
+    return DrivenControls(columns, np.array(rows), rest[columns], limits[:, 0], limits[:, 1], rest)
+
+
+def _limits(system: System, actuator: int) -> FloatArray:
+    """Limits of a control (2,); of a position servo without any, those of its joint."""
+    model = system.model
+    joint = int(model.actuator_trnid[actuator, 0])
+    if model.actuator_ctrllimited[actuator]:
+        return model.actuator_ctrlrange[actuator]
+    if commanded(model, actuator) == "position" and model.jnt_limited[joint]:
+        return model.jnt_range[joint]
+    return np.full(2, np.nan)
+
+
+class Waves(Protocol):
+    """Controls over time."""
+
+    @property
+    def name(self) -> str:
+        """Short name of the motion."""
+        ...
+
+    @property
+    def title(self) -> str:
+        """What it is, in words."""
+        ...
+
+    def smaller(self, joint: int | None) -> Waves | None:
+        """The same with less of a joint's motion, or of all joints'; None where there is nothing less."""
+        ...
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Controls at times [s] (n,), shape (n, nu)."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +121,15 @@ class Multisine:
     hertz: FloatArray
     size: FloatArray
     phase: FloatArray
+
+    @property
+    def title(self) -> str:
+        """What it is, in words."""
+        return "sines within the limits of the controls"
+
+    def smaller(self, joint: int | None) -> Waves | None:
+        """See `Waves`: the sines stay as they are."""
+        return None
 
     def at(self, times: FloatArray) -> FloatArray:
         """Controls at times [s] (n,), shape (n, nu)."""

@@ -9,6 +9,7 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.log import Log, Series
+from amhe_cli.engine.bounds import Bounds, Broken, joint_at_limit
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.states import home
 from amhe_cli.system.system import Channel, System
@@ -25,18 +26,22 @@ class Playback:
         system: System with the signals to log.
         engine: Rollouts of its model, or of another plant.
         dt: Time step of that model [s].
+        period: Time between two commands [s].
+        bounds: What the plant must not do, beside reaching the limits of its joints.
     """
 
     system: System
     engine: Engine
     dt: float
+    period: float = COMMANDED
+    bounds: Bounds | None = None
 
     def times(self, seconds: float) -> FloatArray:
         """Instants at which controls may change [s], shape (n,)."""
-        return COMMANDED * np.arange(round(seconds / COMMANDED), dtype=np.float64)
+        return self.period * np.arange(round(seconds / self.period), dtype=np.float64)
 
-    def play(self, theta: FloatArray, controls: FloatArray, rng: np.random.Generator) -> list[Log | None]:
-        """Logs of p plants; None for a plant that diverges or leaves its joints' limits.
+    def play(self, theta: FloatArray, controls: FloatArray, rng: np.random.Generator) -> list[Log | Broken]:
+        """Logs of p plants; of a plant that diverges or does what it must not, why there is none.
 
         Args:
             theta: Parameters of the plants, shape (p, d).
@@ -44,18 +49,19 @@ class Playback:
             rng: Source of the sensors' noise.
         """
         system, last = self.system, controls.shape[1] - 1
-        steps = round((last + 1) * COMMANDED / self.dt)  # of any length: a plant's may not divide the 20 ms
-        playing = np.minimum((np.arange(steps) * self.dt / COMMANDED + 1e-9).astype(np.int64), last)
+        steps = round((last + 1) * self.period / self.dt)  # of any length: a plant's may not divide the 20 ms
+        playing = np.minimum((np.arange(steps) * self.dt / self.period + 1e-9).astype(np.int64), last)
         inputs = controls[:, playing]
+        acting = self._late(theta, inputs)
         qpos, _ = home(system.model, system.keyframe, system.input_spec)
         count = len(inputs)
         start = np.tile(qpos, (count, 1)), np.zeros((count, system.model.nv))
-        rollouts = self.engine.rollout(theta, *start, inputs, np.full(count, steps))
+        rollouts = self.engine.rollout(theta, *start, acting, np.full(count, steps))
         sources = {"qpos": rollouts.qpos, "qvel": rollouts.qvel, "sensordata": rollouts.sensordata}
         # the first instant has no sensor data: the logs begin with the second, row 0 of the rollouts
         measured = np.arange(0, steps - 1, max(1, round(MEASURED / self.dt)))
         commanded = np.append(0, np.flatnonzero(np.diff(playing)))
-        logs: list[Log | None] = []
+        logs: list[Log | Broken] = []
         for i in range(count):
             series = {
                 c.key: _measured(c, sources[c.source][i, :-1], measured, rng)  # pyright: ignore[reportOptionalSubscript]
@@ -63,9 +69,21 @@ class Playback:
             }
             for source in system.inputs:
                 series[source.key] = _sampled(inputs[i, 1:, list(source.columns)].T, commanded)
-            sound = rollouts.completed[i] and _within_limits(system, rollouts.qpos[i])
-            logs.append(Log(self.dt, series, "a simulated probe") if sound else None)
+            broken = None if rollouts.completed[i] else Broken("the simulation diverges")
+            broken = broken or joint_at_limit(system.model, rollouts.qpos[i])
+            if broken is None and self.bounds is not None:
+                broken = self.bounds.broken(theta[i], rollouts.qpos[i], rollouts.qvel[i], acting[i])
+            logs.append(broken or Log(self.dt, series, "a simulated probe"))
         return logs
+
+    def _late(self, theta: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Inputs (p, steps, nu) when they act: after the delay of each; a part of a step is interpolated."""
+        steps = np.arange(inputs.shape[1])[:, None]
+        delays = np.broadcast_to(self.system.edits.delays(theta), (len(theta), inputs.shape[2]))
+        whole, part = np.divmod(delays[:, None] / self.dt, 1.0)
+        rows = np.maximum(steps - whole.astype(np.int64), 0)
+        now, before = (np.take_along_axis(inputs, np.maximum(rows - k, 0), axis=1) for k in (0, 1))
+        return (1.0 - part) * now + part * before
 
 
 def _measured(channel: Channel, states: FloatArray, rows: IntArray, rng: np.random.Generator) -> Series:
@@ -82,11 +100,3 @@ def _sampled(values: FloatArray, rows: IntArray) -> Series:
     sampled[rows] = True
     columns = tuple(str(i) for i in range(values.shape[1]))
     return Series(values, np.ones(len(values), dtype=bool), sampled, columns)
-
-
-def _within_limits(system: System, qpos: FloatArray) -> bool:
-    """Whether no limited hinge or slide touches its limits in states (n, nq)."""
-    model = system.model
-    joints = np.flatnonzero(model.jnt_limited & (model.jnt_type >= 2))  # neither free nor ball
-    values = qpos[:, model.jnt_qposadr[joints]]
-    return bool((values > model.jnt_range[joints, 0]).all() and (values < model.jnt_range[joints, 1]).all())

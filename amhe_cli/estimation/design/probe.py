@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import logging
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,17 +23,20 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.samples import sampled
 from amhe_cli.core.settings import Settings
+from amhe_cli.engine.bounds import Bounds, Broken
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
-from amhe_cli.estimation.design.excitation import Multisine, candidates, driven_controls, slow_sine
+from amhe_cli.estimation.design.excitation import Waves, candidates, driven_controls, slow_sine
+from amhe_cli.estimation.design.files import Excitation, write_log
 from amhe_cli.estimation.design.information import (
     clips_of,
     information_at,
     information_where_it_points,
 )
 from amhe_cli.estimation.design.playback import Playback
-from amhe_cli.logs import LogWriter, read_log
-from amhe_cli.logs.messages.signal_writer import message_type, write_samples
+from amhe_cli.estimation.design.recipes import Leeway, leeway_of, recipes
+from amhe_cli.logs import read_log
+from amhe_cli.logs.messages.signal_writer import message_type
 from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.model_file import compiled
 from amhe_cli.system.system import System
@@ -62,6 +67,10 @@ class ProbeOptions:
         schema: Class of the settings, for systems other than `go1_push`.
         fix, only, belief_anyway: See `System.starting_from`.
         engine: What computes the rollouts: one of `engine.open.KINDS`.
+        recipe: One of `recipes.RECIPES`, for actuators that are driven as they are; None: multisines within
+            the limits of the controls.
+        speed: With a recipe: largest speed of a joint [rad/s or m/s]; None: that of `recipes`.
+        rate: With a recipe: commands a second [Hz].
     """
 
     system: str | None = None
@@ -78,6 +87,9 @@ class ProbeOptions:
     only: Sequence[str] | None = None
     belief_anyway: bool = False
     engine: str = "cpu"
+    recipe: str | None = None
+    speed: float | None = None
+    rate: float = 100.0
 
     def rng(self, *place: int) -> np.random.Generator:
         """A generator of its own for each use."""
@@ -155,9 +167,17 @@ class ActuatorProbe:
         own = self.system
         self._controls = driven_controls(own)
         for signal in own.signals:  # refuse what could not be logged before any work is done
-            message_type(signal)
+            if not signal.columns:
+                message_type(signal)
         self._engine = open_engine(own, threads=options.threads, kind=options.engine)
         self._model = Playback(own, self._engine, own.model.opt.timestep)
+        self._leeway: Leeway | None = None
+        if options.speed is not None and options.recipe is None:
+            raise ConfigError("`speed` is for a recipe: give one")
+        if options.recipe is not None:
+            self._leeway = leeway_of(own, self._controls, options.speed)
+            bounds = Bounds(own, tuple(self._controls.actuators.tolist()), self._leeway.fastest)
+            self._model = replace(self._model, period=1.0 / options.rate, bounds=bounds)
         self._plant = self._model if options.plant is None else _other_plant(options, own, options.plant)
         self._truth = truth
 
@@ -169,54 +189,67 @@ class ActuatorProbe:
                 f"`seconds` {options.seconds:g}: too short; a probe takes {_SHORTEST:g} s or more"
             )
         draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
-        tried = self._multisines
-        found = []
+        tried, found, broken = list(self._motions), list[FloatArray | None](), Counter[str]()
         for number, one in enumerate(tried):
             say(f"trying {one.name}, {number + 1} of {len(tried)}")
-            found.append(self._information(one, draws))
+            own = self._information(one, draws)
+            while isinstance(own, Broken):
+                broken[own.text] += 1
+                if (less := tried[number].smaller(own.joint)) is None:
+                    break
+                tried[number], own = less, self._information(less, draws)
+            found.append(None if isinstance(own, Broken) else own)
         values = [-np.inf if own is None else criterion(own, space.prior_precision) for own in found]
         best = int(np.argmax(values))
         chosen, plain = found[best], found[0]
         if chosen is None:
-            raise ConfigError(
-                f"{self.system.name}: no excitation that was tried stays within the joints' limits"
-            )
+            usual = "; ".join(f"{text} ({count} times)" for text, count in broken.most_common(3))
+            raise ConfigError(f"{self.system.name}: every excitation that was tried breaks a bound: {usual}")
+        self._chosen = tried[best]
         return ProbePlan(
-            parts_of([(tried[best].name, "sines within the limits of the controls", options.seconds)]),
+            parts_of([(self._chosen.name, self._chosen.title, options.seconds)]),
             accuracy(space, chosen),
             None if plain is None else accuracy(space, plain),
             tried[0].name,
         )
 
+    def excitation(self) -> Excitation:
+        """The commands that `design` has chosen, for a robot's own program to play."""
+        times = self._model.times(self._options.seconds)
+        driven = {one.key for one in self.system.inputs if one.delayed}
+        signals = [s for s in self.system.signals if driven & {s.key(q) for q in s.quantities}]
+        return Excitation(times, self._chosen.at(times), tuple(signals))
+
     def run(self, plan: ProbePlan, path: Path, stopped: Callable[[], bool], say: Say) -> Ending:
         """See `Probe`; a simulation without a controller is over before anybody could stop it."""
-        chosen = next(one for one in self._multisines if one.name == plan.parts[0].name)
         theta = np.array([self._truth[name] for name in self.system.space.names])
-        log = self._played(self._plant, chosen, theta[None], 3)[0]
-        if log is None:
-            return Ending(error=SimulationError("the plant diverged, or left its joints' limits"))
+        log = self._played(self._plant, self._chosen, theta[None], 3)[0]
+        if isinstance(log, Broken):
+            return Ending(error=SimulationError(f"the plant breaks a bound: {log.text}"))
         about = {"system": self.system.name, "seed": str(self._options.seed), "version": __version__}
         if self._options.plant is None:
             about["truth"] = json.dumps(self._truth)
         played = [s for s in self.system.signals if all(s.key(q) in log.series for q in s.quantities)]
-        with LogWriter(path, about) as file:  # a stamp of zero would mean that there is none
-            write_samples(file, played, sampled(log), lambda time: round(1e9 * (time + log.dt)))
+        write_log(path, played, sampled(log), about, log.dt)  # a stamp of zero would mean that there is none
         return Ending()
 
-    @property
-    def _multisines(self) -> list[Multisine]:
+    @cached_property
+    def _motions(self) -> Sequence[Waves]:
         """All excitations to choose from, the plain one first."""
-        limits = self._controls.rest, self._controls.lower, self._controls.upper
+        options, limits = self._options, (self._controls.rest, self._controls.lower, self._controls.upper)
         count = self.system.settings.probe.candidates
-        return [slow_sine(*limits), *candidates(*limits, count, self._options.rng(1))]
+        if self._leeway is not None and options.recipe is not None:
+            plain = slow_sine(self._leeway.rest, self._leeway.lower, self._leeway.upper)
+            return [plain, *recipes(options.recipe, self._leeway, count, options.seed)]
+        return [slow_sine(*limits), *candidates(*limits, count, options.rng(1))]
 
-    def _information(self, one: Multisine, draws: FloatArray) -> FloatArray | None:
-        """Information on z for each draw, shape (e, d, d); None where one of them leaves the limits."""
+    def _information(self, one: Waves, draws: FloatArray) -> FloatArray | Broken:
+        """Information on z for each draw, shape (e, d, d), or what one of them breaks."""
         system, found = self.system, []
         logs = self._played(self._model, one, system.space.theta_of(draws), 2)
         for z, log in zip(draws, logs, strict=True):
-            if log is None:
-                return None
+            if isinstance(log, Broken):
+                return log
             matrix, windows = np.zeros((z.size, z.size)), clips_of(system, log)
             if windows:
                 own = information_at(system, windows, self._engine, z, self._options.rng(4))
@@ -224,7 +257,7 @@ class ActuatorProbe:
             found.append(matrix)
         return np.stack(found)
 
-    def _played(self, playback: Playback, one: Multisine, theta: FloatArray, place: int) -> list[Log | None]:
+    def _played(self, playback: Playback, one: Waves, theta: FloatArray, place: int) -> list[Log | Broken]:
         """The logs of plants with parameters theta (p, d)."""
         swing = one.at(playback.times(self._options.seconds))
         inputs = np.tile(self._controls.home, (len(swing), 1))
@@ -244,4 +277,4 @@ def _other_plant(options: ProbeOptions, own: System, plant: Path) -> Playback:
     model = compiled(system.spec)
     unedited = replace(system, edits=ModelEdits(model, own.space, ()))
     engine = open_engine(unedited, threads=options.threads, kind=options.engine, model=model)
-    return Playback(system, engine, model.opt.timestep)
+    return Playback(replace(system, edits=unedited.edits), engine, model.opt.timestep)

@@ -229,6 +229,8 @@ def open_probe(options: ProbeOptions, robot: Go1OnLink | None = None) -> Probe:
     """
     folder = _driven(options, robot)
     if folder is None:
+        if options.recipe or options.speed:
+            raise ConfigError("a recipe drives joints as they are: give the `system` of its robot")
         return PushProbe(options, robot)
     return ActuatorProbe(options, System.load(folder, options.settings, schema=options.schema))
 

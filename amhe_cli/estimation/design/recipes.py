@@ -1,0 +1,190 @@
+"""Excitation that a robot can play: chirps, multisines, steps and sweeps of all commanded joints together."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.estimation.design.excitation import FADE, LOWEST, SHARE, SINES, DrivenControls
+from amhe_cli.system.driven import commanded
+from amhe_cli.system.system import System
+
+#: Slowest and fastest frequency of a chirp [Hz], and the fastest of a multisine.
+CHIRP, SINE = (0.1, 10.0), 5.0
+#: Shortest and longest time that a step is held [s].
+HELD = (0.3, 1.2)
+#: Speed of a sweep, as a share of the largest speed.
+SWEPT = (0.1, 0.4)
+#: Largest speed where none is given: of hinges [rad/s], of slides [m/s].
+HINGE, SLIDE = np.pi, 0.5
+#: Share of the largest speed that commands use: a servo overshoots.
+_PACE = 0.8
+#: Factor on the share of the leeway, until nothing is broken, and the least share.
+_LESS, _LEAST = 0.7, 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Leeway:
+    """How far commands may go, all of shape (k,).
+
+    Args:
+        rest: Commands at the home state.
+        lower, upper: Limits of the commands, and of the joints where the commands are their positions.
+        speed: Largest speed of the commands, which are positions [rad/s or m/s]; inf of other commands.
+        fastest: Largest speed of their joints [rad/s or m/s].
+        joints: Rows of their joints.
+    """
+
+    rest: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    speed: FloatArray
+    fastest: FloatArray
+    joints: IntArray
+
+
+def leeway_of(system: System, controls: DrivenControls, speed: float | None) -> Leeway:
+    """Where the commands of a system may go.
+
+    Args:
+        system: The system.
+        controls: Its controls.
+        speed: Largest speed of a joint [rad/s or m/s]; None: `HINGE` and `SLIDE`.
+    """
+    model = system.model
+    lower, upper, most = controls.lower.copy(), controls.upper.copy(), np.full(controls.rest.size, np.inf)
+    fastest, joints = np.empty(controls.rest.size), model.actuator_trnid[controls.actuators, 0]
+    for i, row in enumerate(controls.actuators):
+        kind, joint = commanded(model, int(row)), int(model.actuator_trnid[row, 0])
+        # 2: mjJNT_SLIDE
+        allowed = speed or (SLIDE if model.jnt_type[joint] == 2 else HINGE)
+        fastest[i] = allowed
+        if kind == "position":
+            most[i] = allowed
+            if model.jnt_limited[joint]:
+                lower[i] = max(lower[i], model.jnt_range[joint, 0])
+                upper[i] = min(upper[i], model.jnt_range[joint, 1])
+        elif kind == "velocity":
+            lower[i], upper[i] = max(lower[i], -_PACE * allowed), min(upper[i], _PACE * allowed)
+    return Leeway(np.clip(controls.rest, lower, upper), lower, upper, most, fastest, joints)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recipe:
+    """Commands over time: from rest to a centre, about which they wave, and back.
+
+    Args:
+        name: Short name of the motion.
+        kind: Which of `RECIPES` it is.
+        leeway: Where the commands may go.
+        share: Share of the leeway and of the speed that each command uses, shape (k,).
+        seed: Seed of its centre, size and phases.
+    """
+
+    name: str
+    kind: str
+    leeway: Leeway
+    share: FloatArray
+    seed: Sequence[int]
+
+    @property
+    def title(self) -> str:
+        """What it is, in words."""
+        shares = ", ".join(f"{share:.0%}" for share in self.share)
+        return f"within the limits of joints, speed and force ({shares} of the leeway)"
+
+    def smaller(self, joint: int | None) -> Recipe | None:
+        """See `Waves`."""
+        less = self.leeway.joints == joint
+        share = np.where(less | ~less.any(), _LESS * self.share, self.share)
+        return replace(self, share=share) if (share > _LEAST).all() else None
+
+    def at(self, times: FloatArray) -> FloatArray:
+        """Commands at evenly spaced times [s] (n,), which are the whole motion, shape (n, k)."""
+        leeway, rng = self.leeway, np.random.default_rng(self.seed)
+        away = self.share * rng.uniform() * (0.5 * (leeway.lower + leeway.upper) - leeway.rest)
+        centre = leeway.rest + away
+        most = SHARE * np.minimum(leeway.upper - centre, centre - leeway.lower)
+        size = self.share * rng.uniform(0.4, 1.0, leeway.rest.size) * most
+        speed = _PACE * self.share * leeway.speed
+        lead = max(FADE, float(np.max(2.0 * np.abs(away) / speed)))
+        fade = (_smooth(times / lead) * _smooth((times[-1] - times) / lead))[:, None]
+        wave = _WAVES[self.kind](times, size, speed, rng)
+        return _slewed(leeway.rest + fade * (away + wave), speed * (times[1] - times[0]))
+
+
+def recipes(kind: str, leeway: Leeway, count: int, seed: int) -> list[Recipe]:
+    """Random recipes of a kind, which use all the leeway.
+
+    Raises:
+        ConfigError: There is no such kind.
+    """
+    if kind not in RECIPES:
+        raise ConfigError(f"`recipe`: {one_of('recipe', kind, RECIPES)}")
+    return [
+        Recipe(f"{kind} {number + 1}", kind, leeway, np.ones(leeway.rest.size), (seed, number))
+        for number in range(count)
+    ]
+
+
+def _smooth(ratio: FloatArray) -> FloatArray:
+    """From 0 at 0 to 1 at 1, without a jump of the speed."""
+    inside = np.clip(ratio, 0.0, 1.0)
+    return inside**2 * (3.0 - 2.0 * inside)
+
+
+def _slewed(targets: FloatArray, most: FloatArray) -> FloatArray:
+    """Targets (n, k) that change by at most so much (k,) from row to row."""
+    slow = targets.copy()
+    for i in range(1, len(slow)):
+        slow[i] = np.clip(targets[i], slow[i - 1] - most, slow[i - 1] + most)
+    return slow
+
+
+def _chirp(times: FloatArray, size: FloatArray, speed: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Sines whose frequency grows exponentially; the size falls where they would be too fast."""
+    lowest, highest = CHIRP[0], min(CHIRP[1], 0.1 / (times[1] - times[0]))
+    growth = np.log(highest / lowest) / times[-1]
+    phase = 2.0 * np.pi * lowest * np.expm1(growth * times) / growth
+    rate = 2.0 * np.pi * lowest * np.exp(growth * times)[:, None]
+    return np.minimum(size, speed / rate) * np.sin(phase[:, None] + rng.uniform(0.0, 2.0 * np.pi, size.size))
+
+
+def _multisine(
+    times: FloatArray, size: FloatArray, speed: FloatArray, rng: np.random.Generator
+) -> FloatArray:
+    """Sums of sines, all of them smaller where they would be too fast."""
+    rate = 2.0 * np.pi * np.geomspace(LOWEST, SINE, SINES)
+    weight = rng.dirichlet(np.ones(SINES), size=size.size)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (size.size, SINES))
+    fastest = np.maximum(size * (weight * rate).sum(axis=1), 1e-12)
+    waves = (weight * np.sin(rate * times[:, None, None] + phase)).sum(axis=-1)
+    return np.minimum(1.0, speed / fastest) * size * waves
+
+
+def _steps(times: FloatArray, size: FloatArray, speed: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Random targets, held for a while; all joints change together."""
+    ends = np.cumsum(rng.uniform(*HELD, 2 + int(times[-1] / HELD[0])))
+    levels = rng.uniform(-1.0, 1.0, (ends.size + 1, size.size)) * size
+    return levels[np.searchsorted(ends, times, side="right")]
+
+
+def _sweep(times: FloatArray, size: FloatArray, speed: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Slow ramps up and down: they show gravity and dry friction."""
+    slow = rng.uniform(*SWEPT, size.size) * np.minimum(speed, size)  # of torques, their size a second
+    period = np.clip(4.0 * size / np.maximum(slow, 1e-12), 2.0, times[-1] / 1.5)
+    return size * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * times[:, None] / period))
+
+
+_WAVES: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray, np.random.Generator], FloatArray]] = {
+    "chirp": _chirp,
+    "multisine": _multisine,
+    "steps": _steps,
+    "sweep": _sweep,
+}
+#: The kinds of recipes.
+RECIPES = tuple(_WAVES)
