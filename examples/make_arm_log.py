@@ -2,8 +2,8 @@
 
     python examples/make_arm_log.py
 
-Encoders have noise and are off by an offset, commands act late, and the simulation steps four times finer
-than arm.xml does. TRUTH has the names that `amhe init --actuators` gives the unknowns.
+Encoders have noise and are off by an offset, commands act late, and the simulation steps twice as finely
+as arm.xml does. TRUTH has the names that `amhe init --actuators` gives the unknowns.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ TRUTH = {
     **{"yaw_offset": 0.0, "shoulder_offset": 0.03, "elbow_offset": -0.04},
     "command_delay": 0.013,
 }
-SECONDS, HZ, FINER = 20.0, 100, 4
+SECONDS, HZ, FINER = 20.0, 100, 2
 NOISE = 0.0005  # sd of the encoders [rad]
 CENTRE, SIZE = np.array([0.0, -0.4, 0.6]), np.array([0.5, 0.35, 0.4])  # of the chirp [rad]
 

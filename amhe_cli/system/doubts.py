@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 _SLOW = 0.5
 #: Larger values [rad], [rad/s] look like degrees; also those beyond a turn and so many times a joint's range.
 _LARGEST, _LARGEST_RATE, _BEYOND = 50.0, 100.0, 3.0
+#: A jump is a turn within this [rad].
+_TURN = 0.3
 #: Time [s] over which positions are compared with velocities.
 _SPAN = 0.05
 #: Slope of the first over the second -> which of them is in another unit.
@@ -98,6 +100,8 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
     velocity = log.series.get(f"{key.rpartition('.')[0]}.velocity")
     for column, row in enumerate(joints):
         values, name = log[key].values[:, column], model.joint(row).name
+        if _wraps(np.abs(np.diff(values[log[key].sampled & log[key].valid]))):
+            found.setdefault("position jumps by a turn: the encoder wraps; unwrap the log", []).append(name)
         slope = None
         if velocity is not None and not velocity.derived:
             both = np.flatnonzero(log[key].sampled & velocity.sampled)
@@ -115,6 +119,12 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
             found.setdefault(f"position reaches {largest:.4g} rad: looks like degrees", []).append(name)
     for text, names in found.items():
         yield f"{text} ({', '.join(names)})"
+
+
+def _wraps(steps: FloatArray) -> bool:
+    """Whether a position that moves little from sample to sample (n,) sometimes jumps by a whole turn."""
+    turns = np.abs(steps - 2.0 * np.pi) < _TURN
+    return bool(turns.any() and np.median(steps) < _TURN)
 
 
 def _slope_over_velocity(times: FloatArray, position: FloatArray, velocity: FloatArray) -> float | None:

@@ -107,10 +107,12 @@ def _write(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, row: int) -> 
         return
     if kind in ("dof", "jnt"):
         joint = _with_id(spec.joints, int(model.dof_jntid[row]) if kind == "dof" else row)
-        value = float(getattr(model, field)[row])
+        value = getattr(model, field)[row]
         joint.springdamper = np.zeros(2)  # else it would override stiffness and damping
         if attribute in ("damping", "stiffness"):  # polynomials; the first coefficient is the linear one
             getattr(joint, attribute)[0] = value
+        elif attribute == "dampingpoly":
+            joint.damping[1:] = value
         else:
             setattr(joint, attribute, value)
         return

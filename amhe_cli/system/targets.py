@@ -219,15 +219,26 @@ def _contact(geom_field: str, pair_field: str, geom: int, pair: tuple[int, ...])
     return {"pair": of_pair, "geom": of_geom, "body": of_body}
 
 
-def _joint(field: str) -> Mapping:
+def _joint(field: str, columns: tuple[int, ...] = ()) -> Mapping:
     """Setters of a number of every degree of freedom of a joint."""
 
     def cells(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
         if field.startswith("jnt_"):
             return [Cells(field, row)]
-        return [Cells(field, int(dof)) for dof in np.flatnonzero(model.dof_jntid == row)]
+        return [Cells(field, int(dof), columns) for dof in np.flatnonzero(model.dof_jntid == row)]
 
     return {"joint": cells}
+
+
+def _dc_motor(column: int) -> Mapping:
+    """Setters of a number of a DC motor, whose torque is K (u - K v) / R: R is column 0, K column 1."""
+
+    def cells(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+        if int(model.actuator_gaintype[row]) != mujoco.mjtGain.mjGAIN_DCMOTOR:
+            raise ConfigError(f"actuator {model.actuator(row).name!r} is no <dcmotor>")
+        return [Cells("actuator_gainprm", row, (column,))]
+
+    return {"actuator": cells}
 
 
 def _gain(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
@@ -310,11 +321,15 @@ SETTERS: Mapping[str, Setter] = {
     "contact_time_constant": Setter("s", _contact("geom_solref", "pair_solref", 0, (0,)), positive=True),
     "contact_damping_ratio": Setter("-", _contact("geom_solref", "pair_solref", 1, (1,)), positive=True),
     "damping": Setter("N m s/rad", _joint("dof_damping")),
+    "damping_quadratic": Setter("N m s^2/rad^2", _joint("dof_dampingpoly", (0,))),
+    "damping_cubic": Setter("N m s^3/rad^3", _joint("dof_dampingpoly", (1,))),
     "armature": Setter("kg m^2", _joint("dof_armature")),
     "friction_loss": Setter("N m", _joint("dof_frictionloss")),
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
     "gain": Setter("-", {"actuator": _gain}, positive=True),
     "actuator_damping": Setter("-", {"actuator": _actuator_damping}),
+    "motor_constant": Setter("N m/A", _dc_motor(1), positive=True),
+    "resistance": Setter("ohm", _dc_motor(0), positive=True),
     "scale": Setter("-", {"signal": _of_signal}, positive=True),
     "bias": Setter("-", {"signal": _of_signal}, lower=-inf),
     "frame": Setter("-", {"signal": _of_signal}, lower=-inf),

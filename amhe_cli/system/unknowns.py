@@ -262,7 +262,14 @@ def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str
     if target.set == "command_delay":
         return "s"
     unit = SETTERS[target.set].unit
-    slides = {"N m s/rad": "N s/m", "kg m^2": "kg", "N m": "N", "N m/rad": "N/m"}
+    slides = {
+        "N m s^2/rad^2": "N s^2/m^2",
+        "N m s^3/rad^3": "N s^3/m^3",
+        "N m s/rad": "N s/m",
+        "kg m^2": "kg",
+        "N m": "N",
+        "N m/rad": "N/m",
+    }
     joint = _joint_of(cells[0], model) if cells and target.signal is None else None
     slid = joint is not None and int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_SLIDE
     return slides.get(unit, unit) if slid else unit

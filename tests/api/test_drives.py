@@ -7,6 +7,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pytest
 
 import amhe_cli as amhe
 
@@ -85,3 +86,40 @@ def test_each_drive_has_its_own_delay() -> None:
     log = played(mujoco.MjModel.from_xml_string(arm()), 0.8, late=(3, 9))
     result = found(arm(), {"shoulder": delay("shoulder"), "elbow": delay("elbow")}, log)
     close(result, shoulder=3 * DT, elbow=9 * DT)
+
+
+def unknown(nominal: float, **target: str) -> dict[str, Any]:
+    return {"nominal": nominal, "targets": [target]}
+
+
+def test_drag_that_grows_with_speed_is_found() -> None:
+    truth = arm().replace('damping="0.05"', 'damping="0.05 0.06"')
+    log = played(mujoco.MjModel.from_xml_string(truth), 1.5)
+    found_ = found(arm(), {"drag": unknown(0.03, joint="*", set="damping_quadratic")}, log)
+    close(found_, drag=0.06)
+    assert found_.parameters["drag"].unit == "N m s^2/rad^2"
+    model = found_.model()
+    assert model.dof_dampingpoly[:, 0] == pytest.approx(0.06, rel=0.1)
+
+
+def test_the_constants_of_a_dc_motor_are_found_from_its_voltage() -> None:
+    """Torque per volt and braking by the back-EMF tell the motor's constant from its resistance."""
+    motor = '<dcmotor name="{0}" joint="{0}" motorconst="%g" resistance="%g"/>'
+    log = played(mujoco.MjModel.from_xml_string(arm(motor % (0.5, 2.0))), 6.0)
+    result = found(
+        arm(motor % (0.4, 2.5)),
+        {
+            "constant": unknown(0.4, actuator="*", set="motor_constant"),
+            "resistance": unknown(2.5, actuator="*", set="resistance"),
+        },
+        log,
+    )
+    close(result, constant=0.5, resistance=2.0)
+
+
+def test_a_torque_constant_is_the_gain_of_a_motor_whose_commands_are_currents() -> None:
+    motor = '<motor name="{0}" joint="{0}" gear="%g"/>'
+    log = played(mujoco.MjModel.from_xml_string(arm(motor % 0.8)), 2.0)
+    target = {"actuator": "*", "set": "gain"}
+    result = found(arm(motor % 1.0), {"constant": {"unit": "N m/A", "targets": [target]}}, log)
+    close(result, constant=0.8)

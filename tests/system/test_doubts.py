@@ -97,6 +97,15 @@ def test_degrees_without_a_velocity_are_found_by_range(
     assert "looks like degrees (shoulder, elbow)" in said(arrays, arm, caplog)
 
 
+def test_an_encoder_that_wraps(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
+    arrays = motion(velocity=False)
+    angle = 3.0 + arrays["joints"]["position"][:, 1]
+    assert angle.min() < np.pi < angle.max()
+    arrays["joints"]["position"][:, 1] = np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
+    text = said(arrays, arm, caplog)
+    assert "'joints': position jumps by a turn: the encoder wraps; unwrap the log (elbow)" in text
+
+
 def test_milliseconds(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
     arrays = motion()
     for signal in arrays.values():

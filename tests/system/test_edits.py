@@ -30,6 +30,8 @@ TARGETS = {  # target: (keys, theta, field, index, expected)
     "{body: box, set: sliding_friction}": ("", 1.2, "geom_friction", (1, 0), 1.2),
     "{geom: box, set: contact_damping_ratio}": ("", 0.4, "geom_solref", (1, 1), 0.4),
     "{joint: hip, set: damping}": ("", 0.7, "dof_damping", 6, 0.7),
+    "{joint: hip, set: damping_quadratic}": ("nominal: 0.1", 0.7, "dof_dampingpoly", (6, 0), 0.7),
+    "{joint: hip, set: damping_cubic}": ("nominal: 0.1", 0.7, "dof_dampingpoly", (6, 1), 0.7),
     "{joint: '*', set: armature}": ("nominal: 0.1", 0.2, "dof_armature", slice(None), 0.2),
     "{joint: hip, set: friction_loss}": ("", 0.2, "dof_frictionloss", 6, 0.2),
     "{joint: hip, set: stiffness}": ("", 5.0, "jnt_stiffness", 1, 5.0),
@@ -276,6 +278,8 @@ REFUSED = {
     "{pair: [box, floor], set: sliding_friction}": "no contact pair between 'box' and 'floor'",
     "{pair: slip, set: sliding_friction}": "no pair 'slip' (did you mean 'slide'?)",
     "{set: command_delay}": "give a nominal value",
+    "{actuator: knee_motor, set: resistance}": "'knee_motor' is no <dcmotor>",
+    "{joint: hip, set: damping_cubic}": "the model's own damping_cubic is 0",
     "{body: '*', set: pseudo_inertia}": "bodies; a pseudo_inertia is of one",
 }
 

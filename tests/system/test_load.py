@@ -66,8 +66,9 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
         "12:9: no body 'boxx' (did you mean 'box'?); there is: arm, ball, box, hand, marker, table, world",
         "13:9: no target 'sliding_frction' (did you mean 'sliding_friction'?); there is: actuator_damping, "
         "armature, band, bias, center_of_mass, command_delay, contact_damping_ratio, "
-        "contact_time_constant, ctrl_limit, damping, force_limit, frame, friction_loss, gain, inertia, mass, "
-        "pseudo_inertia, rolling_friction, scale, sliding_friction, stiffness, torsional_friction",
+        "contact_time_constant, ctrl_limit, damping, damping_cubic, damping_quadratic, force_limit, frame, "
+        "friction_loss, gain, inertia, mass, motor_constant, pseudo_inertia, resistance, rolling_friction, "
+        "scale, sliding_friction, stiffness, torsional_friction",
         "15:12: scale is 'logg'; 'log' or 'linear' would be valid",
         "16:42: no key 'mod' (did you mean 'mode'?); there is: actuator, axis, body, carry_inertia, "
         "carry_limit, geom, joint, mode, pair, quantity, set, signal",
