@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
@@ -11,13 +13,14 @@ import pytest
 
 
 @pytest.fixture
-def honesty(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
-    """The script as a module."""
+def honesty(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
+    """The script as a module; it disables warnings, which other tests need."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent.parent / "benchmarks"))
     monkeypatch.delitem(sys.modules, "honesty", raising=False)
     import honesty  # pyright: ignore[reportMissingImports]
 
-    return honesty
+    yield honesty
+    logging.disable(logging.NOTSET)
 
 
 def test_twin_is_identified_and_counted(honesty: ModuleType) -> None:

@@ -135,7 +135,7 @@ def test_the_report_is_one_page_that_needs_no_network(pushed: Path) -> None:
     assert page.count("<svg") == 5  # estimates, windows, three fits
     links = re.findall(r"""(?:src|href)=["']([^"']+)""", page)
     assert all(link.startswith("#") for link in links), links
-    for loading in ("<script", "<link", "url(http", "@import"):
+    for loading in ("<script src", "fetch(", "<link", "url(http", "@import"):
         assert loading not in page
     assert len(page) < 1_000_000
 

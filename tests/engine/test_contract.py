@@ -288,7 +288,7 @@ def test_the_same_engine_upon_another_model(opened: Open) -> None:
 def test_the_same_engine_with_further_parameters(opened: Open) -> None:
     limit = Parameter("limit", "-", 1.0, 0.01, 10.0, log=True, prior_sd=0.2)
     ends = (Cells("actuator_forcerange", 0, (1,)), Cells("actuator_forcerange", 0, (0,), -1.0))
-    wider = PENDULUM.edits.extended(PENDULUM.model, [(limit, ends, "scale")])
+    wider = PENDULUM.edits.extended(PENDULUM.model, [(limit, ends, "scale")], PENDULUM.calibration)
     theta, *rest = some()
     engine, plain = opened(PENDULUM).upon(PENDULUM.model, wider), opened(PENDULUM).rollout(theta, *rest)
     weak, same = (
