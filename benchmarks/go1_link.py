@@ -156,7 +156,7 @@ def trips(repeats: int) -> Table:
 
 
 def _stall(sender: int, pause: float | None) -> None:
-    """Stop the sender's process for a pause [s]; None: for good."""
+    """Stop the sender's process for a pause [s]; None: permanently."""
     os.kill(sender, signal.SIGSTOP)
     if pause is not None:
         time.sleep(pause)

@@ -97,7 +97,7 @@ class SenderWatch:
             self._samples.append(content)
 
     def _stand_in(self, fault: str) -> None:
-        """Let the robot down in place of a lost sender: motors keep their last command for good."""
+        """Let the robot down in place of a lost sender: motors keep their last command permanently."""
         first = {"trip": self.report.trip or "sender_lost", "reason": self.report.reason or fault}
         self.report = replace(self.report, phase=Phase.DAMP, **first)
         try:
