@@ -20,9 +20,11 @@ from amhe_cli.robots.go1.link.calibration import Calibration
 from amhe_cli.robots.go1.link.child import Child
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.open import _threads
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
+from amhe_cli.robots.go1.run import RunOptions
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
 from tests.robots.go1.poses.streaming import free_port
@@ -146,3 +148,9 @@ def test_without_linux_sockets_the_link_says_so_in_one_line(monkeypatch: pytest.
     monkeypatch.setattr(socket, "socketpair", refuse)
     with pytest.raises(AmheError, match="the link to a robot needs Linux"):
         Child("amhe_cli.robots.go1.link.sender", {})
+
+
+@pytest.mark.parametrize(("wanted", "cores", "threads"), [(8, 2, 1), (2, 16, 2), (4, 1, 1), (16, 16, 15)])
+def test_one_core_is_left_to_the_sender_and_the_poses(monkeypatch, wanted, cores, threads) -> None:
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
+    assert _threads(RunOptions("t1", target="go1", threads=wanted)) == threads
