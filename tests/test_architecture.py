@@ -3,6 +3,7 @@
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -80,28 +81,48 @@ def text_of(module: str) -> str:
     return (PACKAGE / module).read_text(encoding="utf-8")
 
 
-def imports_of(text: str) -> Iterator[str]:
+@cache
+def imports_of(text: str) -> frozenset[str]:
     """Dotted names that a module's text imports anywhere, in function bodies and for type checking too.
 
     Names that are taken from `import amhe_cli` are among them, and those that `import_module` is called with.
     """
+    return frozenset(_imports(ast.parse(text)))
+
+
+def _imports(tree: ast.Module) -> Iterator[str]:
     package = {"amhe_cli"}
-    for node in ast.walk(ast.parse(text)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
             package |= {alias.asname for alias in node.names if alias.name == "amhe_cli" and alias.asname}
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, "a relative import"
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).split(".")[-1] in DYNAMIC:
+        elif (
+            isinstance(node, ast.Call)
+            and getattr(node.func, "attr", getattr(node.func, "id", None)) in DYNAMIC
+        ):
             name = ast.literal_eval(leading(node.args[0]))
             assert not name.startswith("."), "a relative import"
             yield name
-    for node in ast.walk(ast.parse(text)):
-        if isinstance(node, ast.Attribute) and re.fullmatch(r"\w+(\.\w+)+", dotted := ast.unparse(node)):
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and (dotted := dotted_name(node)):
             first, rest = dotted.split(".", 1)
             if first in package:
                 yield f"amhe_cli.{rest}"
+
+
+def name_called(call: ast.Call) -> str | None:
+    return getattr(call.func, "attr", getattr(call.func, "id", None))
+
+
+def dotted_name(node: ast.Attribute) -> str | None:
+    """a.b.c of attributes of a plain name; None of anything else, as f().b."""
+    if isinstance(node.value, ast.Name):
+        return f"{node.value.id}.{node.attr}"
+    inner = dotted_name(node.value) if isinstance(node.value, ast.Attribute) else None
+    return f"{inner}.{node.attr}" if inner else None
 
 
 def leading(name: ast.expr) -> ast.expr:
