@@ -15,6 +15,8 @@ from amhe_cli.estimation.offline.result import ParameterResult
 
 #: Shrinkage below which the data say nothing, and from which they determine.
 NOTHING, DETERMINED = 0.3, 0.8
+#: Prior sd from its prior at which a value that the logs hardly determine has gone astray; one is common.
+ASTRAY = 2.0
 #: Shrinkage that what the model assumes must leave.
 HALVED = 0.5
 #: Ratio of the sd to that at a doubled step that a linearisation may show.
@@ -151,7 +153,7 @@ def _unfelt(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...
 
 def _strayed(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
     away = abs(evidence.z[i])
-    if evidence.shrinkage[i] >= NOTHING or away <= 1.0:
+    if evidence.shrinkage[i] >= NOTHING or away <= ASTRAY:
         return ()
     text = f"it is {away:.1f} prior sd from its prior although the logs hardly determine it"
     return (text, *_wider(evidence, i))
@@ -160,7 +162,9 @@ def _strayed(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ..
 def _open(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
     if evidence.shrinkage[i] >= NOTHING:
         return ()
-    return _wider(evidence, i) or ("the logs hardly narrow it down: the value is your prior",)
+    away = abs(evidence.z[i])
+    value = "the value is your prior" if away <= 1.0 else f"it is {away:.1f} prior sd from your prior"
+    return _wider(evidence, i) or (f"the logs hardly narrow it down: {value}",)
 
 
 def _unexplained(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
@@ -256,9 +260,12 @@ def _contradictions(
     found = []
     sd = float(np.sqrt(evidence.covariance[i, i]))
     for name, difference in evidence.disagreements.items():
-        value, counts = difference.value[i], 2.0 * difference.share * share(space, i, difference.value[i])
+        value, repeated = difference.value[i], difference.share > 0.5
+        moved = share(space, i, value)
+        # what all logs show alike is an error of the model, however small
+        counts = max(moved, NOTABLE) if repeated and moved >= NOTED else moved
         if abs(value) > SURPRISE * difference.sd[i] and least <= counts < most:
-            again = ", again and again" if difference.share > 0.5 else ""
+            again = ", again and again" if repeated else ""
             found.append(f"{name} disagree by {size(space, i, value)}{again}")
     found += [
         shift.text.format(size(space, i, shift.z[i]))
