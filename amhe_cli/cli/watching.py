@@ -30,6 +30,7 @@ watched = click.option(
 @contextmanager
 def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[str, float]], None]]:
     """Show the cycles of a run: its state, the estimated one as a ghost, belief and cost."""
+    from amhe_cli.core.curves import TimeCurve
     from amhe_cli.robots.go1.model import layout
     from amhe_cli.robots.go1.state import coordinates
     from amhe_cli.view.live import Happening, StatesShown
@@ -37,18 +38,22 @@ def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[s
     from amhe_cli.view.scene import scene_of
 
     system, at = run.system, layout(run.system.model)
-    units = {p.name: "" if p.unit == "-" else p.unit for p in system.space.parameters}
-    curves = {name: ("parameters", unit) for name, unit in units.items()}
-    curves |= {"speed": ("run", "m/s"), "cost": ("run", ""), "cycle time": ("run", "ms")}
+    names = system.space.names
+    curves = [TimeCurve(p.name, "parameters", p.unit) for p in system.space.parameters]
+    curves += [
+        TimeCurve("speed", "run", "m/s"),
+        TimeCurve("cost", "run"),
+        TimeCurve("cycle time", "run", "ms"),
+    ]
     heading = Heading(f"{run.task.name} {run.options.mode}", (run.task.title,))
-    page = StatesShown(scene_of(system), ["estimated"], curves, heading, list(_floor(run.task)))
+    page = StatesShown(scene_of(system, floor_of(run.task)), ["estimated"], curves, heading)
 
     def show(cycle: Cycle, row: dict[str, float]) -> None:
         if not page.due(cycle.time):
             return
         numbers = {
             name: tuple(row[end + name] for end in ("belief/", "lower/", "upper/") if end + name in row)
-            for name in units
+            for name in names
         }
         step = cycle.plan.step
         numbers |= {"speed": (row["speed"],), "cycle time": (cycle.plan_ms,)}
@@ -75,7 +80,8 @@ def watching_robot(
     from amhe_cli.view.scene import scene_of
 
     at = layout(system.model)
-    page = StatesShown(scene_of(system), [], {}, Heading(f"emulated Go1, {task.name}"), list(_floor(task)))
+    scene = scene_of(system, floor_of(task))
+    page = StatesShown(scene, [], [], Heading(f"emulated Go1, {task.name}"))
 
     def show() -> None:
         if page.due(body.time):
@@ -97,7 +103,7 @@ def watching_replay(session: Session, problem: ReplayProblem) -> Iterator[Callab
         yield page.show
 
 
-def _floor(task: Task) -> Iterator[Geom]:
+def floor_of(task: Task) -> list[Geom]:
     """Path and goal of a task, as plates on the floor."""
     import numpy as np
 
@@ -105,12 +111,14 @@ def _floor(task: Task) -> Iterator[Geom]:
 
     path, (depth, width) = task.floor.path, task.floor.footprint
     blue, green = (0.15, 0.39, 0.92, 1.0), (0.08, 0.55, 0.25, 1.0)
+    plates = []
     for start, end in pairwise(path):
         along = end - start
         half = (0.5 * float(np.hypot(*along)), 0.012)
-        yield plate(0.5 * (start + end), half, float(np.arctan2(along[1], along[0])), blue)
+        plates.append(plate(0.5 * (start + end), half, float(np.arctan2(along[1], along[0])), blue))
     yaw = task.floor.goal_yaw
     ahead, left = np.array([np.cos(yaw), np.sin(yaw)]), np.array([-np.sin(yaw), np.cos(yaw)])
     for side in (-0.5, 0.5):
-        yield plate(path[-1] + side * depth * ahead, (0.012, 0.5 * width), yaw, green)
-        yield plate(path[-1] + side * width * left, (0.5 * depth, 0.012), yaw, green)
+        plates.append(plate(path[-1] + side * depth * ahead, (0.012, 0.5 * width), yaw, green))
+        plates.append(plate(path[-1] + side * width * left, (0.5 * depth, 0.012), yaw, green))
+    return plates

@@ -8,9 +8,11 @@ from amhe_cli.logs.data_set import is_data_set, members, only_member
 from amhe_cli.logs.messages.writer import LogWriter
 from amhe_cli.logs.read import inspect_log, read_log, read_signals
 from amhe_cli.logs.survey import Inspection, SignalCheck, Survey, TopicSurvey, read_metadata, survey
+from amhe_cli.logs.topics import Fields, read_topic
 from amhe_cli.logs.truth import read_truth
 
 __all__ = [
+    "Fields",
     "Inspection",
     "LogWriter",
     "SignalCheck",
@@ -25,6 +27,7 @@ __all__ = [
     "read_log",
     "read_metadata",
     "read_signals",
+    "read_topic",
     "read_truth",
     "survey",
 ]

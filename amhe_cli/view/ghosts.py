@@ -11,6 +11,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import Engine, Starts
@@ -21,7 +22,7 @@ from amhe_cli.matching.readings import reading_of, state_errors
 from amhe_cli.matching.starts import first_states
 from amhe_cli.matching.windows import starts_of
 from amhe_cli.system.system import Channel, System
-from amhe_cli.view.scene import Scene, scene_of
+from amhe_cli.view.scene import Geom, Scene, scene_of
 
 #: Most frames of a second; what lies between them is interpolated.
 RATE = 50.0
@@ -56,11 +57,15 @@ class Recording:
         name: Name of the log.
         track: Its states; in a gap the last one before it stays.
         gaps: Times at which a gap begins and ends [s], shape (m, 2).
+        curves: Further numbers over its time.
+        events: Times that one may want to jump to [s], shape (e,).
     """
 
     name: str
     track: Track
     gaps: FloatArray
+    curves: Sequence[TimeCurve] = ()
+    events: Sequence[float] | FloatArray = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,6 +127,7 @@ def viewing(
     candidates: Mapping[str, FloatArray],
     engine: Engine,
     most: int = _STEPS,
+    more: Sequence[Geom] = (),
 ) -> Viewing:
     """Logs, and their clips rolled out under each candidate.
 
@@ -131,11 +137,12 @@ def viewing(
         candidates: Name of a candidate -> its z, shape (d,); the best one last.
         engine: The system's engine.
         most: Most steps of all clips; of more clips some from all over the logs are taken.
+        more: Geoms that do not move, drawn beside the model's own.
 
     Raises:
         LogError: A log has no instant at which all of the state was measured.
     """
-    scene, logs = scene_of(system), list({id(part.log): part.log for part, _ in parts}.values())
+    scene, logs = scene_of(system, more), list({id(part.log): part.log for part, _ in parts}.values())
     settings = system.settings.clips
     length = settings.held_out_length or 0.5 * sum(settings.length)
     cut = [(w, held) for part, held in parts for w in ClipPool(system, [part], settings).cut(length)]
@@ -178,7 +185,9 @@ class MeasuredLog:
         self.keys += system.keys if system.model.nmocap else ()
         self.usable = log.usable(self.keys)
         first = int(np.argmax(self.usable))
-        rest = Window(log, first, log.steps - 1 - first)
+        newest = np.maximum.accumulate(np.where(self.usable, np.arange(log.steps, dtype=np.int32), -1))
+        self._known = np.maximum(newest, first)  # for each row the newest one with a whole state
+        rest = Window(log, first, log.steps - 1 - first if system.model.nmocap else 1)
         self._starts = starts_of(system, [rest], 0.0)  # refuses a log that never has a whole state
         self._first = first
         self._home = home(system.model, system.keyframe, system.input_spec)[0]
@@ -202,9 +211,7 @@ class MeasuredLog:
     def at(self, rows: IntArray) -> Track:
         """The states at some rows, shape (n,), which lie equally far apart."""
         system, log = self.scene.system, self.log
-        before = np.maximum.accumulate(np.where(self.usable, np.arange(log.steps), -1))
-        known = np.where(before[rows] < 0, self._first, before[rows])
-        single, back = np.unique(known, return_inverse=True)
+        single, back = np.unique(self._known[rows], return_inverse=True)
         qpos, qvel = first_states(system, [Window(log, int(row), 1) for row in single], self._home, 0.0)
         starts = replace(self._starts, qpos=qpos, qvel=qvel, lengths=np.ones(len(single), dtype=np.int64))
         theta = self.theta(self.z)

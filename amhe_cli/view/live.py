@@ -21,9 +21,10 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.files import plain
 from amhe_cli.view.page import Heading, live_page
-from amhe_cli.view.scene import Geom, Scene
+from amhe_cli.view.scene import Scene
 from amhe_cli.view.server import PageServer
 
 logger = logging.getLogger(__name__)
@@ -126,21 +127,19 @@ class StatesShown(Broadcast[Happening]):
     Args:
         scene: What is drawn.
         ghosts: Names of the ghosts.
-        curves: Name of each curve -> its group and its unit.
+        curves: What is plotted, without values.
         heading: What stands around the scene.
-        more: Geoms that do not move, drawn beside the scene's own.
     """
 
     def __init__(
         self,
         scene: Scene,
         ghosts: Sequence[str],
-        curves: Mapping[str, tuple[str, str]],
+        curves: Sequence[TimeCurve],
         heading: Heading,
-        more: Sequence[Geom] = (),
     ) -> None:
         self._scene, self._next = scene, -np.inf
-        super().__init__(live_page(scene, ghosts, curves, STEP, heading, more), self._message)
+        super().__init__(live_page(scene, ghosts, curves, STEP, heading), self._message)
 
     def due(self, time: float) -> bool:
         """Whether a frame is due at a time [s]; what lies between two frames is not shown."""

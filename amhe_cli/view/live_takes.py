@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from amhe_cli.core.curves import TimeCurve
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.replay import ReplayProblem
@@ -32,12 +33,13 @@ class TakesShown(Broadcast[tuple[int, Estimate]]):
         scene = scene_of(system)
         self._measured = MeasuredLog(scene, log, problem.start.z)
         self._engine = open_engine(system)  # the estimator's own is busy
-        recording = Recording(Path(log.source).name, self._measured.track(_COARSE), self._measured.gaps)
+        curves = [TimeCurve(p.name, "parameters", p.unit) for p in system.space.parameters]
+        curves += [TimeCurve("misfit", "estimator"), TimeCurve("update time", "estimator", "ms")]
+        track, gaps = self._measured.track(_COARSE), self._measured.gaps
+        recording = Recording(Path(log.source).name, track, gaps, curves)
         found = Viewing(scene, tuple(columns_of(system, log)), ("before", "estimated"), (recording,), (), 0)
-        curves = {p.name: ("parameters", "" if p.unit == "-" else p.unit) for p in system.space.parameters}
-        curves |= {"misfit": ("estimator", ""), "update time": ("estimator", "ms")}
         heading = Heading(f"mhe-replay: {recording.name}", (f"{log.duration:.1f} s of log",))
-        page, self._packed = replay_page(found, heading, curves)
+        page, self._packed = replay_page(found, heading)
         super().__init__(page, self._message)
 
     def show(self, estimate: Estimate) -> None:

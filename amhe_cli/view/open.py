@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.parameters import Belief, completed
 from amhe_cli.engine.open import open_engine
@@ -14,6 +16,7 @@ from amhe_cli.estimation.offline.clips import split_held_out, whole
 from amhe_cli.system.system import System
 from amhe_cli.view.ghosts import Viewing, viewing
 from amhe_cli.view.page import Heading, parameter_rows, saved_page
+from amhe_cli.view.scene import Geom
 from amhe_cli.view.strip import strip
 
 #: Most steps of the clips among which those of a report's pictures are chosen.
@@ -29,7 +32,10 @@ def page_of(
     fitted: bool = False,
     threads: int = 1,
     title: str = "",
-    facts: Sequence[str] = (),
+    known_as: str = "identified",
+    curves: Sequence[TimeCurve] = (),
+    events: FloatArray | Sequence[float] = (),
+    more: Sequence[Geom] = (),
 ) -> str:
     """The page of logs with their ghosts.
 
@@ -41,20 +47,25 @@ def page_of(
         fitted: `belief` comes from these logs: those clips come first that were held out of the fit.
         threads: CPU threads; the page does not depend on them.
         title: Title of the page; empty: the system's name.
-        facts: What the line below the title says.
+        known_as: Name of the second candidate.
+        curves: Further numbers over the time of the first log.
+        events: Times of the first log that one may want to jump to [s], shape (e,).
+        more: Geoms that do not move, drawn beside the model's own.
 
     Raises:
         LogError: A log has no instant at which all of the state was measured.
     """
     candidates = {"nominal": np.zeros(len(system.space))}
     if belief is not None:
-        candidates["identified"] = _identified(system, belief)
+        candidates[known_as] = _identified(system, belief)
     parts = list(_parts(system, logs, held_out)) if fitted else [(whole(log), None) for log in logs]
-    found = viewing(system, parts, candidates, open_engine(system, threads=threads))
+    found = viewing(system, parts, candidates, open_engine(system, threads=threads), more=more)
+    first, *others = found.recordings
+    found = replace(found, recordings=(replace(first, curves=curves, events=events), *others))
     seconds = sum(log.duration for log in (*logs, *held_out))
     heading = Heading(
         title or system.name,
-        (*facts, f"{seconds:.1f} s of log", f"{len(found.takes)} clips"),
+        (f"{seconds:.1f} s of log", f"{len(found.takes)} clips"),
         list(_notes(found)),
         parameter_rows(system.space, belief),
     )

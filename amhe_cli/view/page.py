@@ -10,24 +10,27 @@ import json
 import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from importlib.resources import files
 from typing import Any
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import Belief, ParameterSpace
 from amhe_cli.core.statistics import Z90
 from amhe_cli.core.text import printable
-from amhe_cli.view.ghosts import Plotted, Take, Track, Viewing
-from amhe_cli.view.scene import Geom, Scene
+from amhe_cli.view.ghosts import Plotted, Recording, Take, Track, Viewing
+from amhe_cli.view.scene import Scene
 
 #: How far ghosts may leave the measured places, before they stop at an edge [m].
 _BEYOND = 2.0
 #: The number that stands for no value, and the largest one of a value.
 _NONE, _MOST = -32768, 32767
+#: Most points of a curve.
+_POINTS = 4000
 #: Files of the page's script, in their order.
 _SCRIPTS = ("numbers.js", "stage.js", "plots.js", "live.js", "player.js")
 _PART = re.compile(r"\{\{(\w+)\}\}")
@@ -60,47 +63,36 @@ def saved_page(viewing: Viewing, heading: Heading) -> str:
     return _page(heading, data | {"takes": [take_data(take, packed) for take in viewing.takes]})
 
 
-def replay_page(
-    viewing: Viewing, heading: Heading, curves: Mapping[str, tuple[str, str]]
-) -> tuple[str, Packed]:
-    """A page of recordings whose clips are still to come, and what packs their tracks.
+def replay_page(viewing: Viewing, heading: Heading) -> tuple[str, Packed]:
+    """A page of recordings whose clips and curves are still to come, and what packs their tracks.
 
     Args:
         viewing: The recordings.
         heading: What stands around the scene.
-        curves: Name of each curve that will come -> its group and its unit.
     """
     data, packed = _recorded(viewing)
-    return _page(heading, data | {"takes": [], "live": {"curves": curves}}), packed
+    return _page(heading, data | {"takes": [], "live": True}), packed
 
 
 def live_page(
     scene: Scene,
     ghosts: Sequence[str],
-    curves: Mapping[str, tuple[str, str]],
+    curves: Sequence[TimeCurve],
     step: float,
     heading: Heading,
-    more: Sequence[Geom] = (),
 ) -> str:
     """A page whose frames are still to come.
 
     Args:
         scene: What is drawn.
         ghosts: Names of the ghosts.
-        curves: Name of each curve -> its group and its unit.
+        curves: What will be plotted; it has no values yet.
         step: Time between two frames [s].
         heading: What stands around the scene.
-        more: Geoms that do not move, drawn beside the scene's own.
     """
-    empty = {"step": step, "poses": "", "values": ""}
-    data = {
-        **_about(replace(scene, geoms=(*scene.geoms, *more)), (), ghosts),
-        "ranges": {"poses": ([0.0] * 7, [0.0] * 7), "values": ([], [])},
-        "recordings": [{"name": "", "gaps": [], "track": empty}],
-        "takes": [],
-        "live": {"curves": curves},
-    }
-    return _page(heading, data)
+    empty = Track(step, np.empty((0, len(scene.bodies), 7)), np.empty((0, 0)))
+    none = Viewing(scene, (), tuple(ghosts), (Recording("", empty, np.empty((0, 2)), curves),), (), 0)
+    return replay_page(none, heading)[0]
 
 
 def take_data(take: Take, packed: Packed) -> dict[str, Any]:
@@ -124,18 +116,30 @@ def _recorded(viewing: Viewing) -> tuple[dict[str, Any], Packed]:
         **_about(viewing.scene, viewing.columns, viewing.candidates),
         "ranges": {"poses": poses.ends, "values": values.ends},
         "recordings": [
-            {"name": printable(one.name), "gaps": one.gaps, "track": packed(one.track)}
+            {
+                "name": printable(one.name), "gaps": one.gaps, "track": packed(one.track),
+                "curves": [_curve(curve) for curve in one.curves], "events": one.events,
+            }
             for one in viewing.recordings
         ],
-    }
+    }  # fmt: skip
     return data, packed
+
+
+def _curve(curve: TimeCurve) -> dict[str, Any]:
+    lower, upper = (None, None) if curve.band is None else curve.band
+    numbers = {"times": curve.times, "values": curve.values, "lower": lower, "upper": upper}
+    every = max(1, -(-len(curve.times) // _POINTS))
+    return {"name": printable(curve.name), "group": curve.group, "unit": _unit(curve.unit)} | {
+        name: None if values is None else _floats(values[::every]) for name, values in numbers.items()
+    }
 
 
 def parameter_rows(space: ParameterSpace, belief: Belief | None) -> list[dict[str, Any]]:
     """Name, unit and nominal value of each parameter; where there is a belief, estimate and 90 % interval."""
     rows = []
     for p in space.parameters:
-        row: dict[str, Any] = {"name": p.name, "unit": "" if p.unit == "-" else p.unit, "nominal": p.nominal}
+        row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "nominal": p.nominal}
         if belief is not None and p.name in belief.names:
             i = belief.names.index(p.name)
             value, sd = float(belief.estimate[i]), float(np.sqrt(belief.covariance[i, i]))
@@ -218,6 +222,10 @@ class _Range:
         share = (np.clip(values, self.low, self.high) - self.low) / (self.high - self.low)
         whole = np.where(np.isfinite(share), np.round((2.0 * share - 1.0) * _MOST), _NONE)
         return _text(whole.astype("<i2"))
+
+
+def _unit(unit: str) -> str:
+    return "" if unit == "-" else unit
 
 
 def _floats(values: FloatArray) -> str:

@@ -92,8 +92,13 @@ class Scene:
         return [i for i, body in enumerate(self.bodies) if body in missing]
 
 
-def scene_of(system: System) -> Scene:
-    """The scene of a system; shapes that no group shows stand in where nothing else would be seen."""
+def scene_of(system: System, more: Sequence[Geom] = ()) -> Scene:
+    """The scene of a system; shapes that no group shows stand in where nothing else would be seen.
+
+    Args:
+        system: The system.
+        more: Geoms that do not move, drawn beside the model's own.
+    """
     model = system.model
     moving = [body for body in range(1, model.nbody) if _moves(model, body)]
     shown = [g for g in range(model.ngeom) if model.geom_group[g] in _SHOWN]
@@ -102,7 +107,7 @@ def scene_of(system: System) -> Scene:
     drawn = [body for body in moving if body in {int(model.geom_bodyid[g]) for g in shown}]
     most = _TRIANGLES // max(1, sum(int(model.geom_dataid[g]) >= 0 for g in shown))
     geoms = [found for g in shown if (found := _geom(model, g, drawn, most)) is not None]
-    return Scene(system, tuple(drawn), tuple(geoms))
+    return Scene(system, tuple(drawn), (*geoms, *more))
 
 
 def plate(place: FloatArray, half: tuple[float, float], yaw: float, color: Sequence[float]) -> Geom:

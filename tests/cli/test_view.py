@@ -9,8 +9,10 @@ import subprocess
 import sys
 import urllib.error
 import urllib.request
+from base64 import b64decode
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from amhe_cli.cli.main import run
@@ -51,9 +53,54 @@ def test_a_result_shows_both_ghosts_and_its_held_out_clips_first(result: Path, t
     assert 0.2 < sum(held) / len(held) < 0.6
 
 
+def test_a_replay_shows_its_estimates_over_time_and_the_last_one_as_a_ghost(
+    pendulum_log: Path, tmp_path: Path
+) -> None:
+    out, page = tmp_path / "replay", tmp_path / "page.html"
+    assert run(["mhe-replay", str(pendulum_log), "--from", "1", "--to", "4", "-q", "-o", str(out)]) == 0
+    assert run(["view", str(out), "--save", str(page)]) == 0
+    record, data = json.loads((out / "result.json").read_text()), data_of(page)
+    assert data["candidates"] == ["nominal", "final belief"]
+    last = {row["name"]: row for row in record["parameters"]}
+    for row in data["parameters"]:
+        assert row["estimate"] == pytest.approx(last[row["name"]]["estimate"])
+        assert row["lower"] == pytest.approx(last[row["name"]]["lower"])
+    curves = {curve["name"]: curve for curve in data["recordings"][0]["curves"]}
+    assert curves.keys() == {*last, "misfit"}
+    begun = 1.0 + record["settings"]["window"]
+    for name, row in last.items():
+        times, *ends = (numbers(curves[name][key]) for key in ("times", "values", "lower", "upper"))
+        assert times.size == record["windows"]
+        # the estimates of a part of the log stand at its times in the whole log
+        assert (times[0], times[-1]) == pytest.approx((begun, record["end_s"]), abs=0.01)
+        assert [end[-1] for end in ends] == pytest.approx([row[k] for k in ("estimate", "lower", "upper")])
+
+
+def test_a_run_shows_its_path_its_belief_and_how_it_planned(tmp_path: Path) -> None:
+    out, page = tmp_path / "t4", tmp_path / "page.html"
+    arguments = ["--task", "t4", "--mode", "baseline", "--duration", "0.6", "--threads", "1"]
+    run(["run", *arguments, "-q", "-o", str(out)])
+    assert run(["view", str(out), "--save", str(page)]) == 0
+    record, data = json.loads((out / "result.json").read_text()), data_of(page)
+    curves = {curve["name"]: curve for curve in data["recordings"][0]["curves"]}
+    assert {"speed", "cost", "cycle time"} < curves.keys()
+    assert numbers(curves["cost"]["values"]).size == record["cycles"]
+    for name, value in record["belief"].items():
+        assert numbers(curves[name]["values"]) == pytest.approx(value)
+        assert curves[name]["lower"] is None
+    plates = [geom for geom in data["geoms"] if geom["body"] < 0 and not geom["floor"]]
+    assert max(geom["pose"][0] for geom in plates) == pytest.approx(0.6 + 2.4, abs=0.2)  # the goal
+
+
+def numbers(text: str) -> np.ndarray:
+    return np.frombuffer(b64decode(text), "<f4")
+
+
 @pytest.mark.parametrize(
     ("change", "text"),
     [
+        ({"command": "mhe-replay", "log": 3}, "is no result of amhe"),
+        ({"command": "run"}, "is no result of amhe"),
         ({"schema_version": 2}, "of version 2"),
         ({"command": "eval"}, "of `amhe eval`"),
     ],

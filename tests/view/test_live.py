@@ -14,6 +14,7 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
+from amhe_cli.core.curves import TimeCurve
 from amhe_cli.view.live import Broadcast, Happening, StatesShown
 from amhe_cli.view.page import Heading
 from amhe_cli.view.scene import scene_of
@@ -100,7 +101,7 @@ def test_a_watched_command_finds_the_same(arguments: list[str], tmp_path: Path, 
 @needs_chromium
 def test_the_page_follows_what_happens(tmp_path: Path) -> None:
     scene = scene_of(amhe.System.load("pendulum"))
-    page = StatesShown(scene, ["guess"], {"load": ("parameters", "kg")}, Heading("live"))
+    page = StatesShown(scene, ["guess"], [TimeCurve("load", "parameters", "kg")], Heading("live"))
     with page, browser(tmp_path) as one:
         one.open(page.server.address)
         for i in range(50):
@@ -111,7 +112,7 @@ def test_the_page_follows_what_happens(tmp_path: Path) -> None:
             "? done() : setTimeout(wait, 20); wait(); })"
         )
         assert one.run("player.recording.ghosts[0].count") == 50
-        assert one.run("player.scalars.get('load').upper.length") == 50
+        assert one.run("player.recording.curves.get('load').upper.length") == 50
         turned = one.run("Math.abs(player.recording.track.at(1.96)[5])")
         assert turned == pytest.approx(np.sin(0.5 * 0.02 * 49), abs=1e-3)
         one.run("player.seek(0); document.getElementById('next').click()")

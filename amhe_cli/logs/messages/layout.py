@@ -21,7 +21,7 @@ from amhe_cli.logs.messages.definitions import Types
 from amhe_cli.logs.messages.descriptors import MalformedMessageError
 
 #: Strings whose content matters; of all others only the length is part of a layout.
-KEPT = {"name", "joint_names", "frame_id", "child_frame_id"}
+KEPT = {"name", "mark", "joint_names", "frame_id", "child_frame_id"}
 
 #: Fields of a message: in any case, for each of its bytes, and at most; and how deep they may nest.
 _FEW_FIELDS, _FIELDS_A_BYTE, _MOST_FIELDS, _DEEPEST = 1000, 2, 1_000_000, 50

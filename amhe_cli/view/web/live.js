@@ -1,9 +1,7 @@
 // Frames, clips and numbers that arrive while something runs.
 class Live {
-  constructor(player, { curves }) {
-    this.player = player; this.last = new Map();
-    for (const [name, [group, unit]] of Object.entries(curves)) player.scalars.set(name, { name, group, unit, times: [], values: [], lower: null, upper: null });
-    $("channel").replaceChildren(); player.channels(); player.following = true;
+  constructor(player) {
+    this.player = player; player.following = true;
     this.source = new EventSource("stream");
     this.source.onmessage = (event) => this.take(JSON.parse(event.data));
     this.source.onerror = () => this.note(this.heard ? "The run has ended, or its page is no longer served." : "No connection yet.");
@@ -21,12 +19,12 @@ class Live {
     if (message.take) player.added(message.take);
     if (message.poses) message.poses.forEach((text, i) => text && (i ? ghosts[i - 1] : track).push(floats(text), Math.round(message.time / track.step)));
     for (const [name, [value, low, high]] of Object.entries(message.numbers ?? {})) {
-      const line = player.scalars.get(name);
+      const line = player.recording.curves.get(name);
       if (!line) continue;
       line.times.push(message.time); line.values.push(value);
       if (low !== undefined) { line.lower ??= line.times.slice(1).map(() => NaN); line.upper ??= [...line.lower]; line.lower.push(low); line.upper.push(high); }
     }
-    if (message.event) player.events.push(message.time);
+    if (message.event) player.recording.events.push(message.time);
     if (!was && player.end) player.fit();
     if (message.poses && player.following && !player.take) { player.now = player.end; player.dirty = true; }
     this.news = true;

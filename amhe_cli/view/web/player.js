@@ -13,11 +13,11 @@ class Player {
     try { this.stage = new Stage($("scene"), data); this.stage.changed = () => this.dirty = true; } catch (error) { $("failure").hidden = false; $("failure").textContent = error.message; }
     for (const note of data.notes) $("notes").append(made("li", { textContent: note }));
     this.palette(); this.layers(); this.controls(); this.list(); this.table(); this.channels();
-    if (this.takes.length) this.choose(this.takes[0]); else this.fit();
+    if (this.takes.length && !this.recording.curves.size) this.choose(this.takes[0]); else this.fit();
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { this.palette(); this.redraw(); });
     new ResizeObserver(() => this.redraw()).observe(document.body);
     this.redraw(); requestAnimationFrame((stamp) => this.frame(stamp));
-    if (data.live) this.live = new Live(this, data.live);
+    if (data.live) this.live = new Live(this);
   }
   get recording() { return this.recordings[this.row]; }
   get end() { return this.recording.track.duration; }
@@ -25,11 +25,10 @@ class Player {
     const { data } = this, count = data.bodies.length, width = data.columns.length;
     const track = (one) => one && new Track(one.step, count, width, unpacked(one.poses, data.ranges.poses), unpacked(one.values, data.ranges.values));
     this.decoded = (take) => ({ ...take, tracks: take.tracks.map(track) });
-    this.recordings = data.recordings.map((one) => ({ ...one, track: track(one.track), ghosts: data.candidates.map(() => track({ ...one.track, poses: "", values: "" })), takes: [] }));
+    this.recordings = data.recordings.map((one) => ({ ...one, track: track(one.track), ghosts: data.candidates.map(() => track({ ...one.track, poses: "", values: "" })), takes: [], curves: new Map(one.curves.map((curve) => [curve.name, curveOf(curve)])) }));
     this.takes = data.takes.map(this.decoded);
     for (const take of this.takes) this.recordings[take.recording].takes.push(take);
     for (const one of this.recordings) one.takes.sort((a, b) => a.start - b.start);
-    this.scalars = new Map(); this.events = [];
   }
   // A clip that has just come.
   added(take) {
@@ -69,7 +68,7 @@ class Player {
     $("time").addEventListener("input", () => this.seek(Number($("time").value)));
     this.recordings.forEach((one, i) => $("recording").append(made("option", { value: i, textContent: one.name })));
     $("which").hidden = this.recordings.length < 2;
-    $("recording").addEventListener("change", () => { this.row = Number($("recording").value); this.now = 0; this.choose(null); });
+    $("recording").addEventListener("change", () => { this.row = Number($("recording").value); this.now = 0; this.channels(); this.choose(null); });
     document.addEventListener("keydown", (event) => {
       if (["INPUT", "SELECT", "BUTTON"].includes(event.target.tagName) && event.key !== "n") return;
       const act = { " ": () => this.play(!this.playing), ArrowLeft: () => this.step(-1), ArrowRight: () => this.step(1), n: () => this.next() }[event.key];
@@ -108,7 +107,7 @@ class Player {
   }
   // What the plots can show: each channel of the log, and each group of other numbers.
   channels() {
-    const pick = $("channel"), before = pick.value, groups = [...new Set([...this.scalars.values()].map((one) => one.group))];
+    const pick = $("channel"), before = pick.value, groups = [...new Set([...this.recording.curves.values()].map((one) => one.group))];
     pick.replaceChildren(...[...groups, ...new Set(this.data.columns.map((column) => column.channel))].map((name) => made("option", { value: name, textContent: name })));
     if (before) pick.value = before;
     pick.onchange = () => { this.panels(); this.redraw(); };
@@ -117,7 +116,7 @@ class Player {
   }
   panels() {
     const name = $("channel").value;
-    const own = [...this.scalars.values()].filter((one) => one.group === name).map((one) => ({ title: one.name, unit: one.unit, lines: () => [{ ...one, color: this.colors.blue }] }));
+    const own = [...this.recording.curves.values()].filter((one) => one.group === name).map((one) => ({ title: one.name, unit: one.unit, lines: () => [{ ...one, color: this.colors.blue }] }));
     const columns = this.data.columns.map((column, k) => ({ ...column, k })).filter((column) => column.channel === name);
     this.plots.show(own.length ? own : columns.map((column) => ({ title: column.name === name ? name : column.name, unit: column.unit, lines: (from, to) => this.lines(column.k, from, to) })));
   }
@@ -165,9 +164,10 @@ class Player {
     this.playing = on; this.dirty = true;
     $("play").textContent = on ? "\u23F8\uFE0E" : "\u25B6\uFE0E"; $("play").setAttribute("aria-label", on ? "Pause" : "Play");
   }
+  // The next jump of an estimate where all of the log is shown, else the next clip.
   next() {
-    const events = this.events.filter((event) => event > this.now + 1e-6);
-    if (this.data.live && !this.take && events.length) return this.seek(events[0]);
+    const { events } = this.recording;
+    if (!this.take && events.length) return this.seek(events.find((event) => event > this.now + 1e-6) ?? events[0]);
     if (this.takes.length) this.choose(this.takes[(this.takes.indexOf(this.take) + 1) % this.takes.length]);
   }
   frame(stamp) {
@@ -184,6 +184,7 @@ class Player {
   }
   redraw() {
     const [from, to] = this.span();
+    $("next").textContent = !this.take && this.recording.events.length ? "next jump" : "next clip";
     this.plots.draw(this.data.live && !this.take ? Math.max(from, to - 30) : from, to, this.colors); this.marks(); this.paint();
   }
   marks() {
@@ -199,7 +200,7 @@ class Player {
     paper.fillStyle = this.colors.gap;
     for (const [a, b] of this.recording.gaps) paper.fillRect(x(a), 0, Math.max(x(b) - x(a), 1), height);
     paper.fillStyle = this.colors.amber;
-    for (const event of this.events) paper.fillRect(x(event), 0, 2, height);
+    for (const event of this.recording.events) paper.fillRect(x(event), 0, 2, height);
   }
   paint() {
     this.dirty = false;
@@ -238,6 +239,10 @@ class Player {
   }
 }
 
+function curveOf(curve) {
+  const numbers = (text) => text === null ? null : Array.from(floats(text));
+  return { ...curve, times: numbers(curve.times), values: numbers(curve.values), lower: numbers(curve.lower), upper: numbers(curve.upper) };
+}
 function mixed(share) {
   const place = Math.min(Math.max(share, 0), 1) * (RAMP.length - 1), i = Math.min(Math.floor(place), RAMP.length - 2);
   return RAMP[i].map((c, k) => c + (place - i) * (RAMP[i + 1][k] - c));

@@ -1,0 +1,171 @@
+"""What `amhe view` shows: a log, or the logs of a result folder and what was recorded beside them."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from amhe_cli.cli.inputs import Inputs
+from amhe_cli.cli.settings import Overrides, gathered
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.yaml_file import merged
+
+if TYPE_CHECKING:
+    from amhe_cli.core.curves import TimeCurve
+    from amhe_cli.core.log import Log
+    from amhe_cli.core.parameters import Belief
+    from amhe_cli.system.system import System
+
+#: Options that say how logs are read: those with which a result was made, unless the user gives others.
+_READING = ("system", "topics", "msg_path", "start", "end")
+
+
+@dataclass(frozen=True, slots=True)
+class Viewed:
+    """Logs, and what belongs to them.
+
+    Args:
+        logs: The logs.
+        inputs: How they are read.
+        overrides: Settings of the system.
+        apart: Logs that were held out.
+        belief: The belief.yaml of an identification; None: there is none.
+        fixed: Parameters that were taken as known.
+        recorded: The log with the estimates of an online estimator or the beliefs of a run; None: none.
+        task: Name of the task of a run; None: it is no run.
+    """
+
+    logs: tuple[Path, ...]
+    inputs: Inputs
+    overrides: Overrides
+    apart: tuple[Path, ...] = ()
+    belief: Path | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    recorded: Path | None = None
+    task: str | None = None
+
+    def beside(self, system: System, first: Log, known: Belief | None) -> dict[str, Any]:
+        """What is shown beside the logs, as arguments of `page_of`.
+
+        Args:
+            system: The system.
+            first: The first of the logs.
+            known: The belief that is shown; None: that at the end of what was recorded.
+
+        Raises:
+            LogError: What was recorded cannot be read.
+        """
+        if self.recorded is None:
+            return {"fitted": self.belief is not None, "belief": known}
+        from amhe_cli.cli.watching import floor_of
+        from amhe_cli.live.recorded import recorded_curves
+        from amhe_cli.robots.go1.run import as_measured
+        from amhe_cli.robots.go1.tasks import find_task
+
+        units = {p.name: p.unit for p in system.space.parameters}
+        curves, jumps = recorded_curves(self.recorded, first.start_ns, units)
+        shown = {
+            "curves": curves,
+            "events": jumps,
+            "belief": _last(system, curves),
+            "known_as": "final belief",
+        }
+        if self.task is not None:
+            shown["more"] = floor_of(as_measured(find_task(self.task), system))
+        return shown
+
+
+def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
+    """What a path stands for: a log, or a result folder.
+
+    Raises:
+        ConfigError: The folder holds no result that can be viewed, or its logs are gone.
+    """
+    if not (source / "result.json").is_file():
+        return Viewed((source,), inputs, overrides)
+    try:
+        record = json.loads((source / "result.json").read_text(encoding="utf-8"))
+        version, command = record["schema_version"], record["command"]
+        if version != 1 or command not in _VIEWED:
+            other = f"of version {version}" if version != 1 else f"of `amhe {command}`"
+            raise ConfigError(f"{source}: is a result {other}, which cannot be viewed; view its log itself")
+        found = _VIEWED[command](source, record, inputs, overrides)
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise ConfigError(f"{source / 'result.json'}: is no result of amhe; view the log itself") from None
+    for path in (*found.logs, *found.apart):
+        if not path.exists():
+            instead = f" with --belief {found.belief}" if found.belief else " itself"
+            raise ConfigError(
+                f"{path}: this log of the result is not there; run the command where the result was "
+                f"made, or view the log{instead}"
+            )
+    return found
+
+
+def _identified(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
+    """A result of `amhe identify`, its logs read as they were then."""
+    given = _as_given(folder)
+    chosen = {name: getattr(inputs, name) or given.get(name) for name in _READING if given.get(name)}
+    before = gathered(given.get("config"), {}, given.get("assignments") or ())
+    return Viewed(
+        tuple(given.get("logs") or map(Path, record["logs"])),
+        replace(inputs, **chosen),
+        Overrides(overrides.shared, merged(before.all, overrides.chosen)),
+        tuple(given.get("held_out") or ()),
+        folder / "belief.yaml",
+        record.get("fixed") or {},
+    )
+
+
+def _replayed(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
+    """A result of `amhe mhe-replay`."""
+    chosen = replace(inputs, system=inputs.system or record["system"])
+    estimates = folder / "estimates.mcap"
+    return Viewed((Path(record["log"]),), chosen, overrides, fixed=record["fixed"], recorded=estimates)
+
+
+def _run(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
+    """A result of `amhe run`."""
+    log = folder / "log.mcap"
+    return Viewed((log,), inputs, overrides, recorded=log, task=record["task"])
+
+
+def _as_given(folder: Path) -> dict[str, Any]:
+    """Values of the options with which `amhe identify` made a result; {} if the library did."""
+    from amhe_cli.cli.identify import identify
+    from amhe_cli.core.parameters import Belief
+
+    command = shlex.split(str(Belief.load(folder / "belief.yaml").provenance.get("command", "")))
+    if command[:2] != ["amhe", "identify"]:
+        return {}
+    return dict(identify.make_context("identify", command[2:], resilient_parsing=True).params)
+
+
+def _last(system: System, curves: Sequence[TimeCurve]) -> Belief | None:
+    """The belief at the end of curves; None where they lack a parameter."""
+    import numpy as np
+
+    from amhe_cli.core.parameters import belief_of
+    from amhe_cli.core.statistics import Z90
+
+    ends = {
+        curve.name: np.append(
+            curve.values[-1:], curve.values[[-1, -1]] if curve.band is None else curve.band[:, -1]
+        )
+        for curve in curves
+        if curve.group == "parameters"
+    }
+    if not ends.keys() >= set(system.space.names):
+        return None
+    value, low, high = (
+        system.space.z_of(end) for end in np.array([ends[name] for name in system.space.names]).T
+    )
+    return belief_of(system, value, np.diag(((high - low) / (2.0 * Z90)) ** 2))
+
+
+#: Results that can be viewed, by the command that wrote them.
+_VIEWED = {"identify": _identified, "mhe-replay": _replayed, "run": _run}
