@@ -30,6 +30,8 @@ watched = click.option(
 @contextmanager
 def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[str, float]], None]]:
     """Show the cycles of a run: its state, the estimated one as a ghost, belief and cost."""
+    import numpy as np
+
     from amhe_cli.core.curves import TimeCurve
     from amhe_cli.robots.go1.model import layout
     from amhe_cli.robots.go1.state import coordinates
@@ -61,7 +63,15 @@ def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[s
         true = cycle.truth
         states = [coordinates(at, state)[0] for state in (true or cycle.estimate, cycle.estimate)]
         jumped = any(getattr(news, "mark", "") == "jump" for news in cycle.news)
-        page.put(Happening(cycle.time, [states[0], states[1] if true else None], numbers, jumped))
+        forces = run.plant.contacts if run.plant else None
+        sampled = cycle.plan.candidates
+        traces = (
+            None
+            if sampled is None
+            else np.concatenate([sampled[:, ::2, of][..., :3] for of in (at.trunk, at.box)])
+        )
+        shown = [states[0], states[1] if true else None]
+        page.put(Happening(cycle.time, shown, numbers, jumped, forces, traces))
 
     with page:
         announce(session, page.server)

@@ -16,6 +16,9 @@ from amhe_cli.control.splines import spline_basis
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.engine.rollout import Engine, Rollouts, joined
 
+#: Most sampled plans of which a plan keeps the states.
+_PICTURED = 20
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
@@ -28,6 +31,7 @@ class Plan:
         reference: What the behaviour aimed at; None for a plan without a behaviour.
         command: Command of the behaviour with the plan's channels added, shape (c,).
         step: Statistics of the sampling; None for a plan that was not sampled.
+        candidates: States qpos that some sampled plans would lead to, for pictures, shape (k, H, nq).
     """
 
     start: float
@@ -36,6 +40,7 @@ class Plan:
     reference: Any = None
     command: FloatArray | None = None
     step: MpopiStep | None = None
+    candidates: FloatArray | None = None
 
     def at(self, time: float) -> FloatArray:
         """Joint targets (n,) in force at a time [s]; the last row is held."""
@@ -95,25 +100,25 @@ class Controller:
         times = start.time + period * np.arange(self._settings.horizon, dtype=np.float64)
         qpos, qvel = self._robot.coordinates(start)
 
-        sampled: list[FloatArray] = []
+        sampled: list[tuple[FloatArray, FloatArray]] = []
 
         def evaluate(x: FloatArray) -> Scores:
             targets = self._targets(move, times, x)
             rollouts = self._roll_out_in_time(theta, qpos, qvel, targets, deadline)
             done = len(rollouts.completed)
-            sampled.append(targets[:done])
+            sampled.append((targets[:done], rollouts.qpos[:_PICTURED]))
             terms = move.terms(times + period, self._robot.bodies(rollouts.qpos, rollouts.qvel))
             return self._scores(x[:done], terms, rollouts.completed)
 
         switched = self._behaviour.switches(start.time - period, start.time)
         step = self._sampler.step(evaluate, switched)
         if step.weights.any():
-            targets = np.tensordot(step.weights, sampled[-1], axes=1)
+            targets = np.tensordot(step.weights, sampled[-1][0], axes=1)
         else:
             targets = self._targets(move, times, step.mean[None])[0]
         command = move.command + self._sampler.split(step.mean)[1]
         self._pace.planned()
-        return Plan(start.time, period, targets, move.reference, command, step)
+        return Plan(start.time, period, targets, move.reference, command, step, sampled[-1][1])
 
     def _predicted(self, state: Any, in_force: FloatArray, theta: FloatArray) -> Any:
         """The state one period later; the same state where the prediction diverges."""

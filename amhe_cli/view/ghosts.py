@@ -15,7 +15,7 @@ from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import Engine, Starts
-from amhe_cli.engine.states import home
+from amhe_cli.engine.states import collides, home
 from amhe_cli.estimation.offline.clips import ClipPool
 from amhe_cli.matching.cost import MatchingCost, RolledOut
 from amhe_cli.matching.readings import reading_of, state_errors
@@ -30,6 +30,8 @@ RATE = 50.0
 _BYTES = 3_200_000
 #: Share of that for clips; the rest is for the logs as wholes.
 _CLIPS = 0.65
+#: Pairs of bodies that usually touch, at most.
+_TOUCHING = 4
 #: Most steps of all clips that are rolled out, and most clips.
 _STEPS, _TAKES = 60_000, 240
 
@@ -42,11 +44,13 @@ class Track:
         step: Time between two frames [s].
         poses: Positions [m] and quaternions of the bodies, shape (n, b, 7).
         values: The columns that are plotted, shape (n, k); NaN where there is none.
+        forces: Forces between touching bodies, see `Scene.forces`, shape (n, m, 6); None: unknown.
     """
 
     step: float
     poses: FloatArray
     values: FloatArray
+    forces: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,7 +152,7 @@ def viewing(
     cut = [(w, held) for part, held in parts for w in ClipPool(system, [part], settings).cut(length)]
     kept = cut[:: max(1, -(-sum(w.length for w, _ in cut) // most), -(-len(cut) // _TAKES))]
     columns = tuple(columns_of(system, logs[0]))
-    frame = 14 * len(scene.bodies) + 2 * len(columns)
+    frame = 14 * len(scene.bodies) + 2 * len(columns) + 12 * _TOUCHING * collides(system.model)
     seconds = (1 + len(candidates)) * sum(w.duration for w, _ in kept)
     rate = min(RATE, _CLIPS * _BYTES / (frame * max(seconds, 1e-9)))
     coarse = min(RATE, (1.0 - _CLIPS) * _BYTES / (frame * max(sum(log.duration for log in logs), 1e-9)))
@@ -267,15 +271,16 @@ def takes_of(
     for i, (window, held_out) in enumerate(windows):
         rows = np.arange(0, window.length + 1, min(_stride(rate, dt), window.length))
         own = measured.at(window.start + rows)
-        ghosts = tuple(_ghost(measured, cost.clips.starts, one, i, rows, own) for one in rolled)
+        starts, last = cost.clips.starts, len(rolled) - 1
+        ghosts = tuple(_ghost(measured, starts, one, i, rows, own, k == last) for k, one in enumerate(rolled))
         start, stop = window.start * dt, window.stop * dt
         yield Take(recording, start, stop, held_out, tuple(map(float, costs[:, i])), own, ghosts)
 
 
 def _ghost(
-    measured: MeasuredLog, starts: Starts, rolled: RolledOut, i: int, rows: IntArray, own: Track
+    measured: MeasuredLog, starts: Starts, rolled: RolledOut, i: int, rows: IntArray, own: Track, forces: bool
 ) -> Track | None:
-    """Clip i of rollouts at some of its instants; None where it diverged."""
+    """Clip i of rollouts at some of its instants, with its forces or without; None where it diverged."""
     if not rolled.rollouts.completed[i]:
         return None
     system, theta, some = measured.scene.system, rolled.theta[None], starts.of(np.array([i]))
@@ -297,8 +302,10 @@ def _ghost(
             shown = continued(turned, own.values[0, first : first + 3])
         found.append(shown)
     values = np.concatenate(found, axis=1) if found else np.empty((len(rows), 0))
-    poses = measured.scene.poses(states["qpos"], driven if system.model.nmocap else None)
-    return Track(own.step, poses, values)
+    scene, touching = measured.scene, forces and collides(system.model)
+    poses = scene.poses(states["qpos"], driven if system.model.nmocap else None)
+    acting = scene.forces(rolled.theta, states["qpos"], states["qvel"], driven) if touching else None
+    return Track(own.step, poses, values, acting)
 
 
 def continued(vectors: FloatArray, near: FloatArray | None = None) -> FloatArray:

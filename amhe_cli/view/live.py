@@ -113,12 +113,16 @@ class Happening:
         states: qpos of what is measured, and of each ghost; None: there is none. Shape (nq,) each.
         numbers: Name of a curve -> its value, and the ends of its band where it has one.
         event: Whether something happened that one may want to jump to.
+        forces: Forces between touching bodies as of `engine.contacts`, shape (m, 6).
+        traces: Lines through places that may come to pass [m], shape (k, h, 3).
     """
 
     time: float
     states: Sequence[FloatArray | None]
     numbers: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     event: bool = False
+    forces: FloatArray | None = None
+    traces: FloatArray | None = None
 
 
 class StatesShown(Broadcast[Happening]):
@@ -155,4 +159,8 @@ class StatesShown(Broadcast[Happening]):
             None if state is None else b64encode(next(poses).astype("<f4").tobytes()).decode()
             for state in item.states
         ]
-        return {"time": item.time, "poses": packed, "numbers": item.numbers, "event": item.event}
+        message = {"time": item.time, "poses": packed, "numbers": item.numbers, "event": item.event}
+        for name, drawn in (("forces", item.forces), ("traces", item.traces)):
+            if drawn is not None:
+                message[name] = b64encode(drawn.astype("<f4").tobytes()).decode()
+        return message | ({} if item.traces is None else {"points": item.traces.shape[1]})

@@ -29,6 +29,8 @@ from amhe_cli.view.scene import Scene
 _BEYOND = 2.0
 #: The number that stands for no value, and the largest one of a value.
 _NONE, _MOST = -32768, 32767
+#: Largest force that is drawn, in weights of the scene, and the gravity of that weight [m/s^2].
+_STRONGEST, _GRAVITY = 10.0, 9.81
 #: Most points of a curve.
 _POINTS = 4000
 #: Files of the page's script, in their order.
@@ -108,13 +110,21 @@ def _recorded(viewing: Viewing) -> tuple[dict[str, Any], Packed]:
     """The data of a page but its clips, and what packs their tracks."""
     poses = _Range.of_poses([recording.track for recording in viewing.recordings])
     values = _Range.of_values([recording.track for recording in viewing.recordings])
+    weight = _GRAVITY * float(viewing.scene.system.model.body_mass.sum())
+    forces = _Range.of_forces(poses, weight)
 
     def packed(track: Track) -> dict[str, Any]:
-        return {"step": track.step, "poses": poses.packed(track.poses), "values": values.packed(track.values)}
+        found = {
+            "step": track.step, "poses": poses.packed(track.poses), "values": values.packed(track.values),
+        }  # fmt: skip
+        if track.forces is None or not track.forces.size:
+            return found
+        return found | {"forces": forces.packed(track.forces), "touching": track.forces.shape[1]}
 
     data = {
         **_about(viewing.scene, viewing.columns, viewing.candidates),
-        "ranges": {"poses": poses.ends, "values": values.ends},
+        "ranges": {"poses": poses.ends, "values": values.ends, "forces": forces.ends},
+        "weight": weight,
         "recordings": [
             {
                 "name": printable(one.name), "gaps": one.gaps, "track": packed(one.track),
@@ -213,6 +223,11 @@ class _Range:
                 low[k], high[k] = known.min(), known.max()
         margin = np.maximum(high - low, 1e-9)  # ghosts go further
         return cls(low - margin, high + margin)
+
+    @classmethod
+    def of_forces(cls, poses: _Range, weight: float) -> _Range:
+        strongest = np.full(3, _STRONGEST * max(weight, 1e-9))
+        return cls(np.append(poses.low[:3], -strongest), np.append(poses.high[:3], strongest))
 
     @property
     def ends(self) -> tuple[FloatArray, FloatArray]:

@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.engine.contacts import contact_forces
 from amhe_cli.system.coupled import couplings
 from amhe_cli.system.system import System
 from amhe_cli.view.shapes import Shape, boxed, shape_of
@@ -73,6 +74,25 @@ class Scene:
             data.qpos[:] = row
             mujoco.mj_kinematics(model, data)
             found[i, :, :3], found[i, :, 3:] = data.xpos[rows], data.xquat[rows]
+        return found
+
+    def forces(self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray) -> FloatArray:
+        """Forces between touching bodies in n states, shape (n, m, 6); NaN where fewer than m pairs touch.
+
+        Args:
+            theta: Parameters, shape (d,).
+            qpos, qvel, inputs: States, shape (n, nq) and (n, nv), and inputs there, shape (n, nu).
+        """
+        model = self.system.edits.apply(self.system.model, theta)
+        data, rows = mujoco.MjData(model), []
+        for state, velocity, driven in zip(qpos, qvel, inputs, strict=True):
+            mujoco.mj_setState(model, data, np.ascontiguousarray(driven), self.system.input_spec)
+            data.qpos[:], data.qvel[:] = state, velocity
+            mujoco.mj_forward(model, data)
+            rows.append(contact_forces(model, data))
+        found = np.full((len(rows), max(map(len, rows)), 6), np.nan)
+        for row, forces in zip(found, rows, strict=True):
+            row[: len(forces)] = forces
         return found
 
     @cached_property

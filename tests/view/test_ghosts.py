@@ -104,6 +104,36 @@ def test_a_page_of_a_long_log_stays_small(system: amhe.System, tmp_path: Path) -
     assert "more clips are not shown" in page
 
 
+def test_the_best_ghost_has_the_forces_under_its_parameters() -> None:
+    model = """<mujoco><worldbody><geom type="plane" size="2 2 0.1"/>
+      <body name="box"><freejoint name="free"/><geom type="box" size="0.1 0.1 0.1" mass="2"/></body>
+      </worldbody></mujoco>"""
+    system = amhe.System.from_model(
+        mujoco.MjSpec.from_string(model),
+        parameters={"m": {"unit": "kg", "nominal": 2.0, "bounds": [0.1, 9.0], "scale": "log", "prior_sd": 0.3,
+                          "targets": [{"body": "box", "set": "mass"}]}},
+        signals={"box": {"body": "box", "quantity": ["position", "orientation"],
+                         "noise": {"position": 0.01, "orientation": 0.01}}},
+        warn=False,
+    )  # fmt: skip
+    time = np.arange(0.0, 2.0, 0.01)
+    place = np.stack((0.4 * time, 0.0 * time, 0.0 * time + 0.0999), axis=1)
+    level = np.tile([1.0, 0.0, 0.0, 0.0], (time.size, 1))
+    log = amhe.Log.from_arrays({"box": {"time": time, "position": place, "orientation": level}}, system)
+    z = {"nominal": np.zeros(1), "heavy": system.space.z_of(np.array([3.0]))}
+    found = viewing(system, [(whole(log), None)], z, open_engine(system))
+    assert found.takes
+    for take in found.takes:
+        nominal, heavy = take.ghosts
+        assert nominal is not None
+        assert heavy is not None
+        assert nominal.forces is None
+        assert heavy.forces is not None
+        # it slides on the floor with the weight of its own mass, below its centre
+        assert np.median(heavy.forces[:, 0, 5]) == pytest.approx(3.0 * 9.81, rel=0.05)
+        assert heavy.forces[-1, 0, :2] == pytest.approx(heavy.poses[-1, 0, :2], abs=0.1)
+
+
 def test_a_body_whose_joint_has_no_signal_is_unmeasured() -> None:
     model = """<mujoco><worldbody><body name="one"><joint name="a" axis="0 1 0"/><geom size="0.1" mass="1"/>
       <body name="two"><joint name="b" axis="0 1 0"/><geom size="0.1" mass="1" pos="0 0 1"/></body></body>

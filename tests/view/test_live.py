@@ -106,7 +106,9 @@ def test_the_page_follows_what_happens(tmp_path: Path) -> None:
         one.open(page.server.address)
         for i in range(50):
             state = np.array([0.02 * i])
-            page.put(Happening(0.04 * i, [state, state + 0.3], {"load": (0.5, 0.4, 0.6)}, event=i == 20))
+            forces, traces = np.array([[0.0, 0, 0, 0, 0, i]]), np.full((3, 4, 3), 0.1)
+            numbers = {"load": (0.5, 0.4, 0.6)}
+            page.put(Happening(0.04 * i, [state, state + 0.3], numbers, i == 20, forces, traces))
         one.run(
             "new Promise((done) => { const wait = () => player.end > 1.9 && player.now === player.end "
             "? done() : setTimeout(wait, 20); wait(); })"
@@ -115,6 +117,11 @@ def test_the_page_follows_what_happens(tmp_path: Path) -> None:
         assert one.run("player.recording.curves.get('load').upper.length") == 50
         turned = one.run("Math.abs(player.recording.track.at(1.96)[5])")
         assert turned == pytest.approx(np.sin(0.5 * 0.02 * 49), abs=1e-3)
+        assert one.run("player.drawn(null).forces[5]") == 49.0
+        assert one.run("[player.drawn(null).traces.length, player.drawn(null).points]") == [36, 4]
+        assert not one.run("document.getElementById('forces').parentElement.hidden")
+        one.run("document.getElementById('forces').click()")
+        assert one.run("player.drawn(null).forces") is None
         one.run("player.seek(0); document.getElementById('next').click()")
         assert one.run("player.now") == pytest.approx(0.8)
     assert one.requests[:2] == [page.server.address, f"{page.server.address}stream"]

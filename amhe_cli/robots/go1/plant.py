@@ -12,6 +12,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.core.samples import Samples
+from amhe_cli.engine.contacts import contact_forces
 from amhe_cli.robots.go1.model import FLOOR_PAIR, Change, home, layout
 from amhe_cli.robots.go1.state import GRAVITY, State, state_of
 
@@ -83,6 +84,11 @@ class Plant:
     def qpos(self) -> FloatArray:
         """All coordinates qpos, for pictures, shape (nq,)."""
         return np.array(self._data.qpos)
+
+    @property
+    def contacts(self) -> FloatArray:
+        """Forces between touching bodies, for pictures; see `contact_forces`."""
+        return contact_forces(self.model, self._data)
 
     @property
     def parameters(self) -> dict[str, float]:

@@ -18,6 +18,7 @@ class Live {
     const was = player.end;
     if (message.take) player.added(message.take);
     if (message.poses) message.poses.forEach((text, i) => text && (i ? ghosts[i - 1] : track).push(floats(text), Math.round(message.time / track.step)));
+    if (message.forces || message.traces) player.recording.drawn.set(Math.round(message.time / track.step), { forces: message.forces && floats(message.forces), traces: message.traces && floats(message.traces), points: message.points });
     for (const [name, [value, low, high]] of Object.entries(message.numbers ?? {})) {
       const line = player.recording.curves.get(name);
       if (!line) continue;

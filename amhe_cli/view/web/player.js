@@ -23,9 +23,10 @@ class Player {
   get end() { return this.recording.track.duration; }
   decode() {
     const { data } = this, count = data.bodies.length, width = data.columns.length;
-    const track = (one) => one && new Track(one.step, count, width, unpacked(one.poses, data.ranges.poses), unpacked(one.values, data.ranges.values));
+    const track = (one) => one && Object.assign(new Track(one.step, count, width, unpacked(one.poses, data.ranges.poses), unpacked(one.values, data.ranges.values)),
+      one.forces ? { forces: unpacked(one.forces, data.ranges.forces), touching: one.touching } : {});
     this.decoded = (take) => ({ ...take, tracks: take.tracks.map(track) });
-    this.recordings = data.recordings.map((one) => ({ ...one, track: track(one.track), ghosts: data.candidates.map(() => track({ ...one.track, poses: "", values: "" })), takes: [], curves: new Map(one.curves.map((curve) => [curve.name, curveOf(curve)])) }));
+    this.recordings = data.recordings.map((one) => ({ ...one, track: track(one.track), ghosts: data.candidates.map(() => track({ ...one.track, poses: "", values: "" })), takes: [], drawn: new Map(), curves: new Map(one.curves.map((curve) => [curve.name, curveOf(curve)])) }));
     this.takes = data.takes.map(this.decoded);
     for (const take of this.takes) this.recordings[take.recording].takes.push(take);
     for (const one of this.recordings) one.takes.sort((a, b) => a.start - b.start);
@@ -52,6 +53,11 @@ class Player {
       check.addEventListener("change", () => { check.checked ? this.shown.add(name) : this.shown.delete(name); this.redraw(); });
       const dot = made("i"); dot.style.background = i ? this.lineColor(i - 1) : this.colors.dots;
       box.append(made("label", {}, check, dot, name));
+    }
+    for (const [id, text] of [["forces", "contact forces"], ["traces", "sampled plans"]]) {
+      const check = made("input", { type: "checkbox", checked: true, id });
+      check.addEventListener("change", () => this.dirty = true);
+      box.append(made("label", { hidden: true }, check, text));
     }
     if (!this.data.candidates.length) return;
     const check = made("input", { type: "checkbox", id: "distance" });
@@ -184,6 +190,7 @@ class Player {
   }
   redraw() {
     const [from, to] = this.span();
+    $("next").hidden = !this.takes.length && !this.recording.events.length;
     $("next").textContent = !this.take && this.recording.events.length ? "next jump" : "next clip";
     this.plots.draw(this.data.live && !this.take ? Math.max(from, to - 30) : from, to, this.colors); this.marks(); this.paint();
   }
@@ -216,7 +223,16 @@ class Player {
     predicted.forEach((poses, i) => {
       if (poses && this.shown.has(this.data.candidates[i])) layers.push({ poses, tint: this.tints[i], opacity: this.far ? 0.8 : 0.45, tints: this.far ? this.distances(measured, poses).map((d) => mixed(d / this.most)) : null });
     });
-    this.stage.draw(layers, this.middle(take, track), this.solid);
+    this.stage.draw(layers, this.middle(take, track), this.solid, { ...this.drawn(take), weight: this.data.weight });
+  }
+  // Forces and traces of the present time: those of the best ghost, or those that came with a live frame.
+  drawn(take) {
+    const { step } = this.recording.track, best = take?.tracks.at(-1);
+    let found = {};
+    if (best?.forces) { const wide = 6 * best.touching, frame = Math.round((this.now - take.start) / best.step); found = { forces: best.forces.subarray(frame * wide, (frame + 1) * wide) }; }
+    else for (let i = 0; i < 5 && !found.forces && !found.traces; i++) found = this.recording.drawn.get(Math.round(this.now / step) - i) ?? {};
+    for (const id of ["forces", "traces"]) if (found[id]) { $(id).parentElement.hidden = false; if (!$(id).checked) found = { ...found, [id]: null }; }
+    return found;
   }
   // The place that the camera follows: the bodies' mean over a second or so, which moves smoothly.
   middle(take, track) {

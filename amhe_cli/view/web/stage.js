@@ -35,6 +35,9 @@ class Stage {
     this.geoms = data.geoms.map((geom) => this.loaded(geom));
     const floors = this.geoms.filter((geom) => geom.floor && geom.local[10] > 0.99);
     this.ground = floors.length ? Math.max(...floors.map((geom) => geom.local[14])) : null;
+    this.arrow = this.mesh(...arrow()); this.line = gl.createVertexArray(); this.points = gl.createBuffer();
+    gl.bindVertexArray(this.line); gl.bindBuffer(gl.ARRAY_BUFFER, this.points);
+    gl.enableVertexAttribArray(0); gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0); gl.bindVertexArray(null);
     this.camera = { around: -2.2, above: 0.36, away: 2, moved: [0, 0, 0] };
     this.handle();
   }
@@ -50,7 +53,11 @@ class Stage {
     return program;
   }
   loaded(geom) {
-    const gl = this.gl, places = floats(geom.vertices), faces = rows(geom.faces), normals = new Float32Array(places.length);
+    return { ...this.mesh(floats(geom.vertices), rows(geom.faces)), local: placed(geom.pose), body: geom.body, color: geom.color, floor: geom.floor,
+      kind: geom.floor ? 1 : geom.flat ? 3 : 0, offset: Math.hypot(...geom.pose.slice(0, 3)) };
+  }
+  mesh(places, faces) {
+    const gl = this.gl, normals = new Float32Array(places.length);
     let size = 0;
     for (let f = 0; f < faces.length; f += 3) {
       const [a, b, c] = [0, 1, 2].map((k) => Array.from(places.subarray(3 * faces[f + k], 3 * faces[f + k] + 3)));
@@ -72,8 +79,7 @@ class Stage {
     gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
     gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, faces, gl.STATIC_DRAW);
     gl.bindVertexArray(null);
-    return { array, count: faces.length, local: placed(geom.pose), body: geom.body, color: geom.color, floor: geom.floor,
-      kind: geom.floor ? 1 : geom.flat ? 3 : 0, size, offset: Math.hypot(...geom.pose.slice(0, 3)) };
+    return { array, count: faces.length, size };
   }
   // Centre of the bodies, and the radius that holds them and their geoms.
   bounds(poses) {
@@ -117,8 +123,9 @@ class Stage {
     this.camera.moved = add(this.camera.moved, [scale * (Math.sin(around) * x + 0.4 * Math.cos(around) * -y), scale * (-Math.cos(around) * x - 0.4 * Math.sin(around) * y), scale * 0.6 * y]);
   }
   changed() {}
-  // Draws layers: { poses, tint, opacity, colors } each, the first the measured one.
-  draw(layers, middle, colors) {
+  // Draws layers: { poses, tint, opacity, colors } each, the first the measured one; arrows of forces, 6 numbers
+  // each, long at a weight; and lines through so many points each.
+  draw(layers, middle, colors, { forces, weight, traces, points }) {
     const gl = this.gl, canvas = this.canvas, ratio = Math.min(window.devicePixelRatio || 1, 2), { around, above, away } = this.camera;
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
@@ -138,6 +145,24 @@ class Stage {
     gl.enable(gl.BLEND); gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
     for (const layer of layers) if (layer && layer.poses) this.layer(layer);
     gl.disable(gl.BLEND);
+    gl.clear(gl.DEPTH_BUFFER_BIT);  // what follows is seen through bodies
+    if (traces) this.lines(traces, points);
+    if (forces) this.arrows(forces, 0.25 * away / weight, 0.02 * away);
+  }
+  arrows(forces, long, thick) {
+    for (let i = 0; i < forces.length; i += 6) {
+      const force = Array.from(forces.subarray(i + 3, i + 6)), size = Math.hypot(...force);
+      if (!(long * size > 0.5 * thick)) continue;  // too short, or none
+      const along = times(force, long * Math.min(1, 25 * thick / (long * size))), ahead = unit(along);
+      const side = times(unit(cross(ahead, Math.abs(ahead[2]) < 0.9 ? [0, 0, 1] : [1, 0, 0])), thick), up = cross(ahead, side);
+      this.geom(this.arrow, [...side, 0, ...up, 0, ...along, 0, forces[i], forces[i + 1], forces[i + 2], 1], [0.86, 0.12, 0.36, 1], 3);
+    }
+  }
+  lines(traces, points) {
+    const gl = this.gl;
+    gl.bindVertexArray(this.line); gl.bindBuffer(gl.ARRAY_BUFFER, this.points); gl.bufferData(gl.ARRAY_BUFFER, traces, gl.DYNAMIC_DRAW);
+    gl.uniformMatrix4fv(this.at.model, false, placed([0, 0, 0, 1, 0, 0, 0])); gl.uniform4f(this.at.color, 0.75, 0.25, 1.0, 1.0); gl.uniform1i(this.at.kind, 2);
+    for (let first = 0; first < traces.length / 3; first += points) gl.drawArrays(gl.LINE_STRIP, first, points);
   }
   layer({ poses, tint, opacity, tints, home }) {
     const gl = this.gl, bodies = Array.from({ length: this.bodies }, (_, i) => placed(poses, 7 * i));
@@ -170,4 +195,15 @@ class Stage {
     gl.bindVertexArray(geom.array);
     gl.drawElements(gl.TRIANGLES, geom.count, gl.UNSIGNED_SHORT, 0);
   }
+}
+
+// An arrow of length 1 along z: corners and faces of a shaft and a tip of six sides each.
+function arrow() {
+  const places = [0, 0, 0.7, 0, 0, 1], faces = [], thin = 0.16, wide = 0.42;
+  for (let i = 0; i < 6; i++) {
+    const c = Math.cos(i * Math.PI / 3), s = Math.sin(i * Math.PI / 3), at = 2 + 3 * i, next = 2 + 3 * ((i + 1) % 6);
+    places.push(thin * c, thin * s, 0, thin * c, thin * s, 0.7, wide * c, wide * s, 0.7);
+    faces.push(at, next, at + 1, next, next + 1, at + 1, at + 2, next + 2, 1, 0, next + 2, at + 2);
+  }
+  return [new Float32Array(places), new Uint16Array(faces)];
 }
