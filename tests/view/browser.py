@@ -8,7 +8,7 @@ import os
 import shutil
 import subprocess
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,20 @@ PROGRAM = next(
 )
 
 needs_chromium = pytest.mark.skipif(PROGRAM is None, reason="no Chromium is installed (Debian: chromium)")
+
+
+#: Sum of the scene's pixels, and how many colours it has.
+PIXELS = """(() => {
+  const c = document.getElementById('scene'), gl = c.getContext('webgl2'), seen = new Set();
+  const p = new Uint8Array(4 * c.width * c.height);
+  gl.readPixels(0, 0, c.width, c.height, gl.RGBA, gl.UNSIGNED_BYTE, p);
+  let sum = 0;
+  for (let i = 0; i < p.length; i += 4) {
+    const color = p[i] << 16 | p[i + 1] << 8 | p[i + 2];
+    sum = (sum * 31 + color) % 4294967291; seen.add(color);
+  }
+  return [sum, seen.size];
+})()"""
 
 
 class Browser:
@@ -67,6 +81,11 @@ class Browser:
         self.ask("Page.navigate", url=address)
         self.run("new Promise((done) => document.readyState === 'complete' ? done() : onload = done)")
 
+    def cut_off(self) -> None:
+        """Take the network away."""
+        none = {"latency": 0, "downloadThroughput": 0, "uploadThroughput": 0}
+        self.ask("Network.emulateNetworkConditions", offline=True, **none)
+
     def run(self, script: str) -> Any:
         """Value of an expression, awaited."""
         result = self.ask("Runtime.evaluate", expression=script, awaitPromise=True, returnByValue=True)
@@ -80,8 +99,19 @@ class Browser:
 
 
 @contextmanager
+def picture_of_failure(one: Browser, folder: Path) -> Iterator[None]:
+    """Keep what the tab shows where the block fails."""
+    try:
+        yield
+    except Exception as error:
+        with suppress(OSError, AssertionError):
+            error.add_note(f"the browser's tab: {one.picture(folder / 'failure.png')}")
+        raise
+
+
+@contextmanager
 def browser(folder: Path) -> Iterator[Browser]:
-    """A browser with an empty profile in a folder."""
+    """A browser with an empty profile in a folder; where the block fails, `failure.png` there shows why."""
     assert PROGRAM is not None
     (their_in, to), (back, their_out) = os.pipe(), os.pipe()
     options = (
@@ -96,6 +126,8 @@ def browser(folder: Path) -> Iterator[Browser]:
         os.close(their_out)
         with os.fdopen(to, "wb") as writer, os.fdopen(back, "rb", buffering=0) as reader:
             try:
-                yield Browser(writer, reader)
+                one = Browser(writer, reader)
+                with picture_of_failure(one, folder):
+                    yield one
             finally:
                 process.terminate()

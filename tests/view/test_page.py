@@ -9,20 +9,8 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
-from tests.view.browser import Browser, browser, needs_chromium
+from tests.view.browser import PIXELS, Browser, browser, needs_chromium
 
-#: Sum of the scene's pixels, and how many colours it has.
-PIXELS = """(() => {
-  const c = document.getElementById('scene'), gl = c.getContext('webgl2'), seen = new Set();
-  const p = new Uint8Array(4 * c.width * c.height);
-  gl.readPixels(0, 0, c.width, c.height, gl.RGBA, gl.UNSIGNED_BYTE, p);
-  let sum = 0;
-  for (let i = 0; i < p.length; i += 4) {
-    const color = p[i] << 16 | p[i + 1] << 8 | p[i + 2];
-    sum = (sum * 31 + color) % 4294967291; seen.add(color);
-  }
-  return [sum, seen.size];
-})()"""
 FRAMES = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(player.now))))"
 
 
@@ -47,14 +35,19 @@ def chromium(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
 @pytest.fixture
 def opened(page: Path, chromium: Browser, tmp_path: Path) -> Iterator[Browser]:
     chromium.requests.clear()
-    chromium.ask(
-        "Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0
-    )
+    chromium.cut_off()
     chromium.open(page.as_uri())
     yield chromium
 
 
 pytestmark = needs_chromium
+
+
+def test_a_failure_leaves_a_picture(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), browser(tmp_path) as one:
+        one.open("about:blank")
+        _ = 1 / 0
+    assert (tmp_path / "failure.png").read_bytes().startswith(b"\x89PNG")
 
 
 def seek(one: Browser, share: float) -> None:
