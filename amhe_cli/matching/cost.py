@@ -158,11 +158,14 @@ class MatchingCost:
     def _shown(
         self, theta: FloatArray, starts: Starts, first: FloatArray | None, wanted: Sequence[Wanted]
     ) -> Predicted:
-        """Predict, and turn the model's values into what the log's sensors show of them."""
-        calibration = self.system.calibration
+        """Predict what the log's sensors show."""
         if (errors := state_errors(self.system, theta, starts)) is not None:
             first = errors if first is None else first + errors
-        predicted = self.engine.predict(theta, starts, first, wanted)
+        return self._read(theta, self.engine.predict(theta, starts, first, wanted))
+
+    def _read(self, theta: FloatArray, predicted: Predicted) -> Predicted:
+        """What the log's sensors show of the model's values."""
+        calibration = self.system.calibration
         if not calibration.readings:
             return predicted
         numbers, values = self.system.edits.numbers(theta), []
@@ -176,7 +179,14 @@ class MatchingCost:
 
     def residuals(self, z: FloatArray, first: FloatArray | None = None) -> Residuals:
         """Whitened residuals of candidates z (p, d); see `predict` for `first`."""
-        predicted = self.predict(z, first)
+        return self._residuals(self.predict(z, first))
+
+    def residuals_of(self, done: RolledOut) -> Residuals:
+        """Whitened residuals of one candidate whose rollouts on all of the clips are known."""
+        values = tuple(one.pick(done.rollouts, 1) for one in self._wanted)
+        return self._residuals(self._read(done.theta[None], Predicted(values, done.rollouts.completed[None])))
+
+    def _residuals(self, predicted: Predicted) -> Residuals:
         pairs = zip(self.clips.observed, predicted.values, strict=True)
         return Residuals(tuple(whitened(observed, values) for observed, values in pairs), predicted.completed)
 

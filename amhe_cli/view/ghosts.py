@@ -266,8 +266,8 @@ def takes_of(
     """
     system, dt = measured.scene.system, measured.log.dt
     cost = MatchingCost(system, [window for window, _ in windows], engine, system.settings.cost)
-    costs = cost.clip_costs(cost.residuals(z))
     rolled = [next(cost.rolled_out(one, None)) for one in z]  # one log: its clips are rolled out together
+    costs = np.concatenate([cost.clip_costs(cost.residuals_of(one)) for one in rolled])
     for i, (window, held_out) in enumerate(windows):
         rows = np.arange(0, window.length + 1, min(_stride(rate, dt), window.length))
         own = measured.at(window.start + rows)

@@ -78,6 +78,15 @@ def test_costs_do_not_depend_on_the_company():
     )
 
 
+def test_residuals_of_whole_rollouts_are_those_of_a_prediction():
+    log = toss()
+    matching, z = cost([Window(log, 0, 50), Window(log, 20, 120)]), np.array([-0.5, 0.3, 0.2, 0.0])
+    (done,) = matching.rolled_out(z, None)
+    found, expected = matching.residuals_of(done), matching.residuals(z[None])
+    np.testing.assert_array_equal(found.flat, expected.flat)
+    np.testing.assert_array_equal(found.completed, expected.completed)
+
+
 def test_first_state_errors_move_the_rollout():
     matching = cost([Window(toss(), 0, 80)])
     zero = matching.residuals(np.zeros((1, 4)), np.zeros((1, 1, matching.nx))).flat

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
@@ -13,7 +14,7 @@ from tests.view.browser import Browser, picture_of_failure
 def pytest_runtest_call(item: pytest.Function) -> Iterator[None]:
     """Run a test."""
     shown, folder = item.funcargs.get("opened"), item.funcargs.get("tmp_path")
-    if isinstance(shown, Browser) and folder is not None:
+    if isinstance(shown, Browser) and isinstance(folder, Path):
         with picture_of_failure(shown, folder):
             return (yield)
     return (yield)
