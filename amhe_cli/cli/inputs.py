@@ -34,7 +34,9 @@ class Inputs:
     start: float | None
     end: float | None
 
-    def open(self, logs: Sequence[Path], overrides: Overrides | None = None) -> System:
+    def open(
+        self, logs: Sequence[Path], overrides: Overrides | None = None, *, boxes_for_meshes: bool = False
+    ) -> System:
         """Load the system that the user named, or else the one that the logs name.
 
         What the logs state of their system, such as the size of a box, is taken where the system is theirs;
@@ -43,6 +45,7 @@ class Inputs:
         Args:
             logs: Paths of the logs.
             overrides: The user's settings; None: there are none.
+            boxes_for_meshes: See `System.load`.
 
         Raises:
             ConfigError: There is no such system, the logs differ in it, or a setting is wrong.
@@ -60,7 +63,8 @@ class Inputs:
             for path in _files(logs):
                 own = merged(own, _own_settings(path))
         settings, schema = (overrides or Overrides({}, {})).suited(folder, own)
-        return System.load(folder, settings, schema=schema).reading(self.topics)
+        loaded = System.load(folder, settings, schema=schema, boxes_for_meshes=boxes_for_meshes)
+        return loaded.reading(self.topics)
 
     def read(self, system: System, logs: Sequence[Path]) -> list[Log]:
         """Read logs for a system; where that fails, the error also names what they may be about instead.

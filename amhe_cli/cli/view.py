@@ -64,7 +64,7 @@ def view(
 
     session.hush_mujoco()
     found = viewed(source, inputs, overrides)
-    opened = found.inputs.open(found.logs, found.overrides)
+    opened = found.inputs.open(found.logs, found.overrides, boxes_for_meshes=True)
     opened, known = opened.starting_from(belief or found.belief, fix=found.fixed, belief_anyway=belief_anyway)
     read = found.inputs.read(opened, [*found.logs, *found.apart])
     held_out = [log for log in read if log.held_out or log.file in found.apart]
@@ -74,6 +74,7 @@ def view(
         held_out=held_out,
         threads=cores(),
         title=f"{opened.name}: {source.name}",
+        warnings=session.warnings,
         **found.beside(opened, read[0], known),
     )
     if save is not None:

@@ -17,7 +17,7 @@ from amhe_cli.system.boxes import resize_boxes
 from amhe_cli.system.cautions import caution
 from amhe_cli.system.channels import draft_wiring
 from amhe_cli.system.folders import FILE_NAME, find_system
-from amhe_cli.system.model_file import compiled, read_spec, spec_of
+from amhe_cli.system.model_file import compiled, read_spec, read_without_meshes, spec_of
 from amhe_cli.system.schema import Description, SystemEntry, robot_groups, validated
 from amhe_cli.system.system import System
 from amhe_cli.system.targets import id_of
@@ -31,14 +31,19 @@ _OWN_KEYS = ("parameters", "signals", "keyframe", "model", "boxes")
 
 
 def load(
-    name_or_folder: str | Path, settings: Mapping[str, Any] | None, schema: type[Settings], *, warn: bool
+    name_or_folder: str | Path,
+    settings: Mapping[str, Any] | None,
+    schema: type[Settings],
+    *,
+    warn: bool,
+    boxes_for_meshes: bool,
 ) -> System:
     """See `System.load`."""
     folder, overrides = find_system(name_or_folder), settings or {}
     file = YamlFile(folder / FILE_NAME, _placed(overrides), patient=True)
     _check_names(file, overrides, schema)
     entry = validated(file, schema)
-    spec = None if entry is None else _spec(file, folder / entry.model, entry)
+    spec = None if entry is None else _spec(file, folder / entry.model, entry, boxes_for_meshes)
     if entry is None or spec is None:
         file.raise_problems()
         raise ConfigError(f"{file.path}: not a system")
@@ -225,12 +230,12 @@ def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Sett
             raise ConfigError(f"setting {group}.{name}: {one_of(group[:-1], str(name), map(str, known))}")
 
 
-def _spec(file: YamlFile, path: Path, entry: SystemEntry) -> mujoco.MjSpec | None:
+def _spec(file: YamlFile, path: Path, entry: SystemEntry, boxes: bool) -> mujoco.MjSpec | None:
     if not path.is_file():
         file.problem(("model",), f"no file {entry.model!r} beside this one; give an MJCF or a URDF")
         return None
     try:
-        spec = read_spec(path)
+        spec = read_without_meshes(path) if boxes else read_spec(path)
     except ConfigError as error:
         elsewhere = " (options of `amhe init`, which copies a model with its meshes)" if is_urdf(path) else ""
         file.problem(("model",), f"{error}{elsewhere}")

@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import mujoco
 import numpy as np
 
+from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.model_size import check_model
 from amhe_cli.system.urdf import UrdfOptions, is_urdf, urdf_text
@@ -21,6 +22,8 @@ logger = logging.getLogger(__name__)
 
 #: Least half edge of a box in place of a mesh [m].
 _THIN = 1e-3
+#: Half edge of a box where nothing suggests one [m].
+_UNKNOWN = 0.05
 
 
 def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
@@ -50,6 +53,46 @@ def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
     return spec
 
 
+def read_without_meshes(path: Path) -> mujoco.MjSpec:
+    """Read a model file with boxes in place of the meshes whose files are missing, and warn of them.
+
+    A box has the extent that its body's mass and inertia suggest, or edges of 0.1 m where the body's own come
+    from its shapes. Of a URDF that misses a mesh all links get such boxes.
+
+    Raises:
+        ConfigError: MuJoCo cannot read it.
+    """
+    if is_urdf(path):
+        try:
+            return read_spec(path)
+        except ConfigError as error:
+            logger.warning("%s; boxes stand in for all meshes", error)
+            return read_spec(path, UrdfOptions(meshes=False))
+    spec = read_spec(path)
+    folder = path.absolute().parent / spec.meshdir
+    missing = {mesh.name: mesh for mesh in spec.meshes if mesh.file and not (folder / mesh.file).is_file()}
+    for geom in spec.geoms:
+        if geom.meshname in missing:
+            geom.type, geom.meshname, body = mujoco.mjtGeom.mjGEOM_BOX, "", geom.parent
+            geom.size = np.full(3, _UNKNOWN)
+            if body.explicitinertial and body.mass > 0.0 and np.isfinite(body.inertia).all():
+                geom.size, geom.pos, geom.quat = _half_edges(body.mass, body.inertia), body.ipos, body.iquat
+    files = [mesh.file for mesh in missing.values()]
+    for mesh in missing.values():
+        spec.delete(mesh)
+    if files:
+        logger.warning(
+            "%s: boxes stand in for %d missing mesh%s: %s%s", path, len(files), "es" * (len(files) > 1),
+            ", ".join(files[:3]), ", ..." * (len(files) > 3),
+        )  # fmt: skip
+    return spec
+
+
+def _half_edges(mass: float, inertia: FloatArray) -> FloatArray:
+    """Half edges [m] of a solid cuboid, whose moments of inertia are mass / 3 (|h|^2 - h_i^2), shape (3,)."""
+    return np.sqrt(np.maximum(1.5 / mass * (inertia.sum() - 2.0 * inertia), _THIN**2))
+
+
 def _add_boxes(spec: mujoco.MjSpec, links: Sequence[str]) -> None:
     """Give links without a shape boxes of their mass and inertia, which do not collide with each other."""
     model = compiled(spec.copy())
@@ -57,8 +100,7 @@ def _add_boxes(spec: mujoco.MjSpec, links: Sequence[str]) -> None:
         row = model.body(body.name)
         mass, inertia = float(row.mass[0]), np.asarray(row.inertia)
         if mass > 0.0:
-            # a solid cuboid with half edges h has the moments m / 3 (|h|^2 - h_i^2)
-            half = np.sqrt(np.maximum(1.5 / mass * (inertia.sum() - 2.0 * inertia), _THIN**2))
+            half = _half_edges(mass, inertia)
             box = body.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=half, contype=1, conaffinity=0)
             box.pos, box.quat = row.ipos, row.iquat
 

@@ -130,6 +130,7 @@ class System:
         *,
         schema: type[Settings] = Settings,
         warn: bool = True,
+        boxes_for_meshes: bool = False,
     ) -> System:
         """Read, check and compile a system folder.
 
@@ -140,13 +141,15 @@ class System:
             schema: Class of the settings. A robot has its own with more groups; without it, the groups of the
                 system's robot are not checked.
             warn: Log what is allowed but will not do what it seems to.
+            boxes_for_meshes: Boxes stand in for meshes whose files are missing, with a warning: good for a
+                look at a log, but what touches them moves otherwise.
 
         Raises:
             ConfigError: One line for each mistake, `file:line:column: what, what would be valid`.
         """
         from amhe_cli.system.load import load
 
-        return load(name_or_folder, settings, schema, warn=warn)
+        return load(name_or_folder, settings, schema, warn=warn, boxes_for_meshes=boxes_for_meshes)
 
     @classmethod
     def from_model(

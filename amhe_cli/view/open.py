@@ -32,6 +32,7 @@ def page_of(
     fitted: bool = False,
     threads: int = 1,
     title: str = "",
+    warnings: Sequence[str] = (),
     known_as: str = "identified",
     curves: Sequence[TimeCurve] = (),
     events: FloatArray | Sequence[float] = (),
@@ -47,6 +48,7 @@ def page_of(
         fitted: `belief` comes from these logs: those clips come first that were held out of the fit.
         threads: CPU threads; the page does not depend on them.
         title: Title of the page; empty: the system's name.
+        warnings: Further sentences that a reader needs to know.
         known_as: Name of the second candidate.
         curves: Further numbers over the time of the first log.
         events: Times of the first log that one may want to jump to [s], shape (e,).
@@ -66,7 +68,7 @@ def page_of(
     heading = Heading(
         title or system.name,
         (f"{seconds:.1f} s of log", f"{len(found.takes)} clips"),
-        list(_notes(found)),
+        [*warnings, *_notes(found)],
         parameter_rows(system.space, belief),
     )
     return saved_page(found, heading)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,6 +18,7 @@ import pytest
 
 from amhe_cli.cli.main import run
 from amhe_cli.view.server import PageServer
+from tests.conftest import MODELS
 
 
 def test_a_log_becomes_one_page(pendulum_log: Path, tmp_path: Path, capsys) -> None:
@@ -122,8 +124,6 @@ def test_a_folder_with_another_result_is_one_line(tmp_path: Path, content: str, 
 
 
 def test_a_result_whose_log_is_gone_says_what_to_do(result: Path, tmp_path: Path, capsys) -> None:
-    import shutil
-
     shutil.copytree(result, tmp_path / "copy")
     text = (tmp_path / "copy" / "belief.yaml").read_text()
     (tmp_path / "copy" / "belief.yaml").write_text(text.replace("amhe identify", "made elsewhere"))
@@ -168,3 +168,23 @@ def test_a_port_that_is_taken_is_one_line(pendulum_log: Path, capsys) -> None:
     err = capsys.readouterr().err
     assert "cannot listen" in err
     assert "--port" in err
+
+
+def test_boxes_stand_in_for_missing_meshes_and_the_page_says_so(
+    pendulum_log: Path, tmp_path: Path, capsys
+) -> None:
+    folder, page = tmp_path / "system", tmp_path / "page.html"
+    shutil.copytree(MODELS / "pendulum", folder)
+    scene = (folder / "scene.xml").read_text()
+    mesh = '<geom type="mesh" mesh="cover" mass="0" contype="0" conaffinity="0" group="2"/>'
+    scene = scene.replace('<body name="load"', f'<body name="cover">{mesh}</body><body name="load"', 1)
+    scene = scene.replace(
+        "<worldbody>", '<asset><mesh name="cover" file="meshes/cover.stl"/></asset><worldbody>'
+    )
+    (folder / "scene.xml").write_text(scene)
+    assert run(["view", str(pendulum_log), "--system", str(folder), "--save", str(page)]) == 0
+    assert "boxes stand in for 1 missing mesh: meshes/cover.stl" in capsys.readouterr().err
+    assert any("missing mesh" in note for note in data_of(page)["notes"])
+    # what is computed from contacts and inertias still refuses
+    assert run(["identify", str(pendulum_log), "--system", str(folder), "-o", str(tmp_path / "out")]) == 2
+    assert "cover.stl" in capsys.readouterr().err
