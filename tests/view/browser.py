@@ -93,8 +93,9 @@ class Browser:
         return result["result"].get("value")
 
     def picture(self, path: Path) -> Path:
-        """A screenshot."""
-        path.write_bytes(base64.b64decode(self.ask("Page.captureScreenshot")["data"]))
+        """A screenshot, in the format that the path's ending names: png, webp or jpeg."""
+        taken = self.ask("Page.captureScreenshot", format=path.suffix[1:])
+        path.write_bytes(base64.b64decode(taken["data"]))
         return path
 
 
