@@ -21,7 +21,7 @@ ALLOWED: dict[str, set[str]] = {
     "engine": {"core", "system"},
     "matching": {"core", "system", "engine"},
     "estimation": {"core", "logs", "system", "engine", "matching"},
-    "view": {"core", "system", "engine", "matching", "estimation"},
+    "view": {"core", "logs", "system", "engine", "matching", "estimation"},
     "control": {"core", "engine"},
     "live": {"core", "logs", "system", "engine", "estimation", "control"},
     "robots/go1": {"core", "logs", "system", "engine", "estimation", "control", "live"},

@@ -132,6 +132,8 @@ def run(
     from amhe_cli.robots.go1.recording import recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.robots.go1.tasks import LONGEST
+    from amhe_cli.view.scene import scene_of
+    from amhe_cli.view.scene_log import SceneLog
 
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"duration": duration}, files={"log": log})
@@ -142,7 +144,8 @@ def run(
     )  # fmt: skip
     opened = open_run(options)
     history, show = History(opened.task), progress or (lambda row: None)
-    with closing(opened.episode.belief), _file(log) as path, recorder_of(opened, path) as recorder:
+    drawing = SceneLog(scene_of(opened.system))
+    with closing(opened.episode.belief), _file(log) as path, recorder_of(opened, path, drawing) as recorder:
         ending = drive(opened.episode, recorder, history, lambda: False, lambda _, row: show(row))
     if ending.error:
         raise ending.error

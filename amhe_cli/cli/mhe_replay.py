@@ -71,6 +71,7 @@ def mhe_replay(
     from amhe_cli.report.replay_files import replay_record
     from amhe_cli.system.provenance import estimator_provenance
     from amhe_cli.system.system import System
+    from amhe_cli.view.scene_log import measured_scene
 
     session.hush_mujoco()
     folder = out.reserve("mhe-replay")
@@ -105,7 +106,8 @@ def mhe_replay(
         hashed = [path, *([belief] if belief else [])]
         method = done.system.settings.mhe.method
         origin = estimator_provenance(session.command_line, seed, method, done.system, hashed)
-        write_replay(folder, done, predicted, fits, record, origin)
+        draw = measured_scene(done.system, recorded, problem.start.z)
+        write_replay(folder, done, predicted, fits, record, origin, draw)
     if session.json:
         session.print_json(record)
     else:

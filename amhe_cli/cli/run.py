@@ -110,6 +110,8 @@ def run(
     from amhe_cli.robots.go1.settings import settings_of
     from amhe_cli.robots.go1.tasks import LONGEST
     from amhe_cli.system.provenance import run_provenance
+    from amhe_cli.view.scene import scene_of
+    from amhe_cli.view.scene_log import SceneLog
 
     session.hush_mujoco()
     folder = out.reserve("run")
@@ -124,10 +126,10 @@ def run(
     if wire["dry_run"]:
         return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None
-    history = History(opened.task)
+    history, drawing = History(opened.task), SceneLog(scene_of(opened.system))
     with stopping(session) as stopped, filling(folder, keep=True) as scratch:
         with ExitStack() as stack:
-            recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap"))
+            recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap", drawing))
             shoot = (
                 stack.enter_context(film.shooting(scratch / "video.mp4", later=realtime)) if film else None
             )

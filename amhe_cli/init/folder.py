@@ -116,14 +116,17 @@ def init_system(
 
 
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
-    """Topics that can be read in every log, as they are in the first one."""
+    """Topics that can be read in every log, as they are in the first one, without what amhe computed."""
     surveys = [survey(log, msg_path=msg_path).topics for log in logs]
     surveys = [[_unnamed(topic, alone=len(seen) == 1) for topic in seen] for seen in surveys]
     common = set.intersection(*({topic.name for topic in seen} for seen in surveys))
     return [
         Topic(seen.name, seen.type, seen.rate, seen.entries, seen.quantities, paths=seen.paths)
         for seen in surveys[0]
-        if seen.name in common and seen.problem is None and seen.rate > 0.0
+        if seen.name in common
+        and seen.problem is None
+        and seen.rate > 0.0
+        and not seen.name.startswith("/amhe/")
     ]
 
 

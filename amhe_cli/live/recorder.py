@@ -6,9 +6,10 @@ Stamps are the run's own time, from zero: a seed gives the same log every time. 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
+from typing import Protocol
 
 import numpy as np
 
@@ -57,8 +58,17 @@ _TYPES = (
 #: Longest time between two messages of content that changes seldom, and of content that never changes [s].
 SELDOM, NEVER = 0.1, 1.0
 
-#: Writes a robot's own messages of a cycle.
-WriteMore = Callable[[LogWriter, Cycle], None]
+
+class MoreMessages(Protocol):
+    """Messages that only one robot or task has."""
+
+    def begin(self, log: LogWriter) -> None:
+        """Prepare the log, before the robot runs."""
+        ...
+
+    def write(self, log: LogWriter, cycle: Cycle) -> None:
+        """Append what a cycle has of them."""
+        ...
 
 
 class Recorder:
@@ -69,7 +79,7 @@ class Recorder:
         signals: Signals whose samples are written.
         metadata: Metadata of the log.
         attachments: Texts by file name.
-        write_more: Writes messages that only this robot or task has.
+        more: Messages that only this robot or task has.
 
     Raises:
         ConfigError: A signal is of a message type that cannot be written.
@@ -81,12 +91,12 @@ class Recorder:
         signals: Sequence[Signal],
         metadata: Mapping[str, str],
         attachments: Mapping[str, str],
-        write_more: WriteMore = lambda log, cycle: None,
+        more: MoreMessages | None = None,
     ) -> None:
         for signal in signals:
             message_type(signal)
         self._log = LogWriter(path, metadata)
-        self._signals, self._attachments, self._write_more = signals, dict(attachments), write_more
+        self._signals, self._attachments, self._more = signals, dict(attachments), more
         self._throttle = Throttle()
         self._misses = 0
 
@@ -96,6 +106,8 @@ class Recorder:
         self._log.define(TIMING, _TIMING)
         estimates.define(self._log)
         self._log.prepare(_TYPES)  # now, as a running robot does not wait
+        if self._more:
+            self._more.begin(self._log)
         for name, text in self._attachments.items():
             self._log.attach(name, "application/yaml", text.encode())
         return self
@@ -111,7 +123,8 @@ class Recorder:
         self._transforms(cycle.samples)
         self._beliefs(cycle)
         self._news(cycle)
-        self._write_more(self._log, cycle)
+        if self._more:
+            self._more.write(self._log, cycle)
         self._plan(cycle)
 
     def note(self, time: float, level: int, text: str) -> None:

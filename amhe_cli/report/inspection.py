@@ -113,7 +113,7 @@ def _content(topic: TopicSurvey) -> Text:
     more = f" and {len(entries) - MAX_ENTRIES} more" if len(entries) > MAX_ENTRIES else ""
     if topic.encoding == "table":
         return Text(f"columns {shown}{more}", style="dim")
-    what = ", ".join(topic.quantities) or "fields by path"
+    what = ", ".join(topic.quantities) or ("fields by path" if topic.paths else "no measurement")
     clock = f", {topic.clock} stamps" if topic.count else ""
     return Text(f"{kind}{clock}: {what}{f' of {shown}{more}' if shown else ''}", style="dim")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from amhe_cli.core.files import filling, json_text
 from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
+from amhe_cli.logs import LogWriter
 from amhe_cli.report import figures, numbers, replay_figures
 from amhe_cli.report.folder import write_page
 from amhe_cli.report.page import Fold, Key, Section, Statement, fixed_statement, result_page
@@ -32,6 +33,7 @@ def write_replay(
     fits: Sequence[Fit],
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
+    draw: Callable[[LogWriter], None] = lambda log: None,
 ) -> None:
     """Write estimates.mcap, estimates.csv, result.json, all or none; then report.html.
 
@@ -42,6 +44,7 @@ def write_replay(
         fits: Measured against predicted in a few windows.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
+        draw: Writes into estimates.mcap what 3-D panels show.
     """
     contents = {
         "estimates.csv": estimates_csv(replay),
@@ -55,7 +58,7 @@ def write_replay(
         "version": str(record["version"]),
     }
     with filling(folder) as scratch:
-        write_log(scratch / "estimates.mcap", replay, predicted, metadata)
+        write_log(scratch / "estimates.mcap", replay, predicted, metadata, draw)
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
     write_page(folder, lambda: replay_page(replay, fits, record, provenance))

@@ -103,6 +103,7 @@ TYPES: Mapping[str, TypeInfo] = {
         f"{package}{name}": info
         for package in ("foxglove.", "foxglove_msgs/msg/")
         for name, info in {
+            "SceneUpdate": TypeInfo({}, {}),  # what 3-D panels draw: thousands of corners, no measurement
             "Imu": _plain(
                 orientation="orientation",
                 angular_velocity="angular_velocity",

@@ -93,7 +93,7 @@ class LogWriter:
             message: An instance made by one of the methods here.
         """
         if hasattr(message, "header"):
-            message.header.stamp = self._time(stamp_ns)
+            message.header.stamp = self.time(stamp_ns)
         channel, known = self._channels.get(topic) or self._channel(topic, msgtype)
         if known != msgtype:
             raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
@@ -194,14 +194,14 @@ class LogWriter:
         linear = rotations.rotate(rotations.conjugate(turn), np.asarray(linear_velocity, dtype=np.float64))
         geometry = "geometry_msgs/msg/"
         twist = self.message(
-            f"{geometry}Twist", linear=self._vector(linear), angular=self._vector(angular_velocity)
+            f"{geometry}Twist", linear=self.vector(linear), angular=self.vector(angular_velocity)
         )
         message = self.message(
             "nav_msgs/msg/Odometry",
             header=self.header(frame),
             child_frame_id=child_frame,
             pose=self.message(
-                f"{geometry}PoseWithCovariance", pose=self._pose(position, turn), covariance=np.zeros(36)
+                f"{geometry}PoseWithCovariance", pose=self.pose_of(position, turn), covariance=np.zeros(36)
             ),
             twist=self.message(f"{geometry}TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )
@@ -212,7 +212,7 @@ class LogWriter:
     ) -> None:
         """Write a geometry_msgs/PoseStamped: position [m] (3,), unit quaternion w, x, y, z (4,)."""
         name = "geometry_msgs/msg/PoseStamped"
-        message = self.message(name, header=self.header(frame), pose=self._pose(position, orientation))
+        message = self.message(name, header=self.header(frame), pose=self.pose_of(position, orientation))
         self.write(topic, name, stamp_ns, message)
 
     def transform(
@@ -228,19 +228,12 @@ class LogWriter:
         for child, (position, orientation) in poses.items():
             transform = self.message(
                 "geometry_msgs/msg/Transform",
-                translation=self._vector(position),
-                rotation=self._quaternion(orientation),
+                translation=self.vector(position),
+                rotation=self.quaternion(orientation),
             )
-            header = self.header(frame)
-            header.stamp = self._time(stamp_ns)
-            transforms.append(
-                self.message(
-                    "geometry_msgs/msg/TransformStamped",
-                    header=header,
-                    child_frame_id=child,
-                    transform=transform,
-                )
-            )
+            name = "geometry_msgs/msg/TransformStamped"
+            head = self.header(frame, stamp_ns)
+            transforms.append(self.message(name, header=head, child_frame_id=child, transform=transform))
         name = "tf2_msgs/msg/TFMessage"
         self.write(topic, name, stamp_ns, self.message(name, transforms=transforms))
 
@@ -260,11 +253,11 @@ class LogWriter:
         message = self.message(
             "sensor_msgs/msg/Imu",
             header=self.header(frame),
-            orientation=self._quaternion((1.0, 0.0, 0.0, 0.0) if orientation is None else orientation),
+            orientation=self.quaternion((1.0, 0.0, 0.0, 0.0) if orientation is None else orientation),
             orientation_covariance=unknown if orientation is None else np.zeros(9),
-            angular_velocity=self._vector(angular_velocity),
+            angular_velocity=self.vector(angular_velocity),
             angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=self._vector(linear_acceleration),
+            linear_acceleration=self.vector(linear_acceleration),
             linear_acceleration_covariance=np.zeros(9),
         )
         self.write(topic, "sensor_msgs/msg/Imu", stamp_ns, message)
@@ -274,7 +267,7 @@ class LogWriter:
     ) -> None:
         """Write a geometry_msgs/WrenchStamped: force [N] (3,), torque [N m] (3,)."""
         wrench = self.message(
-            "geometry_msgs/msg/Wrench", force=self._vector(force), torque=self._vector(torque)
+            "geometry_msgs/msg/Wrench", force=self.vector(force), torque=self.vector(torque)
         )
         name = "geometry_msgs/msg/WrenchStamped"
         self.write(topic, name, stamp_ns, self.message(name, header=self.header(frame), wrench=wrench))
@@ -315,24 +308,28 @@ class LogWriter:
 
     # -- their parts ----------------------------------------------------------------------------------
 
-    def _time(self, stamp_ns: int) -> Any:
+    def time(self, stamp_ns: int) -> Any:
+        """A builtin_interfaces/Time of a stamp [ns]."""
         seconds, nanoseconds = divmod(int(stamp_ns), 10**9)
         return self.message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
 
-    def header(self, frame: str) -> Any:
-        """A std_msgs/Header in `frame`; `write` sets its stamp."""
-        return self.message("std_msgs/msg/Header", stamp=self._time(0), frame_id=frame)
+    def header(self, frame: str, stamp_ns: int = 0) -> Any:
+        """A std_msgs/Header in `frame`; `write` sets the stamp of a message's own."""
+        return self.message("std_msgs/msg/Header", stamp=self.time(stamp_ns), frame_id=frame)
 
-    def _vector(self, values: ArrayLike, name: str = "Vector3") -> Any:
+    def vector(self, values: ArrayLike, name: str = "Vector3") -> Any:
+        """A message of geometry_msgs with x, y, z: Vector3 or Point; values of shape (3,)."""
         x, y, z = _numbers(values).tolist()
         return self.message(f"geometry_msgs/msg/{name}", x=x, y=y, z=z)
 
-    def _quaternion(self, wxyz: ArrayLike) -> Any:
+    def quaternion(self, wxyz: ArrayLike) -> Any:
+        """A geometry_msgs/Quaternion of w, x, y, z."""
         w, x, y, z = _numbers(wxyz).tolist()
         return self.message("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
 
-    def _pose(self, position: ArrayLike, orientation: ArrayLike) -> Any:
-        point, turn = self._vector(position, "Point"), self._quaternion(orientation)
+    def pose_of(self, position: ArrayLike, orientation: ArrayLike) -> Any:
+        """A geometry_msgs/Pose of a position (3,) and a quaternion w, x, y, z."""
+        point, turn = self.vector(position, "Point"), self.quaternion(orientation)
         return self.message("geometry_msgs/msg/Pose", position=point, orientation=turn)
 
 

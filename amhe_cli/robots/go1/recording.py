@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 
@@ -15,8 +16,10 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.live.episode import Cycle
 from amhe_cli.live.recorder import NEVER, SELDOM, Recorder, Throttle, stamp_ns
 from amhe_cli.logs import LogWriter
+from amhe_cli.robots.go1.model import layout
 from amhe_cli.robots.go1.run import Run, measured
-from amhe_cli.robots.go1.tasks import Task
+from amhe_cli.robots.go1.settings import settings_of
+from amhe_cli.robots.go1.state import coordinates
 from amhe_cli.robots.go1.video import Film, check_encoder
 from amhe_cli.system.provenance import attachments
 
@@ -31,8 +34,26 @@ _IMU = Signal(
 _PATH_POINTS = 49
 
 
-def recorder_of(run: Run, path: Path) -> Recorder:
-    """The recorder of a run's log, with the metadata that say what the log shows."""
+class Drawing(Protocol):
+    """Writes into a log what 3-D panels show of a run."""
+
+    def begin(self, log: LogWriter, stamp_ns: int) -> None:
+        """Write what never changes, with the time of the first state [ns]."""
+        ...
+
+    def write_state(self, log: LogWriter, stamp_ns: int, qpos: FloatArray) -> None:
+        """Write a state, shape (nq,), with its time [ns]."""
+        ...
+
+
+def recorder_of(run: Run, path: Path, drawing: Drawing | None = None) -> Recorder:
+    """The recorder of a run's log, with the metadata that say what the log shows.
+
+    Args:
+        run: The run.
+        path: Path of the log.
+        drawing: Gets the state of each cycle, the true one where it is known.
+    """
     options = run.options
     metadata = {
         "system": run.system.name,
@@ -47,21 +68,27 @@ def recorder_of(run: Run, path: Path) -> Recorder:
     if run.first_truth and not run.task.changes:  # values that change are in /amhe/truth
         metadata["truth"] = json.dumps(run.first_truth)
     signals = (*run.system.signals, _IMU)
-    return Recorder(path, signals, metadata, attachments(run.system), TaskMessages(run.task))
+    return Recorder(path, signals, metadata, attachments(run.system), RunMessages(run, drawing))
 
 
-class TaskMessages:
-    """Writes path, goal and reference of a task, for viewers.
+class RunMessages:
+    """Writes path, goal and reference of a run's task, and its state as drawn, for viewers."""
 
-    Args:
-        task: The task.
-    """
+    def __init__(self, run: Run, drawing: Drawing | None) -> None:
+        self._path, self._throttle = run.task.path, Throttle()
+        self._drawing, self._layout = drawing, layout(run.system.model)
+        self._first = stamp_ns(settings_of(run.system).control.period)
 
-    def __init__(self, task: Task) -> None:
-        self._path, self._throttle = task.path, Throttle()
+    def begin(self, log: LogWriter) -> None:
+        """Write what never changes."""
+        if self._drawing:
+            self._drawing.begin(log, self._first)
 
-    def __call__(self, log: LogWriter, cycle: Cycle) -> None:
+    def write(self, log: LogWriter, cycle: Cycle) -> None:
         """Write the messages that are due in a cycle."""
+        if self._drawing:
+            qpos, _ = coordinates(self._layout, cycle.truth or cycle.estimate)
+            self._drawing.write_state(log, stamp_ns(cycle.time), qpos)
         path, stamp, reference = self._path, stamp_ns(cycle.time), cycle.plan.reference
         if self._throttle.due("/amhe/path", cycle.time, NEVER):
             points = path.points(np.linspace(0.0, path.length, _PATH_POINTS if path.curvature else 2))
