@@ -81,6 +81,7 @@ def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(_HOMES[name]), name)
+    import_module("amhe_cli.core.shown").painted_by(lambda: import_module("amhe_cli.report.shown").shown)
     globals()[name] = value
     return value
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import io
 import logging
 import time
@@ -16,11 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
-from amhe_cli.api.show import SavedView
 from amhe_cli.core.each_log import check_logs
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief
+from amhe_cli.core.shown import SavedView
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.offline import identification
 from amhe_cli.estimation.offline.result import Fit, Identification, Iteration, ParameterResult
@@ -148,15 +147,16 @@ class Result:
         return self.table
 
     def _repr_html_(self) -> str:
-        """The table, for a notebook."""
-        return self._rendered().export_html(inline_styles=True, code_format="<pre>{code}</pre>")
+        """The table and the fits, for a notebook."""
+        table = self._rendered().export_html(inline_styles=True, code_format="<pre>{code}</pre>")
+        return table + (self.plot()._repr_html_() if self.fits else "")
 
     def plot(self) -> SavedView:
         """Measured against predicted for the best, a middling and the worst clip; a notebook shows it."""
         from amhe_cli.report.identification_page import fit_section
+        from amhe_cli.report.shown import view
 
-        clips = (f"<h4>{html.escape(one.title)}</h4>{one.content}" for one in fit_section(self.fits).folds)
-        return SavedView(f'<body style="background:#fff;font-family:sans-serif">{"".join(clips)}</body>')
+        return view([fit_section(self.fits)], "Result")
 
     def _rendered(self) -> Any:
         from amhe_cli.report.identification import print_identification

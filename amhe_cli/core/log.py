@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, sealed, sealed_mask
 from amhe_cli.core.errors import LogError
+from amhe_cli.core.shown import Displayed, SavedView, page_of
 from amhe_cli.core.signals import Measured
 
 logger = logging.getLogger(__name__)
@@ -46,7 +47,7 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Log:
+class Log(Displayed):
     """All signals of one log on one clock: row t of every series is the instant t * dt.
 
     An input in row t acts from instant t to instant t + 1 (zero-order hold).
@@ -152,6 +153,10 @@ class Log:
         except KeyError:
             known = ", ".join(self.series)
             raise LogError(f"{self.source}: no signal {key!r}; there is: {known}") from None
+
+    def plot(self) -> SavedView:
+        """All series over time, and a table of them; a notebook shows it."""
+        return page_of(self)
 
     def digest(self) -> str:
         """Hash (SHA-256) of all that was measured."""

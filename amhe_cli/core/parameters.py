@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import FloatArray, sealed
+from amhe_cli.core.shown import Displayed
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,7 +200,7 @@ class Described(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Belief:
+class Belief(Displayed):
     """A Gaussian belief over parameters, in scaled coordinates phi.
 
     Args:

@@ -161,7 +161,7 @@ def _liveliest(fit: Fit, count: int) -> list[int]:
 
 
 def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """At most MAX_POINTS points that keep every peak: the extremes of many short stretches."""
+    """Some MAX_POINTS points that keep every peak and gap: the extremes of many short stretches."""
     values = np.where(np.isfinite(values), values, np.nan)
     if values.size <= MAX_POINTS:
         return time, values
@@ -170,6 +170,8 @@ def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArra
         part = values[stretch]
         if np.isfinite(part).any():
             kept |= {int(stretch[np.nanargmin(part)]), int(stretch[np.nanargmax(part)])}
+        else:
+            kept.add(int(stretch[0]))
     index = np.array(sorted(kept))
     return time[index], values[index]
 

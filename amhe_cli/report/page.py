@@ -130,7 +130,7 @@ class Page:
 
     def html(self) -> str:
         """The page as HTML that needs no other file."""
-        return template("page.html.j2").render(page=self)
+        return template("page.html.j2").render(page=self, title=f"{self.title} · amhe {self.command}")
 
 
 def result_page(

@@ -16,6 +16,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief, ParameterSpace
 from amhe_cli.core.settings import Settings
+from amhe_cli.core.shown import Displayed
 from amhe_cli.core.signals import Signal, remapped
 from amhe_cli.system.calibration import SignalCalibration
 from amhe_cli.system.edits import ModelEdits
@@ -85,7 +86,7 @@ class Input:
 
 
 @dataclass(frozen=True, eq=False)
-class System:
+class System(Displayed):
     """A model, its unknown parameters, and how logged signals relate to it.
 
     Args:

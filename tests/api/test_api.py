@@ -109,6 +109,7 @@ def test_a_result_has_what_the_command_prints(result: amhe.Result) -> None:
     assert "held-out: " in result.table and "report:" not in result.table
     assert "\x1b" not in result.table
     assert result._repr_html_().startswith("<pre>") and "load_mass" in result._repr_html_()
+    assert "<iframe" in result._repr_html_()
     drawn = result.plot()
     assert drawn.html.count("<svg") == len({fit.clip for fit in result.fits})
     assert "joints.position" in drawn.html and "<iframe" in drawn._repr_html_()

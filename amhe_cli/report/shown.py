@@ -1,0 +1,156 @@
+"""What a notebook shows of a log, a system and a belief: sections as on the pages of reports."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import singledispatch
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+
+from amhe_cli.core.log import Log, Series
+from amhe_cli.core.parameters import Belief
+from amhe_cli.core.shown import Displayed, SavedView
+from amhe_cli.core.signals import QUANTITIES
+from amhe_cli.core.statistics import Z90
+from amhe_cli.report import figures, numbers
+from amhe_cli.report.page import Section, template
+from amhe_cli.report.tables import NUMBER, STRONG, Table
+from amhe_cli.system.system import System
+
+#: Panels of a log's figure; the table has all series.
+MOST_PANELS = 12
+#: Colours of the columns of a series, used again where there are more.
+_COLORS = (
+    figures.IDENTIFIED, figures.INITIAL, "#15803d", "#7e22ce", "#b91c1c", "#0e7490", figures.MEASURED,
+    "#a16207",
+)  # fmt: skip
+
+
+def shown(value: Displayed) -> SavedView:
+    """The page of a value."""
+    return view(tuple(sections_of(value)), type(value).__name__)
+
+
+def view(sections: Sequence[Section], title: str) -> SavedView:
+    """Sections as a page that a notebook can show."""
+    return SavedView(template("shown.html.j2").render(title=f"amhe {title}", sections=sections), height=500)
+
+
+@singledispatch
+def sections_of(value: Displayed) -> Iterator[Section]:
+    """The sections of a value's page."""
+    raise TypeError(f"no page shows a {type(value).__name__}")
+
+
+@sections_of.register
+def _of_log(log: Log) -> Iterator[Section]:
+    about = [f"{log.duration:.4g} s in steps of {log.dt:g} s"]
+    about += [f"{key} {text}" for key, text in log.metadata.items() if key in ("system", "truth", "seed")]
+    about += [f"known: {numbers.named(log.known)}"] if log.known else []
+    about += ["only validates"] if log.held_out else []
+    rows = [
+        (
+            key,
+            _rate(log, one),
+            numbers.percent(float(one.valid.mean()) if one.valid.size else 0.0),
+            _range(one),
+            _unit(key),
+            ", ".join(one.columns),
+        )
+        for key, one in log.series.items()
+    ]
+    head = ("series", "measured", "without gaps", "values", "unit", "columns")
+    table = Table(head, ("name", NUMBER, NUMBER, NUMBER, "unit", "soft wrap"), rows)
+    yield Section(Path(log.source).name, text=" · ".join(about), table=table, figure=log_figure(log))
+
+
+@sections_of.register
+def _of_system(system: System) -> Iterator[Section]:
+    space, sets = system.space, system.sets
+    ends = [space.theta_of(np.full(len(space), side * Z90)) for side in (-1.0, 1.0)]
+    rows = [
+        (
+            p.name, f"{p.nominal:.4g}", numbers.unit_of(p.unit), numbers.interval(float(low), float(high)),
+            f"{p.lower:.4g} to {p.upper:.4g}", sets.get(p.name, ""),
+        )
+        for p, low, high in zip(space.parameters, *ends, strict=True)
+    ]  # fmt: skip
+    head = ("parameter", "nominal", "unit", "90 % of the prior", "bounds", "sets")
+    fixed = f"Taken as known: {numbers.named(system.fixed)}." if system.fixed else ""
+    looks = ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", "soft wrap")
+    yield Section(system.name, table=Table(head, looks, rows), note=fixed)
+    signals = [
+        (
+            one.name, "drives the model" if one.is_input else "is compared", one.topic,
+            ", ".join(one.quantities), ", ".join(one.names),
+        )
+        for one in system.signals
+    ]  # fmt: skip
+    looks = ("name", "", "name", "", "soft wrap")
+    yield Section("Signals", table=Table(("signal", "", "topic", "quantities", "entries"), looks, signals))
+
+
+@sections_of.register
+def _of_belief(belief: Belief) -> Iterator[Section]:
+    sd = np.sqrt(np.diag(belief.covariance))
+    rows = []
+    for i, name in enumerate(belief.names):
+        own, unit = float(belief.estimate[i]), numbers.unit_of(belief.units[i])
+        far = Z90 * sd[i]
+        low, high = (own * np.exp(-far), own * np.exp(far)) if belief.log[i] else (own - far, own + far)
+        spread = abs(own) * sd[i] if belief.log[i] else sd[i]
+        rows.append(
+            (name, numbers.with_sd(own, float(spread)), unit, numbers.interval(float(low), float(high)))
+        )
+    fixed = f"It rests on {numbers.named(belief.fixed)}, taken as known." if belief.fixed else ""
+    table = Table(
+        ("parameter", "estimate ± sd", "unit", "90 % interval"), ("name", STRONG, "unit", NUMBER), rows
+    )
+    yield Section(f"Belief about {belief.system}", table=table, note=fixed)
+    if len(belief.names) > 1 and (sd > 0.0).all():
+        correlations = belief.covariance / np.outer(sd, sd)
+        figure = figures.correlation_figure(belief.names, correlations)
+        yield Section("Correlations", figure=figure, natural=True)
+
+
+def log_figure(log: Log) -> Markup | str:
+    """Each series over time, a panel each, gaps left open; '' for a log without samples."""
+    drawn = [(key, one) for key, one in log.series.items() if one.valid.any()][:MOST_PANELS]
+    if not drawn:
+        return ""
+    grid = figures.Grid(len(drawn), min(2, len(drawn)), height=2.4)
+    time = log.dt * np.arange(log.steps, dtype=np.float64)
+    with figures.styled(f"log {log.source}"):
+        figure = grid.figure()
+        for index, (key, one) in enumerate(drawn):
+            axes = grid.axes(figure, index)
+            for column, values in enumerate(np.where(one.valid[:, None], one.values, np.nan).T):
+                label = one.columns[column] if column < len(one.columns) else str(column)
+                color = _COLORS[column % len(_COLORS)]
+                axes.plot(*figures.thinned(time, values), color=color, linewidth=1.1, label=label)
+            unit = _unit(key)
+            axes.set_title(f"{key} [{unit}]" if unit else key)
+            axes.set_xlabel("time [s]")
+            if 1 < one.values.shape[1] <= 4:
+                axes.legend(
+                    fontsize=7.5, ncols=4, handlelength=1.2, loc="lower right", bbox_to_anchor=(1.0, 0.98)
+                )
+        return figures.svg(figure)
+
+
+def _rate(log: Log, one: Series) -> str:
+    rows = np.flatnonzero(one.sampled)
+    return f"{(rows.size - 1) / np.ptp(rows) / log.dt:.4g} Hz" if rows.size > 1 else numbers.MISSING
+
+
+def _unit(key: str) -> str:
+    unit = QUANTITIES.get(key.rpartition(".")[2], "any")
+    return "" if unit in ("-", "any") else unit
+
+
+def _range(one: Series) -> str:
+    known = one.values[one.valid]
+    known = known[np.isfinite(known)]
+    return f"{known.min():.3g} to {known.max():.3g}" if known.size else numbers.MISSING
