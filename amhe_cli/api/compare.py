@@ -17,7 +17,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import split_held_out, whole
-from amhe_cli.estimation.offline.comparison import AtHorizon, at_horizon, best_of, verdict
+from amhe_cli.estimation.offline.comparison import AtHorizon, Compared, at_horizon, best_of, verdict
 from amhe_cli.estimation.offline.horizon import HORIZONS, errors_of, starts
 from amhe_cli.report.comparison import comparison_record, comparison_table, write_comparison
 from amhe_cli.report.folder import reserve
@@ -56,8 +56,12 @@ class Comparison:
 
     def record(self) -> dict[str, Any]:
         """The keys of a comparison in result.json."""
-        found = [result.found for result in self.results]
-        return comparison_record(self.names, found, self.horizons, self.best, self.verdicts)
+        return comparison_record(self._compared)
+
+    @property
+    def _compared(self) -> Compared:
+        found = tuple(result.found for result in self.results)
+        return Compared(self.names, found, self.horizons, self.best, self.verdicts)
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write result.json and report.html, and the files of each system's identification in a folder.
@@ -80,8 +84,7 @@ class Comparison:
             result.save(folder / name, force=True)
         one = self.results[0]
         origin = provenance(command, one.seed, one.found.method, one.system, one.logs, one.held_out)
-        found = [result.found for result in self.results]
-        write_comparison(folder, self.names, found, self.horizons, self.best, self.verdicts, record, origin)
+        write_comparison(folder, self._compared, record, origin)
 
     def __str__(self) -> str:
         return self.table

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.files import filling, json_text, plain
-from amhe_cli.estimation.offline.comparison import FEWEST, AtHorizon
+from amhe_cli.estimation.offline.comparison import FEWEST, AtHorizon, Compared
 from amhe_cli.estimation.offline.result import Identification
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import write_page
@@ -51,20 +51,15 @@ def ratio_table(names: Sequence[str], horizons: Sequence[AtHorizon], best: int) 
     return Table((f"error over that of {names[best]}", *_heads(horizons)), looks, rows)
 
 
-def comparison_record(
-    names: Sequence[str],
-    found: Sequence[Identification],
-    horizons: Sequence[AtHorizon],
-    best: int,
-    verdicts: Sequence[str],
-) -> dict[str, Any]:
+def comparison_record(compared: Compared) -> dict[str, Any]:
     """The keys of `amhe compare`, ready for JSON."""
+    names, best = compared.names, compared.best
     return plain(
         {
-            "systems": [_system_record(name, one) for name, one in zip(names, found, strict=True)],
+            "systems": [_system_record(name, one) for name, one in zip(names, compared.found, strict=True)],
             "best": names[best],
-            "verdicts": list(verdicts),
-            "horizons": [_horizon_record(names, at, best) for at in horizons],
+            "verdicts": list(compared.verdicts),
+            "horizons": [_horizon_record(names, at, best) for at in compared.horizons],
         }
     )
 
@@ -93,11 +88,7 @@ def _horizon_record(names: Sequence[str], at: AtHorizon, best: int) -> dict[str,
 
 def write_comparison(
     folder: Path,
-    names: Sequence[str],
-    found: Sequence[Identification],
-    horizons: Sequence[AtHorizon],
-    best: int,
-    verdicts: Sequence[str],
+    compared: Compared,
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
 ) -> None:
@@ -105,25 +96,17 @@ def write_comparison(
 
     Args:
         folder: Folder of the files; made if it does not exist.
-        names, found: Names of the systems, and what was identified of each.
-        horizons, best, verdicts: The comparison.
+        compared: The comparison.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
     """
     with filling(folder) as scratch:
         (scratch / "result.json").write_text(json_text(record), encoding="utf-8")
-    write_page(folder, lambda: _page(names, found, horizons, best, verdicts, record, provenance))
+    write_page(folder, lambda: _page(compared, record, provenance))
 
 
-def _page(
-    names: Sequence[str],
-    found: Sequence[Identification],
-    horizons: Sequence[AtHorizon],
-    best: int,
-    verdicts: Sequence[str],
-    record: Mapping[str, Any],
-    provenance: Mapping[str, Any],
-) -> str:
+def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str, Any]) -> str:
+    names, horizons, best, verdicts = compared.names, compared.horizons, compared.best, compared.verdicts
     better = [text for text in verdicts if "cannot tell" not in text]
     clear = len(better) == len(verdicts)
     return result_page(
@@ -158,7 +141,7 @@ def _page(
             Section(
                 "What was identified",
                 text="The folder beside this page that is called as the model has its whole report.",
-                table=_model_table(names, found),
+                table=_model_table(names, compared.found),
             ),
         ],
     )

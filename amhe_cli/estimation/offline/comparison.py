@@ -13,6 +13,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.offline.horizon import ClipErrors
+from amhe_cli.estimation.offline.result import Identification
 
 #: Resamples of the clips, ends of the interval, and the fewest clips that can tell.
 RESAMPLES, ENDS, FEWEST = 2000, (2.5, 97.5), 4
@@ -44,6 +45,25 @@ class AtHorizon:
     def better(self, one: int, other: int) -> bool:
         """Whether a system's error is smaller than another's, by more than chance."""
         return bool(self.upper[one, other] < 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """What the errors of several models say.
+
+    Args:
+        names: Names of the models.
+        found: What was identified of each.
+        horizons: Their errors at each horizon.
+        best: Index of the model that predicts best.
+        verdicts: What the logs say of it against each other model, in words.
+    """
+
+    names: tuple[str, ...]
+    found: tuple[Identification, ...]
+    horizons: tuple[AtHorizon, ...]
+    best: int
+    verdicts: tuple[str, ...]
 
 
 def at_horizon(

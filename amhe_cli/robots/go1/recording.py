@@ -34,7 +34,7 @@ _IMU = Signal(
 _PATH_POINTS = 49
 
 
-class Drawing(Protocol):
+class StateDrawing(Protocol):
     """Writes into a log what 3-D panels show of a run."""
 
     def begin(self, log: LogWriter, stamp_ns: int) -> None:
@@ -46,7 +46,7 @@ class Drawing(Protocol):
         ...
 
 
-def recorder_of(run: Run, path: Path, drawing: Drawing | None = None) -> Recorder:
+def recorder_of(run: Run, path: Path, drawing: StateDrawing | None = None) -> Recorder:
     """The recorder of a run's log, with the metadata that say what the log shows.
 
     Args:
@@ -74,7 +74,7 @@ def recorder_of(run: Run, path: Path, drawing: Drawing | None = None) -> Recorde
 class RunMessages:
     """Writes path, goal and reference of a run's task, and its state as drawn, for viewers."""
 
-    def __init__(self, run: Run, drawing: Drawing | None) -> None:
+    def __init__(self, run: Run, drawing: StateDrawing | None) -> None:
         self._path, self._throttle = run.task.path, Throttle()
         self._drawing, self._layout = drawing, layout(run.system.model)
         self._first = stamp_ns(settings_of(run.system).control.period)
