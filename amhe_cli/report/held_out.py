@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+from markupsafe import Markup
+
 from amhe_cli.estimation.offline.result import HeldOut, HorizonError, SpanError
-from amhe_cli.report import numbers
-from amhe_cli.report.page import Section, Statement
+from amhe_cli.report import figures, numbers
+from amhe_cli.report.page import Key, Section, Statement
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 
@@ -47,7 +49,12 @@ def held_out_sections(held_out: HeldOut) -> Iterator[Section]:
             text="Predictions start from a recorded state and follow the recorded commands. Each cell is the "
             "rms error after so much time, before identification → after it; the last column goes to the end "
             "of the held-out parts, and beside the name stands how far the measured value moved by then.",
+            legend=(
+                Key("before identification", figures.INITIAL, "dashed"),
+                Key("after it", figures.IDENTIFIED),
+            ),
             table=horizon_table(held_out.horizons),
+            figure=horizon_figure(held_out.horizons),
         )
     if held_out.errors:
         yield Section(
@@ -83,6 +90,35 @@ def horizon_table(errors: Sequence[HorizonError]) -> Table:
         rows.append((column or channel, sized(longest.moved, longest.unit), *cells))
     head = [f"after {seconds:.3g} s{' (end)' * to_end}" for to_end, seconds in horizons]
     return Table(("", "moves by", *head), ("name", f"{NUMBER} soft", *(NUMBER for _ in head)), rows)
+
+
+def horizon_figure(errors: Sequence[HorizonError]) -> Markup:
+    """Both errors against the horizon, a panel for each joint or pose; those that were missed most."""
+    lines = sorted(_by_line(errors).items(), key=lambda item: -_missed(item[1][-1]))[: figures.MAX_PANELS]
+    grid = figures.Grid(len(lines), min(3, len(lines)), height=2.2)
+    with figures.styled("horizon"):
+        figure = grid.figure()
+        for index, ((channel, column), line) in enumerate(lines):
+            axes = grid.axes(figure, index)
+            own = line[0].unit
+            factor, unit = {"rad": (180.0 / math.pi, "°"), "m": (1e3, "mm")}.get(own, (1.0, own))
+            seconds = [one.horizon for one in line]
+            for values, color, style in (
+                ([one.initial for one in line], figures.INITIAL, "o--"),
+                ([one.identified for one in line], figures.IDENTIFIED, "o-"),
+            ):
+                known = [factor * value if math.isfinite(value) else math.nan for value in values]
+                axes.plot(seconds, known, style, color=color, markersize=3, linewidth=1.2)
+            axes.set_title(f"{column or channel} [{unit}]" if unit else column or channel)
+            axes.set_xlabel("horizon [s]")
+            axes.set_xlim(left=0.0)
+            axes.set_ylim(bottom=0.0)
+        return figures.svg(figure)
+
+
+def _missed(error: HorizonError) -> float:
+    """Error before identification, in units of the motion where that is known."""
+    return error.initial / error.moved if error.moved > 0.0 else error.initial
 
 
 def sized(value: float, unit: str) -> str:

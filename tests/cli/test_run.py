@@ -281,16 +281,17 @@ def test_an_estimator_that_is_late_is_warned_of(capsys) -> None:
     assert "the estimator is late" in capsys.readouterr().err
 
 
-def test_a_full_disk_ends_a_run_and_keeps_its_log(monkeypatch, capsys) -> None:
+@pytest.mark.parametrize(("size", "messages"), [(20_000, 0), (100_000, 10)], ids=["at once", "later"])
+def test_a_full_disk_ends_a_run_and_keeps_its_log(monkeypatch, capsys, size: int, messages: int) -> None:
     """All but the last chunk, which is of 3 s or so of a run; here they are smaller."""
     monkeypatch.setattr("amhe_cli.logs.messages.writer.Writer", partial(Writer, chunk_size=20_000))
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     try:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
         assert run(["run", "--task", "t1", "--mode", "true", "-o", "out", "--threads", "1", *QUICK]) == 1
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     err = capsys.readouterr().err
     assert err.endswith("/out/log.mcap: File too large\n")
     assert names("out") == ["log.mcap"]
-    assert sum(topic.count for topic in survey(Path("out/log.mcap")).topics) > 10
+    assert sum(topic.count for topic in survey(Path("out/log.mcap")).topics) >= messages

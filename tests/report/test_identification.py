@@ -2,6 +2,7 @@ import json
 import math
 import re
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from amhe_cli.core.files import plain
-from amhe_cli.estimation.offline.result import HeldOut, Identification
+from amhe_cli.estimation.offline.result import HeldOut, HorizonError, Identification
 from amhe_cli.report.folder import PageError
 from amhe_cli.report.identification import (
     held_out_line,
@@ -155,6 +156,29 @@ def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
     runaway[50:100] = 1e12
     html = page(identification(fits=(replace(one, initial=runaway),)))
     assert "inf" not in html.split("<svg")[1].split("</svg>")[0].lower()
+
+
+def test_error_against_horizon_is_in_degrees_and_millimetres() -> None:
+    def line(channel: str, column: str, unit: str, errors: list[tuple[float, float]]) -> list[HorizonError]:
+        return [
+            HorizonError(channel, column, unit, 0.1 * 2**i, i == len(errors) - 1, 5, 2.0, before, after)
+            for i, (before, after) in enumerate(errors)
+        ]
+
+    horizons = (
+        *line("arm.position", "hinge", "rad", [(0.1, 0.02), (0.2, 0.04), (0.4, np.pi / 180)]),
+        *line("box.position", "", "m", [(0.01, 0.002), (0.02, 0.003), (np.inf, 0.004)]),
+    )
+    known = identification()
+    assert known.held_out is not None
+    found = page(replace(known, held_out=replace(known.held_out, horizons=horizons)))
+    section = found.partition("<h2>Error against horizon")[2].partition("</section>")[0]
+    assert "22.9° → 1°" in section and "diverged → 4 mm" in section
+    assert ">hinge [°]<" in section and ">box.position [mm]<" in section
+    assert section.index("<table") < section.index("> before identification<") < section.index("<svg")
+    axes = json.loads(unescape(section.partition("data-axes='")[2].partition("'")[0]))
+    tops = sorted(one["y"][1] for one in axes)
+    assert 20.0 < tops[0] < 22.0 and 22.9 < tops[1] < 25.0, "20 mm and 22.9 degrees at the top"
 
 
 def test_words_warn_when_validation_does_not_improve() -> None:

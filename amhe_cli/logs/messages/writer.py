@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -23,7 +23,6 @@ from amhe_cli.logs.messages.json_rows import rows_as_json
 
 logger = logging.getLogger(__name__)
 
-_COMPRESSION = CompressionType.ZSTD
 #: Levels of a diagnostic_msgs/DiagnosticStatus.
 OK, WARN, ERROR = 0, 1, 2
 
@@ -55,7 +54,7 @@ class LogWriter:
     def __enter__(self) -> LogWriter:
         self._file = ExitStack()
         file = self._file.enter_context(whole(self.path, keep=True))
-        self._mcap = Writer(file, compression=_COMPRESSION, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._mcap = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)  # type: ignore[arg-type]
         self._mcap.start(profile="ros2", library=f"amhe {__version__}")
         self._mcap.add_metadata("amhe", self._metadata)
         return self
@@ -105,11 +104,17 @@ class LogWriter:
         if self._full:
             return
         self._sequence[channel] = self._sequence.get(channel, -1) + 1
-        try:
+        with self._keeping():
             self._mcap.add_message(channel, log_ns, data, publish_ns, self._sequence[channel])
+
+    @contextmanager
+    def _keeping(self) -> Iterator[None]:
+        """Close the file where it cannot be written any more, and keep what was written."""
+        try:
+            yield
         except OSError:
             self._full = True
-            with self._file:  # close it, and keep what was written
+            with self._file:
                 raise
 
     def copy(self, batch: Batch) -> None:
@@ -125,12 +130,12 @@ class LogWriter:
         stamps = (ns.view(np.uint64).tolist() for ns in (batch.log_ns, batch.publish_ns))
         ends = (batch.starts + batch.lengths).tolist()
         for log_ns, publish_ns, start, end in zip(*stamps, batch.starts.tolist(), ends, strict=True):
-            data = batch.buffer[start:end].tobytes()
-            self._add(channel, log_ns, data, publish_ns)
+            self._add(channel, log_ns, batch.buffer[start:end].tobytes(), publish_ns)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, for instance the configuration or the model."""
-        self._mcap.add_attachment(0, 0, name, media_type, data)
+        with self._keeping():
+            self._mcap.add_attachment(0, 0, name, media_type, data)
 
     def _channel(self, topic: str, msgtype: str) -> tuple[int, str]:
         channel = self._mcap.register_channel(topic, "cdr", self._schema(msgtype))
@@ -302,9 +307,8 @@ class LogWriter:
             ],
         )
         name = f"{package}DiagnosticArray"
-        self.write(
-            "/diagnostics", name, stamp_ns, self.message(name, header=self.header(""), status=[status])
-        )
+        message = self.message(name, header=self.header(""), status=[status])
+        self.write("/diagnostics", name, stamp_ns, message)
 
     # -- their parts ----------------------------------------------------------------------------------
 
