@@ -22,6 +22,7 @@ from amhe_cli.report.identification import (
 from amhe_cli.report.identification_page import identification_page, statements
 from amhe_cli.system.system import System
 from tests.report.synthetic import fit, identification, parameter
+from tests.view.browser import browser, needs_chromium
 
 ORIGIN = {
     "created": "2030-01-02T03:04:05+00:00",
@@ -156,6 +157,19 @@ def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
     runaway[50:100] = 1e12
     html = page(identification(fits=(replace(one, initial=runaway),)))
     assert "inf" not in html.split("<svg")[1].split("</svg>")[0].lower()
+
+
+@needs_chromium
+def test_paper_holds_every_column_of_the_tables(html: str, tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(html, encoding="utf-8")
+    beyond = (
+        "Math.max(...[...document.querySelectorAll('.wide')].map((one) => one.scrollWidth - one.clientWidth))"
+    )
+    with browser(tmp_path / "profile") as one:
+        one.open((tmp_path / "page.html").as_uri(), width=718)  # A4 with margins of 1 cm
+        assert one.run(beyond) > 0, "a screen of that width scrolls"
+        one.ask("Emulation.setEmulatedMedia", media="print")
+        assert one.run(beyond) <= 0
 
 
 def test_error_against_horizon_is_in_degrees_and_millimetres() -> None:
