@@ -35,6 +35,7 @@ from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
 from amhe_cli.robots.go1.emulator.faults import Faults
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link import command, state, wire
+from amhe_cli.robots.go1.link.child import ROBOT, take_priority
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.command import MotorCommand
 from amhe_cli.robots.go1.link.link import Link
@@ -190,8 +191,7 @@ class Robot:
 
     def _serve(self) -> None:
         # a robot's own computer does nothing else either: what is measured is the sender, not this thread
-        with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(20))
+        take_priority(ROBOT, anywhere=True)
         self.emulator.serve(self._stop.is_set)
 
     def close(self) -> str:

@@ -143,6 +143,27 @@ def test_pipes_in_a_model_are_not_waited_for(tmp_path: Path) -> None:
         read_spec(path)
 
 
+@pytest.mark.parametrize(
+    "inner",
+    [
+        '<include file="{secret}"/>',
+        '<asset><mesh name="a" file="{secret}"/></asset>',
+        '<custom><text name="a" data="&x;"/></custom>',
+    ],
+)
+def test_a_model_shows_nothing_of_other_files(inner: str, tmp_path: Path) -> None:
+    secret, path = tmp_path / "secret", tmp_path / "scene.xml"
+    secret.write_text("root:x:0:0:secret words\n")
+    entity = f'<!DOCTYPE mujoco [<!ENTITY x SYSTEM "file://{secret}">]>'
+    path.write_text(f"{entity}<mujoco>{inner.format(secret=secret)}</mujoco>")
+    try:
+        spec = read_spec(path)
+        shown = compiled(spec) and spec.to_xml()
+    except ConfigError as error:
+        shown = str(error)
+    assert "secret words" not in shown and "root:x" not in shown
+
+
 def test_what_mujoco_cannot_explain_is_an_error_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "scene.xml"
     path.write_text('<mujoco><worldbody><geom size="1"/></worldbody></mujoco>')

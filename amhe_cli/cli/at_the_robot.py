@@ -133,11 +133,11 @@ def _say_stop(session: Session, stop: AmheError, phase: int) -> None:
 
     damped = phase >= Phase.DAMP
     then = "motors are damped" if damped else "the robot sits down, then its motors are damped"
-    session.say("error" if said(stop) else "", f"{stop}; {then}")
+    session.say("error" if is_trip(stop) else "", f"{stop}; {then}")
 
 
-def said(error: Exception | None) -> bool:
-    """Whether an error is a trip of the robot, of which the user has read when it came."""
+def is_trip(error: Exception | None) -> bool:
+    """Whether an error is a trip of the robot, which was printed when it came."""
     if error is None:
         return False
     from amhe_cli.robots.go1.link.report import StoppedError

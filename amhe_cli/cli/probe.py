@@ -167,7 +167,7 @@ def probe(
     elif (folder / log).exists():
         own = "" if opened.system.folder in bundled_systems().values() else f" --system {system}"
         print_achieved(record, f"amhe identify {folder / log}{own}", session.console())
-    session.failed = at_the_robot.said(error)
+    session.failed = at_the_robot.is_trip(error)
     if error and not session.failed:
         raise error
 

@@ -177,7 +177,7 @@ def run(
         session.print_json(record)
     else:
         print_run(record, opened.task.title, folder, session.console())
-    if at_the_robot.said(error):
+    if at_the_robot.is_trip(error):
         session.failed = True
         return
     if error:

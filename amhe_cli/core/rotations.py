@@ -9,6 +9,7 @@ both, so that a log may flip signs as it likes.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -22,16 +23,13 @@ def conjugate(q: FloatArray) -> FloatArray:
 
 def multiply(a: FloatArray, b: FloatArray) -> FloatArray:
     """Hamilton product a b: rotate by b, then by a; shape (..., 4)."""
-    aw, ax, ay, az = (a[..., i] for i in range(4))
-    bw, bx, by, bz = (b[..., i] for i in range(4))
-    return namespace_of(a).stack(
-        (
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ),
-        axis=-1,
+    aw, ax, ay, az = _components(a)
+    bw, bx, by, bz = _components(b)
+    return _joined(
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
     )
 
 
@@ -44,9 +42,22 @@ def rotate(q: FloatArray, v: FloatArray) -> FloatArray:
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross product over the last axis; `np.cross` takes five times as long for a single vector."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return namespace_of(a).stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
+    ax, ay, az = _components(a)
+    bx, by, bz = _components(b)
+    return _joined(ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx)
+
+
+def _components(a: FloatArray) -> Sequence[Any]:
+    """What the last axis holds; of one vector as plain numbers, whose products take a tenth of the time."""
+    alone = isinstance(a, np.ndarray) and a.ndim == 1
+    return a.tolist() if alone else [a[..., i] for i in range(a.shape[-1])]
+
+
+def _joined(*components: Any) -> FloatArray:
+    """The inverse of `_components`."""
+    if isinstance(components[0], float):
+        return np.array(components)
+    return namespace_of(components[0]).stack(components, axis=-1)
 
 
 def log(q: FloatArray) -> FloatArray:

@@ -369,6 +369,16 @@ def test_pipes_are_not_waited_for(place: str, tmp_path: Path) -> None:
     assert "a pipe or a device" in refused(PLACES[place](tmp_path))
 
 
+@pytest.mark.parametrize("name", ["../other/part.db3", "{}/other/part.db3", "a\0b", "..", "/"])
+def test_parts_outside_of_the_folder_are_not_opened(name: str, tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    (tmp_path / "other").mkdir()
+    database_of(tmp_path / "other" / "part.db3")
+    information = {"relative_file_paths": [name.format(tmp_path)], "compression_mode": ""}
+    (tmp_path / "log" / "metadata.yaml").write_text(json.dumps({"rosbag2_bagfile_information": information}))
+    refused(tmp_path / "log")
+
+
 def test_a_device_is_no_log() -> None:
     assert "a pipe or a device" in refused(Path("/dev/zero"))
 

@@ -205,6 +205,8 @@ def _send(pipe: Connection, order: tuple[Window, float, float]) -> None:
 def _serve(pipe: Connection, factory: Factory, belief: Belief | None) -> None:
     """Loop of the process: windows in, estimates out, until the pipe ends. None means that it is ready."""
     os.nice(_NICE)
+    with suppress(AttributeError, OSError):  # a running planner that starts it again has more
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the run, which ends this process
     with suppress(EOFError, OSError):  # the reader has ended
         try:

@@ -62,7 +62,7 @@ def ready(worker: InProcess) -> None:
     [("fail", "ValueError: no such window"), ("die", "died (exit code 7)"), ("hang", "hung for 0.3 s")],
 )
 def test_whatever_becomes_of_the_estimator_the_controller_goes_on(order: str, message: str) -> None:
-    worker = InProcess(Puppet, budget=0.2, patience=0.3)
+    worker = InProcess(Puppet, budget=0.2, patience=0.3)  # type: ignore[arg-type]
     try:
         ready(worker)
         worker.submit("fine", 3.0)  # type: ignore[arg-type]
@@ -115,7 +115,7 @@ def test_why_an_estimator_cannot_begin_is_reported() -> None:
 
 
 def test_a_ctrl_c_is_for_the_run_and_leaves_the_estimator_alone(capfd: pytest.CaptureFixture[str]) -> None:
-    worker = InProcess(Puppet, budget=0.2)
+    worker = InProcess(Puppet, budget=0.2)  # type: ignore[arg-type]
     try:
         ready(worker)
         assert worker._process.pid is not None
@@ -130,7 +130,7 @@ def test_a_ctrl_c_is_for_the_run_and_leaves_the_estimator_alone(capfd: pytest.Ca
 
 
 def test_a_window_that_fills_the_pipe_of_a_hung_estimator_holds_nobody_up() -> None:
-    worker = InProcess(Puppet, budget=0.2, patience=0.3)
+    worker = InProcess(Puppet, budget=0.2, patience=0.3)  # type: ignore[arg-type]
     try:
         ready(worker)
         worker.submit("hang", 3.0)  # type: ignore[arg-type]
@@ -151,3 +151,24 @@ def test_in_lock_step_a_window_that_breaks_the_estimator_is_reported_and_passed_
     assert isinstance(one, Trouble) and "ValueError: no such window" in one.text
     worker.submit("fine", 2.0)  # type: ignore[arg-type]
     assert isinstance(worker.poll(2.08)[0], Estimate)
+
+
+def reports_its_policy(belief: Belief | None) -> MovingHorizon:
+    raise ValueError(f"policy {os.sched_getscheduler(0)}")
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="there is no such call")
+def test_an_estimator_that_a_planner_starts_has_no_real_time_priority() -> None:
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except OSError:
+        pytest.skip("this user may not take real-time priority")
+    try:
+        worker = InProcess(reports_its_policy, budget=0.2)
+    finally:
+        os.sched_setscheduler(0, *before)
+    try:
+        assert f"policy {os.SCHED_OTHER}" in wait(worker)[0].text
+    finally:
+        worker.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ipaddress
-import os
 import socket
 from dataclasses import dataclass
 from functools import partial
@@ -17,6 +16,7 @@ from amhe_cli.live.belief import SharedBelief
 from amhe_cli.live.episode import Episode
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.link.calibration import Calibration
+from amhe_cli.robots.go1.link.child import planning_first
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.target import Go1Target
@@ -77,7 +77,9 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     target = Go1Target(link, feed, settings, clock, period, _box_centre(task))
     behaviour = task.behaviour()
     samples = generator(options.seed, "samples")
-    controller = controller_for(task, behaviour, system, samples, _threads(options), options.engine)
+    with planning_first() as cores:  # the threads of its rollouts, too
+        threads = min(options.threads, cores)
+        controller = controller_for(task, behaviour, system, samples, threads, options.engine)
     judge = Judge(task, behaviour.running_cost, period, options.duration)
     believed = belief_source(options, task, system, None, wire.slow)
     belief = SharedBelief(believed, partial(_publish, feed))
@@ -95,14 +97,6 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
     settings, clock = settings_of(system).go1, _clock(wire)
     link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
     return Calibration(link, feed, settings, clock, task.box)
-
-
-def _threads(options: RunOptions) -> int:
-    """Threads of the planner's rollouts: one core is left to the sender, the poses and the estimator.
-
-    A batch of rollouts is as late as its last thread, and those with real-time priority interrupt it.
-    """
-    return min(options.threads, max(1, len(os.sched_getaffinity(0)) - 1))
 
 
 def _clock(wire: WireOptions) -> Clock:

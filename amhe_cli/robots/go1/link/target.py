@@ -22,6 +22,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError
 from amhe_cli.core.samples import Samples
 from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link.child import planning_first
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase
@@ -93,6 +94,7 @@ class Go1Target:
         with ExitStack() as opening:  # what is open already is closed again where the next step fails
             opening.enter_context(self._feed)
             opening.enter_context(self._link)
+            opening.enter_context(planning_first())  # once their processes have started
             self._opened = opening.pop_all()
         return self
 

@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any
 
 from amhe_cli.robots.go1.link import mail
-from amhe_cli.robots.go1.link.child import Child
+from amhe_cli.robots.go1.link.child import WATCH, Child, take_priority
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.report import SenderReport
@@ -62,6 +62,7 @@ class SenderWatch:
 
     def _run(self) -> None:
         fault = "the program's own watch failed"
+        take_priority(WATCH, anywhere=True)  # a sender that hangs may take all of its core
         try:
             fault = self._lost()
         finally:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.robots.go1.link.child import Child, Pipe, begun
+from amhe_cli.robots.go1.link.child import POSES, Child, Pipe, begun, take_priority
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap
 from amhe_cli.robots.go1.poses.motioncapture import MotionCapture
 from amhe_cli.robots.go1.poses.natnet import NatNet
@@ -242,6 +242,7 @@ def main() -> None:
     sender = _Sender(pipe, Clock(options.slow))
     source = source_of(replace(options, seconds=options.seconds * max(1.0, options.slow)))
     sender.say({"connecting": source.about})
+    take_priority(POSES)  # a late pose looks like a lost one
     try:
         source.connect()
         while pipe.open:

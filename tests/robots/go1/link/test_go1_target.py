@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import time as clock
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -174,22 +175,31 @@ def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone
     np.testing.assert_allclose(driven[-1], np.tile([0.0, 1.2, -2.6], 4), atol=0.05)  # it has sat down again
 
 
-@pytest.mark.parametrize("lost", ["poses", "robot"])
+@pytest.mark.parametrize("lost", ["poses", "robot", "feed dies", "feed hangs"])
 def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str) -> None:
     with a_target(puppet) as (target, cameras):
         target.check()
         target.begin(lambda text: None)
         time, _ = target.measure()
+        feed = target._feed._child
+        assert feed is not None
+        message = "no pose of trunk or box"
         if lost == "poses":
             cameras.silent = True
-            message = "no pose of trunk or box"
+        elif lost == "feed hangs":
+            feed.process.send_signal(signal.SIGSTOP)
+        elif lost == "feed dies":
+            feed.process.kill()
+            message = "the pose source udp has died"
         else:
             puppet.change = lambda sent: replace(sent, remote=Remote(frozenset({"select"})).raw())
             message = "remote control"
-        with pytest.raises((StoppedError, OperatorStopError), match=message):
+        with pytest.raises((StoppedError, OperatorStopError, PoseError), match=message):
             for _ in range(200):
                 plan = Plan(time + PERIOD, PERIOD, np.tile(HOME, (16, 1)))
                 time, _ = exchange(target, plan)
+        if target.stop is None:
+            target._link.stop()
         puppet.wait(damps)
 
 

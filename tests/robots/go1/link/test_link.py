@@ -410,6 +410,20 @@ def test_what_waited_unread_is_as_old_as_it_may_be() -> None:
         assert ours.empty > looked
 
 
+def test_states_from_another_port_are_not_taken() -> None:
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
+        closing(RobotSocket("127.0.0.1", bound_port(robot), CLOCK)) as ours,
+    ):
+        ours.send(b"hello")
+        _, peer = robot.recvfrom(9)
+        for _ in range(200):
+            stranger.sendto(b"forged", peer)
+        robot.sendto(b"state", peer)
+        assert [datagram for datagram, _ in ours.received(CLOCK.now() + 0.01)] == [b"state"]
+
+
 def bound_port(end: socket.socket) -> int:
     end.bind(("127.0.0.1", 0))
     return end.getsockname()[1]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import signal
 import socket
 import subprocess
@@ -17,14 +18,12 @@ import pytest
 from amhe_cli.core.errors import AmheError
 from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
 from amhe_cli.robots.go1.link.calibration import Calibration
-from amhe_cli.robots.go1.link.child import Child
+from amhe_cli.robots.go1.link.child import Child, planning_first
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.open import _threads
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
-from amhe_cli.robots.go1.run import RunOptions
 from amhe_cli.robots.go1.settings import Go1Settings
 from amhe_cli.robots.go1.tasks import find_task
 from tests.robots.go1.poses.streaming import free_port
@@ -150,7 +149,38 @@ def test_without_linux_sockets_the_link_says_so_in_one_line(monkeypatch: pytest.
         Child("amhe_cli.robots.go1.link.sender", {})
 
 
-@pytest.mark.parametrize(("wanted", "cores", "threads"), [(8, 2, 1), (2, 16, 2), (4, 1, 1), (16, 16, 15)])
-def test_one_core_is_left_to_the_sender_and_the_poses(monkeypatch, wanted, cores, threads) -> None:
-    monkeypatch.setattr("os.sched_getaffinity", lambda _: set(range(cores)))
-    assert _threads(RunOptions("t1", target="go1", threads=wanted)) == threads
+def scheduling() -> tuple[int, int, set[int]]:
+    return os.sched_getscheduler(0), os.sched_getparam(0).sched_priority, os.sched_getaffinity(0)
+
+
+def test_a_planner_keeps_off_the_last_core_and_goes_first_while_it_plans() -> None:
+    before = scheduling()
+    cores, within = [], []
+
+    def plan() -> None:
+        with planning_first() as count:
+            cores.append(count)
+            within.append(scheduling())
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        plan()
+    assert scheduling() == before
+    ((_, _, used),) = within
+    assert used == before[2] - {max(before[2])} or len(before[2]) == 1
+    assert cores == [len(used)]
+
+
+@pytest.mark.parametrize("allowed", [True, False])
+def test_a_planner_takes_real_time_priority_below_all_else_of_the_link(monkeypatch, allowed: bool) -> None:
+    chosen: list[tuple[int, int]] = []
+
+    def choose(_: int, policy: int, param: os.sched_param) -> None:
+        if policy == os.SCHED_FIFO and not allowed:
+            raise PermissionError
+        chosen.append((policy, param.sched_priority))
+
+    monkeypatch.setattr(os, "sched_setscheduler", choose)
+    with planning_first():
+        pass
+    assert chosen == [(os.SCHED_FIFO, 10)] * allowed + [scheduling()[:2]]

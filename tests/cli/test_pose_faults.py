@@ -1,0 +1,100 @@
+"""False poses of an emulated robot's cameras, and what `amhe run` does about them."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.test_go1_run import QUICK, ROBOT, ROOT
+from tests.robots.go1.emulator.emulating import emulating
+from tests.robots.go1.poses.streaming import free_port
+
+#: Makes the datagrams that are passed on in place of a pose; called with the number of poses since it walks.
+Forge = Callable[[int, dict[str, Any]], list[dict[str, Any]]]
+#: A robot that has come so far ahead walks [m].
+WALKS = 0.03
+
+
+class Relay:
+    """Passes the poses of the emulated cameras on, and forges them once the robot walks."""
+
+    def __init__(self, to: int, forge: Forge) -> None:
+        self._end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._end.bind(("127.0.0.1", 0))
+        self._end.settimeout(0.1)
+        self.port, self._to, self._forge = self._end.getsockname()[1], ("127.0.0.1", to), forge
+        self._stop, self._walked = threading.Event(), 0
+        self._thread = threading.Thread(target=self._serve)
+
+    def __enter__(self) -> Relay:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._end.close()
+
+    def _serve(self) -> None:
+        start = None
+        while not self._stop.is_set():
+            try:
+                pose = json.loads(self._end.recv(2048))
+            except TimeoutError:
+                continue
+            if pose["body"] == "go1":
+                start = start if start is not None else pose["position"][0]
+                self._walked += pose["position"][0] - start > WALKS
+            for one in self._forge(self._walked, pose) if self._walked else [pose]:
+                self._end.sendto(json.dumps(one).encode(), self._to)
+
+
+def walked(tmp_path: Path, forge: Forge, seconds: float) -> tuple[int, str, dict[str, Any]]:
+    """A run with forged poses: its exit code, what it printed, and its result.json."""
+    port = free_port()
+    with Relay(port, forge) as relay:
+        cameras = ["--mocap", "udp", "--mocap-port", str(relay.port)]
+        with emulating("--slow", "2", *cameras) as emulated:
+            eyes = ["--pose", "udp", "--pose-port", str(port)]
+            where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--slow", "2"]
+            more = ["--set", "go1.arm=auto", *QUICK, "--duration", str(seconds), "-o", str(tmp_path / "out")]
+            ended = subprocess.run(
+                [sys.executable, "-m", "amhe_cli", *ROBOT, *where, *more], check=False, timeout=120,
+                stderr=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)},
+            )  # fmt: skip
+    return ended.returncode, ended.stderr, json.loads((tmp_path / "out/result.json").read_text())
+
+
+@pytest.mark.slow
+def test_single_poses_that_cannot_be_true_change_nothing(tmp_path: Path) -> None:
+    """1e300 m, a stamp of 1e9 s, and what is not a number, which no source takes for a pose."""
+    wrong = {5: {"position": [1e300, 0.0, 0.0]}, 20: {"time": 1e9}, 35: {"position": [float("nan")] * 3}}
+
+    def forge(number: int, pose: dict[str, Any]) -> list[dict[str, Any]]:
+        return [pose, pose | wrong.pop(number)] if pose["body"] == "box" and number in wrong else [pose]
+
+    code, printed, record = walked(tmp_path, forge, 2.5)
+    assert not wrong
+    assert (code, record["link"]["trip"], record["fell"]) == (0, "", False), printed
+    assert record["link"]["dropped_poses"] == 2
+    assert record["diverged"] == 0
+
+
+@pytest.mark.slow
+def test_thirty_poses_that_are_half_a_metre_off_sit_the_robot_down(tmp_path: Path) -> None:
+    def forge(number: int, pose: dict[str, Any]) -> list[dict[str, Any]]:
+        x, y, z = pose["position"]
+        return [pose | {"position": [x, y + 0.5, z]} if 5 <= number < 35 and pose["body"] == "go1" else pose]
+
+    code, printed, record = walked(tmp_path, forge, 4.0)
+    assert (code, record["link"]["trip"], record["fell"]) == (1, "pose_doubt", False), printed
+    assert "of the last 100 poses of 'go1' cannot be true: it steps by 0.5" in printed
