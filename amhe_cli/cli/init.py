@@ -62,6 +62,13 @@ class _ModelPath(click.Path):
     help="With --actuators: equal drives (left and right, or of one class, with the same numbers) share "
     "their parameters.",
 )
+@click.option(
+    "--backlash",
+    metavar="JOINT",
+    multiple=True,
+    help="Put a free gap of unknown width between this joint and its drive: a name or a pattern, '*' for "
+    "all; repeat for more.",
+)
 @options.force
 @options.msg_path
 @click.option(
@@ -95,6 +102,7 @@ def init(
     out: Path | None,
     actuators: bool,
     group: bool,
+    backlash: tuple[str, ...],
     force: bool,
     msg_path: Path | None,
     packages: dict[str, str],
@@ -122,7 +130,15 @@ def init(
     )
     folder = reserve(out, "init", force)
     guessed = init_system(
-        path, logs, folder, msg_path=msg_path, force=force, urdf=urdf, actuators=actuators, group=group
+        path,
+        logs,
+        folder,
+        msg_path=msg_path,
+        force=force,
+        urdf=urdf,
+        actuators=actuators,
+        group=group,
+        backlash=backlash,
     )
     if session.json:
         session.print_json(session.record(system=str(folder), guessed=guessed))

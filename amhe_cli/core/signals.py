@@ -56,6 +56,8 @@ class Signal:
         smooth: Its values are those of a parabola through this time [s] on either side.
         active: Stretches, in seconds from the log's start, outside which it is not active; (): it always is.
         switch: Series and value: where that has another value, it is not active.
+        factors: Quantity -> factor from the unit of the log's file to SI, where it is not 1.
+        wraps: The positions in the file are angles that jump by a turn; they are unwrapped.
     """
 
     name: str
@@ -71,6 +73,8 @@ class Signal:
     smooth: float = 0.0
     active: tuple[tuple[float, float], ...] = ()
     switch: tuple[str, float] | None = None
+    factors: Mapping[str, float] = field(default_factory=dict)
+    wraps: bool = False
 
     def key(self, quantity: str) -> str:
         """Name of the series that holds `quantity`."""

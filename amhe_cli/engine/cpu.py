@@ -20,7 +20,7 @@ from amhe_cli.engine.rollout import (
     predicted_in_parts,
     turns_of,
 )
-from amhe_cli.engine.states import without_contacts
+from amhe_cli.engine.states import controls, first_activations, without_contacts
 from amhe_cli.system.edits import ModelEdits
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
@@ -51,6 +51,7 @@ class CpuEngine:
         self._batch: mujoco.batch.Batch | None = None
         self._fields: dict[str, np.ndarray] = {}
         self._written = np.empty((0, len(edits.space)))
+        self._controls = controls(model, input_spec)
 
     precision = float(np.finfo(np.float64).eps)
 
@@ -64,6 +65,9 @@ class CpuEngine:
         batch.reset(stage=mujoco.mjtStage.mjSTAGE_NONE)  # clears warm starts and warnings: reproducible
         batch.bind("qpos")[:count] = qpos
         batch.bind("qvel")[:count] = qvel
+        if self._model.na and self._controls is not None:
+            first = first_activations(self._model, qpos, inputs[:, 0, self._controls])
+            batch.bind("act")[:count] = first
         result = Rollouts(
             np.empty((count, horizon, self._model.nq)),
             np.empty((count, horizon, self._model.nv)),

@@ -122,7 +122,8 @@ def finer_step(engine: Engine, model: mujoco.MjModel) -> tuple[Engine, int]:
 
 def finer_solver(engine: Engine, model: mujoco.MjModel) -> Engine | None:
     """The same engine with a solver that goes on for longer; None for a model without constraints."""
-    constrained = model.jnt_limited.any() or model.dof_frictionloss.any() or model.neq or collides(model)
+    limited = model.jnt_limited.any() or model.tendon_limited.any()
+    constrained = limited or model.dof_frictionloss.any() or model.neq or collides(model)
     if not constrained:
         return None
     changed = copy.copy(model)

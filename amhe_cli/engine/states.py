@@ -60,6 +60,50 @@ def home(model: mujoco.MjModel, keyframe: int | None, input_spec: int) -> tuple[
     return np.array(data.qpos), inputs
 
 
+def controls(model: mujoco.MjModel, input_spec: int) -> slice | None:
+    """Where the controls are in the engine's input vector; None where they are no inputs."""
+    bit = int(mujoco.mjtState.mjSTATE_CTRL)
+    first = mujoco.mj_stateSize(model, input_spec & (bit - 1))
+    return slice(first, first + model.nu) if input_spec & bit else None
+
+
+def first_activations(model: mujoco.MjModel, qpos: FloatArray, controls: FloatArray) -> FloatArray:
+    """Activations of actuators that have followed their first commands for long, shape (n, na).
+
+    No log has them. A filter or a limited slew starts at the command, an integrated velocity at the joint;
+    bristles, currents and the integral of a controller start at zero.
+
+    Args:
+        model: The model.
+        qpos: First positions, shape (n, nq).
+        controls: First controls, shape (n, nu).
+    """
+    act = np.zeros((len(qpos), model.na))
+    for row in map(int, np.flatnonzero(model.actuator_actnum)):
+        at, ctrl = int(model.actuator_actadr[row]), int(model.actuator_ctrladr[row])
+        kind, joint = mujoco.mjtDyn(model.actuator_dyntype[row]), int(model.actuator_trnid[row, 0])
+        command = controls[:, ctrl]
+        if model.actuator_ctrllimited[ctrl]:
+            command = np.clip(command, *model.actuator_ctrlrange[ctrl])
+        if kind in (mujoco.mjtDyn.mjDYN_FILTER, mujoco.mjtDyn.mjDYN_FILTEREXACT) or _slews(model, row):
+            act[:, at] = command
+        elif (
+            kind == mujoco.mjtDyn.mjDYN_INTEGRATOR
+            and model.actuator_trntype[row] == mujoco.mjtTrn.mjTRN_JOINT
+        ):
+            gear = float(model.actuator_gear[model.actuator_outadr[row], 0])
+            act[:, at] = gear * qpos[:, model.jnt_qposadr[joint]]
+    return act
+
+
+def _slews(model: mujoco.MjModel, row: int) -> bool:
+    """Whether an actuator's first activation is a position command that changes at a limited rate."""
+    column = {mujoco.mjtDyn.mjDYN_PID: 1, mujoco.mjtDyn.mjDYN_DCMOTOR: 7}
+    kind = mujoco.mjtDyn(model.actuator_dyntype[row])
+    position = int(model.actuator_ctrlspec[row]) & int(mujoco.mjtCtrlInput.mjINPUT_POS)
+    return kind in column and bool(position and model.actuator_dynprm[row, column[kind]])
+
+
 def collides(model: mujoco.MjModel) -> bool:
     """Whether any two shapes of a model can collide."""
     return bool(model.npair > 0 or (model.geom_contype.any() and model.geom_conaffinity.any()))

@@ -14,6 +14,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.actuators import actuator_parameters, floating
+from amhe_cli.init.backlash import backlash_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf
 from amhe_cli.init.parameters import guess_parameters
 from amhe_cli.init.signals import (
@@ -31,6 +32,7 @@ from amhe_cli.init.tables import topics_in, with_columns
 from amhe_cli.init.text import system_text
 from amhe_cli.logs import TopicSurvey, read_signals, survey
 from amhe_cli.logs.containers.table_file import TYPE as TABLE
+from amhe_cli.system.doubts import doubts_of
 from amhe_cli.system.driven import commanded
 from amhe_cli.system.folders import FILE_NAME
 from amhe_cli.system.model_file import compiled, read_spec
@@ -53,6 +55,7 @@ def init_system(
     urdf: UrdfOptions | None = None,
     actuators: bool = False,
     group: bool = False,
+    backlash: Sequence[str] = (),
 ) -> list[str]:
     """Write a system folder that `amhe identify` can use at once.
 
@@ -65,6 +68,7 @@ def init_system(
         urdf: How to read a URDF or xacro.
         actuators: The unknowns are those of all drives, and nothing else.
         group: With `actuators`: equal drives share their parameters.
+        backlash: Joints, by names or patterns, that get a gap between drive and link, of unknown width.
 
     Returns:
         The guesses, in sentences.
@@ -94,6 +98,9 @@ def init_system(
     else:
         parameters = guess_parameters(model, guesses, guessed_gains=added)
     _refuse_nothing(model, topics, guesses, parameters)
+    if backlash:
+        rewrite, found = True, backlash_parameters(spec, model, guesses, parameters, backlash)
+        parameters += found
     notes += notes_on(model, topics, guesses)
     for guess in guesses:
         with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
@@ -104,6 +111,9 @@ def init_system(
         name = copy_model(spec, model_path, folder, rewrite=rewrite)
         head = (name, model_path.name, [str(log) for log in logs])
         (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
+        while declared := _declare_units(folder, logs[0], guesses, msg_path):
+            notes += declared
+            (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
         unread = _estimate_noise(folder, logs[0], guesses, topics, msg_path)
         (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
         System.load(folder, warn=False)  # what is written is valid, or it is not written
@@ -192,6 +202,28 @@ def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence
     if measured.issuperset(single_joints(model)):
         return []
     return [fields_example(model, topic) for topic in foreign(topics)]
+
+
+def _declare_units(folder: Path, log: Path, guesses: Sequence[Guess], msg_path: Path | None) -> list[str]:
+    """Declare units and wrapping encoders that the log's numbers show, a sentence for each.
+
+    Commands can be judged only by positions that are right: what was declared may reveal more.
+    """
+    system = System.load(folder, warn=False)
+    try:
+        seen = read_signals(
+            log, system.signals, system.dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path
+        )
+    except AmheError:
+        return []  # what cannot be read is a note of the noise
+    entries, found = {guess.name: guess.entry for guess in guesses}, list[str]()
+    for doubt in doubts_of(system, seen):
+        entry = entries[doubt.signal]
+        new = {key: value for key, value in doubt.remedy.items() if key not in entry}
+        if new:
+            entry.update(new)
+            found.append(f"{doubt}; it is declared")
+    return found
 
 
 def _estimate_noise(

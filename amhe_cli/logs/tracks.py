@@ -15,6 +15,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.resample import common_rows, too_many
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
+from amhe_cli.core.units import unwrapped
 from amhe_cli.logs.clocks import (
     Stamp,
     Timeline,
@@ -63,8 +64,10 @@ class SignalTrack:
         if values is None or not np.isfinite(values).any():
             return None
         if quantity == "linear_velocity" and self.twist_in_child:
-            return rotations.rotate(self.samples.values["orientation"], values)
-        return values
+            values = rotations.rotate(self.samples.values["orientation"], values)
+        if quantity in self.signal.factors:
+            values = values * self.signal.factors[quantity]
+        return unwrapped(values) if self.signal.wraps and quantity == "position" else values
 
     def moved(self, seconds: float) -> SignalTrack:
         """The same track, with stamps later by `seconds`."""

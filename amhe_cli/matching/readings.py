@@ -11,8 +11,9 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import AnyArray, FloatArray, namespace_of
 from amhe_cli.engine.rollout import Starts
-from amhe_cli.matching.starts import tangent_of
+from amhe_cli.matching.starts import tangent_of, unmeasured
 from amhe_cli.system.calibration import Reading
+from amhe_cli.system.gaps import gaps
 from amhe_cli.system.system import Channel, System
 
 
@@ -64,7 +65,7 @@ def true_of(channel: Channel, reading: Reading, numbers: FloatArray, shown: Floa
 
 
 def state_errors(system: System, theta: FloatArray, starts: Starts) -> FloatArray | None:
-    """What the calibration makes wrong in recorded first states, as first-state errors.
+    """What calibration and gaps make wrong in recorded first states, as first-state errors.
 
     Args:
         system: The system.
@@ -72,14 +73,15 @@ def state_errors(system: System, theta: FloatArray, starts: Starts) -> FloatArra
         starts: First states of c clips, as recorded.
 
     Returns:
-        Errors in units of their sd, shape (p, c, nx); None where the log has the true states.
+        Errors in units of their sd, shape (p, c, nx); None where no parameter changes the first states.
     """
-    readings = system.calibration.readings
+    readings, model = system.calibration.readings, system.model
     channels = [c for c in system.channels if c.sets_state and c.key in readings]
-    if not channels:
+    widened = gaps(model) if "tendon_range" in system.edits.fields else []
+    if not channels and not widened:
         return None
+    delta = np.zeros((len(theta), len(starts.lengths), 2 * model.nv))
     numbers = system.edits.numbers(theta)
-    delta = np.zeros((len(theta), len(starts.lengths), 2 * system.model.nv))
     for channel in channels:
         shown = (starts.qpos if channel.source == "qpos" else starts.qvel)[:, list(channel.columns)]
         true = true_of(channel, readings[channel.key], numbers, shown)
@@ -89,6 +91,12 @@ def state_errors(system: System, theta: FloatArray, starts: Starts) -> FloatArra
             else true - shown
         )
         delta[..., tangent_of(system, channel)] = difference
+    if widened:
+        half = system.edits.values("tendon_range", theta)[:, :, 1]
+        for gap, own, other in unmeasured(system, widened):
+            away = starts.qpos[:, model.jnt_qposadr[own]] - starts.qpos[:, model.jnt_qposadr[other]]
+            wider = half[:, gap.tendon] - model.tendon_range[gap.tendon, 1]
+            delta[..., model.jnt_dofadr[own]] = wider[:, None] * np.sign(away)
     return delta[..., starts.first_index] / starts.first_sd
 
 

@@ -16,6 +16,7 @@ from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.statistics import white_noise_sd
 from amhe_cli.system.coupled import set_followers
+from amhe_cli.system.gaps import Gap, gaps, loose_ends, set_gaps
 from amhe_cli.system.system import Channel, System
 
 #: Smoothing fits parabolas: motion between two contacts bends, and hardly more.
@@ -58,6 +59,7 @@ def first_states(
             else:
                 qvel[i, columns] = _velocity(channel, window)
     set_followers(system.model, qpos, qvel, measured)
+    set_gaps(system.model, qpos, qvel, measured)
     return qpos, qvel
 
 
@@ -124,12 +126,12 @@ def _samples_about(series: Series, start: int, reach: int) -> IntArray:
 
 
 def first_errors(system: System, log: Log) -> tuple[IntArray, FloatArray]:
-    """Sd of the error of every measured coordinate of a first state.
+    """Sd of the error of every measured coordinate of a first state, and of what lies beside it in a gap.
 
     Coordinates are those of the tangent space: nv of the positions, then nv of the velocities.
 
     Returns:
-        Indices of the nx measured coordinates among the 2 nv, and their error sd [SI]; shape (nx,) each.
+        Indices of these nx coordinates among the 2 nv, and their error sd [SI]; shape (nx,) each.
     """
     sd = np.zeros(2 * system.model.nv)
     for channel in system.channels:
@@ -137,6 +139,10 @@ def first_errors(system: System, log: Log) -> tuple[IntArray, FloatArray]:
             own = _error_sd(channel, system, log)
             shifted = channel.key in system.calibration.readings  # which is said as an error: see `readings`
             sd[tangent_of(system, channel)] = max(own, _TINY) if shifted else own
+    nv, dofs = system.model.nv, system.model.jnt_dofadr
+    for gap, own, other in unmeasured(system, gaps(system.model)):
+        sd[dofs[own]] = 0.5 * np.ptp(system.model.tendon_range[gap.tendon])
+        sd[nv + dofs[own]] = sd[nv + dofs[other]]
     index = np.flatnonzero(sd > 0.0)
     return index, sd[index]
 
@@ -157,6 +163,12 @@ def tangent_of(system: System, channel: Channel) -> list[int]:
         else:
             dofs += [v + i for i in inside]
     return dofs
+
+
+def unmeasured(system: System, among: Sequence[Gap]) -> list[tuple[Gap, int, int]]:
+    """Gaps of which one joint is measured and one is not: the gap, that joint's row, the measured one's."""
+    measured = {c for channel in system.channels if channel.source == "qpos" for c in channel.columns}
+    return loose_ends(system.model, among, measured)
 
 
 def _error_sd(channel: Channel, system: System, log: Log) -> float:

@@ -12,6 +12,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.system.calibration import CalibrationNumber, ForceEdit, Reading, SignalCalibration, ZeroEdit
 from amhe_cli.system.edits import Edit, ScalarEdit
+from amhe_cli.system.gaps import gaps
 from amhe_cli.system.schema import Description, SignalEntry, TargetEntry
 from amhe_cli.system.system import Channel
 from amhe_cli.system.targets import FRAME_AXES, id_of
@@ -107,6 +108,8 @@ class CalibrationDraft:
             for (name, word, quantity, column), row in self._rows.items()
             if word == "bias" and self._is_encoder(name, quantity)
         }
+        beside = {own: other for gap in gaps(self.model) for own, other in gap.ends}
+        zeros |= {beside[joint]: row for joint, row in zeros.items() if joint in beside}
         driven = {
             actuator: (self._row((name, "scale", quantity, 0)), self._row((name, "bias", quantity, column)))
             for (name, quantity), actuators in self.forces.items()

@@ -13,8 +13,8 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.system.cells import Cells
 from amhe_cli.system.schema import TargetEntry
-from amhe_cli.system.targets import Cells
 
 if TYPE_CHECKING:
     from amhe_cli.system.edits import ScalarEdit
@@ -36,12 +36,12 @@ class CommandDelays:
     """Delays [s] of the columns of the engine's input vector.
 
     Args:
-        commands: Actuator that a signal commands -> its column.
+        commands: Actuator that a signal commands -> the columns of its controls.
         width: Columns of the input vector; 1 where nothing is commanded, for all that there are.
         edits: How parameters are written into the delays.
     """
 
-    commands: Mapping[str, int] = field(default_factory=dict)
+    commands: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     width: int = 1
     edits: tuple[ScalarEdit, ...] = ()
 
@@ -64,7 +64,7 @@ class CommandDelays:
     @property
     def cells(self) -> tuple[DelayNumber, ...]:
         """The delays of all commands, which one parameter may set together."""
-        return tuple(DelayNumber("command_delay", column) for column in self.commands.values())
+        return tuple(DelayNumber("command_delay", at) for columns in self.commands.values() for at in columns)
 
     def cells_of(self, target: TargetEntry) -> list[DelayNumber]:
         """The delays that a parameter's target sets.
@@ -77,4 +77,4 @@ class CommandDelays:
         names = [name for name in self.commands if fnmatchcase(name, target.actuator)]
         if not names:
             raise ConfigError(one_of("actuator that a signal commands", target.actuator, self.commands))
-        return [DelayNumber("command_delay", self.commands[name], name=name) for name in names]
+        return [DelayNumber("command_delay", at, name=name) for name in names for at in self.commands[name]]

@@ -6,7 +6,8 @@ Each doubt is one line for a warning; the log is read as the system says.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.system.driven import commanded
+from amhe_cli.system.gaps import gaps
 
 if TYPE_CHECKING:
     from amhe_cli.system.system import Input, System
@@ -29,11 +31,14 @@ _SPAN = 0.05
 #: Slope of the first over the second -> which of them is in another unit.
 _DEGREES = 180.0 / np.pi
 _OF_VELOCITY = {
-    _DEGREES: "the position looks like degrees",
-    1.0 / _DEGREES: "the velocity looks like degrees per second",
-    np.pi / 30.0: "the velocity looks like rpm",
+    _DEGREES: ("the position looks like degrees", {"unit": {"position": "deg"}}),
+    1.0 / _DEGREES: ("the velocity looks like degrees per second", {"unit": {"velocity": "deg/s"}}),
+    np.pi / 30.0: ("the velocity looks like rpm", {"unit": {"velocity": "rpm"}}),
 }
-_OF_COMMAND = {_DEGREES: "the command looks like degrees", 1.0 / _DEGREES: "the position looks like degrees"}
+_OF_COMMAND = {
+    _DEGREES: ("the command looks like degrees", {"unit": "deg"}),
+    1.0 / _DEGREES: ("the position looks like degrees", {}),
+}
 #: A slope is taken for one of these within this share of it, where the two are so well correlated.
 _NEAR, _ALIKE = 0.25, 0.9
 #: Another order of the joints is better where each joint that moves in it is correlated so well with its
@@ -46,27 +51,58 @@ _LEAD, _FEW, _MANY = 0.3, 100, 20_000
 _Positions = Mapping[int, tuple[FloatArray, BoolArray]]
 
 
-def doubts_of(system: System, log: Log) -> Iterator[str]:
+@dataclass(frozen=True, slots=True)
+class Doubt:
+    """What in a signal contradicts the model, or itself.
+
+    Args:
+        signal: Name of the signal.
+        text: What it is.
+        remedy: Keys of the signal in `system.yaml` that would mend it.
+    """
+
+    signal: str
+    text: str
+    remedy: Mapping[str, Any] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        keys = ", ".join(f"{key}: {_written(value)}" for key, value in self.remedy.items())
+        return f"signal {self.signal!r}: {self.text}" + (
+            f"; {keys} in system.yaml converts a file" if keys else ""
+        )
+
+
+def _written(value: Any) -> str:
+    """A value as YAML has it on one line."""
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{key}: {one}" for key, one in value.items()) + "}"
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def doubts_of(system: System, log: Log) -> Iterator[Doubt]:
     """See `System.doubts`."""
     for signal in system.signals:
         rows = [log[key].sampled for q in signal.quantities if (key := signal.key(q)) in log.series]
         steps = np.diff(np.flatnonzero(rows[0])) if rows and not signal.is_input else np.zeros(0)
         period = log.dt * float(np.median(steps)) if steps.size else 0.0
         if period > _SLOW:
-            yield (
-                f"signal {signal.name!r} has a sample every {period:.3g} s: its times look like milliseconds "
-                f"or finer; they must be in seconds"
+            yield Doubt(
+                signal.name,
+                f"a sample every {period:.3g} s: its times look like milliseconds or finer; they must be "
+                f"in seconds",
             )
     for key, joints in _joint_channels(system).items():
         if key in log.series:
-            for text in _of_states(system.model, log, key, joints):
-                yield f"signal {key.rpartition('.')[0]!r}: {text}"
+            yield from _of_states(system.model, log, key, joints)
     for channel in system.channels:
         if channel.key.endswith(".angular_velocity") and channel.key in log.series:
             largest = float(np.max(np.abs(log[channel.key].values), initial=0.0))
             if largest > _LARGEST_RATE:
-                name = channel.key.rpartition(".")[0]
-                yield f"signal {name!r}: angular velocity reaches {largest:.4g} rad/s: looks like degrees"
+                yield Doubt(
+                    channel.key.rpartition(".")[0],
+                    f"angular velocity reaches {largest:.4g} rad/s: looks like degrees",
+                    {"unit": {"angular_velocity": "deg/s"}},
+                )
     positions = {
         joint: (log[key].values[:, column], log[key].valid)
         for key, joints in _joint_channels(system).items()
@@ -75,8 +111,7 @@ def doubts_of(system: System, log: Log) -> Iterator[str]:
     }
     for one in system.inputs:
         if one.key in log.series:
-            for text in _of_commands(system, log, one, positions):
-                yield f"signal {one.key.rpartition('.')[0]!r}: {text}"
+            yield from _of_commands(system, log, one, positions)
 
 
 def _joint_channels(system: System) -> dict[str, list[int]]:
@@ -94,14 +129,17 @@ def _joint_channels(system: System) -> dict[str, list[int]]:
     }
 
 
-def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> Iterator[str]:
+def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> Iterator[Doubt]:
     """Units of joint positions, by the velocities measured with them and by the joints' ranges."""
     found: dict[str, list[str]] = {}
+    remedies: dict[str, Mapping[str, Any]] = {}
     velocity = log.series.get(f"{key.rpartition('.')[0]}.velocity")
     for column, row in enumerate(joints):
         values, name = log[key].values[:, column], model.joint(row).name
         if _wraps(np.abs(np.diff(values[log[key].sampled & log[key].valid]))):
-            found.setdefault("position jumps by a turn: the encoder wraps; unwrap the log", []).append(name)
+            text = "position jumps by a turn: the encoder wraps"
+            remedies[text] = {"wraps": True}
+            found.setdefault(text, []).append(name)
         slope = None
         if velocity is not None and not velocity.derived:
             both = np.flatnonzero(log[key].sampled & velocity.sampled)
@@ -109,16 +147,19 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
                 log.dt * both.astype(np.float64), values[both], velocity.values[both, column]
             )
         if slope is not None:
-            for text in _named(slope, _OF_VELOCITY):
+            for text, remedy in _named(slope, _OF_VELOCITY):
+                remedies[text] = remedy
                 found.setdefault(text, []).append(name)
             continue
         largest = float(np.max(np.abs(values[log[key].valid]), initial=0.0))
         reach = float(np.abs(model.jnt_range[row]).max()) if model.jnt_limited[row] else np.inf
         hinge = int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_HINGE
         if hinge and (largest > _LARGEST or largest > max(_BEYOND * reach, 2.0 * np.pi)):
-            found.setdefault(f"position reaches {largest:.4g} rad: looks like degrees", []).append(name)
+            text = f"position reaches {largest:.4g} rad: looks like degrees"
+            remedies[text] = {"unit": {"position": "deg"}}
+            found.setdefault(text, []).append(name)
     for text, names in found.items():
-        yield f"{text} ({', '.join(names)})"
+        yield Doubt(key.rpartition(".")[0], f"{text} ({', '.join(names)})", remedies[text])
 
 
 def _wraps(steps: FloatArray) -> bool:
@@ -150,13 +191,16 @@ def _slope(first: FloatArray, second: FloatArray) -> float | None:
     return float(first.std() / second.std()) if alike > _ALIKE else None
 
 
-def _named(slope: float, texts: Mapping[float, str]) -> list[str]:
-    return [text for ratio, text in texts.items() if abs(slope / ratio - 1.0) < _NEAR]
+def _named(
+    slope: float, causes: Mapping[float, tuple[str, Mapping[str, Any]]]
+) -> list[tuple[str, Mapping[str, Any]]]:
+    """What a slope looks like, with its remedy."""
+    return [cause for ratio, cause in causes.items() if abs(slope / ratio - 1.0) < _NEAR]
 
 
-def _of_commands(system: System, log: Log, one: Input, positions: _Positions) -> Iterator[str]:
+def _of_commands(system: System, log: Log, one: Input, positions: _Positions) -> Iterator[Doubt]:
     """Units and order of the targets of position servos, by the joints that should follow them."""
-    series = log[one.key]
+    series, signal = log[one.key], one.key.rpartition(".")[0]
     servos = {column: _servo_joint(system, place) for column, place in enumerate(one.columns)}
     driven = {
         column: joint
@@ -174,20 +218,23 @@ def _of_commands(system: System, log: Log, one: Input, positions: _Positions) ->
     measured = np.stack([positions[joint][0][kept] for joint in joints], axis=1)
     names = [model.joint(joint).name for joint in joints]
     found: dict[str, list[str]] = {}
+    remedies: dict[str, Mapping[str, Any]] = {}
     for column, name in enumerate(names):
         slope = _slope(commands[:, column], measured[:, column])
-        for text in _named(slope, _OF_COMMAND) if slope is not None else ():
+        for text, remedy in _named(slope, _OF_COMMAND) if slope is not None else ():
+            remedies[text] = remedy
             found.setdefault(text, []).append(name)
     for text, which in found.items():
-        yield f"{text} ({', '.join(which)})"
+        yield Doubt(signal, f"{text} ({', '.join(which)})", remedies[text])
     step = log.dt * float(np.median(np.diff(kept)))
     better = _better_order(commands, measured, max(1, round(_LEAD / 10.0 / step)))
     if better is not None:
         order, before, after = better
-        yield (
+        yield Doubt(
+            signal,
             f"the commands of {', '.join(names)} are followed by {', '.join(names[i] for i in order)}: the "
             f"order of the joints is wrong in the commands or in the positions (correlation {after:.2f} so, "
-            f"{before:.2f} as given)"
+            f"{before:.2f} as given)",
         )
 
 
@@ -200,7 +247,9 @@ def _servo_joint(system: System, place: int) -> int | None:
     rows = np.flatnonzero(model.actuator_ctrladr == address)
     if not rows.size or int(model.actuator_trntype[rows[0]]) != mujoco.mjtTrn.mjTRN_JOINT:
         return None
-    return int(model.actuator_trnid[rows[0], 0]) if commanded(model, int(rows[0])) == "position" else None
+    joint = int(model.actuator_trnid[rows[0], 0])
+    links = {gap.drive: gap.link for gap in gaps(model)}
+    return links.get(joint, joint) if commanded(model, int(rows[0])) == "position" else None
 
 
 def _better_order(

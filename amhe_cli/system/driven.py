@@ -12,6 +12,8 @@ from amhe_cli.system.wiring import (
     Drive,
     WiringDraft,
     chosen,
+    control_of,
+    inputs_of,
     names_of_log,
     one_quantity,
     signal_of,
@@ -28,11 +30,10 @@ def actuators(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """Commands: controls of actuators, held until the next message."""
     own, logged = names_of_log(entry.actuators)
     rows = [id_of(draft.model, "actuator", actuator) for actuator in own]
-    for row in rows:
-        if draft.model.actuator_ctrlnum[row] != 1:
-            raise ConfigError(f"actuator {draft.model.actuator(row).name!r} takes several controls, not one")
     usual = "value" if str(entry.type).endswith("MultiArray") else commanded(draft.model, rows[0])
     quantity = one_quantity(entry, usual)
+    for row in rows:
+        control_of(draft.model, row, quantity)  # refused where there is none
     signal = signal_of(name, entry, (quantity,), logged, is_input=True)
     draft.driven.append(Drive(signal.key(quantity), _CTRL, list(own), delayed=True))
     draft.signals.append(signal)
@@ -40,6 +41,8 @@ def actuators(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
 
 def commanded(model: mujoco.MjModel, row: int) -> str:
     """What an actuator's control is: a servo's target or a motor's effort."""
+    if inputs := inputs_of(model, row):
+        return inputs[0]
     bias = model.actuator_biasprm[row]
     if int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE:
         return "position" if bias[1] else "velocity"

@@ -13,6 +13,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.system.cells import Cells
 from amhe_cli.system.delays import CommandDelays, DelayNumber
 from amhe_cli.system.inertia import (
     body_numbers,
@@ -21,7 +22,6 @@ from amhe_cli.system.inertia import (
     pseudo_inertia,
     upper_factor,
 )
-from amhe_cli.system.targets import Cells
 
 if TYPE_CHECKING:
     from amhe_cli.system.calibration import SignalCalibration
@@ -180,7 +180,7 @@ class ModelEdits:
         fixed: Mapping[str, float] | None = None,
         calibration: SignalCalibration | None = None,
     ) -> None:
-        self._calibration = calibration
+        self._model, self._calibration = model, calibration
         self.fixed = dict(fixed or {})
         self.space = space.without(self.fixed)
         self._all, self._delays = space, delays or CommandDelays()
@@ -282,6 +282,12 @@ class ModelEdits:
         for row in self._moments:
             inertia = arrays["body_inertia"][:, row]
             inertia[:] = np.minimum(inertia, inertia.sum(axis=-1, keepdims=True) - inertia)
+
+    def values(self, field: str, theta: FloatArray) -> FloatArray:
+        """An array of the model that parameters write into, under candidates theta (n, d), shape (n, ...)."""
+        arrays = {name: np.repeat(getattr(self._model, name)[None], len(theta), 0) for name in self.fields}
+        self.write(arrays, theta)
+        return arrays[field]
 
     def numbers(self, theta: FloatArray) -> FloatArray:
         """Numbers of the signals' calibration under candidates theta (n, d), shape (n, k)."""

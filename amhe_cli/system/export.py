@@ -116,9 +116,9 @@ def _write(spec: mujoco.MjSpec, model: mujoco.MjModel, field: str, row: int) -> 
         else:
             setattr(joint, attribute, value)
         return
-    elements = {"geom": spec.geoms, "pair": spec.pairs, "actuator": spec.actuators}[kind]
+    lists = {"geom": spec.geoms, "pair": spec.pairs, "actuator": spec.actuators, "tendon": spec.tendons}
     owner = int(np.flatnonzero(model.actuator_ctrladr == row)[0]) if attribute == "ctrlrange" else row
-    setattr(_with_id(elements, owner), attribute, getattr(model, field)[row])
+    setattr(_with_id(lists[kind], owner), attribute, getattr(model, field)[row])
 
 
 def _with_id(elements: Any, row: int) -> Any:

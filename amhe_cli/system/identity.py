@@ -13,9 +13,9 @@ import mujoco
 import numpy as np
 
 from amhe_cli.system.calibration import CalibrationNumber
+from amhe_cli.system.cells import Cells
 from amhe_cli.system.delays import DelayNumber
 from amhe_cli.system.edits import ModelEdits, PseudoInertiaEdit, ScalarEdit
-from amhe_cli.system.targets import Cells
 
 #: Part of a model -> the fields of MjModel that describe it, by prefix.
 _FIELDS = {
@@ -53,6 +53,7 @@ _KINDS = {
     "jnt": "joint",
     "dof": "joint",
     "actuator": "actuator",
+    "tendon": "tendon",
 }
 
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
 from amhe_cli.core.errors import one_of
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.signals import QUANTITIES
+from amhe_cli.core.units import FACTORS
 from amhe_cli.core.yaml_file import Place, at_place
 
 Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -26,6 +27,10 @@ KINDS = ("body", "joints", "actuators", "mocap", "force_on", "joint_force", "sit
 
 class _Entry(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+#: Quantities that a single `unit:` of a signal is for.
+_MOTION = ("position", "velocity", "linear_velocity", "angular_velocity", "value")
 
 
 class TargetEntry(_Entry):
@@ -85,6 +90,8 @@ class SignalEntry(_Entry):
     bias: dict[str, Number | list[Number]] = Field(default_factory=dict)
     band: Positive | None = None
     smooth: Positive | None = None
+    unit: Name | dict[str, Name] | None = None
+    wraps: bool = False
     active: list[tuple[Number, Number]] | Annotated[dict[Name, Number], Field(min_length=1)] | None = None
 
     @property
@@ -104,16 +111,28 @@ class SignalEntry(_Entry):
         if len(given) > 1:
             raise ValueError(f"a signal is one thing; keep one of: {', '.join(given)}")
         quantities = [self.quantity] if isinstance(self.quantity, str) else self.quantity or []
-        for name in (*self.noise, *self.fields, *self.columns, *self.slope, *quantities):
+        units = self.unit if isinstance(self.unit, dict) else {}
+        for name in (*self.noise, *self.fields, *self.columns, *self.slope, *units, *quantities):
             if name not in QUANTITIES:
                 raise ValueError(one_of("quantity", name, QUANTITIES))
         for name in self.slope:
             if not name.endswith("velocity"):
                 raise ValueError(f"{name} is no velocity, and has no slope of its own")
+        for name in [self.unit] if isinstance(self.unit, str) else (self.unit or {}).values():
+            if name not in FACTORS:
+                raise ValueError(one_of("unit", name, FACTORS))
+        if self.wraps and self.joints is None:
+            raise ValueError("wraps is for joints: their encoders jump by a turn")
         for name in self.compare or ():
             if self.noise.get(name) is None:
                 raise ValueError(f"{name} cannot be compared without its noise; add it to noise: {{...}}")
         return self
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """Quantity -> factor from the unit of the log's file to SI; one unit is for all that move."""
+        given = dict.fromkeys(_MOTION, self.unit) if isinstance(self.unit, str) else self.unit or {}
+        return {quantity: FACTORS[unit] for quantity, unit in given.items()}
 
     def compares(self, quantity: str) -> bool:
         """Whether rollouts are held against this quantity; noise alone bounds a first state's error too."""

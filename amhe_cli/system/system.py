@@ -324,7 +324,7 @@ class System(Displayed):
         """
         from amhe_cli.system.doubts import doubts_of
 
-        return list(doubts_of(self, log))
+        return [str(doubt) for doubt in doubts_of(self, log)]
 
     @property
     def senses(self) -> bool:

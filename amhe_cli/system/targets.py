@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from math import inf
@@ -10,8 +10,9 @@ from math import inf
 import mujoco
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.system import drive_cells
+from amhe_cli.system.cells import Cells, CellsOf
 from amhe_cli.system.inertia import principal_axis
 from amhe_cli.system.schema import TargetEntry
 
@@ -42,47 +43,20 @@ FRAME_AXES = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True)
-class Cells:
-    """Numbers of one MjModel array that take the same value, times a factor.
-
-    Args:
-        field: Name of the array.
-        row: Row in the array.
-        columns: Columns of that row; empty for arrays of one column, which have none.
-        factor: 1, or -1 where MuJoCo stores the negative (a servo's bias).
-    """
-
-    field: str
-    row: int
-    columns: tuple[int, ...] = ()
-    factor: float = 1.0
-
-    @property
-    def index(self) -> tuple[slice | int | list[int], ...]:
-        """Index of these numbers in an array (n, ...) of n candidates."""
-        return (slice(None), self.row, list(self.columns)) if self.columns else (slice(None), self.row)
-
-    def of(self, model: mujoco.MjModel) -> FloatArray:
-        """The model's own values, factor taken out."""
-        values = getattr(model, self.field)[self.index[1:]]
-        return np.atleast_1d(np.asarray(values, dtype=np.float64)) * self.factor
-
-
-@dataclass(frozen=True, slots=True)
 class Setter:
     """What one word `set:` means.
 
     Args:
         unit: SI unit of the value.
-        cells: Selector ('body', 'pair', ...) -> function from model, row and entry to cells; it raises
-            ConfigError where the number would have no effect.
+        cells: Selector ('body', 'pair', ...) -> the numbers of the element that it selects; none of what
+            calibrates a signal, whose numbers `CalibrationDraft` has.
         lower: Smallest value that is physically possible.
         positive: The value must be greater than `lower`.
         axes: Whether the target takes an axis, and which is the default; None: it takes none.
     """
 
     unit: str
-    cells: Mapping[str, Callable[[mujoco.MjModel, int, TargetEntry], list[Cells]]]
+    cells: Mapping[str, CellsOf]
     lower: float = 0.0
     positive: bool = False
     axes: str | None = None
@@ -140,7 +114,7 @@ def selector_of(entry: TargetEntry) -> str | None:
     kinds = ("body", "geom", "pair", "joint", "actuator")
     given = [kind for kind in kinds if getattr(entry, kind) is not None]
     given = ["signal"] if entry.signal is not None else given  # whose joint says which of its numbers
-    allowed = list(SETTERS[entry.set].cells) if entry.set in SETTERS else SPECIAL[entry.set]
+    allowed = list(SETTERS[entry.set].cells) or ["signal"] if entry.set in SETTERS else SPECIAL[entry.set]
     if entry.set == "command_delay" and not given:
         return None
     if len(given) != 1 or given[0] not in allowed:
@@ -230,84 +204,9 @@ def _joint(field: str, columns: tuple[int, ...] = ()) -> Mapping:
     return {"joint": cells}
 
 
-def _dc_motor(column: int) -> Mapping:
-    """Setters of a number of a DC motor, whose torque is K (u - K v) / R: R is column 0, K column 1."""
-
-    def cells(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-        if int(model.actuator_gaintype[row]) != mujoco.mjtGain.mjGAIN_DCMOTOR:
-            raise ConfigError(f"actuator {model.actuator(row).name!r} is no <dcmotor>")
-        return [Cells("actuator_gainprm", row, (column,))]
-
-    return {"actuator": cells}
-
-
-def _gain(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    """Gain of a motor or servo."""
-    name = model.actuator(row).name
-    if entry.carry_limit:
-        _force_limit(model, row, entry)  # refused where there is none
-    cells = gain_cells(model, row)
-    if not cells:
-        raise ConfigError(f"actuator {name!r} has no fixed gain: only motors and servos have one to set")
-    return cells
-
-
-def gain_cells(model: mujoco.MjModel, row: int) -> list[Cells]:
-    """Gain of an actuator; none where it is not fixed.
-
-    A servo's bias holds the same gain, negated, and must follow it.
-    """
-    if int(model.actuator_gaintype[row]) != mujoco.mjtGain.mjGAIN_FIXED:
-        return []
-    gain, bias = model.actuator_gainprm[row, 0], model.actuator_biasprm[row]
-    cells = [Cells("actuator_gainprm", row, (0,))]
-    if int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE and gain:
-        tied = next((column for column in (1, 2) if np.isclose(bias[column], -gain)), None)
-        cells += [Cells("actuator_biasprm", row, (tied,), -1.0)] if tied else []
-    return cells
-
-
-def _actuator_damping(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    name = model.actuator(row).name
-    if int(model.actuator_biastype[row]) != mujoco.mjtBias.mjBIAS_AFFINE:
-        raise ConfigError(
-            f"actuator {name!r} is a motor, which has no velocity term; set the joint's damping"
-        )
-    return [Cells("actuator_biasprm", row, (2,), -1.0)]
-
-
-def _of_signal(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    """Calibration is no number of the model: `CalibrationDraft.cells_of` has its numbers."""
-    raise NotImplementedError
-
-
-def range_cells(model: mujoco.MjModel, field: str, row: int) -> list[Cells]:
-    """Both ends of a range about zero, or its upper end alone where it begins at zero."""
-    lower = getattr(model, field)[row, 0]
-    return [Cells(field, row, (1,)), *([Cells(field, row, (0,), -1.0)] if lower else [])]
-
-
-def _force_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    if not model.actuator_forcelimited[row]:
-        raise ConfigError(
-            f"actuator {model.actuator(row).name!r} has no forcerange in the model; give it one"
-        )
-    return range_cells(model, "actuator_forcerange", row)
-
-
-def _joint_force_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    if not model.jnt_actfrclimited[row]:
-        raise ConfigError(
-            f"joint {model.joint(row).name!r} has no actuatorfrcrange in the model; give it one"
-        )
-    return range_cells(model, "jnt_actfrcrange", row)
-
-
-def _ctrl_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
-    ctrl = int(model.actuator_ctrladr[row])
-    if model.actuator_ctrlnum[row] != 1 or not model.actuator_ctrllimited[ctrl]:
-        raise ConfigError(f"actuator {model.actuator(row).name!r} has no ctrlrange in the model; give it one")
-    return range_cells(model, "actuator_ctrlrange", ctrl)
+def _motor(array: str, column: int, attribute: str) -> Mapping[str, CellsOf]:
+    """Setters of a number of a DC motor."""
+    return {"actuator": drive_cells.motor(f"actuator_{array}", column, attribute)}
 
 
 #: Words of `set:` that set plain numbers.
@@ -326,16 +225,27 @@ SETTERS: Mapping[str, Setter] = {
     "armature": Setter("kg m^2", _joint("dof_armature")),
     "friction_loss": Setter("N m", _joint("dof_frictionloss")),
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
-    "gain": Setter("-", {"actuator": _gain}, positive=True),
-    "actuator_damping": Setter("-", {"actuator": _actuator_damping}),
-    "motor_constant": Setter("N m/A", _dc_motor(1), positive=True),
-    "resistance": Setter("ohm", _dc_motor(0), positive=True),
-    "scale": Setter("-", {"signal": _of_signal}, positive=True),
-    "bias": Setter("-", {"signal": _of_signal}, lower=-inf),
-    "frame": Setter("-", {"signal": _of_signal}, lower=-inf),
-    "band": Setter("Hz", {"signal": _of_signal}, positive=True),
-    "force_limit": Setter("N m", {"actuator": _force_limit, "joint": _joint_force_limit}, positive=True),
-    "ctrl_limit": Setter("-", {"actuator": _ctrl_limit}, positive=True),
+    "backlash": Setter("rad", {"joint": drive_cells.backlash}, positive=True),
+    "gain": Setter("-", {"actuator": drive_cells.gain}, positive=True),
+    "actuator_damping": Setter("-", {"actuator": drive_cells.actuator_damping}),
+    "integral_gain": Setter("-", {"actuator": drive_cells.controller("integral_gain")}, positive=True),
+    "integral_limit": Setter("rad s", {"actuator": drive_cells.controller("integral_limit")}, positive=True),
+    "slew_limit": Setter("rad/s", {"actuator": drive_cells.controller("slew_limit")}, positive=True),
+    "motor_constant": Setter("N m/A", _motor("gainprm", 1, "motorconst"), positive=True),
+    "resistance": Setter("ohm", _motor("gainprm", 0, "resistance"), positive=True),
+    "bristle_stiffness": Setter("N m/rad", _motor("dynprm", 5, "lugre"), positive=True),
+    "bristle_damping": Setter("N m s/rad", _motor("dynprm", 6, "lugre"), positive=True),
+    "coulomb_friction": Setter("N m", _motor("biasprm", 3, "lugre"), positive=True),
+    "static_friction": Setter("N m", _motor("biasprm", 4, "lugre"), positive=True),
+    "stribeck_velocity": Setter("rad/s", _motor("biasprm", 5, "lugre"), positive=True),
+    "scale": Setter("-", {}, positive=True),
+    "bias": Setter("-", {}, lower=-inf),
+    "frame": Setter("-", {}, lower=-inf),
+    "band": Setter("Hz", {}, positive=True),
+    "force_limit": Setter(
+        "N m", {"actuator": drive_cells.force_limit, "joint": drive_cells.joint_force_limit}, positive=True
+    ),
+    "ctrl_limit": Setter("-", {"actuator": drive_cells.ctrl_limit}, positive=True),
 }
 #: Words that need more than plain numbers, with their selectors.
 SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": ["actuator"]}

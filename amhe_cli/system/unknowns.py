@@ -14,11 +14,12 @@ from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.yaml_file import Place
 from amhe_cli.system.calibrating import CalibrationDraft
 from amhe_cli.system.calibration import CalibrationNumber, SignalCalibration
+from amhe_cli.system.cells import Cells, range_cells
 from amhe_cli.system.delays import CommandDelays
 from amhe_cli.system.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.inertia import PSEUDO_NAMES
 from amhe_cli.system.schema import Description, ParameterEntry, SystemEntry, TargetEntry
-from amhe_cli.system.targets import SETTERS, Cells, cells_of, range_cells, rows_of, selector_of
+from amhe_cli.system.targets import SETTERS, cells_of, rows_of, selector_of
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
 LOG_PRIOR_SD = 0.5
@@ -29,7 +30,7 @@ PSEUDO_BOUNDS, PSEUDO_PRIOR_SD = (-1.0, 1.0), 0.25
 #: Targets that need the general form of a body's equations of motion (MuJoCo's simple="false").
 _GENERAL = ("center_of_mass", "pseudo_inertia")
 #: Mass and gain first, because the inertia and the limit that they carry along may be set afterwards.
-_ORDER = {"mass": 0, "pseudo_inertia": 0, "gain": 0}
+_ORDER = {"mass": 0, "pseudo_inertia": 0, "gain": 0, "motor_constant": 0}
 
 
 def generalise(spec: mujoco.MjSpec, entry: SystemEntry) -> None:
@@ -138,9 +139,9 @@ def _carried(
     """Numbers that scale with those that a target sets."""
     if target.set == "mass" and target.carry_inertia:
         return {c: (Cells("body_inertia", c.row, (0, 1, 2)),) for c in cells}
-    if target.set == "gain" and target.carry_limit:
-        gains = [c for c in cells if c.field == "actuator_gainprm"]
-        return {c: tuple(range_cells(model, "actuator_forcerange", c.row)) for c in gains}
+    if target.carry_limit:  # a servo has its gain twice
+        gains = {c.row: c for c in reversed(cells)}
+        return {c: tuple(range_cells(model, "actuator_forcerange", row)) for row, c in gains.items()}
     return {}
 
 
@@ -263,6 +264,8 @@ def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str
         return "s"
     unit = SETTERS[target.set].unit
     slides = {
+        "rad": "m",
+        "rad/s": "m/s",
         "N m s^2/rad^2": "N s^2/m^2",
         "N m s^3/rad^3": "N s^3/m^3",
         "N m s/rad": "N s/m",
@@ -281,6 +284,8 @@ def _joint_of(cells: Cells, model: mujoco.MjModel) -> int | None:
         return cells.row
     if cells.field.startswith("dof_"):
         return int(model.dof_jntid[cells.row])
+    if cells.field == "tendon_range":
+        return int(model.wrap_objid[model.tendon_adr[cells.row]])
     driven = cells.field == "actuator_forcerange" and model.actuator_trntype[cells.row] in (
         mujoco.mjtTrn.mjTRN_JOINT,
         mujoco.mjtTrn.mjTRN_JOINTINPARENT,

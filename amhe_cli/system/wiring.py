@@ -20,9 +20,18 @@ from amhe_cli.core.signals import QUANTITIES, Signal
 from amhe_cli.system.calibrating import CalibrationDraft
 from amhe_cli.system.coupled import couplings
 from amhe_cli.system.delays import CommandDelays
+from amhe_cli.system.gaps import gaps
 from amhe_cli.system.schema import SignalEntry
 from amhe_cli.system.system import Channel, Input
 from amhe_cli.system.targets import id_of
+
+#: Actuators whose controls have quantities, and the bit of `actuator_ctrlspec` of each.
+_CONTROLLERS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
+_INPUTS = {
+    mujoco.mjtCtrlInput.mjINPUT_POS: "position",
+    mujoco.mjtCtrlInput.mjINPUT_VEL: "velocity",
+    mujoco.mjtCtrlInput.mjINPUT_FF: "effort",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +86,9 @@ class WiringDraft:
             # parts of the state stand in the order of their bits
             first = mujoco.mj_stateSize(model, spec & (int(drive.bit) - 1))
             columns = [
-                int(model.actuator_ctrladr[id_of(model, "actuator", part)]) if isinstance(part, str) else part
+                control_of(model, id_of(model, "actuator", part), split_key(drive.key)[1])
+                if isinstance(part, str)
+                else part
                 for part in drive.parts
             ]
             at = tuple(first + column for column in columns)
@@ -100,13 +111,16 @@ class WiringDraft:
         """What can be delayed: the inputs that command actuators."""
         inputs = zip(self.driven, wiring.inputs, strict=True)
         late = [(drive.parts, one.columns) for drive, one in inputs if drive.delayed]
-        commands = {str(part): at for parts, columns in late for part, at in zip(parts, columns, strict=True)}
+        commands: dict[str, tuple[int, ...]] = {}  # an actuator may have several controls
+        for part, at in (pair for parts, columns in late for pair in zip(parts, columns, strict=True)):
+            commands[str(part)] = (*commands.get(str(part), ()), at)
         width = mujoco.mj_stateSize(model, wiring.input_spec) if commands else 1
         return CommandDelays(commands, width)
 
     def unset_joints(self) -> list[str]:
-        """Joints whose state no signal gives, neither directly nor by a joint that they follow."""
+        """Joints whose state no signal gives, neither directly nor by a joint beside them."""
         led = {c.follower for c in couplings(self.model) if c.leader in self.joints_set}
+        led |= {own for gap in gaps(self.model) for own, other in gap.ends if other in self.joints_set}
         return [
             self.model.joint(row).name or f"number {row}"
             for row in range(self.model.njnt)
@@ -120,6 +134,34 @@ class WiringDraft:
         if all(site.name != name for site in self.spec.sites):
             self.spec.body(body).add_site(name=name, quat=rotations.of_rpy(turn))
         return name
+
+
+def control_of(model: mujoco.MjModel, row: int, quantity: str) -> int:
+    """Address of an actuator's control; where it has several, as a <pid> has, of the one for a quantity.
+
+    The numbers of an array, of the quantity `value`, are for the first.
+
+    Raises:
+        ConfigError: It has several, and none for this quantity.
+    """
+    first = int(model.actuator_ctrladr[row])
+    if model.actuator_ctrlnum[row] == 1:
+        return first
+    inputs, name = inputs_of(model, row), model.actuator(row).name
+    if not inputs:
+        raise ConfigError(f"actuator {name!r} takes several controls, not one")
+    if quantity == "value":
+        return first
+    if quantity not in inputs:
+        raise ConfigError(one_of(f"quantity that actuator {name!r} takes", quantity, inputs))
+    return first + inputs.index(quantity)
+
+
+def inputs_of(model: mujoco.MjModel, row: int) -> list[str]:
+    """Quantities that a <pid>, or the controller of a <dcmotor>, takes, in the order of its controls."""
+    if int(model.actuator_gaintype[row]) not in _CONTROLLERS:
+        return []
+    return [quantity for bit, quantity in _INPUTS.items() if int(model.actuator_ctrlspec[row]) & int(bit)]
 
 
 def split_key(key: str) -> tuple[str, str]:
@@ -149,6 +191,8 @@ def signal_of(
         columns=columns,
         is_input=is_input,
         offset=entry.offset,
+        factors=entry.factors,
+        wraps=entry.wraps,
         smooth=entry.smooth or 0.0,
         active=tuple(entry.active) if isinstance(entry.active, list) else (),
         switch=next(iter((f"{key}.value", value) for key, value in entry.active.items()))

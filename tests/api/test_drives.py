@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.system.gaps import add_gaps
 
 DT = 0.004
 CHEAP = {
@@ -39,17 +40,23 @@ def arm(servo: str = '<position name="{0}" joint="{0}" kp="8" kv="0.3"/>', joint
 
 
 def played(
-    model: mujoco.MjModel, size: float, late: Sequence[int] = (0, 0), seconds: float = 6.0
+    model: mujoco.MjModel,
+    size: float,
+    late: Sequence[int] = (0, 0),
+    seconds: float = 6.0,
+    seen: Sequence[str] = ("shoulder", "elbow"),
+    seed: int = 0,
 ) -> dict[str, Any]:
     """A log of a model under steps of its two commands, which act some steps late."""
-    rng, data = np.random.default_rng(0), mujoco.MjData(model)
+    rng, data = np.random.default_rng(seed), mujoco.MjData(model)
     steps = round(seconds / DT)
     commands = np.repeat(rng.uniform(-size, size, (steps // 50 + 1, 2)), 50, axis=0)[:steps]
-    angles = np.empty((steps, 2))
+    commands[:25] = 0.0  # as every robot, it begins at rest
+    angles, read = np.empty((steps, 2)), [model.joint(name).qposadr[0] for name in seen]
     for step in range(steps):
-        angles[step] = data.qpos
+        angles[step] = data.qpos[read]
         for joint in (0, 1):
-            data.ctrl[joint] = commands[max(0, step - late[joint]), joint]
+            data.ctrl[model.actuator_ctrladr[joint]] = commands[max(0, step - late[joint]), joint]
         mujoco.mj_step(model, data)
     time = DT * np.arange(steps)
     return {
@@ -58,16 +65,24 @@ def played(
     }
 
 
-def found(model: str, parameters: dict[str, Any], log: dict[str, Any]) -> amhe.Result:
-    """The result of identifying parameters from a log of the arm."""
+def found(
+    model: str | mujoco.MjSpec,
+    parameters: dict[str, Any],
+    *logs: dict[str, Any],
+    joints: Sequence[str] = ("shoulder", "elbow"),
+    **settings: Any,
+) -> amhe.Result:
+    """The result of identifying parameters from a log of the arm; of several, the first validates."""
     signals = {
-        "joints": {"joints": ["shoulder", "elbow"], "noise": {"position": NOISE}},
+        "joints": {"joints": [*joints], "noise": {"position": NOISE}},
         "command": {"actuators": ["shoulder", "elbow"], "quantity": "value"},
     }
+    spec = mujoco.MjSpec.from_string(model) if isinstance(model, str) else model
     system = amhe.System.from_model(
-        mujoco.MjSpec.from_string(model), parameters=parameters, signals=signals, settings=CHEAP, name="arm"
+        spec, parameters=parameters, signals=signals, settings={**CHEAP, **settings}, name="arm"
     )
-    return amhe.identify(system, amhe.Log.from_arrays(log, system), threads=1)
+    first, *more = [amhe.Log.from_arrays(log, system) for log in logs]
+    return amhe.identify(system, more or first, held_out=first if more else None, threads=1)
 
 
 def close(result: amhe.Result, **truth: float) -> None:
@@ -117,9 +132,76 @@ def test_the_constants_of_a_dc_motor_are_found_from_its_voltage() -> None:
     close(result, constant=0.5, resistance=2.0)
 
 
+LUGRE = '<dcmotor name="{0}" joint="{0}" motorconst="0.5" resistance="2" lugre="%g 1 %g %g %g"/>'
+PID = '<pid name="{0}" joint="{0}" kp="8" kv="0.3" %s/>'
+
+
+def from_whole_logs(truth: str, start: str, size: float, **words: float) -> amhe.Result:
+    """The result of logs that are one clip each: they begin with the states that no log has."""
+    model, words_ = mujoco.MjModel.from_xml_string(truth), words.items()
+    unknowns = {word: unknown(own, actuator="*", set=word) for word, own in words_}
+    logs = [played(model, size, seconds=1.5, seed=seed) for seed in range(7)]
+    return found(start, unknowns, *logs, clips={"length": [9.0, 9.0]})
+
+
+def test_the_stiction_of_a_dc_motor_is_found() -> None:
+    """Friction falls from its static to its Coulomb value as the joint gets faster."""
+    words = ("bristle_stiffness", "coulomb_friction", "static_friction", "stribeck_velocity")
+    truth, start = (10.0, 0.15, 0.3, 0.2), (15.0, 0.1, 0.2, 0.3)
+    result = from_whole_logs(
+        arm(LUGRE % truth), arm(LUGRE % start), 4.0, **dict(zip(words, start, strict=True))
+    )
+    close(result, **dict(zip(words, truth, strict=True)))
+
+
+def test_the_limit_of_a_dc_motors_current_is_found() -> None:
+    """MuJoCo keeps it as the torque K i."""
+    motor = '<dcmotor name="{0}" joint="{0}" motorconst="0.5" resistance="2" saturation="0 %g"/>'
+    log = played(mujoco.MjModel.from_xml_string(arm(motor % 1.2)), 6.0)
+    target = {"limit": unknown(0.5 * 2.0, actuator="*", set="force_limit")}
+    close(found(arm(motor % 2.0), target, log), limit=0.5 * 1.2)
+
+
+def test_the_limited_slew_of_a_pid_is_found() -> None:
+    result = from_whole_logs(arm(PID % 'slewmax="3"'), arm(PID % 'slewmax="4"'), 0.8, slew_limit=4.0)
+    close(result, slew_limit=3.0)
+
+
+def test_the_terms_of_a_pid_are_found_where_the_log_begins_with_its_integral() -> None:
+    result = from_whole_logs(
+        arm(PID % 'ki="20" imax="0.06"'),
+        arm((PID % 'ki="30" imax="0.09"').replace('"8"', '"10"').replace('"0.3"', '"0.2"')),
+        0.8,
+        gain=10.0,
+        actuator_damping=0.2,
+        integral_gain=30.0,
+        integral_limit=0.09,
+    )
+    close(result, gain=8.0, actuator_damping=0.3, integral_gain=20.0, integral_limit=0.06)
+
+
 def test_a_torque_constant_is_the_gain_of_a_motor_whose_commands_are_currents() -> None:
     motor = '<motor name="{0}" joint="{0}" gear="%g"/>'
     log = played(mujoco.MjModel.from_xml_string(arm(motor % 0.8)), 2.0)
     target = {"actuator": "*", "set": "gain"}
     result = found(arm(motor % 1.0), {"constant": {"unit": "N m/A", "targets": [target]}}, log)
     close(result, constant=0.8)
+
+
+@pytest.mark.parametrize("side", ["shoulder", "shoulder_drive"])
+def test_a_backlash_is_found_from_an_encoder_on_either_side_of_the_gap(side: str) -> None:
+    def spec(width: float) -> mujoco.MjSpec:
+        own = mujoco.MjSpec.from_string(arm(joint='frictionloss="0.1"'))
+        add_gaps(own, {"shoulder": width})
+        return own
+
+    model = spec(0.03).compile()
+    log = played(model, 0.8, seen=[side, "elbow"])
+    result = found(
+        spec(0.01),
+        {"gap": {"nominal": 0.01, "prior_sd": 1.0, "targets": [{"joint": "shoulder", "set": "backlash"}]}},
+        log,
+        joints=[side, "elbow"],
+    )
+    close(result, gap=0.03)
+    assert np.ptp(result.model().tendon_range[0]) == pytest.approx(result.parameters["gap"].estimate)

@@ -19,8 +19,8 @@ from amhe_cli.core.parameters import Parameter
 from amhe_cli.engine import cpu
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Starts, Wanted
+from amhe_cli.system.cells import Cells
 from amhe_cli.system.system import System
-from amhe_cli.system.targets import Cells
 from tests.conftest import MODELS
 
 #: How every engine is opened; `spread` gives it two worker processes, `warp` is that of graphics cards on

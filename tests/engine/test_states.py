@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.engine.rollout import Starts
-from amhe_cli.engine.states import integrated
+from amhe_cli.engine.states import first_activations, integrated
 from amhe_cli.system.system import System
 
 
@@ -34,3 +34,18 @@ def test_commands_beyond_the_history_hold_its_ends() -> None:
     late, early = starts.inputs_under(np.array([[1.5], [-1.0]]))[..., 0]
     np.testing.assert_allclose(late, [1.0, 1.0, 1.5, 2.5])
     np.testing.assert_allclose(early, [2.0, 3.0, 4.0, 4.0])
+
+
+def test_filters_and_slews_start_at_their_command_and_what_else_has_a_state_at_zero() -> None:
+    model = mujoco.MjModel.from_xml_string(
+        """<mujoco><worldbody><body><joint name="j" axis="0 1 0" range="-1 1"/><geom size="0.1"/></body>
+        </worldbody><actuator>
+          <position joint="j" kp="1" timeconst="0.1" ctrlrange="-0.5 0.5"/>
+          <intvelocity joint="j" kp="1" gear="2" actrange="-1 1"/>
+          <pid joint="j" kp="1" ki="1" slewmax="1"/>
+          <dcmotor joint="j" motorconst="0.5" resistance="2" lugre="10 1 0.1 0.2 0.3"/>
+        </actuator></mujoco>"""
+    )
+    controls = np.array([[0.7, 0.1, 0.2, 0.3, 0.4], [0.0, 0.0, 0.0, 0.0, 0.0]])
+    found = first_activations(model, np.array([[0.3], [0.0]]), controls)
+    np.testing.assert_allclose(found, [[0.5, 0.6, 0.2, 0.0, 0.0], [0.0] * 5])

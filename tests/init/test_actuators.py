@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -28,13 +29,20 @@ def robot(free: str = "", right: float = 0.2) -> str:
     return f"<mujoco><worldbody>{trunk}</body></worldbody><actuator>{servos}</actuator></mujoco>"
 
 
-def made(folder: Path, model: str, group: bool = False) -> tuple[System, list[str]]:
+def made(
+    folder: Path, model: str, group: bool = False, backlash: Sequence[str] = ()
+) -> tuple[System, list[str]]:
     (folder / "robot.xml").write_text(model)
     names = [f"{kind}_{joint}" for kind in ("position", "command_position") for joint in JOINTS]
     rows = [",".join(["time", *names]), *(",".join([f"{0.01 * i:g}", *["0.1"] * 8]) for i in range(50))]
     (folder / "log.csv").write_text("\n".join(rows) + "\n")
     notes = init_system(
-        folder / "robot.xml", [folder / "log.csv"], folder / "out", actuators=True, group=group
+        folder / "robot.xml",
+        [folder / "log.csv"],
+        folder / "out",
+        actuators=True,
+        group=group,
+        backlash=backlash,
     )
     return System.load(folder / "out"), notes
 
@@ -77,3 +85,17 @@ def test_a_base_that_floats_is_warned_of(tmp_path: Path) -> None:
 def test_a_group_without_its_drives_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="`group` is for the drives of `actuators`"):
         init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", group=True)
+
+
+def test_chosen_joints_get_a_gap_of_unknown_width(tmp_path: Path) -> None:
+    system, notes = made(tmp_path, robot(), backlash=["*_knee"])
+    assert {"left_knee_backlash", "right_knee_backlash"} <= set(system.space.names)
+    assert "left_hip_backlash" not in system.space.names
+    assert system.sets["left_knee_armature"] == "dof_armature of left_knee_drive"
+    assert system.sets["left_hip_armature"] == "dof_armature of left_hip"
+    assert any("write joints: {left_knee_drive: left_knee}" in note for note in notes)
+
+
+def test_a_gap_of_a_joint_that_is_not_driven_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="`backlash`: no joint that is measured and driven 'tail'"):
+        made(tmp_path, robot(), backlash=["tail"])

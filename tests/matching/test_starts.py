@@ -93,4 +93,4 @@ def test_a_joint_that_follows_another_starts_where_that_one_demands_it() -> None
 
 class _WithThree:
     nv = 3
-    eq_type = eq_active0 = eq_obj2id = np.empty(0)
+    eq_type = eq_active0 = eq_obj2id = tendon_limited = np.empty(0)

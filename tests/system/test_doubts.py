@@ -75,7 +75,12 @@ def test_what_is_right_is_not_doubted(
 @pytest.mark.parametrize(
     ("signal", "quantity", "factor", "text"),
     [
-        ("joints", "position", 180.0 / np.pi, "'joints': the position looks like degrees (shoulder, elbow)"),
+        (
+            "joints",
+            "position",
+            180.0 / np.pi,
+            "'joints': the position looks like degrees (shoulder, elbow); unit",
+        ),
         ("joints", "velocity", 180.0 / np.pi, "'joints': the velocity looks like degrees per second (should"),
         ("joints", "velocity", 30.0 / np.pi, "'joints': the velocity looks like rpm (shoulder, elbow)"),
         ("command", "position", 180.0 / np.pi, "'command': the command looks like degrees (shoulder, elbow)"),
@@ -103,7 +108,7 @@ def test_an_encoder_that_wraps(arm: amhe.System, caplog: pytest.LogCaptureFixtur
     assert angle.min() < np.pi < angle.max()
     arrays["joints"]["position"][:, 1] = np.mod(angle + np.pi, 2.0 * np.pi) - np.pi
     text = said(arrays, arm, caplog)
-    assert "'joints': position jumps by a turn: the encoder wraps; unwrap the log (elbow)" in text
+    assert "'joints': position jumps by a turn: the encoder wraps (elbow); wraps: true in system.yaml" in text
 
 
 def test_milliseconds(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
@@ -114,7 +119,7 @@ def test_milliseconds(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> Non
         amhe.Log.from_arrays(arrays, arm)
     for signal in arrays.values():
         signal["time"] = 0.1 * signal["time"]
-    assert "'joints' has a sample every 1 s: its times look like milliseconds" in said(arrays, arm, caplog)
+    assert "'joints': a sample every 1 s: its times look like milliseconds" in said(arrays, arm, caplog)
 
 
 def test_another_order_of_the_joints(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:

@@ -12,6 +12,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import YamlFile, scalar
 from amhe_cli.system.folders import bundled_root, find_system
 from amhe_cli.system.system import System
+from amhe_cli.system.targets import WORDS
 from tests.conftest import MODELS
 
 Write = Callable[..., Path]
@@ -64,11 +65,8 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
         "3:1: no key 'colour'; there is: boxes, keyframe, model, parameters, robot, settings, signals",
         "6:14: nominal is '0.5'; a number (without quotes) would be valid",
         "12:9: no body 'boxx' (did you mean 'box'?); there is: arm, ball, box, hand, marker, table, world",
-        "13:9: no target 'sliding_frction' (did you mean 'sliding_friction'?); there is: actuator_damping, "
-        "armature, band, bias, center_of_mass, command_delay, contact_damping_ratio, "
-        "contact_time_constant, ctrl_limit, damping, damping_cubic, damping_quadratic, force_limit, frame, "
-        "friction_loss, gain, inertia, mass, motor_constant, pseudo_inertia, resistance, rolling_friction, "
-        "scale, sliding_friction, stiffness, torsional_friction",
+        "13:9: no target 'sliding_frction' (did you mean 'sliding_friction'?); there is: "
+        + ", ".join(sorted(WORDS)),
         "15:12: scale is 'logg'; 'log' or 'linear' would be valid",
         "16:42: no key 'mod' (did you mean 'mode'?); there is: actuator, axis, body, carry_inertia, "
         "carry_limit, geom, joint, mode, pair, quantity, set, signal",

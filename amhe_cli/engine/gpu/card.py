@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import mujoco
 import mujoco_warp as mjw
+import numpy as np
 import warp as wp
 
 from amhe_cli.core.errors import ConfigError, SimulationError
 from amhe_cli.engine.gpu.worlds import Blueprint, Job, Room, Worlds, bytes_per_world
 from amhe_cli.engine.rollout import Predicted
+from amhe_cli.engine.states import first_activations
 
 #: Share of the memory of a card that one set of worlds and its records may take.
 MEMORY_SHARE = 0.25
@@ -100,3 +102,6 @@ def check_supported(blueprint: Blueprint, device: str) -> None:
             mjw.put_model(blueprint.nominal)
     except (NotImplementedError, ValueError) as error:
         raise ConfigError(f"mujoco-warp cannot simulate this model: {error}; take the engine 'cpu'") from None
+    model = blueprint.nominal
+    if first_activations(model, np.ones((1, model.nq)), np.ones((1, model.nu))).any():
+        raise ConfigError("filters and slews of actuators start at rest on a card; take the engine 'cpu'")

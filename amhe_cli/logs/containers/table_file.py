@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
+from amhe_cli.core.units import FACTORS
 from amhe_cli.logs.containers.raw import Batch, Connection
 from amhe_cli.logs.containers.text_dialect import Column
 
@@ -29,13 +30,6 @@ START = "start_ns"
 _TIMES = ("time", "t", "timestamp", "stamp", "datetime", "date", "ts", "clock", "sec", "secs", "seconds")
 #: Unit of a time column -> nanoseconds.
 _NANOSECONDS = {"s": 1e9, "sec": 1e9, "seconds": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "ns": 1.0}
-#: Unit of any other column -> factor to SI, in any case of letters; others are taken as SI.
-_FACTORS: Mapping[str, float] = {
-    "deg": np.pi / 180.0, "degree": np.pi / 180.0, "degrees": np.pi / 180.0, "°": np.pi / 180.0,
-    "deg/s": np.pi / 180.0, "deg/sec": np.pi / 180.0, "degrees/s": np.pi / 180.0, "dps": np.pi / 180.0,
-    "°/s": np.pi / 180.0, "rpm": np.pi / 30.0, "mrad": 1e-3, "mm": 1e-3, "cm": 1e-2, "mm/s": 1e-3,
-    "mNm": 1e-3, "Ncm": 1e-2, "mA": 1e-3,
-}  # fmt: skip
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<]\s*([^\d\])}>][^\])}>]*?)\s*[\])}>]$")
 _SUFFIX = re.compile(r"^(.+)_(deg|ms|us|ns|rpm|mm)$", re.IGNORECASE)
 
@@ -150,7 +144,7 @@ def _clock(path: Path, columns: Sequence[Column], rows: FloatArray) -> tuple[int
 
 
 def _factor(unit: str) -> float:
-    return _FACTORS.get(unit, _FACTORS.get(unit.lower(), 1.0))
+    return FACTORS.get(unit, FACTORS.get(unit.lower(), 1.0))
 
 
 def clock_of(columns: Sequence[Column]) -> int | None:

@@ -1,0 +1,169 @@
+"""Backlash: a drive and the link that it moves, joints of their own with a free gap between them.
+
+The drive is a rotor on the link's parent, with a joint on the axis of the link's. A tendon whose length is
+the drive's position less the link's holds the two within half the gap of each other; nothing else does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.system.model_file import compiled
+
+#: Mass [kg] and inertia [kg m^2] of a rotor, which MuJoCo demands; the armature is its real inertia.
+_ROTOR = 1e-6
+#: Inertia of a drive that has no armature, as a share of the link's.
+_ARMATURE = 0.1
+#: Stops of a gap are as hard as the time step allows: a time constant in steps, and the impedance.
+_STOP_STEPS, _STOP_IMPEDANCE = 2.0, (0.99, 0.999, 0.001, 0.5, 2.0)
+#: A load [N m or N] below this leaves the drive in the middle of the gap.
+_NO_LOAD = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A gap between two hinge or slide joints: rows of the drive's joint, the link's, and their tendon."""
+
+    drive: int
+    link: int
+    tendon: int
+
+    @property
+    def ends(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """Each of the two joints with the other one."""
+        return (self.drive, self.link), (self.link, self.drive)
+
+
+def gaps(model: mujoco.MjModel) -> list[Gap]:
+    """Gaps of a model: limited tendons whose length is one joint's position less another's."""
+    found = []
+    for tendon in np.flatnonzero(model.tendon_limited):
+        first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
+        wraps = slice(first, first + count)
+        fixed = (model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)).all()
+        if fixed and list(model.wrap_prm[wraps]) in ([1.0, -1.0], [-1.0, 1.0]):
+            drive, link = model.wrap_objid[wraps][np.argsort(-model.wrap_prm[wraps])]
+            found.append(Gap(int(drive), int(link), int(tendon)))
+    return found
+
+
+def add_gaps(spec: mujoco.MjSpec, widths: Mapping[str, float]) -> dict[str, str]:
+    """Put gaps between joints and their actuators; armature, friction and damping go with the actuators.
+
+    Args:
+        spec: The model's source, which is changed.
+        widths: Hinge or slide joint -> free motion between the stops of its gap [rad or m].
+
+    Returns:
+        Joint -> the joint of its drive.
+
+    Raises:
+        ConfigError: A joint shares its body with others: its drive would have no place.
+    """
+    model = compiled(spec)
+    keys = [(key, np.array(key.qpos), np.array(key.qvel)) for key in spec.keys]
+    drives = {joint: _add_gap(spec, model, joint, width) for joint, width in widths.items()}
+    for key, _, _ in keys:
+        key.qpos, key.qvel = [], []
+    wide = compiled(spec) if keys else model
+    links = {drive: model.joint(joint).id for joint, drive in drives.items()}
+    old = iter(range(model.njnt))  # the model's own joints keep their order
+    names = [wide.joint(row).name for row in range(wide.njnt)]
+    rows = [links[name] if name in links else next(old) for name in names] if keys else []
+    for key, qpos, qvel in keys:
+        for own, values, starts in (("qpos", qpos, "jnt_qposadr"), ("qvel", qvel, "jnt_dofadr")):
+            parts = np.split(values, getattr(model, starts)[1:]) if values.size else []
+            setattr(key, own, np.concatenate([parts[row] for row in rows]) if parts else [])
+    return drives
+
+
+def _add_gap(spec: mujoco.MjSpec, model: mujoco.MjModel, joint: str, width: float) -> str:
+    """Put one gap; `model` is the source as it was before. The name of the drive's joint."""
+    link, row = spec.joint(joint), model.joint(joint).id
+    body, drive = link.parent, f"{joint}_drive"
+    if len(body.joints) > 1:
+        others = ", ".join(one.name or "unnamed" for one in body.joints if one.name != joint)
+        raise ConfigError(
+            f"joint {joint!r} shares its body with {others}: give each a body of its own for a backlash"
+        )
+    at, dof = int(model.jnt_bodyid[row]), int(model.jnt_dofadr[row])
+    rotor = body.parent.add_body(name=drive, pos=model.body_pos[at], quat=model.body_quat[at])
+    rotor.explicitinertial, rotor.ipos = True, np.zeros(3)
+    rotor.mass, rotor.inertia = _ROTOR, [_ROTOR] * 3
+    rotor.add_joint(
+        name=drive,
+        type=link.type,
+        axis=model.jnt_axis[row],
+        pos=model.jnt_pos[row],
+        ref=link.ref,
+        springref=link.ref,
+        limited=mujoco.mjtLimited.mjLIMITED_FALSE,
+        damping=[model.dof_damping[dof], *model.dof_dampingpoly[dof]],
+        frictionloss=model.dof_frictionloss[dof],
+        armature=model.dof_armature[dof] or _ARMATURE * model.dof_M0[dof],
+    )
+    link.damping, link.frictionloss, link.armature = np.zeros_like(link.damping), 0.0, 0.0
+    tendon = spec.add_tendon(name=f"{joint}_backlash", limited=mujoco.mjtLimited.mjLIMITED_TRUE)
+    tendon.range = [-0.5 * width, 0.5 * width]
+    tendon.solref_limit = [_STOP_STEPS * model.opt.timestep, 1.0]
+    tendon.solimp_limit = _STOP_IMPEDANCE
+    tendon.wrap_joint(drive, 1.0)
+    tendon.wrap_joint(joint, -1.0)
+    at_joint = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+    for actuator in spec.actuators:
+        if actuator.target == joint and actuator.trntype in at_joint:
+            actuator.target = drive
+            if actuator.inheritrange:  # from the joint, whose range the drive does not have
+                actuator.ctrlrange = model.actuator_ctrlrange[model.actuator_ctrladr[actuator.id]]
+                actuator.inheritrange = 0.0
+    return drive
+
+
+def loose_ends(
+    model: mujoco.MjModel, among: Sequence[Gap], measured: Collection[int]
+) -> list[tuple[Gap, int, int]]:
+    """Gaps of which one joint is measured and one is not: the gap, that joint's row, the measured one's.
+
+    Args:
+        model: The model.
+        among: Gaps of the model.
+        measured: Columns of qpos that are measured.
+    """
+    return [
+        (gap, own, other)
+        for gap in among
+        for own, other in gap.ends
+        if model.jnt_qposadr[other] in measured and model.jnt_qposadr[own] not in measured
+    ]
+
+
+def set_gaps(model: mujoco.MjModel, qpos: FloatArray, qvel: FloatArray, measured: Collection[int]) -> None:
+    """Put what a gap leaves unmeasured beside its partner, at the stop that carries the load, in place.
+
+    Args:
+        model: The model.
+        qpos, qvel: Positions (c, nq) and velocities (c, nv) of c states.
+        measured: Columns of qpos that were measured.
+    """
+    loose = loose_ends(model, gaps(model), measured)
+    if not loose:
+        return
+    data = mujoco.MjData(model)
+    for _, own, other in loose:
+        qpos[:, model.jnt_qposadr[own]] = qpos[:, model.jnt_qposadr[other]]
+        qvel[:, model.jnt_dofadr[own]] = qvel[:, model.jnt_dofadr[other]]
+    for state, rates in zip(qpos, qvel, strict=True):
+        data.qpos[:], data.qvel[:] = state, rates
+        mujoco.mj_fwdPosition(model, data)
+        mujoco.mj_fwdVelocity(model, data)
+        load = data.qfrc_bias - data.qfrc_passive
+        for gap, own, _ in loose:
+            torque = load[model.jnt_dofadr[gap.link]]
+            ahead = 0.5 * np.ptp(model.tendon_range[gap.tendon]) * np.sign(torque) * (abs(torque) > _NO_LOAD)
+            state[model.jnt_qposadr[own]] += ahead if own == gap.drive else -ahead
