@@ -124,13 +124,19 @@ def _fill(
     if times.size == 0:
         return np.zeros((grid.size, values.shape[1])), np.zeros(grid.size, dtype=bool)
     slack = _slack(grid)
+    first = int(np.searchsorted(times, grid[0] - slack)) if grid.size else 0
+    own = slice(first, first + grid.size)
+    if times[own].size == grid.size and (np.abs(times[own] - grid) <= slack).all():
+        return np.array(values[own]), np.ones(
+            grid.size, dtype=bool
+        )  # recorded at each of the clock's instants
     before = np.searchsorted(times, grid + slack, side="right") - 1
     left, right = np.clip(before, 0, None), np.clip(before + 1, None, times.size - 1)
     since, until = grid - times[left], times[right] - grid
     if hold:
         return values[left], (before >= 0) & (since <= bridge)
     exact = (np.abs(since) <= slack) | (np.abs(until) <= slack)
-    if exact.all():  # recorded at the clock's own instants: nothing to interpolate
+    if exact.all():  # recorded at the clock's own instants and between them: nothing to interpolate
         return values[np.where(np.abs(since) <= slack, left, right)], exact
     inside = (before >= 0) & (before + 1 < times.size) & (times[right] - times[left] <= bridge)
     span = np.where(right > left, times[right] - times[left], 1.0)

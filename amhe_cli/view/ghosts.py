@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import mujoco
 import numpy as np
 
 from amhe_cli.core import rotations
@@ -267,20 +268,28 @@ def takes_of(
     system, dt = measured.scene.system, measured.log.dt
     cost = MatchingCost(system, [window for window, _ in windows], engine, system.settings.cost)
     rolled = [next(cost.rolled_out(one, None)) for one in z]  # one log: its clips are rolled out together
+    best = system.edits.apply(system.model, rolled[-1].theta) if collides(system.model) else None
     costs = np.concatenate([cost.clip_costs(cost.residuals_of(one)) for one in rolled])
     for i, (window, held_out) in enumerate(windows):
         rows = np.arange(0, window.length + 1, min(_stride(rate, dt), window.length))
         own = measured.at(window.start + rows)
-        starts, last = cost.clips.starts, len(rolled) - 1
-        ghosts = tuple(_ghost(measured, starts, one, i, rows, own, k == last) for k, one in enumerate(rolled))
+        starts, forces = cost.clips.starts, [None] * (len(rolled) - 1) + [best]
+        pairs = zip(rolled, forces, strict=True)
+        ghosts = tuple(_ghost(measured, starts, one, i, rows, own, under) for one, under in pairs)
         start, stop = window.start * dt, window.stop * dt
         yield Take(recording, start, stop, held_out, tuple(map(float, costs[:, i])), own, ghosts)
 
 
 def _ghost(
-    measured: MeasuredLog, starts: Starts, rolled: RolledOut, i: int, rows: IntArray, own: Track, forces: bool
+    measured: MeasuredLog,
+    starts: Starts,
+    rolled: RolledOut,
+    i: int,
+    rows: IntArray,
+    own: Track,
+    under: mujoco.MjModel | None,
 ) -> Track | None:
-    """Clip i of rollouts at some of its instants, with its forces or without; None where it diverged."""
+    """Clip i of rollouts at some of its instants, with the forces under a model; None where it diverged."""
     if not rolled.rollouts.completed[i]:
         return None
     system, theta, some = measured.scene.system, rolled.theta[None], starts.of(np.array([i]))
@@ -302,10 +311,10 @@ def _ghost(
             shown = continued(turned, own.values[0, first : first + 3])
         found.append(shown)
     values = np.concatenate(found, axis=1) if found else np.empty((len(rows), 0))
-    scene, touching = measured.scene, forces and collides(system.model)
+    scene = measured.scene
     poses = scene.poses(states["qpos"], driven if system.model.nmocap else None)
-    acting = scene.forces(rolled.theta, states["qpos"], states["qvel"], driven) if touching else None
-    return Track(own.step, poses, values, acting)
+    forces = None if under is None else scene.forces(under, states["qpos"], states["qvel"], driven)
+    return Track(own.step, poses, values, forces)
 
 
 def continued(vectors: FloatArray, near: FloatArray | None = None) -> FloatArray:

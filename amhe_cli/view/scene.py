@@ -76,14 +76,15 @@ class Scene:
             found[i, :, :3], found[i, :, 3:] = data.xpos[rows], data.xquat[rows]
         return found
 
-    def forces(self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray) -> FloatArray:
+    def forces(
+        self, model: mujoco.MjModel, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray
+    ) -> FloatArray:
         """Forces between touching bodies in n states, shape (n, m, 6); NaN where fewer than m pairs touch.
 
         Args:
-            theta: Parameters, shape (d,).
+            model: The scene's model under some parameters.
             qpos, qvel, inputs: States, shape (n, nq) and (n, nv), and inputs there, shape (n, nu).
         """
-        model = self.system.edits.apply(self.system.model, theta)
         data, rows = mujoco.MjData(model), []
         for state, velocity, driven in zip(qpos, qvel, inputs, strict=True):
             mujoco.mj_setState(model, data, np.ascontiguousarray(driven), self.system.input_spec)

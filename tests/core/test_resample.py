@@ -1,6 +1,7 @@
 """How long a silence may be filled."""
 
 import numpy as np
+import pytest
 
 from amhe_cli.core.resample import longest_bridge, resample
 
@@ -33,3 +34,14 @@ def test_a_streamed_command_that_stops_is_a_gap():
 def test_a_slow_state_is_given_five_of_its_periods():
     assert longest_bridge(np.arange(0.0, 10.0, 0.5), 0.2) == 2.5
     assert longest_bridge(np.arange(0.0, 10.0, 0.01), 0.2) == 0.2
+
+
+@pytest.mark.parametrize("hold", [False, True], ids=["states", "commands"])
+def test_samples_at_each_instant_of_the_clock_are_taken_over_as_they_are(hold: bool) -> None:
+    rng = np.random.default_rng(0)
+    times = 0.002 * np.arange(50) + rng.uniform(-1e-7, 1e-7, 50)
+    values = rng.normal(size=(50, 3))
+    series = resample(times, values, ("a", "b", "c"), np.linspace(0.014, 0.058, 23), bridge=0.01, hold=hold)
+    np.testing.assert_array_equal(series.values, values[7:30])
+    assert series.valid.all() and series.sampled.all()
+    assert not np.shares_memory(series.values, values)

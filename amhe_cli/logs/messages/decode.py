@@ -45,6 +45,8 @@ class SignalSamples:
 
     def pick(self, index: NDArray) -> SignalSamples:
         """The same for some of the messages: a mask or an order, shape (n,) or (m,)."""
+        if np.array_equal(index, np.arange(self.log_ns.size)):  # as in most logs
+            return self
         return SignalSamples(
             self.log_ns[index],
             self.publish_ns[index],
