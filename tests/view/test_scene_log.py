@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,12 @@ def test_a_cube_is_drawn_where_it_is(toss: Path) -> None:
     assert (last.parent_frame_id, last.child_frame_id) == ("world", "scene/cube")
     assert last.translation.z == pytest.approx(1.0 - (stamp - 1.0))
     assert last.rotation.y == pytest.approx(np.sin(0.5 * (stamp - 1.0)))
+
+
+def test_a_layout_of_it_has_a_panel_with_everything_that_is_drawn(toss: Path) -> None:
+    panel = json.loads(amhe.layout(toss, "foxglove"))["configById"]["3D!scene"]
+    assert set(panel["topics"]) == {GEOMS, FRAMES}
+    assert panel["followTf"] == "world"
 
 
 def test_the_robot_is_drawn_as_mujoco_has_it(tmp_path: Path) -> None:
