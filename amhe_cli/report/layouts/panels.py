@@ -77,9 +77,8 @@ class Panels:
 #: Last part of the types that 3-D panels show.
 _SPATIAL = (
     "FrameTransform", "FrameTransforms", "Marker", "MarkerArray", "Path", "PointCloud", "PointCloud2",
-    "PoseArray",
-    "PoseInFrame", "PoseStamped", "PoseWithCovarianceStamped", "PosesInFrame", "SceneUpdate", "TFMessage",
-    "tfMessage",
+    "PoseArray", "PoseInFrame", "PoseStamped", "PoseWithCovarianceStamped", "PosesInFrame", "SceneUpdate",
+    "TFMessage", "tfMessage",
 )  # fmt: skip
 
 
