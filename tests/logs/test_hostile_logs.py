@@ -7,6 +7,8 @@ import os
 import resource
 import sqlite3
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -23,6 +25,7 @@ from amhe_cli.core.limits import limit
 from amhe_cli.logs import Survey, survey
 from amhe_cli.logs.containers.arrow_sizes import unfolded_sizes
 from amhe_cli.logs.containers.folder import open_log
+from amhe_cli.logs.containers.parquet_footer import unfolded_size
 from tests.logs.log_makers import ROS2, motion, write_rosbag2
 
 #: Memory that a hostile log may take beyond what the process has [bytes].
@@ -321,6 +324,50 @@ def test_the_unfolded_size_of_a_feather_batch(tmp_path: Path, compression: str |
     ):
         file.write_batch(batch)
     assert list(unfolded_sizes(tmp_path / "log")) == [batch.nbytes]
+
+
+def test_the_unfolded_size_of_a_parquet_file(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    lists = np.random.default_rng(0).normal(size=(1000, 3)).tolist()
+    table = pa.table({"time": np.arange(1000.0), "q": lists, "on": [True, False] * 500, "text": ["x"] * 1000})
+    parquet.write_table(table, tmp_path / "log", row_group_size=300)
+    about = parquet.read_metadata(tmp_path / "log")
+    columns = [about.row_group(i).column(j) for i in range(4) for j in range(4)]
+    expected = sum(max(8 * one.num_values, one.total_uncompressed_size) for one in columns)
+    assert unfolded_size(tmp_path / "log") == expected
+
+
+_EVERY_BYTE = """
+import sys
+from pathlib import Path
+from amhe_cli.core.errors import AmheError
+from amhe_cli.logs import survey
+path = Path(sys.argv[1])
+content = path.read_bytes()
+for place in range(len(content) - 8 - int.from_bytes(content[-8:-4], "little"), len(content) - 8, 2):
+    changed = bytearray(content)
+    changed[place] ^= 16
+    path.write_bytes(changed)
+    try:
+        survey(path)
+    except AmheError:
+        pass
+print("survived")
+"""
+
+
+def test_a_damaged_footer_of_a_parquet_file_does_not_end_the_process(tmp_path: Path) -> None:
+    """pyarrow aborts where it is asked for a column whose statistics do not fit the schema."""
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    parquet.write_table(pa.table({"time": np.arange(100.0)}), tmp_path / "log", store_schema=False)
+    command = [sys.executable, "-c", _EVERY_BYTE, str(tmp_path / "log")]
+    environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])}
+    ended = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert (ended.returncode, ended.stdout) == (0, "survived\n"), ended.stderr
 
 
 def test_texts_in_a_parquet_file_are_not_unfolded(tmp_path: Path) -> None:

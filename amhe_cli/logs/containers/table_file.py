@@ -102,10 +102,10 @@ class TableFile:
                 place, factor = _clock(self.path, self._table.columns, rows)
             with np.errstate(all="ignore"):  # numbers of a damaged file
                 times = rows[:, place] * factor
-            timed = np.isfinite(times) & (np.abs(times) < 2.0**63)
+                timed = np.isfinite(times) & (np.abs(times) < 2.0**63)
+                content = np.ascontiguousarray((rows[timed] * self._factors)[:, self._kept])
             untimed += int((~timed).sum())
             stamps = np.round(times[timed]).astype(np.int64) + self._start_ns
-            content = np.ascontiguousarray((rows[timed] * self._factors)[:, self._kept])
             size = content.itemsize * content.shape[1]
             starts = size * np.arange(len(content), dtype=np.int64)
             lengths = np.full(len(content), size, dtype=np.int64)

@@ -20,6 +20,7 @@ from amhe_cli.core.errors import LogError
 from amhe_cli.logs.containers import text_table
 from amhe_cli.logs.containers.arrow_sizes import unfolded_sizes
 from amhe_cli.logs.containers.compression import check_growth
+from amhe_cli.logs.containers.parquet_footer import unfolded_size
 from amhe_cli.logs.containers.table_file import NumberTable, TableFile, is_time, listed
 from amhe_cli.logs.containers.text_dialect import Column, dialect_of, looks_like_text
 
@@ -101,12 +102,7 @@ def check_parquet(path: Path) -> None:
     Raises:
         LogError: It is beyond the limits `piece_mib` and `growth`.
     """
-    import pyarrow.parquet
-
-    about = pyarrow.parquet.read_metadata(path)
-    groups = [about.row_group(i) for i in range(about.num_row_groups)]
-    columns = [group.column(i) for group in groups for i in range(group.num_columns)]
-    check_growth(path, sum(max(8 * one.num_values, one.total_uncompressed_size) for one in columns))
+    check_growth(path, unfolded_size(path))
 
 
 def _feather(path: Path) -> list[NumberTable]:
