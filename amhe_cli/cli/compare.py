@@ -27,14 +27,7 @@ if TYPE_CHECKING:
     metavar="LOG",
     help="Log to fit; more may follow, as in --logs run*.csv.",
 )
-@click.option(
-    "--held-out",
-    multiple=True,
-    type=log_path.LOG,
-    callback=log_path.episodes,
-    metavar="LOG",
-    help="Log to score on; repeat for more.  [default: a quarter of the logs' time]",
-)
+@log_path.held_out("Log to score on")
 @options.msg_path
 @click.option(
     "--max-time",

@@ -85,7 +85,7 @@ OFFSET = _Offset()
     metavar=OFFSET.name,
     help="Box in its rigid body.  [default: go1.box_offset]",
 )
-@click.option("--seed", type=options.WholeNumber(min=0), default=0, show_default=True, metavar="N")
+@options.seed
 @watched
 @options.tuning
 @options.common

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import options, prior_options
 from amhe_cli.cli.session import Session
 
 #: Files that are named; those beyond are models of samples.
@@ -25,11 +25,7 @@ _SHOWN = 2
     help="What to write; mjlab and isaaclab: randomisation ranges as a Python file, and the model.",
 )
 @options.system_or("that of the belief")
-@click.option(
-    "--belief-anyway",
-    is_flag=True,
-    help="Take a belief about another model too, and only warn of what has changed.",
-)
+@prior_options.belief_anyway
 @click.option(
     "--urdf",
     type=options.EXISTING_FILE,
@@ -45,7 +41,7 @@ _SHOWN = 2
     help="Number of samples.",
 )
 @click.option("--models", is_flag=True, help="With samples: an MJCF of each, too.")
-@click.option("--seed", type=options.WholeNumber(min=0), metavar="N", default=0, show_default=True)
+@options.seed
 @options.out
 @options.common
 @click.pass_obj

@@ -24,14 +24,7 @@ if TYPE_CHECKING:
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
 @options.where
-@click.option(
-    "--held-out",
-    multiple=True,
-    type=log_path.LOG,
-    callback=log_path.episodes,
-    metavar="LOG",
-    help="Log used only to validate; repeat for more.  [default: a quarter of the logs' time]",
-)
+@log_path.held_out("Log used only to validate")
 @believed("Start from an earlier belief.yaml instead of the system's own prior.")
 @narrowing
 @click.option(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
+
+from amhe_cli.cli import options
 
 
 class _LogPath(click.Path):
@@ -89,3 +92,15 @@ limits = click.option(
     callback=_set_limits,
     help="Set a limit on what reading a log may cost, such as topics=20000. Repeatable.",
 )
+
+
+def held_out(use: str) -> Callable[[options.F], options.F]:
+    """Logs that are not fitted; `use` says what for."""
+    return click.option(
+        "--held-out",
+        multiple=True,
+        type=LOG,
+        callback=episodes,
+        metavar="LOG",
+        help=f"{use}; repeat for more.  [default: a quarter of the logs' time]",
+    )

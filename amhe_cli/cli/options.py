@@ -262,8 +262,10 @@ engine = click.option(
     help="What computes the rollouts: cpu, or gpu with the extra [gpu] and a card; see docs/gpu.md.",
 )
 
+seed = click.option("--seed", type=WholeNumber(min=0), metavar="N", default=0, show_default=True)
+
 work = stacked(
-    click.option("--seed", type=WholeNumber(min=0), metavar="N", default=0, show_default=True),
+    seed,
     click.option(
         "--threads",
         type=WholeNumber(min=1),

@@ -6,18 +6,14 @@ from pathlib import Path
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import options, prior_options
 from amhe_cli.cli.session import Session
 
 
 @click.command(cls=options.Command, short_help="Do results of several runs agree? One belief of them.")
 @click.argument("beliefs", nargs=-1, required=True, type=options.EXISTING_FILE, metavar="BELIEF...")
 @options.system_or("that of the first belief")
-@click.option(
-    "--belief-anyway",
-    is_flag=True,
-    help="Take a belief about another model too, and only warn of what has changed.",
-)
+@prior_options.belief_anyway
 @click.option(
     "-o",
     "--out",

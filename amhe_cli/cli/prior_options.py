@@ -8,16 +8,18 @@ import click
 
 from amhe_cli.cli import completion, options
 
+belief_anyway = click.option(
+    "--belief-anyway",
+    is_flag=True,
+    help="Take a belief about another model too, and only warn of what has changed.",
+)
+
 
 def believed(about: str) -> Callable[[options.F], options.F]:
     """A belief to start from, and whether it may be about another model."""
     return options.stacked(
         click.option("--belief", type=options.EXISTING_FILE, metavar="FILE", help=about),
-        click.option(
-            "--belief-anyway",
-            is_flag=True,
-            help="Take a belief about another model too, and only warn of what has changed.",
-        ),
+        belief_anyway,
     )
 
 
