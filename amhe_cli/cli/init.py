@@ -17,10 +17,15 @@ _MENAGERIE = "menagerie:"
 
 
 class _ModelPath(click.Path):
-    """An existing file, or `menagerie:NAME`."""
+    """An existing file, `menagerie:NAME`, or the model of a bundled `example:NAME`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
         """Leave the names of menagerie models as they are; any other value is a path."""
+        kind, colon, name = str(value).partition(":")
+        if colon and kind == "example":
+            from amhe_cli.system.folders import bundled_models
+
+            return log_path.example(self, name, bundled_models(), param, ctx)
         named = str(value).startswith(_MENAGERIE)
         return str(value) if named else super().convert(value, param, ctx)
 
@@ -112,6 +117,7 @@ def init(
     """Write a system folder for MODEL whose signals are found in LOG...
 
     MODEL is an MJCF, URDF or xacro file, or menagerie:NAME for a model of the package mujoco-menagerie.
+    To try it: amhe init example:arm example:arm --actuators -o arm/
 
     Its system.yaml is commented: the signals matched to joints by name, candidate parameters, and what
     was guessed. Read it, correct it, then: amhe identify LOG --system DIR.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +37,24 @@ class _LogPath(click.Path):
         return super().shell_complete(ctx, param, incomplete)
 
     def _example(self, name: str, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        from amhe_cli.core.errors import one_of
         from amhe_cli.system.folders import bundled_logs
 
-        found = bundled_logs()
-        if name not in found:
-            self.fail(one_of("example", name, found), param, ctx)
-        return found[name]
+        return example(self, name, bundled_logs(), param, ctx)
+
+
+def example(
+    kind: click.ParamType,
+    name: str,
+    found: Mapping[str, Path],
+    param: click.Parameter | None,
+    ctx: click.Context | None,
+) -> Path:
+    """The bundled file of a name; a usage error where there is none."""
+    from amhe_cli.core.errors import one_of
+
+    if name not in found:
+        kind.fail(one_of("example", name, found), param, ctx)
+    return found[name]
 
 
 def episodes(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...]) -> tuple[Path, ...]:

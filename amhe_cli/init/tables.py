@@ -92,8 +92,8 @@ def _meaning(table: str, column: str) -> _Meaning | None:
     found = [w for word in words(name) for w in re.findall(r"[a-z]+|\d+", word)]
     quantity = next((_QUANTITIES[word] for word in found if word in _QUANTITIES), None)
     lerobot = _LEROBOT.match(name)
-    if quantity is None and lerobot:
-        quantity = "position"
+    if quantity is None and (lerobot or _COMMANDED & set(found)):
+        quantity = "position"  # as of `elbow_cmd`
     if quantity is None or "time" in found:
         return None
     if lerobot:

@@ -27,7 +27,17 @@ def bundled_systems() -> dict[str, Path]:
 
 def bundled_logs() -> dict[str, Path]:
     """Names and files of the logs that come with amhe."""
-    return {path.stem: path for path in sorted((bundled_root() / "examples" / "logs").glob("*.mcap"))}
+    return _examples(".mcap", ".csv")
+
+
+def bundled_models() -> dict[str, Path]:
+    """Names and files of the models that come with logs of their own, to try `amhe init` on."""
+    return _examples(".xml")
+
+
+def _examples(*suffixes: str) -> dict[str, Path]:
+    files = sorted((bundled_root() / "examples" / "logs").iterdir())
+    return {path.stem: path for path in files if path.suffix in suffixes}
 
 
 def find_system(name_or_dir: str | Path) -> Path:

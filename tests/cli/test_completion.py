@@ -31,7 +31,7 @@ def offered(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, 
 
 
 #: Names of the bundled logs.
-EXAMPLES = {path.stem for path in (ROOT / "examples" / "logs").glob("*.mcap")}
+EXAMPLES = {path.stem for path in (ROOT / "examples" / "logs").iterdir() if path.suffix in (".mcap", ".csv")}
 
 
 @pytest.mark.parametrize(

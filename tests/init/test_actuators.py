@@ -99,3 +99,13 @@ def test_chosen_joints_get_a_gap_of_unknown_width(tmp_path: Path) -> None:
 def test_a_gap_of_a_joint_that_is_not_driven_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="`backlash`: no joint that is measured and driven 'tail'"):
         made(tmp_path, robot(), backlash=["tail"])
+
+
+def test_a_column_that_names_a_command_and_a_joint_is_that_joints_target(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text(robot())
+    names = [f"{joint}_{kind}" for kind in ("pos", "cmd") for joint in JOINTS]
+    rows = [",".join(["time", *names]), *(",".join([f"{0.01 * i:g}", *["0.1"] * 8]) for i in range(50))]
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", actuators=True)
+    (command,) = [one for one in System.load(tmp_path / "out").signals if one.name == "command"]
+    assert command.columns == {"position": tuple(f"{joint}_cmd" for joint in JOINTS)}
