@@ -146,17 +146,18 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
             slope = _slope_over_velocity(
                 log.dt * both.astype(np.float64), values[both], velocity.values[both, column]
             )
-        if slope is not None:
-            for text, remedy in _named(slope, _OF_VELOCITY):
-                remedies[text] = remedy
-                found.setdefault(text, []).append(name)
-            continue
+        causes = _named(slope, _OF_VELOCITY) if slope is not None else []
+        for text, remedy in causes:
+            remedies[text] = remedy
+            found.setdefault(text, []).append(name)
         largest = float(np.max(np.abs(values[log[key].valid]), initial=0.0))
         reach = float(np.abs(model.jnt_range[row]).max()) if model.jnt_limited[row] else np.inf
         hinge = int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_HINGE
-        if hinge and (largest > _LARGEST or largest > max(_BEYOND * reach, 2.0 * np.pi)):
+        # a wheel turns for long, and its velocity agrees; both may be in degrees where a joint has an end
+        far = largest > max(_BEYOND * reach, 2.0 * np.pi) or (slope is None and largest > _LARGEST)
+        if hinge and far and not causes:
             text = f"position reaches {largest:.4g} rad: looks like degrees"
-            remedies[text] = {"unit": {"position": "deg"}}
+            remedies[text] = {"unit": "deg"}
             found.setdefault(text, []).append(name)
     for text, names in found.items():
         yield Doubt(key.rpartition(".")[0], f"{text} ({', '.join(names)})", remedies[text])

@@ -34,8 +34,7 @@ def test_init_declares_degrees_of_positions_and_commands(tmp_path: Path) -> None
     np.testing.assert_allclose(read["joints.position"].values[:, 0], SWING, atol=1e-6)
     np.testing.assert_allclose(read["command.position"].values[:, 0], SWING, atol=1e-6)
     assert any(
-        "looks like degrees (pan); unit: {position: deg} in system.yaml converts a file; it is" in note
-        for note in notes
+        "looks like degrees (pan); unit: deg in system.yaml converts a file; it is" in note for note in notes
     )
 
 

@@ -65,6 +65,16 @@ def said(arrays: dict, arm: amhe.System, caplog: pytest.LogCaptureFixture) -> st
     return caplog.text
 
 
+def test_degrees_of_positions_and_velocities_are_found_by_range(
+    arm: amhe.System, caplog: pytest.LogCaptureFixture
+) -> None:
+    arrays = motion()
+    for quantity in ("position", "velocity"):
+        arrays["joints"][quantity] = np.rad2deg(arrays["joints"][quantity])
+    text = said(arrays, arm, caplog)
+    assert "looks like degrees (shoulder" in text and "; unit: deg in system.yaml" in text
+
+
 @pytest.mark.parametrize("velocity", [True, False])
 def test_what_is_right_is_not_doubted(
     velocity: bool, arm: amhe.System, caplog: pytest.LogCaptureFixture
