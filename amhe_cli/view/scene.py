@@ -66,14 +66,14 @@ class Scene:
             qpos: States, shape (n, nq).
             inputs: Inputs there, shape (n, nu): they may move mocap bodies. None: no such body moves.
         """
-        model, data, rows = self.system.model, self._data, list(self.bodies)
+        model, data, rows = self.system.model, self._data, np.array(self.bodies, dtype=int)
         found = np.empty((len(qpos), len(rows), 7))
         for i, row in enumerate(qpos):
             if inputs is not None:
                 mujoco.mj_setState(model, data, np.ascontiguousarray(inputs[i]), self.system.input_spec)
             data.qpos[:] = row
             mujoco.mj_kinematics(model, data)
-            found[i, :, :3], found[i, :, 3:] = data.xpos[rows], data.xquat[rows]
+            found[i, :, :3], found[i, :, 3:] = data.xpos.take(rows, axis=0), data.xquat.take(rows, axis=0)
         return found
 
     def forces(
