@@ -247,7 +247,7 @@ def _values(
         Samples (m, k), names of the columns, whether they were differentiated.
     """
     known: Mapping[str, FloatArray] = track.samples.values
-    values = track.carried(quantity)
+    values = track.converted(quantity)
     if values is not None:
         turned = quantity == "linear_velocity" and track.twist_in_child
         if turned and twist_looks_global(times, known, values):
@@ -259,8 +259,9 @@ def _values(
             )
         return values, track.samples.columns[quantity], False
     source = DERIVED.get(quantity, "")
-    if source not in known or not np.isfinite(known[source]).any():
+    values = track.converted(source)
+    if values is None:
         raise LogError(f"{path}: topic {track.signal.topic!r} carries no {quantity}")
     logger.info("%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source)
     columns = ("x", "y", "z") if source == "orientation" else track.samples.columns[source]
-    return differentiated(times, known[source], source, bridge), columns, True
+    return differentiated(times, values, source, bridge), columns, True

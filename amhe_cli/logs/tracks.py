@@ -64,10 +64,17 @@ class SignalTrack:
         if values is None or not np.isfinite(values).any():
             return None
         if quantity == "linear_velocity" and self.twist_in_child:
-            values = rotations.rotate(self.samples.values["orientation"], values)
-        if quantity in self.signal.factors:
+            return rotations.rotate(self.samples.values["orientation"], values)
+        return values
+
+    def converted(self, quantity: str) -> FloatArray | None:
+        """The carried values in SI, angles unwrapped, where the signal says that the file has others."""
+        values = self.carried(quantity)
+        if values is not None and quantity in self.signal.factors:
             values = values * self.signal.factors[quantity]
-        return unwrapped(values) if self.signal.wraps and quantity == "position" else values
+        if values is not None and self.signal.wraps and quantity == "position":
+            values = unwrapped(values)
+        return values
 
     def moved(self, seconds: float) -> SignalTrack:
         """The same track, with stamps later by `seconds`."""

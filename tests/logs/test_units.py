@@ -33,6 +33,7 @@ def test_init_declares_degrees_of_positions_and_commands(tmp_path: Path) -> None
     read = amhe.read_log(log, system)
     np.testing.assert_allclose(read["joints.position"].values[:, 0], SWING, atol=1e-6)
     np.testing.assert_allclose(read["command.position"].values[:, 0], SWING, atol=1e-6)
+    np.testing.assert_allclose(read["joints.velocity"].values[:, 0], 5.0 * np.cos(2.0 * TIMES), atol=0.05)
     assert any(
         "looks like degrees (pan); unit: deg in system.yaml converts a file; it is" in note for note in notes
     )
@@ -44,6 +45,7 @@ def test_init_declares_an_encoder_that_wraps_and_it_is_unwrapped(tmp_path: Path)
     init_system(tmp_path / "arm.xml", [log], tmp_path / "system")
     read = amhe.read_log(log, amhe.System.load(tmp_path / "system"))
     np.testing.assert_allclose(read["joints.position"].values[:, 0], turning, atol=1e-6)
+    np.testing.assert_allclose(read["joints.velocity"].values[:, 0], 10.0 * np.cos(2.0 * TIMES), atol=0.1)
 
 
 def test_radians_stay_as_they_are(tmp_path: Path) -> None:
