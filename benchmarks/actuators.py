@@ -1,6 +1,9 @@
 """Every drive of a whole robot from one excitation: error, coverage and time, `mujoco.sysid` beside it.
 
-    python benchmarks/actuators.py [--seeds 20] [--seconds 20] [--noise-free] [--sysid] [--quick]
+    python benchmarks/actuators.py [--seeds 20] [--seconds 20] [--noise-free] [--sysid] [--jobs 2] [--quick]
+
+Results are kept on disk, those of the two searches apart: a run that was cut short goes on where it was, and
+the same code shows the table of results that another machine has made (`--seeds 10:20` is the second half).
 
 The problem of PACE (Bjelonic et al. 2025): a Go1 hangs by its trunk and every joint follows a chirp from 0.1
 to 10 Hz. Armature, viscous and Coulomb friction and encoder offset of its 12 joints and the delay of all
@@ -8,25 +11,25 @@ commands are unknown, 49 numbers, and off their priors by factors up to 2. Encod
 400 Hz. A second log, of another excitation, is held out.
 
 The Cramer-Rao bound is that of the whole log from its known first state. `--sysid` runs Levenberg-Marquardt
-on the same log, open loop, in the same coordinates and bounds, with residuals in units of the noise. Every
-estimate that either of the two visits is then scored on the held-out log, also open loop.
+on the same log, open loop, in the same coordinates and bounds, with its own defaults and with residuals in
+units of the noise, for at most `--budget` CPU seconds each. Every estimate that a search visits is then
+scored on the held-out log, also open loop.
 """
 
 from __future__ import annotations
 
 import argparse
-import contextlib
 import functools
-import io
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
-from common import PROJECT, over_seeds, show
+from against_sysid import ARRIVED, Path, arrival, levenberg_marquardt
+from common import PROJECT, over_seeds, seeds_of, show
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
@@ -45,8 +48,6 @@ SIZE, BAND = 0.25, (0.1, 10.0)
 FACTOR, OFFSET, DELAY = float(np.log(2.0)), 0.05, (0.0025, 0.0175)
 KINDS = ("armature", "viscous", "coulomb", "offset", "delay")
 ERROR, MEDIAN, SECONDS, COVERAGE, RATIO = 1.2, 0.5, 60.0, (0.86, 0.94), 0.5
-#: A search has arrived once its held-out error is within this factor of the better one's last error.
-ARRIVED = 1.05
 
 
 # -- the problem -------------------------------------------------------------------------------------------
@@ -171,15 +172,6 @@ def bound_of(case: Case) -> FloatArray:
 # -- the two searches --------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Path:
-    """Where a search was, and after how many CPU seconds: times (n,), z (n, d); `total` includes the rest."""
-
-    times: list[float]
-    z: list[FloatArray]
-    total: float
-
-
 def with_amhe(case: Case, seed: int) -> tuple[Any, Path, list[str]]:
     """Identify; the result, the estimates on its way, and its warnings."""
     times, visited, warnings = [], [], []
@@ -203,19 +195,11 @@ def with_amhe(case: Case, seed: int) -> tuple[Any, Path, list[str]]:
     return found, Path(times, visited, time.process_time() - began), warnings
 
 
-def with_sysid(case: Case) -> Path:
-    """Levenberg-Marquardt with finite differences on the whole log, open loop, in units of the noise."""
+def with_sysid(case: Case, whitened: bool, budget: float) -> Path:
+    """Levenberg-Marquardt with finite differences on the whole log, open loop, from the known first state."""
     from mujoco import sysid
-    from mujoco.sysid._src.trajectory import sysid_rollout
 
-    system = case.system
-    delay = system.space.names.index("delay")
-    began = time.process_time()
-    lower, upper = system.space.bounds
-    unknowns = sysid.ParameterDict(
-        {name: sysid.Parameter(name, 0.0, lower[i], upper[i]) for i, name in enumerate(system.space.names)}
-    )
-    log, model = case.fitted, system.model
+    system, log, model = case.system, case.fitted, case.system.model
     clock = np.arange(log.steps) * STEP
     command, position = (log[key].values for key in ("command.position", "joints.position"))
     layout, *_ = sysid.TimeSeries.compute_all_state_mappings(model)
@@ -227,62 +211,29 @@ def with_sysid(case: Case) -> Path:
         allow_missing_sensors=True,
     )  # fmt: skip
 
-    def rollout(*, control_signal, param_dicts, **rest):
-        theta = [system.space.theta_of(one.as_vector()) for one in param_dicts]
-        late = [np.arange(len(c.times)) - t[delay] / STEP for c, t in zip(control_signal, theta, strict=True)]
-        shifted = [
-            sysid.TimeSeries(
-                c.times,
-                np.stack([np.interp(rows, np.arange(len(rows)), u) for u in c.data.T], axis=1),
-                c.signal_mapping,
-            )
-            for c, rows in zip(control_signal, late, strict=True)
-        ]
-        return sysid_rollout(control_signal=shifted, **rest)
-
-    def whitened(parameters, predicted, measured, model, return_all, state):
+    def in_noise(parameters, predicted, measured, model, return_all, state):
         return (state[: log.steps - 1, 1 : 1 + model.nq] - position[1:]) / NOISE, measured, measured
 
-    residual = sysid.build_residual_fn(
-        models_sequences=[sequences],
-        build_model=lambda found, _spec: system.edits.apply(
-            system.model, system.space.theta_of(found.as_vector())
-        ),
-        custom_rollout=rollout,
-        modify_residual=whitened,
-        n_threads=1,
+    return levenberg_marquardt(
+        system, sequences, in_noise if whitened else None, {}, clock=time.process_time, budget=budget
     )
-    times, visited = [], []
-
-    def watched(x, parameters):
-        result = residual(x, parameters)
-        if np.ndim(x) == 1 or x.shape[1] == 1:
-            times.append(time.process_time() - began)
-            visited.append(np.array(x).reshape(-1))
-        return result
-
-    with contextlib.redirect_stdout(io.StringIO()):
-        sysid.optimize(unknowns, watched, optimizer="mujoco", verbose=False)
-    return Path(times, visited, time.process_time() - began)
-
-
-def arrival(path: Path, errors: FloatArray, target: float) -> float:
-    """CPU seconds until a search first was as good as the target; inf: never."""
-    there = np.flatnonzero(errors <= target)
-    return path.times[there[0]] if there.size else float("inf")
 
 
 # -- the comparison ----------------------------------------------------------------------------------------
 
 
-def trial(seconds: float, noise: float, sysid: bool, seed: int) -> dict[str, Any]:
-    """Both searches on the log of one seed; errors in z."""
+def on_held_out(case: Case, path: Path) -> list[float]:
+    """Cost of the held-out log under every estimate of a search, as one clip."""
+    return [float(cost) for cost in open_loop(case.system, case.held_out).costs(np.stack(path.z))]
+
+
+def trial(seconds: float, noise: float, seed: int) -> dict[str, Any]:
+    """Our search on the log of one seed; errors in z."""
     case = case_of(seed, seconds, noise)
     space, truth = case.system.space, case.system.space.z_of(case.theta)
     found, path, warnings = with_amhe(case, seed)
-    estimate = space.z_of(found.belief.estimate)
-    result: dict[str, Any] = {
-        "error": (estimate - truth).tolist(),
+    return {
+        "error": (space.z_of(found.belief.estimate) - truth).tolist(),
         "bound": bound_of(case).tolist(),
         "share": (
             np.array(found.belief.estimate) / np.where(case.theta == 0.0, 1.0, case.theta) - 1
@@ -293,20 +244,48 @@ def trial(seconds: float, noise: float, sysid: bool, seed: int) -> dict[str, Any
         "warnings": warnings,
         "rollouts": found.rollouts,
         "cpu": path.total,
+        "times": path.times,
+        "costs": on_held_out(case, path),
     }
-    if sysid:
-        other = with_sysid(case)
-        judge = open_loop(case.system, case.held_out)
-        ours, theirs = (judge.costs(np.stack(one.z)) for one in (path, other))
-        theirs = np.minimum.accumulate(theirs)
-        target = ARRIVED * min(ours[-1], theirs[-1])
-        result |= {
-            "sysid_error": (other.z[int(theirs.argmin())] - truth).tolist(),
-            "sysid_cpu": other.total,
-            "costs": [float(ours[-1]), float(theirs[-1])],
-            "arrival": [arrival(path, ours, target), arrival(other, theirs, target)],
-        }
-    return result
+
+
+def sysid_trial(seconds: float, noise: float, whitened: bool, budget: float, seed: int) -> dict[str, Any]:
+    """The search of `mujoco.sysid` on the same log; the error in z is that of its best point."""
+    case = case_of(seed, seconds, noise)
+    path = with_sysid(case, whitened, budget)
+    costs = np.minimum.accumulate(on_held_out(case, path))
+    best = path.z[int(costs.argmin())]
+    return {
+        "error": (best - case.system.space.z_of(case.theta)).tolist(),
+        "cpu": path.total,
+        "times": path.times,
+        "costs": costs.tolist(),
+    }
+
+
+def arrivals(ours: dict[str, Any], theirs: dict[str, Any]) -> tuple[float, float]:
+    """CPU seconds until each of two searches was within ARRIVED of the better one's last held-out cost."""
+    target = ARRIVED * min(ours["costs"][-1], theirs["costs"][-1])
+    one, other = (arrival(r["times"], np.array(r["costs"]), target) for r in (ours, theirs))
+    return one, other
+
+
+def sysid_row(
+    label: str, results: Sequence[dict[str, Any]], others: Sequence[dict[str, Any]]
+) -> tuple[str, ...]:
+    """One line of the comparison with `mujoco.sysid`, over seeds."""
+    error = np.array([other["error"] for other in others])
+    bound = np.array([one["bound"] for one in results])
+    pairs = [arrivals(one, other) for one, other in zip(results, others, strict=True)]
+    ours, theirs = np.array(pairs).T
+    ratio = [np.inf if np.isinf(one) else one / other for one, other in pairs]  # 0: it never arrives
+    return (
+        label, f"{np.median([other['cpu'] for other in others]):.1f}",
+        f"{np.sqrt(np.mean((error / bound) ** 2)):.2f}",
+        f"{np.median([one['costs'][-1] for one in results]):.4g} / "
+        f"{np.median([other['costs'][-1] for other in others]):.4g}",
+        f"{np.median(ours):.1f} / {np.median(theirs):.1f}", f"{np.median(ratio):.2f}x",
+    )  # fmt: skip
 
 
 def kind_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> list[tuple[str, ...]]:
@@ -331,40 +310,37 @@ def kind_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> list[t
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--seeds", type=seeds_of, default=range(20), metavar="N or A:B")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--noise-free", action="store_true")
     parser.add_argument("--sysid", action="store_true", help="mujoco.sysid on the same logs")
-    parser.add_argument("--quick", action="store_true", help="1 seed")
-    parser.add_argument("--processes", type=int, default=1)
-    arguments = parser.parse_args()
-    noise, seeds = (0.0 if arguments.noise_free else NOISE), (1 if arguments.quick else arguments.seeds)
-    one: Callable[[int], dict[str, Any]] = functools.partial(trial, arguments.seconds, noise, arguments.sysid)
-    name = f"actuators-{arguments.seconds:g}s-{'exact' if not noise else 'noisy'}{'-sysid' * arguments.sysid}"
-    results = over_seeds(name, one, range(seeds), arguments.processes)
+    parser.add_argument("--budget", type=float, default=600.0, help="CPU seconds of each search of sysid")
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
+    parser.add_argument("--quick", action="store_true", help="one seed")
+    given = parser.parse_args()
+    noise, seeds = (0.0 if given.noise_free else NOISE), (range(1) if given.quick else given.seeds)
+    name = f"actuators-{given.seconds:g}s-{'exact' if given.noise_free else 'noisy'}"
+    results = over_seeds(name, functools.partial(trial, given.seconds, noise), seeds, given.jobs)
     names = system_of().space.names
-    columns = ("parameters", "median error", "largest", "error / bound, rms", "held", "identified")
     low, high = COVERAGE
     show(
-        f"{len(names)} unknowns from {arguments.seconds:g} s, {seeds} seeds (goal: median {MEDIAN:g} %, "
-        f"error / bound {ERROR:g}, held {low:.0%} to {high:.0%})",
-        columns, kind_rows(results, names),
-    )  # fmt: skip
-    rows = [("amhe", f"{np.median([r['cpu'] for r in results]):.1f}", *[""] * 3)]
-    if arguments.sysid:
-        error, bound = (np.array([r[key] for r in results]) for key in ("sysid_error", "bound"))
-        ours, theirs = np.array([r["arrival"] for r in results]).T
-        rows.append(
-            (
-                "mujoco.sysid", f"{np.median([r['sysid_cpu'] for r in results]):.1f}",
-                f"{np.sqrt(np.mean((error / bound) ** 2)):.2f}",
-                f"{np.median(ours):.1f} / {np.median(theirs):.1f}", f"{np.median(ours / theirs):.2f}x",
-            )
-        )  # fmt: skip
+        f"{len(names)} unknowns from {given.seconds:g} s, {len(seeds)} seeds (goal: median {MEDIAN:g} %, "
+        f"error / bound {ERROR:g}, held {low:.0%} to {high:.0%}); errors of offsets in shares of their prior",
+        ("parameters", "median error", "largest", "error / bound, rms", "held", "identified"),
+        kind_rows(results, names),
+    )
+    cpu, error, bound = (np.array([r[key] for r in results]) for key in ("cpu", "error", "bound"))
+    rows: list[tuple[str, ...]] = []
+    rows.append(("amhe", f"{np.median(cpu):.1f}", f"{np.sqrt(np.mean((error / bound) ** 2)):.2f}", *[""] * 3))
+    for whitened, label in ((False, "sysid, its defaults"), (True, "sysid, noise units")):
+        if given.sysid:
+            one = functools.partial(sysid_trial, given.seconds, noise, whitened, given.budget)
+            others = over_seeds(f"{name}-sysid-{whitened:d}-{given.budget:g}", one, seeds, given.jobs)
+            rows.append(sysid_row(label, results, others))
     show(
         f"CPU seconds (goal {SECONDS:g}, and {RATIO:g}x to the same held-out error); "
-        f"settled: {sum(r['settled'] for r in results)} of {seeds}",
-        ("search", "CPU s", "error / bound", "to the same error: amhe / sysid", "ratio"), rows,
+        f"settled: {sum(r['settled'] for r in results)} of {len(seeds)}",
+        ("search", "CPU s", "error / bound", "held-out: amhe / sysid", "s to it", "ratio"), rows,
     )  # fmt: skip
 
 

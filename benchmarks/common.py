@@ -173,6 +173,12 @@ def drawn_from_prior(system: System, rng: np.random.Generator) -> FloatArray:
 # -- many seeds --------------------------------------------------------------------------------------------
 
 
+def seeds_of(text: str) -> range:
+    """The seeds below N, or from A to below B."""
+    first, _, last = text.rpartition(":")
+    return range(int(first or 0), int(last))
+
+
 def over_seeds(
     name: str, one: Callable[[int], dict[str, Any]], seeds: Iterable[int], processes: int
 ) -> list[dict[str, Any]]:

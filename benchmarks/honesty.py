@@ -23,7 +23,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
-from common import over_seeds, show
+from common import over_seeds, seeds_of, show
 from plants import PROBLEMS
 
 import amhe_cli as amhe
@@ -64,12 +64,6 @@ def trial(number: int) -> dict[str, Any]:
         "noise_scale": dict(result.found.noise_scale),
         "warnings": result.warnings,
     }  # fmt: skip
-
-
-def seeds_of(text: str) -> range:
-    """The seeds below N, or from A to below B."""
-    first, _, last = text.rpartition(":")
-    return range(int(first or 0), int(last))
 
 
 def row(label: str, kind: str, trials: Sequence[dict[str, Any]]) -> tuple[str, ...]:
