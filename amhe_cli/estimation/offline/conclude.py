@@ -24,9 +24,10 @@ from amhe_cli.estimation.offline.checks import (
 )
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.combinations import combinations
-from amhe_cli.estimation.offline.fits import fits
+from amhe_cli.estimation.offline.fits import fits, profiles
 from amhe_cli.estimation.offline.held_out import judge, validate
 from amhe_cli.estimation.offline.horizon import HORIZONS, STARTS, horizon_errors
+from amhe_cli.estimation.offline.minima import SHARE, second_minimum
 from amhe_cli.estimation.offline.posterior import (
     TURNS,
     Disagreement,
@@ -38,9 +39,9 @@ from amhe_cli.estimation.offline.posterior import (
 )
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import ClipCount, Identification
-from amhe_cli.estimation.offline.runs import each_run, estimates, runs_that_differ
+from amhe_cli.estimation.offline.runs import each_run, estimates, runs_that_differ, spread_between
 from amhe_cli.estimation.offline.shifts import shifts_of
-from amhe_cli.estimation.offline.verdicts import Evidence, Shift, profiles, verdicts
+from amhe_cli.estimation.offline.verdicts import Evidence, Shift, verdicts
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.offline.widening import (
     along_vectors,
@@ -55,7 +56,7 @@ from amhe_cli.estimation.offline.widening import (
 logger = logging.getLogger(__name__)
 
 #: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
-PARTS, RESERVE = 8, 3
+PARTS, RESERVE = 9, 3
 #: Clips from which a bootstrap widens.
 FEWEST_RESAMPLED = 10
 
@@ -111,6 +112,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
             held_out=len(validation),
             motionless=problem.pool.motionless,
             across_gaps=problem.pool.across_gaps,
+            thinned=problem.thinned,
         ),
         noise_scale=fit.scale,
         unexplained=tuple(evidence.unexplained),
@@ -140,7 +142,9 @@ def _evidence(
         doubled = doubled_step(problem, finding, fit).covariance
     halves = watch.allows("comparison of the logs' halves", (REFITS + TURNS) * once)
     compared = disagreements(problem, finding, fit, with_halves=halves)
-    compared |= runs_that_differ(problem, each_run(problem, finding.z, fit))
+    alone = each_run(problem, finding.z, fit)
+    differing = runs_that_differ(problem, alone)
+    between = spread_between(alone, differing) if differing else np.zeros(len(space))
     report_misfit(problem.system, fit)
     report_unsettled(problem, finding, fit)
     report_drift(space, compared)
@@ -148,8 +152,13 @@ def _evidence(
     again = repeated(fit)
     prior, resamples = space.prior_precision, setting.bootstrap
     resampled = bootstrap(finding.z, fit.found, fit.weight, prior, resamples, problem.rng(4))
-    widening, causes = _systematic(problem, fit, compared, shifts, doubled, resampled, again)
-    covariance = own + widening
+    widening, causes = _systematic(problem, fit, compared, between, shifts, doubled, resampled, again)
+    covariance, rival = own + widening, None
+    if watch.allows("search for a second minimum", SHARE * sum(entry.rollouts for entry in finding.record)):
+        rival = second_minimum(problem, finding, fit, covariance)
+    if rival is not None:
+        away = rival.share * np.outer(rival.z - fit.z, rival.z - fit.z)
+        covariance, causes = covariance + away, causes | {"another minimum explains the logs": np.diag(away)}
     points = setting.profile_points
     unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
     rollouts = points * int(unknowns) * len(problem.clips)
@@ -161,7 +170,7 @@ def _evidence(
         idle=problem.idle,
         step_ratio=np.where(problem.active, np.sqrt(np.diag(own) / np.diag(doubled)), np.nan),
         bootstrap=resampled.std(axis=0),
-        disagreements=compared,
+        disagreements=compared | differing,
         shifts=shifts,
         profiles=profiles(
             space,
@@ -175,6 +184,7 @@ def _evidence(
         rough=problem.rough,
         repeats=np.sqrt(1.0 + np.diag(again) / np.diag(own)),
         causes=causes,
+        rival=rival,
     )
 
 
@@ -182,6 +192,7 @@ def _systematic(
     problem: Problem,
     fit: FinalFit,
     compared: Mapping[str, Disagreement],
+    between: FloatArray,
     shifts: Sequence[Shift],
     doubled: FloatArray,
     resampled: FloatArray,
@@ -193,6 +204,7 @@ def _systematic(
         problem: The problem that was searched.
         fit: Its final linearisation.
         compared: Differences between parts of the data.
+        between: Sd of z from run to run, shape (d,).
         shifts: What changes of the model would do to the estimate.
         doubled: Posterior covariance from samples twice as wide, shape (d, d).
         resampled: Steps to the estimates from resampled clips, shape (b, d).
@@ -201,10 +213,10 @@ def _systematic(
     space, own, active = problem.system.space, fit.posterior.covariance, problem.active
     found = directions(own, active)
     declared = space.in_z([problem.settings.identify.model_error.get(name, 0.0) for name in space.names])
-    known = np.zeros(len(found.rows))
-    known[: active.sum()] = declared[active] ** 2
+    known, runs = np.zeros((2, len(found.rows)))
+    known[: active.sum()], runs[: active.sum()] = declared[active] ** 2, between[active] ** 2
     sizes = {
-        "parts of the data disagree": contradicted(found.rows, compared.values()),
+        "parts of the data disagree": np.maximum(contradicted(found.rows, compared.values()), runs),
         "it grows when the step is doubled": np.maximum(variances(found.rows, doubled - own), 0.0),
         "`identify.model_error` says so": known,
     }

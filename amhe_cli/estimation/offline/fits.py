@@ -1,15 +1,16 @@
-"""Measured against predicted, for figures."""
+"""Measured against predicted, and costs along the parameters, for figures."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import FloatArray, to_host
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, to_host
 from amhe_cli.core.log import Window
+from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.matching.cost import MatchingCost
@@ -57,6 +58,35 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
         noise=observed.noise,
         held_out=held_out,
     )
+
+
+def profiles(
+    space: ParameterSpace,
+    costs_along: Callable[[IntArray, FloatArray], FloatArray],
+    z: FloatArray,
+    sd: FloatArray,
+    active: BoolArray,
+    points: int,
+) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Cost along each active parameter through the estimate, the others held.
+
+    Args:
+        costs_along: Costs (m, p) of m parameters, by their rows (m,), at values of z (m, p).
+        sd: Posterior sd of z: the profile reaches 4 of them, at least 0.3 prior sd, to either side.
+        points: Points of each profile.
+    """
+    columns = np.flatnonzero(active)
+    if points < 3 or not columns.size:
+        return {}
+    reach = np.maximum(4.0 * sd, 0.3)[columns]
+    lower, upper = (bound[columns] for bound in space.bounds)
+    middle = z[columns]
+    values = np.linspace(np.maximum(lower, middle - reach), np.minimum(upper, middle + reach), points, axis=1)
+    costs = costs_along(columns, values)
+    candidates = np.repeat(z[None], columns.size * points, axis=0).reshape(columns.size, points, -1)
+    candidates[np.arange(columns.size), :, columns] = values
+    theta = space.theta_of(candidates)
+    return {int(i): (theta[row, :, i], costs[row]) for row, i in enumerate(columns)}
 
 
 def clip_name(window: Window) -> str:

@@ -90,6 +90,11 @@ class Problem:
             clips = [clips[i] for i in np.linspace(0, len(clips) - 1, most).round().astype(int)]
         return tuple(clips)
 
+    @property
+    def thinned(self) -> int:
+        """Usable clips that are left out because there are many."""
+        return len(self._all_clips) - len(self.clips)
+
     @cached_property
     def clip_count(self) -> int:
         """Random clips of one iteration: no more than the logs hold side by side, but some."""

@@ -220,12 +220,13 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class ClipCount:
-    """How many clips were used and why others were not."""
+    """How many clips were used and why others were not; of long logs some stand for all (`thinned`)."""
 
     fitted: int
     held_out: int
     motionless: int
     across_gaps: int
+    thinned: int = 0
 
 
 @dataclass(frozen=True, slots=True)

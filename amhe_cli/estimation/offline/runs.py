@@ -1,4 +1,8 @@
-"""Does every run say the same? Each log's estimate alone, and the pairs that disagree beyond chance."""
+"""Does every run say the same? Each log's estimate alone, and the pairs that disagree beyond chance.
+
+A value that is another one in each run, such as friction that depends on the day, is a random effect: its
+spread between runs widens the interval, which then holds the value of any run.
+"""
 
 from __future__ import annotations
 
@@ -60,6 +64,24 @@ def runs_that_differ(problem: Problem, alone: Mapping[Log, Posterior]) -> dict[s
         own = np.arange(len(space)) == column
         found[key] = Disagreement(value + difference.value * own, difference.covariance)
     return found
+
+
+def spread_between(alone: Mapping[Log, Posterior], named: Mapping[str, Disagreement]) -> FloatArray:
+    """Sd of z from run to run of the parameters for which a pair is named, 0 of others; shape (d,).
+
+    The random effect of DerSimonian and Laird (1986, "Meta-analysis in clinical trials", equation 8): by as
+    much do the runs' estimates scatter about their weighted mean beyond their noise.
+    """
+    runs = list(alone.values())
+    values = np.array([run.step for run in runs])  # (k, d)
+    # a run weighs by the inverse of its variance, and not at all where it knows nothing
+    weight = np.array([run.knows / np.maximum(run.data_covariance.diagonal(), 1e-300) for run in runs])
+    total = np.maximum(weight.sum(axis=0), 1e-300)
+    scatter = (weight * (values - (weight * values).sum(axis=0) / total) ** 2).sum(axis=0)
+    expected = np.maximum((weight > 0.0).sum(axis=0) - 1, 0)
+    worth = np.maximum(total - (weight**2).sum(axis=0) / total, 1e-300)
+    differ = np.any([one.value != 0.0 for one in named.values()], axis=0)
+    return np.sqrt(np.maximum(scatter - expected, 0.0) / worth) * differ
 
 
 def estimates(

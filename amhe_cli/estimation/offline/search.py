@@ -42,6 +42,8 @@ SETTLED = 0.3
 STRAIGHT = 0.1
 #: A step may leave the middle of the samples by this many of their sd.
 REACH = 3.0
+#: First iterations where nothing touches, and the clips that are enough to get near.
+ROUGHLY, FEW = 2, 4
 #: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
 LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
 #: Near its minimum a rough cost cannot distinguish a good step from none: the longest that completes is
@@ -116,7 +118,13 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     setting = problem.settings.identify
     exploring = state.stage == "explore"
     rng = problem.rng(0, state.number)
-    windows = problem.pool.draw(rng, problem.clip_count) if exploring else problem.clips
+    # a search that begins is far away, and a few clips say where to go, if they know all that is sought
+    far = state.number < ROUGHLY and problem.whole is None
+    few = far and not problem.touches and not any(part.log.own for part in problem.pool.parts)
+    if exploring:
+        windows = problem.pool.draw(rng, min(problem.clip_count, FEW) if few else problem.clip_count)
+    else:
+        windows = problem.clips[:: max(1, len(problem.clips) // FEW)] if few else problem.clips
     cost = problem.cost(windows, state.scale)
     nx = cost.nx if _fits_first_states(setting.first_state, exploring) else 0
     first = state.first or FirstStates.recorded(len(windows), nx)
@@ -131,7 +139,7 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     scale = fitted_noise_scale(slopes, found, state.scale)
     still = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
     # a step is short, too, where the misfit of an iteration before passes for noise
-    settled = still and (problem.touches or not _quieter(state.scale, scale))
+    settled = still and not few and (problem.touches or not _quieter(state.scale, scale))
     stage = _next_stage(state, number, settled, setting)
     z = _averaged(trail) if stage == "done" and len(trail) else taken.z
     return replace(
@@ -144,8 +152,8 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
         shape=shape,
         scale=scale,
         record=(*state.record, _entry(problem, state, taken, slopes)),
-        # these clips are the same next time; random ones are not
-        first=None if exploring else problem.first_states(found, z - state.z),
+        # these clips are the same next time; random ones, and few, are not
+        first=None if exploring or few else problem.first_states(found, z - state.z),
         straight=not (problem.touches or taken.far) and float(slopes.bend.mean()) < STRAIGHT,
     )
 

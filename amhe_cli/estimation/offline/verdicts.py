@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import Z90, correlation
 from amhe_cli.estimation.offline.posterior import Disagreement
@@ -55,6 +55,23 @@ class Shift:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """Other values that fit the logs as well as the estimate does.
+
+    Args:
+        z: These values, shape (d,).
+        share: Probability that they are meant, and not the estimate.
+        differs: The parameters in which the two differ by more than chance, shape (d,).
+        costs: Cost of the estimate, and theirs, in units of the declared noise.
+    """
+
+    z: FloatArray
+    share: float
+    differs: BoolArray
+    costs: tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
     """All that was measured about an estimate; vectors are (d,) in z unless said otherwise.
 
@@ -73,6 +90,7 @@ class Evidence:
         unexplained: What speaks against every value, in words.
         rough: The response jitters, as behind contacts.
         causes: What widened the sd beyond noise, in words -> variance that it added.
+        rival: A second minimum.
     """
 
     z: FloatArray
@@ -89,6 +107,7 @@ class Evidence:
     causes: Mapping[str, FloatArray]
     unexplained: Sequence[str]
     rough: bool
+    rival: Rival | None = None
 
     @property
     def shrinkage(self) -> FloatArray:
@@ -159,6 +178,15 @@ def _strayed(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ..
     return (text, *_wider(evidence, i))
 
 
+def _rivalled(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
+    rival = evidence.rival
+    if rival is None or not rival.differs[i]:
+        return ()
+    p, cost = space.parameters[i], " against ".join(f"{cost:.3g}" for cost in reversed(rival.costs))
+    value = f"{space.theta_of(rival.z)[i]:.3g} {p.unit}".strip()
+    return (f"another minimum explains the logs too: {value} (cost {cost} here)",)
+
+
 def _open(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
     if evidence.shrinkage[i] >= NOTHING:
         return ()
@@ -202,6 +230,7 @@ def _narrowed(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, .
 #: none applies, the parameter is identified.
 RULES: tuple[tuple[str, Callable[[ParameterSpace, Evidence, int], tuple[str, ...]]], ...] = (
     ("prior", _unfelt),
+    ("weak", _rivalled),
     ("model-sensitive", _strayed),
     ("prior", _open),
     ("model-sensitive", _unexplained),
@@ -306,32 +335,3 @@ def size(space: ParameterSpace, i: int, dz: float) -> str:
     """A step in z in words: a percentage for log-scaled parameters, in the unit for linear ones."""
     p = space.parameters[i]
     return f"{np.expm1(dz * p.prior_sd):+.0%}" if p.log else f"{dz * p.prior_sd:+.2g} {p.unit}"
-
-
-def profiles(
-    space: ParameterSpace,
-    costs_along: Callable[[IntArray, FloatArray], FloatArray],
-    z: FloatArray,
-    sd: FloatArray,
-    active: np.ndarray,
-    points: int,
-) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Cost along each active parameter through the estimate, the others held.
-
-    Args:
-        costs_along: Costs (m, p) of m parameters, by their rows (m,), at values of z (m, p).
-        sd: Posterior sd of z: the profile reaches 4 of them, at least 0.3 prior sd, to either side.
-        points: Points of each profile.
-    """
-    columns = np.flatnonzero(active)
-    if points < 3 or not columns.size:
-        return {}
-    reach = np.maximum(4.0 * sd, 0.3)[columns]
-    lower, upper = (bound[columns] for bound in space.bounds)
-    middle = z[columns]
-    values = np.linspace(np.maximum(lower, middle - reach), np.minimum(upper, middle + reach), points, axis=1)
-    costs = costs_along(columns, values)
-    candidates = np.repeat(z[None], columns.size * points, axis=0).reshape(columns.size, points, -1)
-    candidates[np.arange(columns.size), :, columns] = values
-    theta = space.theta_of(candidates)
-    return {int(i): (theta[row, :, i], costs[row]) for row, i in enumerate(columns)}

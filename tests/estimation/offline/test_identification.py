@@ -146,7 +146,8 @@ def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, c
     assert len(result.iterations) <= 1
     assert caplog.text.count("stopped the search") == 1
     skipped = (
-        "error against horizon, comparison of the logs' halves, shifts under other models, cost profiles"
+        "error against horizon, comparison of the logs' halves, shifts under other models, "
+        "search for a second minimum, cost profiles"
     )
     first = "left no time for: held-out clips from fitted first states"
     assert caplog.text.count(f"{first}, {skipped}") == 1

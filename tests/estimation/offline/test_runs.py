@@ -9,8 +9,8 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.estimation.offline import runs
-from amhe_cli.estimation.offline.posterior import Posterior
-from amhe_cli.estimation.offline.runs import runs_that_differ
+from amhe_cli.estimation.offline.posterior import Disagreement, Posterior
+from amhe_cli.estimation.offline.runs import runs_that_differ, spread_between
 from amhe_cli.report.identification_page import _run_table
 from tests import conftest
 
@@ -20,17 +20,21 @@ QUICK = {
 }
 
 
+def each(steps: np.ndarray) -> Any:
+    """Runs with these steps (k, 3) in z, each known to an sd of 0.1."""
+    return {
+        i: Posterior(step, 101.0 * np.eye(3), 100.0 * np.eye(3), np.eye(3)) for i, step in enumerate(steps)
+    }
+
+
 def differing(monkeypatch: pytest.MonkeyPatch, steps: np.ndarray) -> dict[str, Any]:
-    """What is named of runs with these steps (k, 3) in z, each known to an sd of 0.1."""
+    """What is named of these runs."""
     monkeypatch.setattr(runs, "acting", lambda *_: np.ones(3, dtype=bool))
     space = amhe.System.load("pendulum").space.without(["armature"])
     problem: Any = SimpleNamespace(system=SimpleNamespace(space=space, edits=SimpleNamespace(space=space)))
     logs = [SimpleNamespace(source=f"day{i + 1}/run.csv") for i in range(len(steps))]
-    alone: Any = {
-        i: Posterior(step, 101.0 * np.eye(3), 100.0 * np.eye(3), np.eye(3)) for i, step in enumerate(steps)
-    }
     monkeypatch.setattr(runs, "_names", lambda given: {i: logs[i].source for i in given})
-    return runs_that_differ(problem, alone)
+    return runs_that_differ(problem, each(steps))
 
 
 def test_chance_names_no_pair(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -46,6 +50,30 @@ def test_the_farthest_pair_is_named_for_its_parameter_alone(monkeypatch: pytest.
     assert list(found) == ["day1/run.csv and day4/run.csv"]
     (difference,) = found.values()
     np.testing.assert_allclose(difference.value, [0.0, 1.0, 0.0])
+
+
+#: A pair is named for the second of three parameters.
+NAMED = {"one and other": Disagreement(np.array([0.0, 1.0, 0.0]), np.eye(3))}
+
+
+@pytest.mark.parametrize("spread", (0.2, 1.0))
+def test_the_spread_between_runs_is_recovered(spread: float) -> None:
+    rng, found = np.random.default_rng(0), []
+    for _ in range(300):
+        steps = rng.normal(0.0, 0.1, (6, 3))
+        steps[:, 1] += rng.normal(0.0, spread, 6)
+        found.append(spread_between(each(steps), NAMED))
+    mean = np.sqrt(np.mean(np.square(found), axis=0))
+    assert mean[1] == pytest.approx(spread, rel=0.1)
+    assert mean[0] == mean[2] == 0.0
+
+
+def test_a_run_that_knows_nothing_has_no_share_in_the_spread() -> None:
+    steps = np.zeros((4, 3))
+    steps[:, 1] = (-0.5, 0.0, 0.5, 0.0)
+    alone = each(steps)
+    alone[3] = Posterior(steps[3], 1.01 * np.eye(3), 0.01 * np.eye(3), np.eye(3))
+    np.testing.assert_allclose(spread_between(alone, NAMED), [0.0, np.sqrt(0.25 - 100.0 / 101.0**2), 0.0])
 
 
 def test_two_runs_are_left_to_the_earlier_and_the_later(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,9 +10,10 @@ import pytest
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.statistics import Z90
 from amhe_cli.estimation.offline.combinations import combinations
+from amhe_cli.estimation.offline.fits import profiles
 from amhe_cli.estimation.offline.posterior import Disagreement
 from amhe_cli.estimation.offline.result import ParameterResult
-from amhe_cli.estimation.offline.verdicts import Evidence, Shift, profiles, verdicts
+from amhe_cli.estimation.offline.verdicts import Evidence, Rival, Shift, verdicts
 
 #: Two log-scaled parameters and a linear one; z = 1 is a factor of exp(0.5), or 0.2 m.
 SPACE = ParameterSpace(
@@ -219,3 +220,11 @@ def test_a_profile_passes_through_the_estimate_within_the_bounds() -> None:
     assert costs[[0, -1]] == pytest.approx(0.09)
     assert found[2][0].max() <= 1.0, "the upper bound"
     assert profiles(SPACE, lambda rows, at: at, z, sd, active, points=2) == {}
+
+
+def test_another_minimum_leaves_no_value_identified_in_which_it_differs() -> None:
+    rival = Rival(np.array([-0.4, -0.2, 0.1]), 0.4, np.array([True, False, False]), (1.02, 1.03))
+    heavy, friction, _ = verdicts(SPACE, evidence(rival=rival))
+    assert heavy.verdict == "weak"
+    assert heavy.reasons[0] == "another minimum explains the logs too: 3.27 kg (cost 1.03 against 1.02 here)"
+    assert friction.verdict == "identified"
