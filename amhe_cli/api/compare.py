@@ -109,7 +109,7 @@ def compare(
         held_out: Likewise logs to score on; None: a share of the logs' time is held out.
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
-        engine: What computes the rollouts: 'cpu' or 'gpu'.
+        engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
         max_time: Time of the whole comparison [s], shared evenly; None: no limit.
         progress: Called with a line of text now and then.
 

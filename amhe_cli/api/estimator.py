@@ -31,7 +31,7 @@ class Estimator:
         belief_anyway, fix, only: As in `identify`.
         seed: Seed of the random numbers.
         threads: CPU threads; results do not depend on it.
-        engine: What computes the rollouts: 'cpu' or 'gpu'.
+        engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
 
     Raises:
         ConfigError: An argument is wrong, the belief does not suit the system, or the window is too short.

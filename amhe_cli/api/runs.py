@@ -46,7 +46,7 @@ def probe(
         belief_anyway, fix, only: As in `identify`.
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
-        engine: What computes the rollouts: 'cpu' or 'gpu'.
+        engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
         recipe: Kind of the excitation: 'chirp', 'multisine', 'steps' or 'sweep'. Simulated under draws of the
             prior, it reaches no limit of joints, speed or force, and touches nothing. None: sums of sines
             within the limits of the controls.
@@ -113,7 +113,7 @@ def run(
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
         seed: Seed of start poses, sensor noise and sampling.
         threads: CPU threads; None: all cores. Results do not depend on it.
-        engine: What computes the rollouts: 'cpu' or 'gpu'.
+        engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
         duration: Longest time of the run [s]; None: the tasks' own limit.
         settings: Nested settings such as `{"mhe": {"window": 0.5}}`.
         log: File for the log (.mcap); None: it is not kept.

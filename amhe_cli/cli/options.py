@@ -259,7 +259,8 @@ engine = click.option(
     default="cpu",
     show_default=True,
     callback=_known_engine,
-    help="What computes the rollouts: cpu, or gpu with the extra [gpu] and a card; see docs/gpu.md.",
+    help="What computes the rollouts: cpu; gpu, with the extra [gpu] and a card; auto: for each call the "
+    "quicker. See docs/gpu.md.",
 )
 
 seed = click.option("--seed", type=WholeNumber(min=0), metavar="N", default=0, show_default=True)

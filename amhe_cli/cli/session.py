@@ -12,6 +12,7 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from amhe_cli.cli.wording import in_options
+from amhe_cli.core.errors import NOTE
 from amhe_cli.core.text import printable
 
 if TYPE_CHECKING:
@@ -100,7 +101,8 @@ class Session:
         logging.captureWarnings(True)  # a library's RuntimeWarning is for us, not for users
         logger = logging.getLogger("amhe_cli")
         logger.handlers[:] = [_listener(self)]
-        logger.setLevel([logging.WARNING, logging.INFO, logging.DEBUG][min(self.verbose, 2)])
+        least = logging.WARNING if self.quiet else NOTE
+        logger.setLevel([least, logging.INFO, logging.DEBUG][min(self.verbose, 2)])
         logger.propagate = False
 
     def end(self) -> None:
@@ -163,6 +165,7 @@ def _listener(session: Session) -> Handler:
                 if text in session.warnings:
                     return
                 session.warnings.append(text)
-            session.say(record.levelname.lower(), printable(text))
+            kind = "note" if record.levelno == NOTE else record.levelname.lower()
+            session.say(kind, printable(text))
 
     return Listener()

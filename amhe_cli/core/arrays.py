@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -21,6 +22,12 @@ def namespace_of(array: AnyArray) -> Any:
         return array.__array_namespace__()
     home = type(array).__module__.partition(".")[0]
     return sys.modules["cupy"] if home == "cupy" else np  # CuPy's arrays do not name their namespace
+
+
+def side_by_side(arrays: Sequence[AnyArray]) -> list[AnyArray]:
+    """The arrays on the host, or all on the device where one of them lies."""
+    away = [array for array in arrays if not isinstance(array, np.ndarray)]
+    return [namespace_of(away[0]).asarray(array) for array in arrays] if away else list(arrays)
 
 
 def to_host(array: AnyArray) -> FloatArray:

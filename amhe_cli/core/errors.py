@@ -8,6 +8,9 @@ from difflib import get_close_matches
 
 from amhe_cli.core.text import printable
 
+#: Level of a log message that users should see although nothing is wrong, between info and warning.
+NOTE = 25
+
 
 class AmheError(Exception):
     """Base class of all expected errors; the command line prints its text and no traceback."""

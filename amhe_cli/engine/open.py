@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import copy
+import logging
 from concurrent.futures import Executor
 
 import mujoco
 import numpy as np
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import NOTE, ConfigError
+from amhe_cli.engine.auto import AutoEngine
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
@@ -16,8 +18,10 @@ from amhe_cli.engine.states import collides
 from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.system import System
 
+logger = logging.getLogger(__name__)
+
 #: Kinds of engine that can be opened.
-KINDS = ("cpu", "gpu")
+KINDS = ("cpu", "gpu", "auto")
 
 
 def open_engine(
@@ -36,7 +40,7 @@ def open_engine(
         threads: Number of CPU threads; results do not depend on it.
         executor: Executor whose workers compute the rollouts, instead of threads of this process; it must
             stay open.
-        kind: One of `KINDS`.
+        kind: One of `KINDS`; 'auto' decides for each call, by its number of rollouts.
         sensors: Whether rollouts record sensors; None: if the system needs them.
         model: Roll out this model of the same layout; None: the system's own.
 
@@ -51,7 +55,20 @@ def open_engine(
         return _gpu_engine(executor, *about, senses)
     if executor is not None:
         return SpreadEngine(executor, *about, senses)
-    return CpuEngine(*about, threads, senses)
+    cpu = CpuEngine(*about, threads, senses)
+    if kind == "cpu":
+        return cpu
+    try:
+        cards = _cards()
+    except ConfigError as error:
+        logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
+        return cpu
+    engine = AutoEngine(cpu, lambda: _gpu_engine(None, *about, senses), about[0], threads)
+    logger.log(
+        NOTE, "the graphics card%s, where it is quicker: calls of %.0f rollouts or more; else the CPU",
+        "s" * (len(cards) > 1), engine.fewest,
+    )  # fmt: skip
+    return engine
 
 
 def check_kind(kind: str) -> None:
@@ -74,13 +91,25 @@ def _gpu_engine(
     """
     if executor is not None:
         raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
+    cards = _cards()
+    from amhe_cli.engine.gpu.engine import GpuEngine
+
+    return GpuEngine(model, edits, input_spec, sensors, cards)
+
+
+def _cards() -> list[str]:
+    """Warp's names of the cards of this computer.
+
+    Raises:
+        ConfigError: mujoco-warp or a card is missing.
+    """
     try:
-        from amhe_cli.engine.gpu.engine import GpuEngine, visible_cards
+        from amhe_cli.engine.gpu.engine import visible_cards
     except ImportError as error:
         raise ConfigError(
             f"the engine 'gpu' needs {error.name}, which is not installed: pip install 'amhe[gpu]'"
         ) from None
-    return GpuEngine(model, edits, input_spec, sensors, visible_cards())
+    return visible_cards()
 
 
 def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]:

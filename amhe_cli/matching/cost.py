@@ -18,7 +18,15 @@ from functools import cached_property
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, namespace_of, to_host
+from amhe_cli.core.arrays import (
+    AnyArray,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    namespace_of,
+    side_by_side,
+    to_host,
+)
 from amhe_cli.core.each_log import same_values, values_on
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.settings import CostSettings
@@ -247,7 +255,8 @@ def _alike(logs: Sequence[Log]) -> list[tuple[Log, IntArray]]:
 def _in_order(parts: Sequence[Predicted], order: IntArray) -> Predicted:
     """Predictions of some clips each as one of all clips, in their order."""
     columns = zip(*(part.values for part in parts), strict=True)
-    values = tuple(namespace_of(one[0]).concatenate(one, axis=1)[:, order] for one in columns)
+    beside = map(side_by_side, columns)
+    values = tuple(namespace_of(one[0]).concatenate(one, axis=1)[:, order] for one in beside)
     return Predicted(values, np.concatenate([part.completed for part in parts], axis=1)[:, order])
 
 

@@ -58,14 +58,14 @@ def test_a_prediction_in_turns_is_that_of_one(monkeypatch: pytest.MonkeyPatch) -
     for at_once in (3, 8):
         monkeypatch.setattr(card, "WITHOUT_CARD", at_once)
         (parts,) = on(PENDULUM).predict(*arguments).values
-        np.testing.assert_array_equal(parts, whole)
+        np.testing.assert_array_equal(to_host(parts), to_host(whole))
 
 
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gpu, "LEAST", 4)
     arguments = call(PENDULUM)
     (one,), (three,) = (on(PENDULUM, *n * ["cpu"]).predict(*arguments).values for n in (1, 3))
-    np.testing.assert_array_equal(three, one)
+    np.testing.assert_array_equal(to_host(three), to_host(one))
 
 
 def test_buffers_that_are_too_small_are_made_larger(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -82,7 +82,7 @@ class GpuEngine:
         at_once = self.cards[0].at_once(record)
         shared = cards if count * clips >= cards * LEAST else 1
         by_candidate, by_clip = turns_of(count, clips, at_once)
-        turns = max(shared, by_candidate), by_clip
+        turns = -(-by_candidate // shared) * shared, by_clip  # as many for each card
         if turns == (1, 1):
             return _in_order(self.cards[0].run(self.job(theta, starts, errors, wanted)), count)
         return predicted_in_parts(turns, theta, starts, errors, wanted, self._dealt)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, namespace_of
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray, namespace_of, side_by_side
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
 
@@ -47,9 +47,10 @@ class Reach:
             here: Those of no move, one array for each channel, shape (1, c, samples, k).
         """
         columns = [self.z[observed.channel.key][row] for observed in cost.clips.observed]
+        pairs = zip(found.values, here, strict=True)
         values = tuple(
             namespace_of(moved).where(namespace_of(moved).asarray(own), moved, still)
-            for own, moved, still in zip(columns, found.values, here, strict=True)
+            for own, (moved, still) in zip(columns, map(side_by_side, pairs), strict=True)
         )
         return Residuals(values, found.completed)
 

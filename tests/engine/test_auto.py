@@ -1,0 +1,119 @@
+"""The engine that takes the processor or the cards for each call."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import NOTE, ConfigError
+from amhe_cli.engine import open as opening
+from amhe_cli.engine.auto import TABLE, AutoEngine, step_cost
+from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.open import open_engine
+from tests.engine.test_contract import CUBE, PENDULUM, clips, some
+
+
+class Cards:
+    """Takes the place of the cards: the processor's numbers, and the sizes of the calls."""
+
+    def __init__(self, engine: Any) -> None:
+        self.engine, self.calls = engine, []
+        self.precision = engine.precision
+
+    def rollout(self, *arguments: Any) -> Any:
+        self.calls.append(len(arguments[-1]))
+        return self.engine.rollout(*arguments)
+
+    def predict(self, theta: Any, starts: Any, *rest: Any) -> Any:
+        self.calls.append(len(theta) * len(starts.lengths))
+        return self.engine.predict(theta, starts, *rest)
+
+    def upon(self, model: Any, edits: Any = None) -> Cards:
+        return Cards(self.engine.upon(model, edits))
+
+
+@pytest.fixture
+def cards(monkeypatch: pytest.MonkeyPatch) -> list[Cards]:
+    """The engines of the cards that were opened, on a computer that has one."""
+    opened: list[Cards] = []
+
+    def opens(executor: object, model: Any, edits: Any, input_spec: int, sensors: bool) -> Cards:
+        opened.append(Cards(CpuEngine(model, edits, input_spec, 1, sensors)))
+        return opened[-1]
+
+    monkeypatch.setattr(opening, "_cards", lambda: ["cuda:0"])
+    monkeypatch.setattr(opening, "_gpu_engine", opens)
+    monkeypatch.setattr("amhe_cli.engine.auto.START", 0.0)
+    return opened
+
+
+def auto() -> AutoEngine:
+    engine = open_engine(PENDULUM, kind="auto")
+    assert isinstance(engine, AutoEngine)
+    return engine
+
+
+def test_without_a_card_it_is_the_engine_of_the_processor_and_says_so(monkeypatch, caplog) -> None:
+    def none() -> list[str]:
+        raise ConfigError("no graphics card that CUDA can use; take the engine 'cpu'")
+
+    monkeypatch.setattr(opening, "_cards", none)
+    caplog.set_level(NOTE, "amhe_cli")
+    assert isinstance(open_engine(PENDULUM, kind="auto"), CpuEngine)
+    assert caplog.messages == ["the CPU computes all rollouts: no graphics card that CUDA can use"]
+
+
+def test_small_calls_go_to_the_processor_and_large_ones_to_the_cards(cards, caplog) -> None:
+    caplog.set_level(NOTE, "amhe_cli")
+    engine = auto()
+    assert f"calls of {engine.fewest:.0f} rollouts or more" in caplog.text
+    few = int(engine.fewest)
+    engine.rollout(*some(few))
+    assert not cards, "the libraries of the cards are not even loaded"
+    engine.rollout(*some(few + 1))
+    assert cards[0].calls == [few + 1]
+    starts, wanted = clips(PENDULUM, 10)
+    theta = some(few // 10 + 1)[0]
+    done, alone = (each.predict(theta, starts, None, wanted) for each in (engine, open_engine(PENDULUM)))
+    assert cards[0].calls[1:] == [10 * len(theta)]
+    np.testing.assert_array_equal(done.values[0], alone.values[0])
+
+
+def test_cards_are_opened_once_that_is_worth_their_start(cards, monkeypatch) -> None:
+    engine = auto()
+    large = some(int(2.0 * engine.fewest))  # each call gains what one on the cards takes
+    each = 40 * step_cost(PENDULUM.model).card
+    monkeypatch.setattr("amhe_cli.engine.auto.START", 13.0 * each)
+    for _ in range(5):
+        engine.rollout(*large)
+    assert [len(one.calls) for one in cards] == [2], "three calls before, ten that are expected"
+
+
+def test_variants_of_a_model_share_the_cards(cards) -> None:
+    engine = auto()
+    variant = engine.upon(PENDULUM.model)
+    variant.rollout(*some(int(engine.fewest) + 1))
+    variant.upon(PENDULUM.model).rollout(*some(int(engine.fewest) + 1))
+    assert len(cards) == 1
+
+
+def test_a_model_that_the_cards_refuse_stays_on_the_processor(cards, monkeypatch, caplog) -> None:
+    def refuses(*about: object) -> None:
+        raise ConfigError("mujoco-warp cannot simulate this model: PGS")
+
+    monkeypatch.setattr(opening, "_gpu_engine", refuses)
+    caplog.set_level(logging.INFO, "amhe_cli")
+    engine = auto()
+    for _ in range(2):
+        engine.rollout(*some(int(engine.fewest) + 1))
+    assert caplog.messages[1:] == [
+        "the CPU computes all rollouts: mujoco-warp cannot simulate this model: PGS"
+    ]
+
+
+def test_the_table_is_read_by_contacts_and_size() -> None:
+    assert step_cost(PENDULUM.model) is TABLE[0]
+    assert step_cost(CUBE.model) is TABLE[2]
