@@ -35,6 +35,13 @@ if TYPE_CHECKING:
     help="Estimator; linearised falls back on cmaes where it does not help.",
 )
 @click.option(
+    "--posterior",
+    type=click.Choice(["linearised", "sampled"]),
+    default="linearised",
+    show_default=True,
+    help="Intervals by slopes at the estimate, or of draws under the true cost: many more rollouts.",
+)
+@click.option(
     "--max-time",
     type=options.Number(min=0, min_open=True),
     metavar="S",
@@ -63,6 +70,7 @@ def identify(
     fix: dict[str, float],
     only: list[str] | None,
     method: str,
+    posterior: str,
     max_time: float | None,
     checkpoint: Path | None,
     seed: int,
@@ -77,7 +85,7 @@ def identify(
 
     A LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog,
     a LeRobot dataset, or a YAML file that lists logs and what is known of each: see docs/logs.md. Writes
-    belief.yaml, identified.xml, result.json and report.html.
+    belief.yaml, identified.xml, result.json and report.html; samples.npz with --posterior sampled.
     """
     from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress
@@ -96,7 +104,7 @@ def identify(
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
         result = run(
             opened, training, held_out=validation, prior=prior, method=method, seed=seed, threads=threads,
-            engine=engine, max_time=max_time, checkpoint=checkpoint, executor=executor,
+            engine=engine, posterior=posterior, max_time=max_time, checkpoint=checkpoint, executor=executor,
             progress=lambda iteration, total: show((iteration, total)),
         )  # fmt: skip
     session.interrupted = result.found.interrupted

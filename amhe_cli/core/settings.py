@@ -122,6 +122,8 @@ class IdentifySettings(SettingsGroup):
     """How far numbers of the model that are taken as exact may be off."""
     bootstrap: Annotated[int, Field(ge=0)] = 200
     """Resamples of the clip bootstrap."""
+    draws: Annotated[int, Field(ge=100)] = 1000
+    """Draws of the sampled posterior."""
     profile_points: Annotated[int, Field(ge=0)] = 11
     """Points of each parameter's cost profile; 0 draws none."""
 

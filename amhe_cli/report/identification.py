@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.text import Text
 
@@ -23,6 +24,7 @@ from amhe_cli.report.bodies import body_table
 from amhe_cli.report.folder import write_page
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
+from amhe_cli.report.sampled import sampled_lines, sampled_record
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.export import identified_assets, identified_xml
 from amhe_cli.system.system import System
@@ -64,6 +66,7 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
                 }
                 for run in result.runs
             ],
+            "sampled": sampled_record(result),
             "spreads": [asdict(spread) for spread in result.spreads],
             "held_out": result.held_out and asdict(result.held_out),
             "rollouts": {"count": result.rollouts, "diverged": result.diverged},
@@ -86,6 +89,8 @@ def write_identification(
 ) -> None:
     """Write belief.yaml, identified.xml (its meshes in assets/), result.json, all or none; then report.html.
 
+    Draws of a sampled posterior are in samples.npz, as `amhe export --to samples` writes them.
+
     Args:
         folder: Folder of the files; made if it does not exist.
         system: The system that was identified.
@@ -103,6 +108,10 @@ def write_identification(
     with filling(folder) as scratch:
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
+        if result.sampled is not None:
+            np.savez(
+                scratch / "samples.npz", samples=result.sampled.draws, names=np.array(result.belief.names)
+            )
         for name, source in identified_assets(system).items():
             if not source.is_file():  # of a model that was attached: MuJoCo does not say where it was
                 logger.warning("identified.xml needs %s beside it: copy it there from the model", name)
@@ -127,6 +136,8 @@ def print_identification(
         console.print(f"{', '.join(names)}: {reason}", style="dim")
     for spread in result.spreads:
         console.print(spread_line(spread))
+    for line in sampled_lines(result):
+        console.print(line)
     for c in known_together(result)[:MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
     console.print(f"held-out: {held_out_line(result.held_out)}")

@@ -21,6 +21,7 @@ from amhe_cli.report import figures, numbers
 from amhe_cli.report.bodies import body_table
 from amhe_cli.report.held_out import held_out_sections, held_out_statement
 from amhe_cli.report.page import Fold, Key, Section, Statement, Tone, cell, fixed_statement, result_page
+from amhe_cli.report.sampled import sampled_sections, sampled_statements
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn, and how many of them are open at once.
@@ -89,6 +90,7 @@ def statements(result: Identification) -> list[Statement]:
         *held_out_statement(result.held_out),
         *_verdicts(result.parameters),
         *_combinations(result),
+        *sampled_statements(result),
         *fixed_statement(result.belief.fixed),
         *_residuals(result),
         *_divergence(result),
@@ -143,6 +145,7 @@ def _sections(
     result: Identification, truth: Mapping[str, float], pictures: Sequence[tuple[str, str]]
 ) -> Iterator[Section]:
     yield Section("Parameters", table=_parameter_table(result, truth), note=_legend_of_verdicts())
+    yield from sampled_sections(result)
     if result.bodies:
         yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies))
     if result.combinations:

@@ -172,7 +172,7 @@ def test_wrong_arguments_are_named(system: amhe.System, log: amhe.Log) -> None:
     with pytest.raises(ConfigError, match="`held_out`: .* is fitted too"):
         amhe.identify(system, log, held_out=log)
     for wrong, message in (
-        ({"engine": "auto"}, "no engine 'auto'; there is: cpu, gpu"),
+        ({"engine": "abacus"}, "no engine 'abacus'; there is: cpu, gpu, auto"),
         ({"method": "foo"}, "`method`: no method 'foo'; there is: cmaes, linearised"),
         ({"threads": 0}, "`threads`: 0 is no whole number of 1 or more"),
         ({"threads": -1}, "`threads`: -1 is no whole number"),

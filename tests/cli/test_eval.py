@@ -162,7 +162,7 @@ def test_a_cluster_behind_tls(done: Path, tmp_path: Path, certificates: dict[str
         plain = cluster.address.replace("tls:", "tcp:")
         assert run([*command, plain, "-o", "b"]) == 1, "no way in without TLS"
         ours = {"ca-file": "ca.pem", "client.cert": "me.pem", "client.key": "me.key"}
-        with dask.config.set({f"distributed.comm.tls.{name}": file for name, file in ours.items()}):
+        with dask.config.set({f"distributed.comm.tls.{name}": file for name, file in ours.items()}):  # pyright: ignore[reportPrivateImportUsage]
             assert run([*command, cluster.address, "-o", "out"]) == 0
     assert cells_of(Path("out")) == cells_of(done)
 
@@ -220,7 +220,7 @@ def breaking(request):
         (["--belief", "t1=nowhere.yaml"], "no file 'nowhere.yaml'"),
         (["--report", "nowhere"], "nowhere"),
         (["--cluster", "nonsense://here:1"], "nonsense"),
-        (["--engine", "auto"], "no engine 'auto'; there is: cpu, gpu"),
+        (["--engine", "abacus"], "no engine 'abacus'; there is: cpu, gpu, auto"),
     ],
 )
 def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, options, message: str) -> None:

@@ -111,7 +111,7 @@ def test_a_folder_that_holds_something_is_refused_before_any_work(pendulum_log: 
 @pytest.mark.parametrize(
     ("arguments", "code", "message"),
     [
-        (["--engine", "auto"], 2, "no engine 'auto'; there is: cpu, gpu"),
+        (["--engine", "abacus"], 2, "no engine 'abacus'; there is: cpu, gpu, auto"),
         (["--topic", "joints"], 2, "SIGNAL=/name"),
         (["--topic", "jonts=/x"], 2, "did you mean 'joints'"),
         (["--topic", "joints=/nothing"], 4, "/nothing"),

@@ -235,7 +235,7 @@ def test_the_table_is_on_stdout_and_progress_on_stderr(capsys) -> None:
         (["--task", "t1", "--mode", "stale"], "no stale belief"),
         (["--task", "t1", "--target", "go1", "--mode", "true"], "go1"),
         (["--task", "t1", "--duration", "0"], "duration"),
-        (["--task", "t1", "--engine", "auto"], "no engine 'auto'; there is: cpu, gpu"),
+        (["--task", "t1", "--engine", "abacus"], "no engine 'abacus'; there is: cpu, gpu, auto"),
         (["--task", "t1", "--duration", "nan"], "nan is not a finite number"),
         (["--task", "t1", "--belief", "nowhere.yaml"], "nowhere.yaml"),
         (["--task", "t1", "--mode", "baseline", "--belief", "rubbish"], "rubbish"),

@@ -38,6 +38,7 @@ class Information:
         nuisance: Best nuisances at dz = 0, shape (c, n).
         nuisance_gain: Slopes of the best nuisances by z, shape (c, n, d).
         nuisance_precision: Precision of the nuisances, given z, shape (c, n, n).
+        weight: Weight of each squared residual, shape (c, R).
     """
 
     matrix: FloatArray
@@ -47,6 +48,7 @@ class Information:
     nuisance: FloatArray
     nuisance_gain: FloatArray
     nuisance_precision: FloatArray
+    weight: FloatArray
 
     def first(self, dz: FloatArray) -> FloatArray:
         """Best first-state errors of every clip after steps dz (p, d): shape (p, c, nx)."""
@@ -97,6 +99,7 @@ def marginalised(
         nuisance=mean - offset,
         nuisance_gain=np.negative(gain),
         nuisance_precision=precision,
+        weight=weight,
     )
 
 

@@ -38,10 +38,11 @@ from amhe_cli.estimation.offline.posterior import (
     final_fit,
 )
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.result import ClipCount, Identification
+from amhe_cli.estimation.offline.result import ClipCount, Identification, Sampled
 from amhe_cli.estimation.offline.runs import each_run, estimates, runs_that_differ, spread_between
+from amhe_cli.estimation.offline.sampled import ENOUGH, USUAL, SampledPosterior, sampled_posterior
 from amhe_cli.estimation.offline.shifts import shifts_of
-from amhe_cli.estimation.offline.verdicts import Evidence, Shift, verdicts
+from amhe_cli.estimation.offline.verdicts import Evidence, Shift, interval, verdicts
 from amhe_cli.estimation.offline.watch import Watch
 from amhe_cli.estimation.offline.widening import (
     along_vectors,
@@ -61,7 +62,9 @@ PARTS, RESERVE = 9, 3
 FEWEST_RESAMPLED = 10
 
 
-def conclude(problem: Problem, finding: Finding, validation: list[Window], watch: Watch) -> Identification:
+def conclude(
+    problem: Problem, finding: Finding, validation: list[Window], watch: Watch, *, sampled: bool = False
+) -> Identification:
     """All results of a finished, or interrupted, search.
 
     Args:
@@ -71,6 +74,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         watch: Shows progress, and decides for which of the slow checks there is time: held-out clips from
             fitted first states, the comparison of the logs' halves, shifts under other models, profiles.
             After an interruption there is for none.
+        sampled: Draw from the posterior under the true cost, too, and take the intervals from the draws.
     """
     system = problem.system
     watch.enter("covariance")
@@ -93,7 +97,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         )
     if held_out and watch.allows("error against horizon", _predictions(problem, validation)):
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
-    evidence = _evidence(problem, finding, fit, against, watch)
+    evidence, drawn = _evidence(problem, finding, fit, against, watch, sampled)
     watch.report_skipped()
     watch.enter("figures")
     return Identification(
@@ -121,6 +125,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         bodies=body_numbers(system, finding.z, evidence.covariance, problem.rng(5)),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(system.space, finding.z, each_run(problem, finding.z, fit)),
+        sampled=drawn,
     )
 
 
@@ -130,14 +135,35 @@ def _predictions(problem: Problem, validation: Sequence[Window]) -> int:
     return round(2.0 * seconds * len(problem.clips) / sum(clip.duration for clip in problem.clips))
 
 
+def _sampled(problem: Problem, fit: FinalFit, watch: Watch) -> SampledPosterior | None:
+    """Draws from the posterior under the true cost; None where there is no time, or they did not settle."""
+    draws = problem.settings.identify.draws
+    if not watch.allows("sampled posterior", USUAL * draws * len(problem.clips)):
+        return None
+    found = sampled_posterior(problem, fit)
+    if found.effective >= ENOUGH * draws:
+        return found
+    logger.warning(
+        f"the sampled posterior did not settle ({found.effective:.0f} of {draws} draws are effective), as "
+        f"where a cost jitters behind contacts: the intervals are the linearised ones"
+    )
+    return None
+
+
 def _evidence(
-    problem: Problem, finding: Finding, fit: FinalFit, against: Sequence[str], watch: Watch
-) -> Evidence:
-    """All that is known about how accurate the estimate is."""
+    problem: Problem,
+    finding: Finding,
+    fit: FinalFit,
+    against: Sequence[str],
+    watch: Watch,
+    sampled: bool,
+) -> tuple[Evidence, Sampled | None]:
+    """All that is known about how accurate the estimate is, and draws of the posterior if there are any."""
     space, setting, once = problem.system.space, problem.settings.identify, problem.linearisation
     own = fit.posterior.covariance
     doubled = own
-    if watch.affords(once):
+    drawn = _sampled(problem, fit, watch) if sampled else None
+    if drawn is None and watch.affords(once):
         watch.enter("covariance from wider samples")
         doubled = doubled_step(problem, finding, fit).covariance
     halves = watch.allows("comparison of the logs' halves", (REFITS + TURNS) * once)
@@ -154,21 +180,31 @@ def _evidence(
     resampled = bootstrap(finding.z, fit.found, fit.weight, prior, resamples, problem.rng(4))
     widening, causes = _systematic(problem, fit, compared, between, shifts, doubled, resampled, again)
     covariance, rival = own + widening, None
-    if watch.allows("search for a second minimum", SHARE * sum(entry.rollouts for entry in finding.record)):
+    searched = SHARE * sum(entry.rollouts for entry in finding.record)
+    if drawn is None and watch.allows("search for a second minimum", searched):  # draws find it
         rival = second_minimum(problem, finding, fit, covariance)
     if rival is not None:
         away = rival.share * np.outer(rival.z - fit.z, rival.z - fit.z)
         covariance, causes = covariance + away, causes | {"another minimum explains the logs": np.diag(away)}
+    draws, beside = None, None
+    if drawn is not None:
+        draws = drawn.spread(problem, fit, covariance)
+        sds = np.sqrt(np.diag(covariance))
+        linearised = {name: interval(space, finding.z, sds[i], i) for i, name in enumerate(space.names)}
+        beside = Sampled(space.theta_of(draws), drawn.effective, drawn.rollouts, linearised)
+        covariance = (draws - finding.z).T @ (draws - finding.z) / len(draws)
     points = setting.profile_points
     unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
     rollouts = points * int(unknowns) * len(problem.clips)
-    return Evidence(
+    evidence = Evidence(
         z=finding.z,
         covariance=covariance,
         own_sd=fit.posterior.sd,
         active=problem.active,
         idle=problem.idle,
-        step_ratio=np.where(problem.active, np.sqrt(np.diag(own) / np.diag(doubled)), np.nan),
+        step_ratio=np.where(
+            problem.active & (drawn is None), np.sqrt(np.diag(own) / np.diag(doubled)), np.nan
+        ),
         bootstrap=resampled.std(axis=0),
         disagreements=compared | differing,
         shifts=shifts,
@@ -185,7 +221,9 @@ def _evidence(
         repeats=np.sqrt(1.0 + np.diag(again) / np.diag(own)),
         causes=causes,
         rival=rival,
+        draws=draws,
     )
+    return evidence, beside
 
 
 def _systematic(

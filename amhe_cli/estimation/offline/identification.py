@@ -30,7 +30,7 @@ from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
-METHODS = ("linearised", "cmaes")
+METHODS, POSTERIORS = ("linearised", "cmaes"), ("linearised", "sampled")
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +48,7 @@ class IdentifyOptions:
         executor: Executor whose workers compute the rollouts; None: threads of this process. Results do not
             depend on it.
         engine: Kind of engine, see `open_engine`.
+        posterior: One of `POSTERIORS`.
     """
 
     method: str = "linearised"
@@ -58,6 +59,7 @@ class IdentifyOptions:
     prior: Belief | None = None
     executor: Executor | None = None
     engine: str = "cpu"
+    posterior: str = "linearised"
 
 
 def identify(
@@ -81,22 +83,28 @@ def identify(
         The result; `interrupted` where Ctrl-C or the time limit cut the search short.
 
     Raises:
-        ConfigError: There is no such method or kind of engine.
+        ConfigError: There is no such method, posterior or kind of engine, or logs have values of their own,
+            which no posterior is sampled of.
         EstimationError: No clip of the logs can be used.
     """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
+    if options.posterior not in POSTERIORS:
+        raise ConfigError(f"`posterior`: {one_of('posterior', options.posterior, POSTERIORS)}")
     if options.prior is not None:
         system = replace(system, space=system.space.with_prior(options.prior))
     training, model = named(training), system.space
     system = replace(system, space=searched(model, training))
+    sampled = options.posterior == "sampled"
+    if sampled and not set(system.space.names) <= set(model.names):
+        raise ConfigError("`posterior`: 'sampled' takes no values of the logs' own; leave it out")
     watch = Watch(on_iteration, options.max_time, PARTS)
     problem, validation = _pose(system, training, held_out, options)
     watch.keep(RESERVE * problem.linearisation)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     finding = _search(problem, validation, options.method, watch, kept)
     try:
-        found = conclude(problem, finding, validation, watch)
+        found = conclude(problem, finding, validation, watch, sampled=sampled)
     except KeyboardInterrupt:
         logger.warning("interrupted while the result was examined: its checks are not complete")
         watch.interrupted = True

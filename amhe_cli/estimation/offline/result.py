@@ -258,6 +258,33 @@ class RunEstimate:
     values: Mapping[str, tuple[float, float]]
 
 
+#: Share of the linearised interval's width by which a sampled one may differ without a word.
+DIFFERENCE = 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sampled:
+    """Draws from the posterior under the true cost, which the parameters' intervals are of.
+
+    Args:
+        draws: The draws, in the parameters' units, shape (n, d).
+        effective: Number of independent draws that they are worth.
+        rollouts: Rollouts that they took.
+        linearised: 90 % interval of each parameter under the linearised posterior, by name.
+    """
+
+    draws: FloatArray
+    effective: float
+    rollouts: int
+    linearised: Mapping[str, tuple[float, float]]
+
+    def differs(self, parameter: ParameterResult) -> bool:
+        """Whether an end of a parameter's interval is elsewhere than the linearised one's."""
+        low, high = self.linearised[parameter.name]
+        away = max(abs(parameter.lower - low), abs(parameter.upper - high))
+        return away > DIFFERENCE * (high - low)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
     """The result of `amhe identify`."""
@@ -281,6 +308,7 @@ class Identification:
     spreads: tuple[OwnSpread, ...] = ()
     bodies: tuple[BodyNumber, ...] = ()
     runs: tuple[RunEstimate, ...] = ()
+    sampled: Sampled | None = None
 
 
 def known_together(result: Identification) -> list[Combination]:

@@ -91,6 +91,7 @@ class Evidence:
         rough: The response jitters, as behind contacts.
         causes: What widened the sd beyond noise, in words -> variance that it added.
         rival: A second minimum.
+        draws: Draws of the posterior, shape (n, d), from which the intervals are; None: the covariance's.
     """
 
     z: FloatArray
@@ -108,6 +109,7 @@ class Evidence:
     unexplained: Sequence[str]
     rough: bool
     rival: Rival | None = None
+    draws: FloatArray | None = None
 
     @property
     def shrinkage(self) -> FloatArray:
@@ -124,7 +126,9 @@ def _parameter(space: ParameterSpace, evidence: Evidence, i: int) -> ParameterRe
     p = space.parameters[i]
     sd = float(np.sqrt(evidence.covariance[i, i]))
     estimate = float(space.theta_of(evidence.z)[i])
-    low, high = _interval(space, evidence.z, sd, i)
+    low, high = interval(space, evidence.z, sd, i)
+    if evidence.draws is not None:
+        low, high = map(float, np.quantile(space.theta_of(evidence.draws)[:, i], (0.05, 0.95)))
     verdict, reasons = _verdict(space, evidence, i)
     slope = (estimate if p.log else 1.0) * p.prior_sd
     return ParameterResult(
@@ -146,7 +150,8 @@ def _parameter(space: ParameterSpace, evidence: Evidence, i: int) -> ParameterRe
     )
 
 
-def _interval(space: ParameterSpace, z: FloatArray, sd: float, i: int) -> tuple[float, float]:
+def interval(space: ParameterSpace, z: FloatArray, sd: float, i: int) -> tuple[float, float]:
+    """90 % interval of a parameter whose z has this sd, within its bounds."""
     p = space.parameters[i]
     ends = []
     for side in (-1.0, 1.0):
