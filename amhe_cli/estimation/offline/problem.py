@@ -85,7 +85,7 @@ class Problem:
     @cached_property
     def clips(self) -> tuple[Window, ...]:
         """The fitted logs cut into clips, each instant used once; thinned evenly where there are many."""
-        clips, most = self._all_clips, 4 * self.settings.clips.count
+        clips, most = self._all_clips, 6 * self.settings.clips.count
         if len(clips) > most and not self.only:
             clips = [clips[i] for i in np.linspace(0, len(clips) - 1, most).round().astype(int)]
         return tuple(clips)
@@ -101,13 +101,11 @@ class Problem:
         return min(self.settings.clips.count, max(FEWEST, len(self.clips)))
 
     def coverage(self, windows: Sequence[Window]) -> float:
-        """Time in the fitted logs over time in these clips: how often each clip's information counts."""
-        return self.moving_time / sum(w.duration for w in windows)
+        """Time in all fitted clips over time in these: how often each clip's information counts.
 
-    @cached_property
-    def moving_time(self) -> float:
-        """Time of the fitted logs that clips can use [s]."""
-        return sum(w.duration for w in self._all_clips)
+        What was left out of a long log has not shaped the estimate, and narrows no interval.
+        """
+        return sum(w.duration for w in self.clips) / sum(w.duration for w in windows)
 
     @cached_property
     def linearisation(self) -> int:
