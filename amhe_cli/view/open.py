@@ -79,6 +79,8 @@ def strips(
 ) -> Iterator[tuple[str, str]]:
     """Name and picture of the worst and of the median clip that were not fitted, or of all if none was kept.
 
+    A model in which no body has a shape gives none.
+
     Args:
         system: The system.
         logs: The logs that were fitted.
@@ -89,6 +91,8 @@ def strips(
     kept = [part for part in parts if part[1]] or parts
     z = {"nominal": np.zeros(len(system.space)), "identified": _identified(system, belief)}
     found = viewing(system, kept, z, open_engine(system), _PICTURED)
+    if not any(geom.body >= 0 for geom in found.scene.geoms):
+        return  # nothing that moves has a shape, as of a URDF that was read without its meshes
     rows = sorted({0, len(found.takes) // 2}) if found.takes else ()
     for kind, row in zip(("worst", "median"), rows, strict=False):
         take = found.takes[row]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +14,7 @@ from amhe_cli.core.parameters import belief_of
 from amhe_cli.report.figures import thinned
 from amhe_cli.view.open import strips
 from amhe_cli.view.strip import _outline
+from tests.conftest import MODELS
 from tests.view.browser import browser, needs_chromium
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -48,6 +50,15 @@ def test_equal_parameters_give_equal_ghosts(pendulum_log: Path) -> None:
         for picture in shown:
             nominal, identified = ghosts(picture)
             assert nominal == identified
+
+
+def test_a_model_without_shapes_has_no_pictures(pendulum_log: Path, tmp_path: Path) -> None:
+    for name in ("scene.xml", "system.yaml"):
+        text = (MODELS / "pendulum" / name).read_text(encoding="utf-8")
+        (tmp_path / name).write_text(re.sub(r'<geom name="(rod|load)".*/>', "", text), encoding="utf-8")
+    system = amhe.System.load(tmp_path)
+    belief = belief_of(system, np.zeros(4), 1e-4 * np.eye(4))
+    assert list(strips(system, [amhe.read_log(pendulum_log, system)], [], belief)) == []
 
 
 def test_an_outline_holds_all_points_and_only_corners() -> None:
