@@ -135,7 +135,8 @@ class Problem:
 
     def first_states(self, found: Information, dz: FloatArray) -> FirstStates:
         """What the clips of an information know of their first states after a step of z (d,)."""
-        alike = None if self.reach is None else self.reach.first_alike
+        reach = self.reach if found.nuisance.shape[1] else None  # recorded first states have no errors
+        alike = None if reach is None else reach.first_alike
         return found.first_states(dz, NARROWEST if self.rough else 0.0, alike)
 
     @cached_property

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -110,6 +112,14 @@ def test_slopes_are_the_same_with_fewer_rollouts(apart: Problem, straight: bool)
     error = np.sqrt(((shared.gain - dense.gain) ** 2).mean(axis=(0, 2)))
     assert (error < 2e-3 * size).all(), error / size
     np.testing.assert_allclose(shared.bend, 0.0 if straight else dense.bend, atol=1e-5)
+
+
+def test_recorded_first_states_have_no_groups(apart: Problem) -> None:
+    identify = apart.settings.identify.model_copy(update={"first_state": "never"})
+    settings = apart.settings.model_copy(update={"identify": identify})
+    part = replace(apart.part(np.arange(2)), system=replace(apart.system, settings=settings))
+    state = search.restart(part, np.zeros(len(apart.system.space)))
+    assert np.isfinite(search.advance(part, state).z).all()
 
 
 def test_samples_of_a_group_stay_in_the_valley_that_it_shares_with_others() -> None:
