@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.shell_completion import CompletionItem
 
-from amhe_cli.cli import options
+if TYPE_CHECKING:  # options imports this module
+    from amhe_cli.cli.options import F
 
 
 class _LogPath(click.Path):
@@ -105,7 +106,7 @@ limits = click.option(
 )
 
 
-def held_out(use: str) -> Callable[[options.F], options.F]:
+def held_out(use: str) -> Callable[[F], F]:
     """Logs that are not fitted; `use` says what for."""
     return click.option(
         "--held-out",

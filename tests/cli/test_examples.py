@@ -18,7 +18,7 @@ def test_an_example_is_found_by_its_name_from_any_folder(
     assert "usable" in capsys.readouterr().out
     assert run(["inspect", "example:pendulun"]) == 2
     assert (
-        "no example 'pendulun' (did you mean 'pendulum'?); there is: pendulum, pusher, t1, t4"
+        "no example 'pendulun' (did you mean 'pendulum'?); there is: arm, pendulum, pusher, t1, t4"
         in capsys.readouterr().err
     )
 
