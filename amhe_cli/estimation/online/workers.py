@@ -7,8 +7,8 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Protocol, TypeAlias
@@ -115,6 +115,7 @@ class InProcess:
         self._patience, self._starting = patience, starting
         self._good: Belief | None = None
         self._failures = 0
+        self._cores = _cores()
         self._start()
 
     @property
@@ -162,7 +163,8 @@ class InProcess:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe()
         self._process = context.Process(target=_serve, args=(theirs, self._factory, self._good), daemon=True)
-        self._process.start()
+        with _without_priority(self._cores):
+            self._process.start()
         theirs.close()  # so that its death is seen
         self._since: float | None = time.monotonic()
         self._limit = self._starting
@@ -181,6 +183,32 @@ class InProcess:
             return (Trouble(now, f"{what}; the last good belief stays, and no other estimator is started"),)
         self._start()
         return (Trouble(now, f"{what}; the last good belief stays"),)
+
+
+def _cores() -> set[int]:
+    """Cores of this thread; none where the operating system does not say."""
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+
+
+@contextmanager
+def _without_priority(cores: set[int]) -> Iterator[None]:
+    """Real-time priority and cores of a running planner are not for a process that it starts again.
+
+    The process inherits them from this thread, and would take the planner's core while it is imported.
+    """
+    if not cores:
+        yield
+        return
+    policy, priority, now = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
+    with suppress(OSError):  # cores may have been taken away meanwhile: the start matters more
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setaffinity(0, cores)
+    try:
+        yield
+    finally:
+        with suppress(OSError):
+            os.sched_setaffinity(0, now)
+            os.sched_setscheduler(0, policy, priority)
 
 
 def _updated(
@@ -205,8 +233,6 @@ def _send(pipe: Connection, order: tuple[Window, float, float]) -> None:
 def _serve(pipe: Connection, factory: Factory, belief: Belief | None) -> None:
     """Loop of the process: windows in, estimates out, until the pipe ends. None means that it is ready."""
     os.nice(_NICE)
-    with suppress(AttributeError, OSError):  # a running planner that starts it again has more
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the run, which ends this process
     with suppress(EOFError, OSError):  # the reader has ended
         try:

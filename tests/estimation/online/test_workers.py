@@ -153,22 +153,26 @@ def test_in_lock_step_a_window_that_breaks_the_estimator_is_reported_and_passed_
     assert isinstance(worker.poll(2.08)[0], Estimate)
 
 
-def reports_its_policy(belief: Belief | None) -> MovingHorizon:
-    raise ValueError(f"policy {os.sched_getscheduler(0)}")
+def reports_its_place(belief: Belief | None) -> MovingHorizon:
+    raise ValueError(f"policy {os.sched_getscheduler(0)} on {sorted(os.sched_getaffinity(0))}")
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="there is no such call")
-def test_an_estimator_that_a_planner_starts_has_no_real_time_priority() -> None:
-    before = os.sched_getscheduler(0), os.sched_getparam(0)
+def test_an_estimator_that_a_planner_starts_again_has_neither_its_priority_nor_its_cores() -> None:
+    policy, priority, cores = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
+    worker = InProcess(reports_its_place, budget=0.2)
     try:
+        wait(worker)
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
-    except OSError:
+        os.sched_setaffinity(0, {min(cores)})
+        worker._restarted(1.0, "it died")
+        assert os.sched_getscheduler(0) == os.SCHED_FIFO and os.sched_getaffinity(0) == {min(cores)}
+    except PermissionError:
         pytest.skip("this user may not take real-time priority")
-    try:
-        worker = InProcess(reports_its_policy, budget=0.2)
     finally:
-        os.sched_setscheduler(0, *before)
+        os.sched_setaffinity(0, cores)
+        os.sched_setscheduler(0, policy, priority)
     try:
-        assert f"policy {os.SCHED_OTHER}" in wait(worker)[0].text
+        assert f"policy {os.SCHED_OTHER} on {sorted(cores)}" in wait(worker)[0].text
     finally:
         worker.close()
