@@ -118,7 +118,7 @@ def with_amhe(case: Case, seed: int) -> Path:
 
 
 def with_sysid(case: Case, whitened: bool, step: float | None) -> Path:
-    """Levenberg-Marquardt on clips side by side, noting every point whose residuals it asked for."""
+    """Levenberg-Marquardt on clips side by side, noting every point whose residuals it requested."""
     from mujoco import sysid
 
     began = time.perf_counter()

@@ -47,12 +47,8 @@ if TYPE_CHECKING:
     metavar="S",
     help="Search and conclude within this time: the best so far, without the checks that take too long.",
 )
-@click.option(
-    "--checkpoint",
-    type=click.Path(dir_okay=False, path_type=Path),
-    callback=options.in_existing_folder,
-    metavar="FILE",
-    help="Save the search here as it goes; resume from it, to the bit, if it exists.",
+@options.new_file(
+    "--checkpoint", use="Save the search here as it goes; resume from it, to the bit, if it exists."
 )
 @options.work
 @options.spread_if_chosen

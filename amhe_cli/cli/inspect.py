@@ -27,14 +27,7 @@ if TYPE_CHECKING:
     help="Write a layout with which this viewer opens the log: plots of each topic, and a 3-D panel where it "
     "has poses. foxglove is Lichtblick too.",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    callback=options.in_existing_folder,
-    metavar="FILE",
-    help="File of the layout, such as log.json, log.xml or log_layout.py.",
-)
+@options.new_file("-o", "--out", use="File of the layout, such as log.json, log.xml or log_layout.py.")
 @options.where
 @options.common
 @click.pass_obj

@@ -90,11 +90,17 @@ def pairs(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) ->
     return values
 
 
-def in_existing_folder(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+def _in_existing_folder(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
     """A file that will be written: better refused now than after the first minutes of work."""
     if value is not None and not value.absolute().parent.is_dir():
         raise click.BadParameter(f"there is no folder '{value.parent}'", ctx, param)
     return value
+
+
+def new_file(*names: str, use: str, metavar: str = "FILE") -> Callable[[F], F]:
+    """A file that will be written, in a folder that exists; `use` says what for."""
+    kind = click.Path(dir_okay=False, path_type=Path)
+    return click.option(*names, type=kind, callback=_in_existing_folder, metavar=metavar, help=use)
 
 
 def _cores() -> int:

@@ -14,14 +14,7 @@ from amhe_cli.cli.session import Session
 @click.argument("beliefs", nargs=-1, required=True, type=options.EXISTING_FILE, metavar="BELIEF...")
 @options.system_or("that of the first belief")
 @prior_options.belief_anyway
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    callback=options.in_existing_folder,
-    metavar="FILE",
-    help="File for the pooled belief.  [default: none; the table alone]",
-)
+@options.new_file("-o", "--out", use="File for the pooled belief.  [default: none; the table alone]")
 @options.common
 @click.pass_obj
 def pool(

@@ -127,9 +127,8 @@ def _fill(
     first = int(np.searchsorted(times, grid[0] - slack)) if grid.size else 0
     own = slice(first, first + grid.size)
     if times[own].size == grid.size and (np.abs(times[own] - grid) <= slack).all():
-        return np.array(values[own]), np.ones(
-            grid.size, dtype=bool
-        )  # recorded at each of the clock's instants
+        # recorded at each of the clock's instants
+        return np.array(values[own]), np.ones(grid.size, dtype=bool)
     before = np.searchsorted(times, grid + slack, side="right") - 1
     left, right = np.clip(before, 0, None), np.clip(before + 1, None, times.size - 1)
     since, until = grid - times[left], times[right] - grid

@@ -95,8 +95,8 @@ def _beyond_a_rise(cost: MatchingCost, z: FloatArray, corners: FloatArray) -> tu
 
 def _part(problem: Problem, fit: FinalFit) -> Problem:
     """The clips that tell most, from their recorded first states."""
-    told = np.einsum("ij,cji->c", fit.posterior.covariance, fit.found.matrix) * fit.weight
-    part = problem.part(np.sort(np.argsort(-told)[:FEW]))
+    information = np.einsum("ij,cji->c", fit.posterior.covariance, fit.found.matrix) * fit.weight
+    part = problem.part(np.sort(np.argsort(-information)[:FEW]))
     settings = problem.settings
     few = settings.identify.model_copy(update={"first_state": "never", "samples": 4})
     system = replace(problem.system, settings=settings.model_copy(update={"identify": few}))

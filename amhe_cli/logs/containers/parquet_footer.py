@@ -1,7 +1,7 @@
 """How much a parquet file holds, read from its footer before any of it is unfolded.
 
 The footer is a struct FileMetaData of parquet.thrift, in Thrift's compact protocol. pyarrow would read it,
-but it aborts the whole process where it is asked for a column whose statistics are damaged.
+but it aborts the whole process where a column is requested whose statistics are damaged.
 """
 
 from __future__ import annotations
