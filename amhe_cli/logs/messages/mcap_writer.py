@@ -1,0 +1,147 @@
+"""Write MCAP files of messages of any type, or of messages of another log as they are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from amhe_cli import __version__
+from amhe_cli.core.files import whole
+from amhe_cli.logs.containers.raw import Batch, Connection
+from amhe_cli.logs.containers.table_file import ENCODING as TABLE
+from amhe_cli.logs.messages.json_rows import rows_as_json
+
+
+class McapWriter:
+    """An MCAP file in the making, which knows no message by name; `LogWriter` says what it promises.
+
+    Args:
+        path: The .mcap file to write.
+        metadata: What the log says of itself.
+    """
+
+    def __init__(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:
+        self.path = Path(path)
+        self._metadata = dict(metadata or {})
+        self._store = get_typestore(Stores.LATEST)
+        self._channels: dict[str, tuple[int, str]] = {}
+        self._schemas: dict[str, int] = {}
+        self._sequence: dict[int, int] = {}
+        self._copied: dict[Connection, int] = {}
+        self._full = False
+
+    def __enter__(self) -> Self:
+        self._file = ExitStack()
+        file = self._file.enter_context(whole(self.path, keep=True))
+        self._mcap = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._mcap.start(profile="ros2", library=f"amhe {__version__}")
+        self._mcap.add_metadata("amhe", self._metadata)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._full:
+            with self._file:
+                self._mcap.finish()
+
+    def define(self, msgtype: str, definition: str) -> None:
+        """Define a message type that ROS does not have; `definition` is the text of its .msg file."""
+        self._store.register(get_types_from_msg(definition, msgtype))
+
+    def prepare(self, msgtypes: Iterable[str]) -> None:
+        """Prepare the serialisers now, so that the first message of each type is not slow."""
+        for msgtype in msgtypes:
+            self._store.get_msgdef(msgtype)
+            self._schema(msgtype)
+
+    def message(self, msgtype: str, **fields: Any) -> Any:
+        """An instance of a message type."""
+        return self._store.types[msgtype](**fields)
+
+    def time(self, stamp_ns: int) -> Any:
+        """A builtin_interfaces/Time of a stamp [ns]."""
+        seconds, nanoseconds = divmod(int(stamp_ns), 10**9)
+        return self.message("builtin_interfaces/msg/Time", sec=seconds, nanosec=nanoseconds)
+
+    def write(self, topic: str, msgtype: str, stamp_ns: int, message: Any) -> None:
+        """Append a message; its header, where it has one, gets the same stamp.
+
+        Args:
+            topic: Name of the topic, for instance '/joint_states'.
+            msgtype: Type such as 'sensor_msgs/msg/JointState'; one topic has one type.
+            stamp_ns: Time at which it was measured or sent [ns].
+            message: An instance made by one of the methods here.
+        """
+        if hasattr(message, "header"):
+            message.header.stamp = self.time(stamp_ns)
+        channel, known = self._channels.get(topic) or self._channel(topic, msgtype)
+        if known != msgtype:
+            raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
+        data = self._store.serialize_cdr(message, msgtype)
+        self._add(channel, stamp_ns, bytes(data), stamp_ns)
+
+    def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
+        """Append a message; nothing once the file could not be written, for which one call raises OSError."""
+        if self._full:
+            return
+        self._sequence[channel] = self._sequence.get(channel, -1) + 1
+        with self._keeping():
+            self._mcap.add_message(channel, log_ns, data, publish_ns, self._sequence[channel])
+
+    @contextmanager
+    def _keeping(self) -> Iterator[None]:
+        """Close the file where it cannot be written any more, and keep what was written."""
+        try:
+            yield
+        except OSError:
+            self._full = True
+            with self._file:
+                raise
+
+    def copy(self, batch: Batch) -> None:
+        """Append messages of another log as they are; the rows of a table become JSON messages."""
+        batch = rows_as_json(batch) if batch.connection.encoding == TABLE else batch
+        connection = batch.connection
+        if connection not in self._copied:
+            schema = self._mcap.register_schema(*_schema(connection))
+            self._copied[connection] = self._mcap.register_channel(
+                connection.topic, connection.encoding, schema
+            )
+        channel = self._copied[connection]
+        stamps = (ns.view(np.uint64).tolist() for ns in (batch.log_ns, batch.publish_ns))
+        ends = (batch.starts + batch.lengths).tolist()
+        for log_ns, publish_ns, start, end in zip(*stamps, batch.starts.tolist(), ends, strict=True):
+            self._add(channel, log_ns, batch.buffer[start:end].tobytes(), publish_ns)
+
+    def attach(self, name: str, media_type: str, data: bytes) -> None:
+        """Attach a file, for instance the configuration or the model."""
+        with self._keeping():
+            self._mcap.add_attachment(0, 0, name, media_type, data)
+
+    def _channel(self, topic: str, msgtype: str) -> tuple[int, str]:
+        channel = self._mcap.register_channel(topic, "cdr", self._schema(msgtype))
+        self._channels[topic] = channel, msgtype
+        return self._channels[topic]
+
+    def _schema(self, msgtype: str) -> int:
+        if msgtype not in self._schemas:
+            text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
+            self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", text.encode())
+        return self._schemas[msgtype]
+
+
+def _schema(connection: Connection) -> tuple[str, str, bytes]:
+    """Name, encoding and data of the MCAP schema of a connection."""
+    binary = connection.encoding == "protobuf"
+    data = connection.definition.encode("latin-1" if binary else "utf-8")
+    name = connection.type.replace("/msg/", "/") if connection.encoding == "ros1" else connection.type
+    usual = {"json": "jsonschema", "protobuf": "protobuf", "cdr": "ros2msg", "ros1": "ros1msg"}
+    return name, connection.definition_format or usual.get(connection.encoding, ""), data
