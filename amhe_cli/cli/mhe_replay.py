@@ -102,10 +102,10 @@ def mhe_replay(
         caution(done)
         session.interrupted = done.interrupted
         predicted, fits = predictions(done, problem.engine), replay_fits(done, problem.engine)
-        record = session.record(**replay_record(done), seed=seed, out=str(folder))
         hashed = [path, *([belief] if belief else [])]
         method = done.system.settings.mhe.method
         origin = estimator_provenance(session.command_line, seed, method, done.system, hashed)
+        record = session.record(**replay_record(done), seed=seed, out=str(folder), provenance=origin)
         draw = measured_scene(done.system, recorded, problem.start.z)
         write_replay(folder, done, predicted, fits, record, origin, draw)
     if session.json:

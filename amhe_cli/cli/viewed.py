@@ -9,10 +9,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import click
+from click.core import ParameterSource
+
 from amhe_cli.cli.inputs import Inputs
 from amhe_cli.cli.settings import Overrides, gathered
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import merged
+from amhe_cli.system.folders import find_system
 
 if TYPE_CHECKING:
     from amhe_cli.core.curves import TimeCurve
@@ -107,25 +111,24 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
 
 
 def _identified(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
-    """A result of `amhe identify`, its logs read as they were then."""
-    given = _as_given(folder)
-    chosen = {name: getattr(inputs, name) or given.get(name) for name in _READING if given.get(name)}
-    before = gathered(given.get("config"), {}, given.get("assignments") or ())
-    return Viewed(
-        tuple(given.get("logs") or map(Path, record["logs"])),
-        replace(inputs, **chosen),
-        Overrides(overrides.shared, merged(before.all, overrides.chosen)),
-        tuple(given.get("held_out") or ()),
-        folder / "belief.yaml",
-        record.get("fixed") or {},
-    )
+    """A result of `amhe identify`."""
+    from amhe_cli.cli.identify import identify
+    from amhe_cli.core.parameters import Belief
+
+    belief = folder / "belief.yaml"
+    given, inputs, overrides = _as_then(identify, Belief.load(belief).provenance, inputs, overrides)
+    logs, held_out = given.get("logs") or map(Path, record["logs"]), given.get("held_out") or ()
+    return Viewed(tuple(logs), inputs, overrides, tuple(held_out), belief, record.get("fixed") or {})
 
 
 def _replayed(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
     """A result of `amhe mhe-replay`."""
-    chosen = replace(inputs, system=inputs.system or record["system"])
+    from amhe_cli.cli.mhe_replay import mhe_replay
+
+    _, then, overrides = _as_then(mhe_replay, record["provenance"], inputs, overrides)
+    whole = replace(then, start=inputs.start, end=inputs.end)  # estimates of a part stand in all of the log
     estimates = folder / "estimates.mcap"
-    return Viewed((Path(record["log"]),), chosen, overrides, fixed=record["fixed"], recorded=estimates)
+    return Viewed((Path(record["log"]),), whole, overrides, fixed=record["fixed"], recorded=estimates)
 
 
 def _run(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
@@ -134,15 +137,36 @@ def _run(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Ove
     return Viewed((log,), inputs, overrides, recorded=log, task=record["task"])
 
 
-def _as_given(folder: Path) -> dict[str, Any]:
-    """Values of the options with which `amhe identify` made a result; {} if the library did."""
-    from amhe_cli.cli.identify import identify
-    from amhe_cli.core.parameters import Belief
+def _as_then(
+    command: click.Command, origin: Mapping[str, Any], inputs: Inputs, overrides: Overrides
+) -> tuple[dict[str, Any], Inputs, Overrides]:
+    """The options with which a command made a result, and how its logs are read: as they were then.
 
-    command = shlex.split(str(Belief.load(folder / "belief.yaml").provenance.get("command", "")))
-    if command[:2] != ["amhe", "identify"]:
-        return {}
-    return dict(identify.make_context("identify", command[2:], resilient_parsing=True).params)
+    What the user gives now wins. Of a result that the library made only the system's folder is known.
+
+    Raises:
+        ConfigError: The system or another file is not where it was.
+    """
+    line, given = shlex.split(str(origin.get("command", ""))), {"system": origin.get("system_folder")}
+    if line[:2] == ["amhe", command.name]:
+        context = command.make_context(line[1], line[2:], resilient_parsing=True)
+        given = dict(context.params)
+        for name in ("config", "held_out", "msg_path"):  # None: the file is not there
+            if given.get(name) is None and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
+                raise ConfigError(
+                    f"the file that --{name.replace('_', '-')} of this result names is not there; run the "
+                    "command where the result was made, or view its log"
+                )
+    if not inputs.system and (system := given.get("system")):
+        try:
+            find_system(system)
+        except ConfigError:
+            where = f"{system}: the system of this result is not there; give its folder with --system DIR"
+            raise ConfigError(where) from None
+    chosen = {name: getattr(inputs, name) or given.get(name) for name in _READING if given.get(name)}
+    before = gathered(given.get("config"), {}, given.get("assignments") or ())
+    found = Overrides(overrides.shared, merged(before.all, overrides.chosen))
+    return given, replace(inputs, **chosen), found
 
 
 def _last(system: System, curves: Sequence[TimeCurve]) -> Belief | None:

@@ -188,3 +188,38 @@ def test_boxes_stand_in_for_missing_meshes_and_the_page_says_so(
     # what is computed from contacts and inertias still refuses
     assert run(["identify", str(pendulum_log), "--system", str(folder), "-o", str(tmp_path / "out")]) == 2
     assert "cover.stl" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def own_result(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A replay of a system of the user's own, whose signal has another topic and whose prior is moved."""
+    folder = tmp_path_factory.mktemp("own")
+    shutil.copytree(MODELS / "pendulum", folder / "mine")
+    text = (folder / "mine" / "system.yaml").read_text()
+    (folder / "mine" / "system.yaml").write_text(text.replace("/joint_states", "/elsewhere"))
+    system = ["--system", str(folder / "mine"), "--topic", "joints=/joint_states"]
+    more = ["--set", "parameters.load_mass.nominal=0.7", "--to", "3", "-q"]
+    assert run(["mhe-replay", str(pendulum_log), *system, *more, "-o", str(folder / "out")]) == 0
+    return folder
+
+
+def test_a_replay_of_an_own_system_needs_no_option_again(own_result: Path, tmp_path: Path) -> None:
+    assert run(["view", str(own_result / "out"), "--save", str(tmp_path / "page.html")]) == 0
+    data = data_of(tmp_path / "page.html")
+    assert {row["name"]: row["nominal"] for row in data["parameters"]}["load_mass"] == 0.7
+    assert data["recordings"][0]["curves"]
+
+
+def test_a_system_that_moved_is_one_line_that_names_the_option(
+    own_result: Path, tmp_path: Path, capsys
+) -> None:
+    shutil.copytree(own_result / "mine", tmp_path / "moved")
+    shutil.copytree(own_result / "out", tmp_path / "out")
+    record = (tmp_path / "out" / "result.json").read_text()
+    (tmp_path / "out" / "result.json").write_text(record.replace("/mine", "/gone"))
+    command = ["view", str(tmp_path / "out"), "--save", str(tmp_path / "page.html")]
+    assert run(command) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "gone: the system of this result is not there" in line
+    assert "--system" in line
+    assert run([*command, "--system", str(tmp_path / "moved")]) == 0
