@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.each_log import check_logs
+from amhe_cli.core.each_log import check_logs, fixing
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Belief
@@ -206,7 +206,8 @@ def identify(
             logs' time is held out.
         prior: A belief, or the path of a belief.yaml, to start from in place of the system's own prior.
         belief_anyway: Take a prior about another model too, and only warn of what has changed.
-        fix: Parameter -> value that is taken as known; it stays in the model and is not estimated.
+        fix: Parameter -> value that is taken as known; it stays in the model and is not estimated. Logs that
+            know a value of their own keep it.
         only: Parameters to estimate, by names or patterns such as 'left_*'; all others are fixed at their
             prior's value. None: all that are not fixed.
         method: 'linearised', or 'cmaes'.
@@ -229,7 +230,6 @@ def identify(
     """
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"max_time": max_time}, files={"checkpoint": checkpoint})
-    system, start = system.starting_from(prior, fix=fix, only=only, belief_anyway=belief_anyway)
     given = _logs(system, logs, "logs")
     fitted = tuple(log for log in given if not log.held_out)
     validation = tuple(log for log in given if log.held_out)
@@ -239,7 +239,19 @@ def identify(
     for log in validation:
         if any(log is other or _same_data(log, other) for other in fitted):
             raise ConfigError(f"`held_out`: {log.source} is fitted too; validation needs a log of its own")
-    check_logs(fitted, validation, system.space)
+    for name in fix or ():
+        if all(name in log.known for log in fitted):
+            raise ConfigError(f"`fix`: every fitted log knows its value of {name}; leave one of them out")
+    chosen, start = system.starting_from(prior, fix=fix, only=only, belief_anyway=belief_anyway)
+    fixed = {name: value for name, value in chosen.fixed.items() if name not in system.fixed}
+    known = {name for log in (*fitted, *validation) for name in log.known}
+    if fixed:
+        fitted, validation = (fixing(some, fixed, known) for some in (fitted, validation))
+    if known & fixed.keys():  # the model itself can only have values that are the same for all logs
+        rest = {name: value for name, value in fixed.items() if name not in known}
+        chosen, start = system.starting_from(prior, fix=rest, belief_anyway=belief_anyway)
+    system = chosen
+    check_logs(fitted, validation, system.space, system.fixed)
     options = identification.IdentifyOptions(
         method=method,
         seed=seed,

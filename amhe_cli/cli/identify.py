@@ -94,13 +94,13 @@ def identify(
     folder = out.reserve("identify")
     _check_apart(logs, held_out)
     opened = inputs.open(logs, overrides)
-    opened, prior = opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
         result = run(
-            opened, training, held_out=validation, prior=prior, method=method, seed=seed, threads=threads,
-            engine=engine, posterior=posterior, max_time=max_time, checkpoint=checkpoint, executor=executor,
+            opened, training, held_out=validation, prior=belief, belief_anyway=belief_anyway, fix=fix,
+            only=only, method=method, seed=seed, threads=threads, engine=engine, posterior=posterior,
+            max_time=max_time, checkpoint=checkpoint, executor=executor,
             progress=lambda iteration, total: show((iteration, total)),
         )  # fmt: skip
     session.interrupted = result.found.interrupted

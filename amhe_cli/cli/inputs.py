@@ -80,7 +80,7 @@ class Inputs:
         except LogError as error:
             named = set(_systems_of(logs).values())
             if not self.system and not named:
-                raise LogError(f"{error}. {_unnamed(logs)}") from None
+                raise LogError(_unnamed(logs, str(error))) from None
             if self.system and named - {system.name}:
                 about = f"{', '.join(sorted(named))}, not {system.name}"
                 raise LogError(f"{error}. The log says that it is about {about}") from None
@@ -131,21 +131,21 @@ def _folder_named_by(logs: Sequence[Path]) -> Path:
     name = names[0] if names else DEFAULT_SYSTEM
     if (folder := bundled_systems().get(name)) is None:
         raise ConfigError(
-            f"{_listed(logs)}: about the system {name!r}, which does not come with amhe: "
+            f"{', '.join(map(str, logs))}: about the system {name!r}, which does not come with amhe: "
             f"give its folder with --system DIR"
         )
     return folder
 
 
-def _unnamed(logs: Sequence[Path]) -> str:
-    from amhe_cli.system.folders import bundled_systems
+def _unnamed(logs: Sequence[Path], error: str) -> str:
+    from amhe_cli.system.folders import bundled_logs, bundled_models, bundled_systems
 
+    examples = (f"example:{name}" for name in bundled_models() if bundled_logs().get(name) == logs[0])
+    own = next((f"{name} {name}" for name in examples), f"MODEL.xml {logs[0]}")
+    what = error.partition(";")[0]  # what to do would be for the system that it is not about
+    says = "the log does not say" if len(logs) == 1 else f"none of the {len(logs)} logs says"
     return (
-        f"{_listed(logs)} does not say which system it is about, and was taken for {DEFAULT_SYSTEM}: "
-        f"name one with --system NAME|DIR (bundled: {', '.join(bundled_systems())}), or describe your own: "
-        f"amhe init MODEL.xml LOG -o my_system/"
+        f"{what} ({says} which system it is about, and {DEFAULT_SYSTEM} was tried): name one with --system "
+        f"NAME|DIR (bundled: {', '.join(bundled_systems())}), or describe your own: amhe init {own} "
+        f"-o my_system/"
     )
-
-
-def _listed(paths: Sequence[Path]) -> str:
-    return str(paths[0]) if len(paths) == 1 else f"none of the {len(paths)} logs"

@@ -28,8 +28,10 @@ def _values(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) 
     values: dict[str, float] = {}
     for text in value:
         name, _, number = text.partition("=")
+        if (name := name.strip()) in values:
+            raise click.BadParameter(f"{name} is given twice; leave one of them out", ctx, param)
         try:
-            values[name.strip()] = float(number)
+            values[name] = float(number)
         except ValueError:
             raise click.BadParameter(f"{text!r} is not of the form NAME=value", ctx, param) from None
     return values

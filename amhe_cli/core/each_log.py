@@ -7,7 +7,7 @@ every log is not searched, and one of which each log has a value of its own beco
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -52,19 +52,17 @@ def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
         logs: The logs that are fitted; their own values have names (`named`).
 
     Returns:
-        The parameters that some log neither knows nor has as its own, and one unknown for each owner of a
-        value, with the parameter's prior. A prior correlation between two parameters holds for the former.
+        The parameters that some log does not know, in place of those that logs have as their own one unknown
+        for each owner, with the parameter's prior. A prior correlation between two parameters holds for the
+        former.
     """
     columns, parameters = [], []
     for column, parameter in enumerate(space.parameters):
         unknown = [log for log in logs if parameter.name not in log.known]
         owners = dict.fromkeys(log.own[parameter.name] for log in unknown if parameter.name in log.own)
-        if any(parameter.name not in log.own for log in unknown):
-            columns.append(column)
-            parameters.append(parameter)
-        for owner in owners:
-            columns.append(-1)
-            parameters.append(replace(parameter, name=owned(parameter.name, owner)))
+        columns += [-1] * len(owners) if owners else [column] * bool(unknown)
+        parameters += [replace(parameter, name=owned(parameter.name, owner)) for owner in owners]
+        parameters += [parameter] * bool(unknown and not owners)
     if tuple(parameters) == space.parameters:
         return space
     if space.prior_correlation is None:
@@ -130,43 +128,95 @@ def same_values(log: Log) -> tuple[object, ...]:
 
 
 def mistakes_of(
-    known: Mapping[str, float], own: Iterable[str], space: ParameterSpace
+    known: Mapping[str, float], own: Iterable[str], space: ParameterSpace, fixed: Collection[str] = ()
 ) -> Iterator[tuple[tuple[str, ...], str]]:
     """What a log states of its parameters and a system does not allow.
 
     Args:
         known, own: See `Log`.
-        space: Parameters of the system.
+        space: Parameters of the system that are free.
+        fixed: Names of those that are not.
 
     Yields:
         The place of the statement, such as ('known', 'gain') or ('own',), and what is wrong.
     """
     parameters = {p.name: p for p in space.parameters}
+
+    def missing(name: str) -> str:
+        fix = f"{name} is fixed in the system, and a log cannot change it; leave out one of them"
+        return fix if name in fixed else one_of("parameter", name, parameters)
+
     for name, value in known.items():
         if name not in parameters:
-            yield ("known", name), one_of("parameter", name, parameters)
+            yield ("known", name), missing(name)
         elif not (p := parameters[name]).lower <= value <= p.upper:
             yield ("known", name), f"{name} is {value:g}; between {p.lower:g} and {p.upper:g} would be valid"
     for name in own:
         if name not in parameters:
-            yield ("own",), one_of("parameter", name, parameters)
+            yield ("own",), missing(name)
         elif name in known:
             yield ("own",), f"{name} is known in this log, and has no value to search"
 
 
-def check_logs(logs: Sequence[Log], held_out: Sequence[Log], space: ParameterSpace) -> None:
-    """Refuse logs that state what the system does not allow.
+def check_logs(
+    logs: Sequence[Log], held_out: Sequence[Log], space: ParameterSpace, fixed: Collection[str] = ()
+) -> None:
+    """Refuse logs that state what the system, with free parameters `space`, does not allow.
 
     Raises:
-        ConfigError: A name or value is wrong, or a held-out log lacks a value that every fitted log knows.
+        ConfigError: A name or value is wrong, a held-out log lacks a value that every fitted log knows, only
+            some fitted logs have a value of their own, or nothing is left to search.
     """
     for log in (*logs, *held_out):
-        for (key, *_), text in mistakes_of(log.known, log.own, space):
+        for (key, *_), text in mistakes_of(log.known, log.own, space, fixed):
             raise ConfigError(f"{log.source}: `{key}`: {text}")
     for name in space.names:
+        _check_own(logs, name)
         if all(name in log.known for log in logs):
             for log in held_out:
                 if name not in log.known:
                     raise ConfigError(
                         f"{log.source}: `known`: {name} is known in every fitted log; give its value here too"
                     )
+    if not len(searched(space, named(logs))):
+        raise ConfigError(f"{logs[0].source}: `known`: the logs know every parameter: leave one unknown")
+
+
+def _check_own(logs: Sequence[Log], name: str) -> None:
+    """Refuse a value of their own that only some of the logs have, or one owner: it has no spread.
+
+    Raises:
+        ConfigError: That is so.
+    """
+    unknown = [log for log in logs if name not in log.known]
+    owning = [log for log in unknown if name in log.own]
+    if not owning:
+        return
+    for log in unknown:
+        if name not in log.own:
+            raise ConfigError(
+                f"{log.source}: `own`: {name} is {owning[0].source}'s own; give it to every fitted log that "
+                f"does not know its value"
+            )
+    if len({log.own[name] or id(log) for log in owning}) < 2:
+        raise ConfigError(
+            f"{owning[0].source}: `own`: {name} has one owner, and needs two or more to differ; leave it out"
+        )
+
+
+def fixing(logs: Sequence[Log], values: Mapping[str, float], by_log: Collection[str]) -> tuple[Log, ...]:
+    """The logs where some parameters have fixed values.
+
+    Args:
+        logs: The logs.
+        values: Parameter -> the value that all logs have of it, but those that know theirs.
+        by_log: The parameters of which some logs know the value; the model has the others' values itself.
+    """
+    stated = {name: value for name, value in values.items() if name in by_log}
+    return tuple(
+        log.with_(
+            known=stated | dict(log.known),
+            own={name: owner for name, owner in log.own.items() if name not in values},
+        )
+        for log in logs
+    )

@@ -105,8 +105,27 @@ def _zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess
                     {"signal": signal.name, "set": "bias", "joint": joint, "quantity": "position"},
                 ],
             }
-            why = f"zero of the encoder of joint {joint}: the log reads angle + offset; gravity shows it"
+            shown = (
+                "gravity shows it"
+                if _lifts(model, joint)
+                else ("gravity does not, since it acts alike at any position of this joint")
+            )
+            why = f"zero of the encoder of joint {joint}: the log reads angle + offset; {shown}"
             yield Guess(f"{joint}_offset", entry, why)
+
+
+def _lifts(model: mujoco.MjModel, joint: str) -> bool:
+    """Whether gravity's forces on the joints change with the position of a joint."""
+    data, column, rng = mujoco.MjData(model), int(model.joint(joint).qposadr[0]), np.random.default_rng(0)
+    # joints stand somewhere, so that no axis is upright by chance
+    for one in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
+        data.qpos[model.jnt_qposadr[one]] += rng.uniform(0.2, 0.4)
+    forces = []
+    for _ in range(2):
+        mujoco.mj_forward(model, data)
+        forces.append(data.qfrc_bias.copy())
+        data.qpos[column] += 0.3
+    return bool(np.abs(forces[1] - forces[0]).max() > 1e-9 * np.abs(forces[0]).max())
 
 
 def _gains(model: mujoco.MjModel, actuators: Sequence[str], guessed: bool) -> Iterator[Guess]:

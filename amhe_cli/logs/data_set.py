@@ -136,7 +136,7 @@ def _mistakes(folder: Path, entry: _Entry, system: Measured | None) -> list[tupl
     if entry.begin is not None and entry.end is not None and entry.end <= entry.begin:
         found.append((("to",), f"to: {entry.end:g} is not after from: {entry.begin:g}"))
     if system is not None:
-        found += mistakes_of(entry.known, entry.own, system.space)
+        found += mistakes_of(entry.known, entry.own, system.space, system.fixed)
         names = [signal.name for signal in system.signals]
         found += [
             (("topics", name), one_of("signal", name, names)) for name in entry.topics if name not in names

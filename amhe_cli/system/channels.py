@@ -71,6 +71,9 @@ def _check(entry: SignalEntry, entries: Mapping[str, SignalEntry]) -> None:
             raise ConfigError(f"active: {one_of('signal that is only read', name, plain)}")
         if (entries[name].quantity or "value") != "value":
             raise ConfigError(f"active: the quantity of the signal {name!r} must be value")
+    for begin, end in entry.active if isinstance(entry.active, list) else ():
+        if end <= begin:
+            raise ConfigError(f"active: a stretch from {begin:g} to {end:g} s ends before it begins")
     if entry.smooth is not None and entry.kind not in ("mocap", "force_on", "joint_force", None):
         raise ConfigError(
             "smooth is for what drives the model: mocap, force_on, joint_force, or their points"

@@ -105,6 +105,36 @@ def test_the_command_takes_the_file(folder: Path, tmp_path: Path, capsys: pytest
     assert all(f"run{i}.npz" in belief for i in range(4)) and "runs.yaml" in belief
 
 
+def test_parameters_that_logs_know_or_own_can_be_fixed(folder: Path, tmp_path: Path) -> None:
+    system = amhe.System.load(folder / "arm", {"identify": {"iterations": 2}})
+    logs = amhe.read_log([folder / "runs.yaml"], system)
+
+    def found(logs: list[amhe.Log], **given: object) -> amhe.Result:
+        return amhe.identify(system, logs, threads=1, **given)  # type: ignore[arg-type]
+
+    only = found(logs, only=["load"])
+    assert set(only.parameters) == {"load"} and set(only.system.fixed) == {"damping"}
+    assert [log.known["gain"] for log in only.logs] == list(GAINS), "what logs know stays so"
+    some = [log.with_(own=["damping"]) for log in (*logs[:2], *(log.with_(known={}) for log in logs[2:]))]
+    fixed = found(some, fix={"gain": 3.5, "damping": DAMPING})
+    assert set(fixed.parameters) == {"load"}
+    assert [log.known["gain"] for log in fixed.logs] == [*GAINS[:2], 3.5, 3.5]
+    with pytest.raises(ConfigError, match="`fix`: every fitted log knows its value of gain"):
+        found(logs, fix={"gain": 2.0})
+    with pytest.raises(ConfigError, match="`known`: the logs know every parameter"):
+        found(logs, only=["gain"])
+
+
+def test_fix_and_only_go_with_the_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["identify", str(folder / "runs.yaml"), "--system", str(folder / "arm"), "--json", "--force"]
+    command += ["-o", str(folder / "only"), "--threads", "1", "--set", "identify.iterations=2"]
+    assert run([*command, "--only", "load"]) == 0
+    assert [p["name"] for p in json.loads(capsys.readouterr().out)["parameters"]] == ["load"]
+    fixed = amhe.System.load(folder / "arm").fixing({"gain": 2.0})
+    with pytest.raises(ConfigError, match=r"runs\.yaml:2:40: gain is fixed in the system, and a log cannot"):
+        amhe.read_log([folder / "runs.yaml"], fixed)
+
+
 def test_other_commands_take_it_or_say_why_not(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, arm = str(folder / "runs.yaml"), str(folder / "arm")
     assert run(["inspect", path, "--system", arm, "--json"]) == 0

@@ -179,6 +179,10 @@ def test_a_log_that_names_no_system_says_what_to_do(capsys, tmp_path_factory) ->
     log = write_pendulum_log(tmp_path_factory.mktemp("logs") / "nameless.mcap", 0.2)
     assert run(["identify", str(log)]) == 4  # it is taken for the default system, whose topics it lacks
     assert "--system" in capsys.readouterr().err
+    assert run(["identify", "example:arm"]) == 4
+    said = capsys.readouterr().err
+    assert "amhe init example:arm example:arm -o my_system/" in said
+    assert "columns: {" not in said, "go1_push's system.yaml is not to be changed for it"
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
@@ -223,6 +227,8 @@ def test_fixed_parameters_are_listed_and_condition_the_belief(done: Path, pendul
     assert fixed["damping"] == 0.05 and fixed["armature"] == pytest.approx(before[3]["estimate"])
     assert run([*command, "--force", "--fix", "damp=1"]) == 2
     assert "--fix: no parameter 'damp' (did you mean 'damping'?)" in capsys.readouterr().err
+    assert run([*command, "--force", "--fix", "damping=0.04", "--fix", "damping=0.05"]) == 2
+    assert "'--fix': damping is given twice" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -64,9 +64,29 @@ def test_each_log_has_an_unknown_of_its_own() -> None:
     assert stranger[0, 1] == pytest.approx(0.2)  # the geometric mean of the others
 
 
-def test_logs_of_one_owner_share_a_value_and_others_have_the_common_one() -> None:
-    logs = named([log(own={"bias": "A"}), log(own={"bias": "A"}), log()])
-    assert searched(MODEL, logs).names == ("gain", "friction", "bias", "bias[A]")
+def test_logs_of_one_owner_share_a_value() -> None:
+    logs = [log(own={"bias": "A"}), log(own={"bias": "A"}), log(own=["bias"]), log(known={"bias": 0.1})]
+    check_logs(logs, [log()], MODEL)  # one that is held out has the common mean
+    assert searched(MODEL, named(logs)).names == ("gain", "friction", "bias[A]", "bias[run]")
+
+
+@pytest.mark.parametrize(
+    ("logs", "text"),
+    [
+        ([log("a", own=["bias"]), log("b", own=["bias"]), log("c")], "c: `own`: bias is a's own; give it to"),
+        ([log("a", own={"bias": "A"}), log("b", own={"bias": "A"})], "a: `own`: bias has one owner"),
+        ([log("a", own=["bias"]), log("b", known={"bias": 0.1})], "a: `own`: bias has one owner"),
+    ],
+)
+def test_values_of_some_logs_only_are_refused(logs: list[Log], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        check_logs(logs, [], MODEL)
+
+
+def test_logs_that_know_everything_leave_nothing_to_search() -> None:
+    known = {"gain": 1.0, "friction": 0.2, "bias": 0.0}
+    with pytest.raises(ConfigError, match="`known`: the logs know every parameter: leave one unknown"):
+        check_logs([log(known=known), log(known=known)], [], MODEL)
 
 
 def test_a_log_keeps_what_is_said_of_it() -> None:

@@ -9,6 +9,7 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.init.folder import init_system
+from amhe_cli.system.folders import bundled_logs, bundled_models
 from amhe_cli.system.system import System
 
 JOINTS = ("left_hip", "left_knee", "right_hip", "right_knee")
@@ -109,3 +110,11 @@ def test_a_column_that_names_a_command_and_a_joint_is_that_joints_target(tmp_pat
     init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", actuators=True)
     (command,) = [one for one in System.load(tmp_path / "out").signals if one.name == "command"]
     assert command.columns == {"position": tuple(f"{joint}_cmd" for joint in JOINTS)}
+
+
+def test_gravity_shows_no_zero_of_a_joint_that_turns_about_the_vertical(tmp_path: Path) -> None:
+    log = bundled_logs()["arm"]
+    guessed = init_system(bundled_models()["arm"], [log], tmp_path / "out", actuators=True)
+    offsets = {text.partition(":")[0]: text for text in guessed if "_offset: zero" in text}
+    assert "gravity does not" in offsets["yaw_offset"]
+    assert offsets["shoulder_offset"].endswith("gravity shows it")

@@ -62,6 +62,7 @@ def test_the_zero_of_an_encoder_moves_stops_and_springs_along(written: Write) ->
         (HIP + ", at: grip}", "at is for force_on"),
         (HIP + ", reaction: true}", "reaction is for forces and torques"),
         (HIP + ", active: 3}", "active is 3; times such as [[0.5, 3.0]], or a signal and its value"),
+        (HIP + ", active: [[0, 1], [4, 1]]}", "active: a stretch from 4 to 1 s ends before it begins"),
         (HIP + ", active: {on: 1}}", "active: no signal that is only read 'on'"),
         (
             "{topic: /m, mocap: marker, scale: 2}",

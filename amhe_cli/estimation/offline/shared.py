@@ -41,13 +41,12 @@ class CommonMean:
     variance: float
 
 
-def grouped(z: FloatArray, covariance: FloatArray, members: Sequence[int], mean: int | None) -> CommonMean:
+def grouped(z: FloatArray, covariance: FloatArray, members: Sequence[int]) -> CommonMean:
     """Replace the independent prior of some unknowns, N(0, 1) each, by a common mean and a spread.
 
     Args:
         z, covariance: Posterior under the independent priors, shape (k,) and (k, k).
         members: Columns of the values.
-        mean: Column of the common mean; None: a new one, N(0, 1), is appended.
     """
     rows = list(members)
     precision = np.linalg.inv(covariance)
@@ -56,8 +55,8 @@ def grouped(z: FloatArray, covariance: FloatArray, members: Sequence[int], mean:
     values, vectors = np.linalg.eigh(precision)
     likelihood = np.zeros((len(z) + 1, len(z) + 1))
     likelihood[:-1, :-1] = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    centre = len(z) if mean is None else mean
-    likelihood[-1, -1] = 1.0  # the prior of the new mean; of an old one this row is cut off below
+    centre = len(z)
+    likelihood[centre, centre] = 1.0  # the prior of the mean
     weights, means, covariances = [], [], []
     for spread in SPREADS:
         total = likelihood.copy()
@@ -77,11 +76,10 @@ def grouped(z: FloatArray, covariance: FloatArray, members: Sequence[int], mean:
     average = weight @ np.array(means)
     scatter = np.array(means) - average
     whole = np.einsum("g,gij->ij", weight, covariances) + np.einsum("g,gi,gj->ij", weight, scatter, scatter)
-    order = [*range(len(z)), centre]
     below = np.cumsum(weight) - 0.5 * weight
     return CommonMean(
-        average[order],
-        whole[np.ix_(order, order)],
+        average,
+        whole,
         np.exp(np.interp((0.05, 0.5, 0.95), below, np.log(SPREADS))),
         float(weight @ SPREADS**2),
     )
@@ -115,11 +113,8 @@ def _with_mean(
         It, its unknowns, and the variance of phi between the values.
     """
     z, covariance = space.gaussian_of(found.belief)
-    column = space.names.index(parameter.name) if parameter.name in space.names else None
-    group = grouped(z, covariance, members, column)
-    at = min(members) if column is None else column
-    rest = [i for i in range(len(space)) if i != column]
-    order = [*(i for i in rest if i < at), len(space), *(i for i in rest if i >= at)]
+    group, at = grouped(z, covariance, members), min(members)
+    order = [*range(at), len(space), *range(at, len(space))]
     z, covariance = group.mean[order], group.covariance[np.ix_(order, order)]
     lines = [parameter if i == len(space) else space.parameters[i] for i in order]
     wider = ParameterSpace(tuple(lines))

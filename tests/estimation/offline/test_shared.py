@@ -17,7 +17,7 @@ def test_many_precise_values_give_their_own_mean_and_spread() -> None:
     """With values known exactly, mean and spread are those of a normal sample."""
     rng = np.random.default_rng(0)
     values = 0.5 + 0.4 * rng.normal(size=60)
-    group = grouped(values, 1e-6 * np.eye(60), range(60), None)
+    group = grouped(values, 1e-6 * np.eye(60), range(60))
     np.testing.assert_allclose(group.mean[:-1], values, atol=1e-3)
     assert group.mean[-1] == pytest.approx(values.mean(), abs=5e-3)  # the prior N(0, 1) hardly matters
     assert np.sqrt(group.covariance[-1, -1]) == pytest.approx(values.std() / np.sqrt(60), rel=0.1)
@@ -28,7 +28,7 @@ def test_many_precise_values_give_their_own_mean_and_spread() -> None:
 def test_values_that_no_data_determine_have_the_predictive_distribution() -> None:
     """The posterior of an unobserved value is the mean's, with the spread added."""
     z, covariance = np.array([0.3, 0.5, 0.4, 0.0]), np.diag([1e-4, 1e-4, 1e-4, 1.0])
-    group = grouped(z, covariance, range(4), None)
+    group = grouped(z, covariance, range(4))
     assert group.mean[3] == pytest.approx(group.mean[-1], abs=1e-6)
     alone = group.covariance[-1, -1]
     assert group.covariance[3, 3] == pytest.approx(alone + group.variance, rel=0.02)
@@ -36,7 +36,7 @@ def test_values_that_no_data_determine_have_the_predictive_distribution() -> Non
 
 def test_noisy_values_move_towards_their_mean() -> None:
     z, covariance = np.array([-0.5, 0.1, 0.4, 0.8]), 0.2 * np.eye(4)
-    group = grouped(z, covariance, range(4), None)
+    group = grouped(z, covariance, range(4))
     assert np.ptp(group.mean[:4]) < 0.8 * np.ptp(z)
     assert np.all(np.diag(group.covariance)[:4] < 0.2 / 0.8 + 1e-9)  # no wider than the data alone
 
@@ -50,7 +50,7 @@ def test_spreads_cover_the_truth() -> None:
         noise = 0.1
         measured = truth + noise * rng.normal(size=6)
         posterior = 1.0 / (noise**-2 + 1.0)  # under the prior N(0, 1) of the search
-        group = grouped(posterior * measured / noise**2, posterior * np.eye(6), range(6), None)
+        group = grouped(posterior * measured / noise**2, posterior * np.eye(6), range(6))
         sd = np.sqrt(group.covariance[-1, -1])
         inside += abs(group.mean[-1] - 0.3) < 1.645 * sd, group.spread[0] < 0.3 < group.spread[2]
     assert (inside >= 82).all(), inside
