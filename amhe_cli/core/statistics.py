@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, namespace_of
@@ -88,6 +90,12 @@ def autocorrelation_time(series: FloatArray, valid: BoolArray | None = None) -> 
     insignificant = np.flatnonzero(rho <= noise)
     rho = rho[: insignificant[0]] if insignificant.size else rho
     return float(1.0 + 2.0 * rho.sum())
+
+
+def among(count: int, z: float) -> float:
+    """Sd that one of `count` normal numbers exceeds as seldom as a single number exceeds `z` (Bonferroni)."""
+    normal = NormalDist()
+    return -normal.inv_cdf(normal.cdf(-z) / max(count, 1))
 
 
 def correlation(covariance: FloatArray) -> FloatArray:

@@ -49,3 +49,10 @@ def test_white_noise_is_measured_on_top_of_motion():
     assert statistics.white_noise_sd(np.sin(3 * time) + rng.normal(0, 0.01, (1000, 1))) == pytest.approx(
         0.01, rel=0.15
     )
+
+
+def test_among_many_numbers_one_must_be_farther_out_to_surprise():
+    assert statistics.among(1, 3.0) == pytest.approx(3.0)
+    limit = statistics.among(49, 2.0)  # one of 44 logs of one parameter, so one of 44 logs of 49
+    beyond = (np.abs(np.random.default_rng(0).standard_normal((20_000, 49))) > limit).any(axis=1).mean()
+    assert beyond == pytest.approx(0.0455, abs=0.006)

@@ -15,6 +15,7 @@ from amhe_cli.core.arrays import BoolArray
 from amhe_cli.core.each_log import acting
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.statistics import among
 from amhe_cli.estimation.core.information import channel_times, split
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.fits import clip_name
@@ -214,7 +215,8 @@ def report_drift(space: ParameterSpace, disagreements: Mapping[str, Disagreement
     if HALVES not in disagreements:
         return
     difference, sd = disagreements[HALVES].value, disagreements[HALVES].sd
-    for i in map(int, np.flatnonzero(np.abs(difference) > SURPRISE * sd)):
+    limit = among(int(np.count_nonzero(difference)), SURPRISE)  # one of 50 is beyond 3 sd in every 8th log
+    for i in map(int, np.flatnonzero(np.abs(difference) > limit * sd)):
         if share(space, i, difference[i]) >= NOTED:
             logger.warning(
                 f"{space.names[i]} drifts within the logs: their second half wants "

@@ -11,13 +11,14 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log, Series
+from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import search
-from amhe_cli.estimation.offline.checks import left_out, suspects
+from amhe_cli.estimation.offline.checks import HALVES, left_out, report_drift, suspects
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.conclude import PARTS, conclude
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.estimation.offline.posterior import final_fit
+from amhe_cli.estimation.offline.posterior import Disagreement, final_fit
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.shifts import allowed, shifts_of
@@ -68,6 +69,15 @@ def test_variants_are_rolled_out_by_the_workers_that_were_given() -> None:
     assert len(models) == 5, "the model itself, softer, harder, at half the step, solved for longer"
     for one, other in zip(shifted(1e-4), spread, strict=True):
         np.testing.assert_array_equal(one.z, other.z)
+
+
+def test_one_of_many_parameters_drifts_only_where_chance_does_not_explain_it(caplog) -> None:
+    many = [Parameter(f"friction{i}", "-", 0.5, 0.01, 5.0, True, 0.5) for i in range(49)]
+    halves = {HALVES: Disagreement(np.array([3.2, *[1.0] * 48]), np.eye(49))}
+    report_drift(ParameterSpace(tuple(many)), halves)
+    assert "drifts" not in caplog.text
+    report_drift(ParameterSpace(tuple(many[:1])), {HALVES: Disagreement(np.array([3.2]), np.eye(1))})
+    assert "friction0 drifts within the logs" in caplog.text
 
 
 def test_a_search_is_unsettled_only_while_its_cost_still_falls(caplog, pendulum, swing) -> None:
