@@ -33,6 +33,7 @@ from common import PROJECT, over_seeds, seeds_of, show
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.statistics import Z90
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
@@ -301,7 +302,8 @@ def kind_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> list[t
         lines.append(
             (
                 kind, f"{np.median(off):.3g} %", f"{off.max():.3g} %",
-                f"{np.sqrt(np.mean((error[:, of] / bound[:, of]) ** 2)):.2f}", f"{held[:, of].mean():.1%}",
+                f"{np.sqrt(np.mean((error[:, of] / bound[:, of]) ** 2)):.2f}",
+                f"{np.mean(np.abs(error[:, of]) < Z90 * bound[:, of]):.1%}", f"{held[:, of].mean():.1%}",
                 f"{np.mean(verdicts[:, of] == 'identified'):.0%}",
             )
         )  # fmt: skip
@@ -326,9 +328,10 @@ def main() -> None:
     show(
         f"{len(names)} unknowns from {given.seconds:g} s, {len(seeds)} seeds (goal: median {MEDIAN:g} %, "
         f"error / bound {ERROR:g}, held {low:.0%} to {high:.0%}); errors of offsets in shares of their prior",
-        ("parameters", "median error", "largest", "error / bound, rms", "held", "identified"),
+        ("parameters", "median error", "largest", "error / bound, rms", "in 90 % of the bound", "held",
+         "identified"),
         kind_rows(results, names),
-    )
+    )  # fmt: skip
     cpu, error, bound = (np.array([r[key] for r in results]) for key in ("cpu", "error", "bound"))
     rows: list[tuple[str, ...]] = []
     rows.append(("amhe", f"{np.median(cpu):.1f}", f"{np.sqrt(np.mean((error / bound) ** 2)):.2f}", *[""] * 3))
