@@ -172,6 +172,25 @@ def test_paper_holds_every_column_of_the_tables(html: str, tmp_path: Path) -> No
         assert one.run(beyond) <= 0
 
 
+@needs_chromium
+def test_a_dark_screen_gets_a_dark_page_and_paper_a_light_one(html: str, tmp_path: Path) -> None:
+    (tmp_path / "page.html").write_text(html, encoding="utf-8")
+    light = (
+        "['backgroundColor', 'color'].map((name) => getComputedStyle(document.body)[name].match(/\\d+/g)"
+        ".reduce((sum, one) => sum + Number(one), 0) / 765)"
+    )
+    with browser(tmp_path / "profile") as one:
+        one.open((tmp_path / "page.html").as_uri(), dark=True)
+        back, ink = one.run(light)
+        assert back < 0.2 and ink > 0.8
+        assert "invert" in one.run("getComputedStyle(document.querySelector('svg[data-axes]')).filter")
+        dark = [{"name": "prefers-color-scheme", "value": "dark"}]
+        one.ask("Emulation.setEmulatedMedia", media="print", features=dark)
+        back, ink = one.run(light)
+        assert back == 1.0 and ink < 0.2
+        assert one.run("getComputedStyle(document.querySelector('svg[data-axes]')).filter") == "none"
+
+
 def test_error_against_horizon_is_in_degrees_and_millimetres() -> None:
     def line(channel: str, column: str, unit: str, errors: list[tuple[float, float]]) -> list[HorizonError]:
         return [

@@ -13,6 +13,16 @@ from tests.view.browser import PIXELS, Browser, browser, needs_chromium
 
 FRAMES = "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(player.now))))"
 
+#: Share of the scene's pixels that differ from those of the call before.
+CHANGED = """(() => {
+  const c = document.getElementById('scene'), gl = c.getContext('webgl2');
+  const p = new Uint8Array(4 * c.width * c.height);
+  gl.readPixels(0, 0, c.width, c.height, gl.RGBA, gl.UNSIGNED_BYTE, p);
+  const shown = new Uint32Array(p.buffer), before = window.shown ?? shown;
+  window.shown = shown;
+  return shown.filter((pixel, i) => pixel !== before[i]).length / shown.length;
+})()"""
+
 
 @pytest.fixture(scope="module")
 def page(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -103,6 +113,21 @@ def test_a_ghost_comes_and_goes(opened: Browser) -> None:
     assert hidden != shown
     opened.run(toggle)
     assert opened.run(f"{FRAMES}.then(() => {PIXELS})")[0] == shown
+
+
+def test_a_ghost_that_nearly_coincides_with_its_body_leaves_no_patches(opened: Browser) -> None:
+    opened.run("player.choose(player.takes[0])")
+    seek(opened, 0.02)
+    changed = []
+    for hidden in ([0, 1, 2], [1, 2], []):  # rows of measured, nominal, identified
+        opened.run(
+            "[...document.querySelectorAll('#layers input')].slice(0, 3).forEach((box, i) => "
+            f"{{ if (box.checked === {hidden}.includes(i)) box.click(); }})"
+        )
+        opened.run(FRAMES)
+        changed.append(opened.run(CHANGED))
+    _, body, ghosts = changed
+    assert 0.0 < ghosts < 0.3 * body  # the edges of the ghosts
 
 
 def test_the_worst_clip_comes_first_and_another_can_be_chosen(opened: Browser) -> None:

@@ -17,6 +17,24 @@ from amhe_cli.view.strip import _outline
 from tests.conftest import MODELS
 from tests.view.browser import browser, needs_chromium
 
+#: Where the tick labels and the ends of the line are, in shares of the first axes.
+SHARES = """(() => {
+  const svg = document.querySelector('svg[data-axes]'), [l, t, r, b] = JSON.parse(svg.dataset.axes)[0].box;
+  const at = (x, y) => new DOMPoint(x, y).matrixTransform(svg.getScreenCTM());
+  const start = at(l, b), end = at(r, t);
+  const along = (x) => (x - start.x) / (end.x - start.x), up = (y) => (y - start.y) / (end.y - start.y);
+  const found = { x: [], y: [], size: [r - l, b - t] };
+  for (const text of svg.querySelectorAll('[class=x-new] text, [class=y-new] text, [id*=tick] text')) {
+    const { left, right, top, bottom, width } = text.getBoundingClientRect();
+    if (!width || getComputedStyle(text).visibility === 'hidden') continue;
+    const below = (top + bottom) / 2 > start.y;
+    const share = below ? along((left + right) / 2) : up((top + bottom) / 2);
+    found[below ? 'x' : 'y'].push([text.textContent, share]);
+  }
+  const line = [...svg.querySelectorAll('[clip-path] [id^=line2d] path')].at(-1).getBoundingClientRect();
+  return { ...found, line: [along(line.left), along(line.right)] };
+})()"""
+
 SVG = "{http://www.w3.org/2000/svg}"
 
 
@@ -95,13 +113,24 @@ def test_a_report_shows_numbers_under_the_pointer_and_zooms(tmp_path: Path) -> N
         def mouse(kind: str, place: list[float], **more: object) -> None:
             one.ask("Input.dispatchMouseEvent", type=kind, x=place[0], y=place[1], **more)
 
+        def drag(start: list[float], end: list[float]) -> None:
+            mouse("mousePressed", start, button="left", clickCount=1)
+            mouse("mouseMoved", end, button="left", buttons=1)
+            mouse("mouseReleased", end, button="left", clickCount=1)
+
         mouse("mouseMoved", middle[0])
         x, y = map(float, one.run("document.querySelector('.tip').textContent").split(","))
         assert (x, y) == pytest.approx((4.0, 3.0), abs=0.05)
-        whole = one.run("document.querySelector('svg[data-axes]').getAttribute('viewBox')")
-        mouse("mousePressed", middle[0], button="left", clickCount=1)
-        mouse("mouseMoved", middle[1], button="left", buttons=1)
-        mouse("mouseReleased", middle[1], button="left", clickCount=1)
-        assert one.run("document.querySelector('svg[data-axes]').getAttribute('viewBox')") != whole
+        before = one.run(SHARES)
+        drag(*middle)
+        width, height = before["size"]
+        right, low = 8.0 * (1.0 - 20.0 / width), 2.0 + 2.0 * 20.0 / height
+        after = one.run(SHARES)
+        assert len(after["x"]) > 2 and len(after["y"]) > 2
+        for name, first, last in (("x", 4.0, right), ("y", low, 3.0)):
+            for text, share in after[name]:
+                assert 0.0 <= share <= 1.0, "a tick label that has left the plot"
+                assert float(text) == pytest.approx(first + share * (last - first), abs=0.02 * (last - first))
+        assert after["line"] == pytest.approx([-4.0 / (right - 4.0), 4.0 / (right - 4.0)], abs=0.01)
         one.run("document.querySelector('svg[data-axes]').dispatchEvent(new Event('dblclick'))")
-        assert one.run("document.querySelector('svg[data-axes]').getAttribute('viewBox')") == whole
+        assert one.run(SHARES) == before

@@ -218,11 +218,12 @@ class Player {
     if (!this.stage || !track.count) return;
     const measured = take ? take.tracks[0].at(this.now - take.start) : track.at(this.now);
     const predicted = this.data.candidates.map((_, i) => take ? take.tracks[i + 1]?.at(this.now - take.start) : ghosts[i]?.count ? ghosts[i].at(this.now) : null);
-    const home = gaps.some(([a, b]) => a <= this.now && this.now < b), layers = [this.shown.has("measured") ? { poses: measured, opacity: 1, home } : null];
+    const home = gaps.some(([a, b]) => a <= this.now && this.now < b), layers = [];
     if (this.far) this.scale(take, measured);
-    predicted.forEach((poses, i) => {
-      if (poses && this.shown.has(this.data.candidates[i])) layers.push({ poses, tint: this.tints[i], opacity: this.far ? 0.8 : 0.45, tints: this.far ? this.distances(measured, poses).map((d) => mixed(d / this.most)) : null });
+    predicted.forEach((poses, i) => {  // the best one covers the others
+      if (poses && this.shown.has(this.data.candidates[i])) layers.unshift({ poses, tint: this.tints[i], opacity: this.far ? 0.8 : 0.45, tints: this.far ? this.distances(measured, poses).map((d) => mixed(d / this.most)) : null });
     });
+    if (this.shown.has("measured")) layers[this.far ? "push" : "unshift"]({ poses: measured, opacity: 1, home });
     this.stage.draw(layers, this.middle(take, track), this.solid, { ...this.drawn(take), weight: this.data.weight });
   }
   // Forces and traces of the present time: those of the best ghost, or those that came with a live frame.

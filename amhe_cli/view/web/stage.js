@@ -1,8 +1,15 @@
 // The scene: lit triangles in WebGL, translucent ghosts, shadows on the floor, a camera that follows.
 const LIGHT = unit([-0.35, 0.45, 1.0]);
+// How much further away a layer is drawn where an earlier one is seen, in distances from the eye: where their faces
+// nearly coincide there are no patches of both.
+const BACK = 0.06;
 const VERTEX = `#version 300 es
-in vec3 place; in vec3 normal; uniform mat4 model, view; out vec3 world, facing;
-void main() { vec4 at = model * vec4(place, 1.0); world = at.xyz; facing = mat3(model) * normal; gl_Position = view * at; }`;
+precision highp float;
+in vec3 place; in vec3 normal; uniform mat4 model, view; uniform vec3 eye; uniform float back; out vec3 world, facing;
+void main() {
+  world = (model * vec4(place, 1.0)).xyz; facing = mat3(model) * normal;
+  gl_Position = view * vec4(mix(world, eye, -back), 1.0);  // further away on the line of sight, in the same place of the picture
+}`;
 const FRAGMENT = `#version 300 es
 precision highp float;
 in vec3 world, facing; out vec4 shown;
@@ -29,7 +36,7 @@ class Stage {
     if (!gl) throw new Error("This browser has no WebGL 2: the scene cannot be drawn. The plots below are complete.");
     this.canvas = canvas; this.bodies = data.bodies.length; this.unmeasured = new Set(data.unmeasured);
     this.program = this.compile(); this.at = {};
-    for (const name of ["model", "view", "color", "eye", "light", "grid", "sky", "middle", "kind", "reach"]) {
+    for (const name of ["model", "view", "color", "eye", "light", "grid", "sky", "middle", "kind", "reach", "back"]) {
       this.at[name] = gl.getUniformLocation(this.program, name);
     }
     this.geoms = data.geoms.map((geom) => this.loaded(geom));
@@ -123,8 +130,8 @@ class Stage {
     this.camera.moved = add(this.camera.moved, [scale * (Math.sin(around) * x + 0.4 * Math.cos(around) * -y), scale * (-Math.cos(around) * x - 0.4 * Math.sin(around) * y), scale * 0.6 * y]);
   }
   changed() {}
-  // Draws layers: { poses, tint, opacity, colors } each, the first the measured one; arrows of forces, 6 numbers
-  // each, long at a weight; and lines through so many points each.
+  // Draws layers: { poses, tint, opacity, tints } each, the one without a tint measured, and where two nearly coincide
+  // the earlier one; arrows of forces, 6 numbers each, long at a weight; and lines through so many points each.
   draw(layers, middle, colors, { forces, weight, traces, points }) {
     const gl = this.gl, canvas = this.canvas, ratio = Math.min(window.devicePixelRatio || 1, 2), { around, above, away } = this.camera;
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
@@ -140,10 +147,10 @@ class Stage {
     for (const [name, value] of Object.entries({ eye, light: LIGHT, grid: colors.grid, sky: colors.sky, middle: at })) gl.uniform3fv(this.at[name], value);
     gl.uniform1f(this.at.reach, 9 * away);
     for (const geom of this.geoms) if (geom.body < 0) this.geom(geom, geom.local, geom.floor ? [...colors.ground, 1] : geom.color, geom.kind);
-    const [measured] = layers;
-    if (this.ground !== null && measured && measured.poses && eye[2] > this.ground) this.shadows(measured.poses, colors);
+    const measured = layers.find((layer) => !layer.tint);
+    if (this.ground !== null && measured && eye[2] > this.ground) this.shadows(measured.poses, colors);
     gl.enable(gl.BLEND); gl.blendFuncSeparate(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA, gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    for (const layer of layers) if (layer && layer.poses) this.layer(layer);
+    layers.forEach((layer, i) => this.layer(layer, i));
     gl.disable(gl.BLEND);
     gl.clear(gl.DEPTH_BUFFER_BIT);  // what follows is seen through bodies
     if (traces) this.lines(traces, points);
@@ -164,19 +171,23 @@ class Stage {
     gl.uniformMatrix4fv(this.at.model, false, placed([0, 0, 0, 1, 0, 0, 0])); gl.uniform4f(this.at.color, 0.75, 0.25, 1.0, 1.0); gl.uniform1i(this.at.kind, 2);
     for (let first = 0; first < traces.length / 3; first += points) gl.drawArrays(gl.LINE_STRIP, first, points);
   }
-  layer({ poses, tint, opacity, tints, home }) {
-    const gl = this.gl, bodies = Array.from({ length: this.bodies }, (_, i) => placed(poses, 7 * i));
-    if (tint) { gl.enable(gl.POLYGON_OFFSET_FILL); gl.polygonOffset(1, 4); }  // where it lies on the measured body, that one is seen
-    for (const only of opacity < 1 ? ["depth", "color"] : ["color"]) {  // a ghost's own parts do not shine through
-      gl.colorMask(only === "color", only === "color", only === "color", only === "color");
-      for (const geom of this.geoms) {
-        if (geom.body < 0) continue;
-        const own = tints ? tints[geom.body] : tint, grey = !tint && (home || this.unmeasured.has(geom.body));
-        const color = own ? own.map((c, i) => 0.85 * c + 0.15 * geom.color[i]) : grey ? [0.55, 0.55, 0.55] : geom.color.slice(0, 3);
-        this.geom(geom, product(bodies[geom.body], geom.local), [...color, opacity], geom.kind);
+  // The stencil has a bit for each layer, set where it was drawn: there later ones are pushed back.
+  layer({ poses, tint, opacity, tints, home }, i) {
+    const gl = this.gl, bodies = Array.from({ length: this.bodies }, (_, i) => placed(poses, 7 * i)), own = 1 << i;
+    gl.enable(gl.STENCIL_TEST); gl.stencilMask(own); gl.stencilOp(gl.KEEP, gl.KEEP, gl.REPLACE);
+    for (const [where, back] of i ? [[gl.EQUAL, 0], [gl.NOTEQUAL, BACK]] : [[gl.EQUAL, 0]]) {
+      gl.stencilFunc(where, own, own - 1); gl.uniform1f(this.at.back, back);
+      for (const only of opacity < 1 ? ["depth", "color"] : ["color"]) {  // a ghost's own parts do not shine through
+        gl.colorMask(only === "color", only === "color", only === "color", only === "color");
+        for (const geom of this.geoms) {
+          if (geom.body < 0) continue;
+          const hue = tints ? tints[geom.body] : tint, grey = !tint && (home || this.unmeasured.has(geom.body));
+          const color = hue ? hue.map((c, i) => 0.85 * c + 0.15 * geom.color[i]) : grey ? [0.55, 0.55, 0.55] : geom.color.slice(0, 3);
+          this.geom(geom, product(bodies[geom.body], geom.local), [...color, opacity], geom.kind);
+        }
       }
     }
-    gl.disable(gl.POLYGON_OFFSET_FILL);
+    gl.stencilMask(255); gl.disable(gl.STENCIL_TEST); gl.uniform1f(this.at.back, 0);
   }
   shadows(poses, colors) {
     const gl = this.gl, flat = shadowed(LIGHT, this.ground + 0.001);
@@ -186,7 +197,7 @@ class Stage {
     for (const geom of this.geoms) {
       if (geom.body >= 0) this.geom(geom, product(flat, product(placed(poses, 7 * geom.body), geom.local)), [0.05, 0.08, 0.12, colors.dark ? 0.45 : 0.28], 2);
     }
-    gl.depthMask(true); gl.disable(gl.POLYGON_OFFSET_FILL); gl.disable(gl.STENCIL_TEST); gl.disable(gl.BLEND);
+    gl.depthMask(true); gl.disable(gl.POLYGON_OFFSET_FILL); gl.disable(gl.STENCIL_TEST); gl.disable(gl.BLEND); gl.clear(gl.STENCIL_BUFFER_BIT);
   }
   geom(geom, model, color, kind) {
     const gl = this.gl;
