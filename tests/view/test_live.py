@@ -92,7 +92,16 @@ def test_a_watched_command_finds_the_same(arguments: list[str], tmp_path: Path, 
         out = tmp_path / name
         run([*arguments, *more, "-q", "--threads", "1", "-o", str(out)])
         record = json.loads((out / "result.json").read_text())
-        timed = ("seconds", "out", "cycle_ms", "update_ms", "real_time_factor", "estimator", "warnings")
+        timed = (
+            "seconds",
+            "out",
+            "cycle_ms",
+            "update_ms",
+            "real_time_factor",
+            "estimator",
+            "warnings",
+            "provenance",
+        )
         found.append({key: value for key, value in record.items() if key not in timed})
         assert ("http://127.0.0.1:" in capsys.readouterr().err) is bool(more)
     assert found[0] == found[1]
