@@ -39,9 +39,9 @@ def strip(viewing: Viewing, take: Take) -> str:
         seconds = take.start + frame * take.measured.step
         parts.append(
             f'<svg x="{i * (width + 8):g}" width="{width:g}" height="{height:g}">'
-            f'<rect width="100%" height="100%" style="fill:var(--sky)"/>'
+            f'<rect width="100%" height="100%" class="sky" fill="#eef2f6"/>'
             + "".join(_picture(viewing.scene, take.measured, frame, ghosts))
-            + f'<text x="10" y="{height - 10:g}" font-size="13" style="fill:var(--soft)">'
+            + f'<text x="10" y="{height - 10:g}" font-size="13" class="ink" fill="#475569">'
             + f"{seconds:.2f} s</text></svg>"
         )
     whole = len(INSTANTS) * (width + 8) - 8
