@@ -44,7 +44,7 @@ def log_from_arrays(arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measu
     for key, signal in signals.items():
         times = (stamps_ns[key] - start_ns) / 1e9
         samples = _samples(arrays[key], signal, times.size, system.widths, name)
-        bridge = longest_bridge(times, system.settings.logs.max_gap, signal.is_input)
+        bridge = longest_bridge(times, system.settings.logs.max_gap, signal.held)
         for quantity in signal.quantities:
             source = quantity if quantity in samples else DERIVED[quantity]
             derived = source != quantity
@@ -55,7 +55,7 @@ def log_from_arrays(arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measu
                 _columns(signal, 3 if derived and source == "orientation" else values.shape[1]),
                 grid,
                 bridge=bridge,
-                hold=signal.is_input,
+                hold=signal.held,
                 rotation=quantity == "orientation",
                 derived=derived,
             )

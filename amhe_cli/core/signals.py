@@ -51,7 +51,8 @@ class Signal:
             written has it in its Odometry and Imu messages.
         fields: quantity -> paths such as 'motorState[0].q', for types that are not built in.
         columns: quantity -> columns of a table (CSV, npz ...), names or patterns such as 'q*' and 'q{1..6}'.
-        is_input: Commands are held until the next message; everything else is interpolated.
+        is_input: It drives the model; everything else is measured, and interpolated between messages.
+        hold: An input is held until its next message; if not, it is interpolated too.
         offset: Seconds to add to the topic's stamps to bring them onto the log's common clock.
         smooth: Its values are those of a parabola through this time [s] on either side.
         active: Stretches, in seconds from the log's start, outside which it is not active; (): it always is.
@@ -69,12 +70,18 @@ class Signal:
     fields: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     columns: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     is_input: bool = False
+    hold: bool = True
     offset: float = 0.0
     smooth: float = 0.0
     active: tuple[tuple[float, float], ...] = ()
     switch: tuple[str, float] | None = None
     factors: Mapping[str, float] = field(default_factory=dict)
     wraps: bool = False
+
+    @property
+    def held(self) -> bool:
+        """Whether a value lasts until the next message."""
+        return self.is_input and self.hold
 
     def key(self, quantity: str) -> str:
         """Name of the series that holds `quantity`."""

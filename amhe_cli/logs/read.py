@@ -202,7 +202,7 @@ def _series(
 ) -> dict[str, Series]:
     signal = track.signal
     times = (track.times.stamps_ns - start_ns) / 1e9
-    bridge = longest_bridge(times, settings.max_gap, signal.is_input)
+    bridge = longest_bridge(times, settings.max_gap, signal.held)
     series: dict[str, Series] = {}
     for quantity in signal.quantities:
         values, columns, derived = _values(path, track, quantity, times, bridge)
@@ -212,7 +212,7 @@ def _series(
             columns,
             grid,
             bridge=bridge,
-            hold=signal.is_input,
+            hold=signal.held,
             rotation=quantity == "orientation",
             derived=derived,
         )

@@ -92,6 +92,7 @@ class SignalEntry(_Entry):
     smooth: Positive | None = None
     unit: Name | dict[str, Name] | None = None
     wraps: bool = False
+    hold: bool = True
     active: list[tuple[Number, Number]] | Annotated[dict[Name, Number], Field(min_length=1)] | None = None
 
     @property
@@ -123,6 +124,8 @@ class SignalEntry(_Entry):
                 raise ValueError(one_of("unit", name, FACTORS))
         if self.wraps and self.joints is None:
             raise ValueError("wraps is for joints: their encoders jump by a turn")
+        if not self.hold and self.actuators is None and self.joint_force is None and self.force_on is None:
+            raise ValueError("hold is for what drives the model: actuators, joint_force, force_on")
         for name in self.compare or ():
             if self.noise.get(name) is None:
                 raise ValueError(f"{name} cannot be compared without its noise; add it to noise: {{...}}")

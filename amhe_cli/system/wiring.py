@@ -190,6 +190,7 @@ def signal_of(
         fields=fields,
         columns=columns,
         is_input=is_input,
+        hold=entry.hold,
         offset=entry.offset,
         factors=entry.factors,
         wraps=entry.wraps,

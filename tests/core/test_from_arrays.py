@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,18 @@ def test_a_velocity_that_is_missing_is_differentiated() -> None:
     assert velocity.derived and not log["joints.position"].derived
     time = log.dt * np.arange(log.steps)
     np.testing.assert_allclose(velocity.values[20:-20, 0], np.cos(time[20:-20]), atol=1e-3)
+
+
+def test_commands_are_held_or_lie_on_the_line_to_the_next() -> None:
+    ramp = {"time": TIME[::2], "position": 3.0 * TIME[::2]}
+    signals = tuple(replace(s, hold=not s.is_input) for s in PENDULUM.signals)
+    held = Log.from_arrays(arrays(command=ramp), PENDULUM)
+    line = Log.from_arrays(arrays(command=ramp), replace(PENDULUM, signals=signals))
+    time = (held.dt * np.arange(held.steps))[line["command.position"].valid]
+    found = line["command.position"].values[: len(time), 0]
+    np.testing.assert_allclose(found, 3.0 * time, atol=1e-9)
+    steps = held["command.position"].values[: len(time), 0]
+    np.testing.assert_allclose(steps, 3.0 * 0.02 * np.floor(time / 0.02 + 1e-6), atol=1e-9)
 
 
 def test_a_silence_is_a_gap_and_nan_was_not_measured() -> None:

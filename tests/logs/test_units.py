@@ -60,6 +60,7 @@ def test_radians_stay_as_they_are(tmp_path: Path) -> None:
     [
         ({"unit": "furlong"}, "no unit 'furlong'"),
         ({"unit": {"speed": "deg"}}, "no quantity 'speed'"),
+        ({"hold": False}, "hold is for what drives the model"),
         ({"joints": None, "topic": "/x", "wraps": True}, "wraps is for joints"),
     ],
 )

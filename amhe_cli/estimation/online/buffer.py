@@ -74,7 +74,7 @@ class Buffer:
     def _series(self, key: str, grid: FloatArray) -> Series:
         times, values = (np.concatenate(arrays) for arrays in zip(*self._kept[key], strict=True))
         columns = tuple(f"{key}.{i}" for i in range(values.shape[1]))
-        hold = self._signal_of[key].is_input
+        hold = self._signal_of[key].is_input  # also of what logs interpolate: the next message is unknown
         bridge = longest_bridge(self._stamps[key], self._max_gap, hold)
         rotation = key.endswith(".orientation")
         return resample(times, values, columns, grid, bridge=bridge, hold=hold, rotation=rotation)
