@@ -1,12 +1,13 @@
 """Write docs/cli.md from the commands' own help: `make docs`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from amhe_cli.cli.main import amhe
 
-WIDE = {"terminal_width": 100, "max_content_width": 100}
+WIDE: dict[str, Any] = {"terminal_width": 100, "max_content_width": 100}
 FILE = Path(__file__).with_name("cli.md")
 
 HEAD = """\
@@ -21,7 +22,7 @@ This page is written by `make docs` from the commands' own help; a test holds th
 | 2 | usage or configuration; a path that does not exist |
 | 3 | with `--strict`: done, with a warning |
 | 4 | an input exists but cannot be read |
-| 130, 143 | interrupted (Ctrl-C), terminated (SIGTERM); an estimation keeps the best so far and writes it |
+| 130, 143 | interrupted (Ctrl-C), terminated (SIGTERM, SIGHUP); an estimation writes the best so far |
 
 Results go to stdout, everything else to stderr. With `--json` stdout is one JSON object, the content of
 `result.json`. A setting comes from, in this order: `--set`, the environment (`AMHE_CLIPS__COUNT=40` for
@@ -44,7 +45,7 @@ switches it on:
 
 def document() -> str:
     """The whole page."""
-    group = click.Context(amhe, info_name="amhe", **WIDE | amhe.context_settings)
+    group = click.Context(amhe, info_name="amhe", **{**WIDE, **amhe.context_settings})
     parts = [HEAD, _section("amhe", amhe.get_help(group))]
     for name in sorted(amhe.commands):
         command = amhe.commands[name]

@@ -196,7 +196,7 @@ def link_record(target: Any, recorder: Recorder, history: History) -> dict[str, 
     recorder.note(time + 1e-3, level, f"{words}; {report.trip}: {report.reason}" if report.trip else words)
     return {
         "link": {
-            "trip": report.trip, "reason": report.reason, "slow": slow, "notes": report.notes,
+            "trip": report.trip, "reason": report.reason, "slow": slow, "notes": target.notes,
             "round_trip_ms": report.contact.get("round_trip_ms"), "packets": report.intervals,
             "dropped_poses": target.dropped_poses,
         }

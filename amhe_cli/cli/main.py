@@ -126,7 +126,7 @@ def _terminable(session: Session) -> Iterator[None]:
     """Turn SIGTERM and SIGHUP into an exception that commands may end well on, as Ctrl-C is."""
 
     def terminate(number: int, frame: FrameType | None) -> None:
-        session.terminate(number)
+        session.terminate()
         raise Terminated
 
     numbers = [n for n in TERMINATING if signal.getsignal(n) is not signal.SIG_IGN]  # ignored under nohup

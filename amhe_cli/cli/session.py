@@ -26,7 +26,7 @@ DONE, FAILED, USAGE, LOSSY, UNREADABLE, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 4,
 PLAIN_WIDTH = 110
 
 
-#: Signals other than Ctrl-C that end a command; SIGHUP: its terminal has been closed.
+#: Signals other than Ctrl-C that end a command; SIGHUP comes when its terminal is closed.
 TERMINATING = (signal.SIGTERM, signal.SIGHUP)
 
 
@@ -61,12 +61,12 @@ class Session:
         self.no_color = False
         self._on_terminal = [stream.fileno() for stream in (sys.stdout, sys.stderr) if stream.isatty()]
 
-    def terminate(self, number: int) -> None:
+    def terminate(self) -> None:
         """Note a signal of `TERMINATING`; a terminal that has been closed takes no more words."""
         self.terminated = True
-        if number == signal.SIGHUP and self._on_terminal:
+        if closed := [descriptor for descriptor in self._on_terminal if not os.isatty(descriptor)]:
             nowhere = os.open(os.devnull, os.O_WRONLY)
-            for descriptor in self._on_terminal:
+            for descriptor in closed:
                 os.dup2(nowhere, descriptor)
             os.close(nowhere)
 

@@ -21,7 +21,7 @@ def stopping(session: Session) -> Iterator[Callable[[], bool]]:
     def note(number: int, frame: FrameType | None) -> None:
         nonlocal requested
         if number in TERMINATING:
-            session.terminate(number)
+            session.terminate()
         if requested and number != signal.SIGHUP:  # kernel and shell both send it
             raise Terminated if session.terminated else KeyboardInterrupt
         requested = True

@@ -1,5 +1,6 @@
 """How every ending becomes an exit code, and what is loaded before a command runs."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -89,6 +90,20 @@ def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, 
     monkeypatch.setitem(entry.amhe.commands, "trial", trial)
     assert entry.run(["trial"]) == code
     assert "interrupted; nothing was written" in capsys.readouterr().err
+
+
+def test_a_signal_as_of_a_closed_terminal_silences_no_open_one(monkeypatch) -> None:
+    keys, terminal = os.openpty()
+    with os.fdopen(keys, "rb", 0) as screen, os.fdopen(terminal, "w") as stderr:
+        monkeypatch.setattr(sys, "stderr", stderr)
+        session = Session()
+        session.terminate()
+        session.say("", "still here")
+        assert screen.read(100) == b"amhe: still here\r\n"
+        screen.close()
+        session.terminate()
+        session.say("", "nobody reads it")
+        assert os.fstat(terminal).st_rdev == Path(os.devnull).stat().st_rdev
 
 
 def test_a_command_that_ignores_the_end_of_its_terminal_goes_on(monkeypatch, capsys) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import socket
 import subprocess
@@ -122,41 +123,64 @@ def begun() -> tuple[Pipe, dict[str, Any]]:
     return Pipe(end), json.loads(first)
 
 
-def take_priority(level: int, anywhere: bool = False) -> bool:
+def take_priority(level: int, anywhere: bool = False, longest: float = math.inf) -> bool:
     """Run this thread before others; True: always, False: only more often than others.
 
     Args:
         level: Priority among real-time threads; the highest goes first.
         anywhere: Run on any core; else, with real-time priority, on the last one, off which a planner keeps.
+        longest: With real-time priority, the kernel kills this process where it computes so long [s] without
+            a pause: on one core nobody else gets to run, to notice that it hangs.
     """
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(level))
-        if not anywhere:
-            os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    except (OSError, AttributeError):
+    if not _real_time(level):
         with contextlib.suppress(OSError):
             os.nice(-10)
         return False
+    if not anywhere:
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    if longest < math.inf:
+        import resource  # no other operating system has it, and none comes here
+
+        _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
+        limit = int(1e6 * longest) if most == resource.RLIM_INFINITY else min(int(1e6 * longest), most)
+        resource.setrlimit(resource.RLIMIT_RTTIME, (limit, limit))
     return True
 
 
 @contextlib.contextmanager
-def planning_first() -> Iterator[int]:
+def planning_first() -> Iterator[tuple[int, bool]]:
     """Run this thread, and those that it starts, before all without real-time priority, where it may.
 
-    It keeps off the last core, if there is another one: a rollout that sender, poses and an emulated robot
-    interrupt every millisecond takes half as long again.
+    It then keeps off the last core, if there is another one: a rollout that sender, poses and an emulated
+    robot interrupt every millisecond takes half as long again.
 
     Yields:
-        Number of cores that it has.
+        Number of cores that it has, and whether it has real-time priority.
     """
+    if not hasattr(os, "sched_getscheduler"):  # a link refuses what is not Linux in one line
+        yield os.cpu_count() or 1, False
+        return
     policy, priority, before = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)
+    if not _real_time(PLANNER):
+        yield len(before), False
+        return
     cores = before - {max(before)} or before
-    os.sched_setaffinity(0, cores)
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PLANNER))
     try:
-        yield len(cores)
+        os.sched_setaffinity(0, cores)
+        yield len(cores), True
     finally:
         os.sched_setscheduler(0, policy, priority)
         os.sched_setaffinity(0, before)
+
+
+def _real_time(level: int) -> bool:
+    """Give this thread a real-time priority, if it may have one.
+
+    Who may not have the highest gets none: a planner must never go before a sender that has none.
+    """
+    try:
+        for each in (SENDER, level):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(each))
+    except (OSError, AttributeError):  # no right to it; not Linux
+        return False
+    return True

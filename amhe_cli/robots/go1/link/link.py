@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from types import TracebackType
 from typing import Any
 
@@ -18,6 +18,7 @@ from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.report import SenderReport
+from amhe_cli.robots.go1.link.robot_socket import RobotSocket, connected
 from amhe_cli.robots.go1.link.watch import SenderWatch
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
@@ -47,21 +48,23 @@ class Link:
         self._opened = ExitStack()
 
     def __enter__(self) -> Link:
-        host, port = self._where
         with ExitStack() as opening:
-            with _as_file(self._keys) as files:
+            robot = opening.enter_context(closing(connected(*self._where)))
+            incoming, outgoing = opening.enter_context(_nonblocking_pipe())
+            with _as_file(self._keys) as keys:
                 given = {
-                    "host": host, "port": port, "keys": max(files, default=-1), "slow": self._clock.slow,
-                    "settings": self._settings.model_dump(),
+                    "robot": robot.fileno(), "signals": incoming, "keys": max(keys, default=-1),
+                    "slow": self._clock.slow, "settings": self._settings.model_dump(),
                 }  # fmt: skip
+                files = [robot.fileno(), incoming, *keys]
                 self._child = Child("amhe_cli.robots.go1.link.sender", given, files)
             opening.callback(self._child.end, 5.0 * self._clock.slow)
-            self._watch = SenderWatch(self._child, host, port, self._settings, self._clock)
+            ours = RobotSocket(robot, self._clock)
+            self._watch = SenderWatch(self._child, ours, self._settings, self._clock)
             opening.callback(self._watch.close)
             if threading.current_thread() is threading.main_thread():
                 # the signal itself informs the sender, even while our thread is deep in a rollout
-                descriptor = self._child.pipe.fileno()
-                before = signal.set_wakeup_fd(descriptor, warn_on_full_buffer=False)
+                before = signal.set_wakeup_fd(outgoing, warn_on_full_buffer=False)
                 opening.callback(signal.set_wakeup_fd, before)
             opening.callback(self.finish)
             self._opened = opening.pop_all()
@@ -76,6 +79,15 @@ class Link:
     def report(self) -> SenderReport:
         """The newest report of the sender."""
         return self._watch.report if self._watch else SenderReport()
+
+    @property
+    def late(self) -> list[str]:
+        """What has no real-time priority, of the sender and the watch over it."""
+        return [
+            name
+            for name, one in (("sender", self.report), ("watch", self._watch))
+            if one and not one.realtime
+        ]
 
     # -- the phases -----------------------------------------------------------------------------------
 
@@ -207,6 +219,19 @@ def _as_file(keys: int) -> Iterator[list[int]]:
         yield [again]
     finally:
         os.close(again)
+
+
+@contextmanager
+def _nonblocking_pipe() -> Iterator[tuple[int, int]]:
+    """Both ends of a pipe that this process keeps: a signal is never written to where nobody reads."""
+    ends = os.pipe()
+    try:
+        for end in ends:
+            os.set_blocking(end, False)
+        yield ends
+    finally:
+        for end in ends:
+            os.close(end)
 
 
 def _strange(where: str, size: int, why: str) -> str:

@@ -34,8 +34,7 @@ class Phase(IntEnum):
     """The last packet that does nothing has been sent."""
 
 
-#: One-byte orders. Smaller bytes are numbers of signals: the program's signal handler writes them itself, at
-#: once, even while the program's own thread is inside of a long computation.
+#: One-byte orders.
 STAND, ARM, FINISH, STOP = b"S", b"A", b"F", b"X"
 #: Begins the reason why poses cannot be believed any more.
 DOUBT = b"D"

@@ -77,7 +77,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     target = Go1Target(link, feed, settings, clock, period, _box_centre(task))
     behaviour = task.behaviour()
     samples = generator(options.seed, "samples")
-    with planning_first() as cores:  # the threads of its rollouts, too
+    with planning_first() as (cores, _):  # the threads of its rollouts, too
         threads = min(options.threads, cores)
         controller = controller_for(task, behaviour, system, samples, threads, options.engine)
     judge = Judge(task, behaviour.running_cost, period, options.duration)

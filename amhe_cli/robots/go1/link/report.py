@@ -9,7 +9,7 @@ from amhe_cli.core.errors import AmheError, OperatorStopError
 from amhe_cli.robots.go1.link.mail import Phase
 
 #: What the operator stops a run with, as the sender names it.
-_OPERATOR = ("key", "the terminal is gone", "SIGINT", "SIGTERM", "SIGHUP")
+_OPERATOR = ("key", "the terminal is gone", "SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
 
 
 class StoppedError(AmheError):
@@ -27,7 +27,7 @@ class SenderReport:
     refused: int = 0
     intervals: dict[str, float] = field(default_factory=dict)
     robot: dict[str, Any] = field(default_factory=dict)
-    notes: list[str] = field(default_factory=list)
+    realtime: bool = True
     unfit: str = ""
 
     @property

@@ -22,26 +22,16 @@ class RobotSocket:
     """A UDP socket for one address only; it ignores all others.
 
     Args:
-        host, port: Address of the robot.
+        connected: The socket, see `connected`.
         clock: The program's clock.
 
     Attributes:
         refused: How often the other computer reported that no program listens there.
         empty: When there was nothing to read for the last time [s]: what is read next arrived later.
-
-    Raises:
-        LinkError: There is no such host.
     """
 
-    def __init__(self, host: str, port: int, clock: Clock) -> None:
-        self._clock = clock
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        try:
-            self._socket.connect((host, port))
-        except OSError as error:
-            self._socket.close()
-            raise LinkError(f"no way to {host}:{port}: {error.strerror or error}") from error
+    def __init__(self, connected: socket.socket, clock: Clock) -> None:
+        self._socket, self._clock = connected, clock
         self.refused = 0
         self.empty = -math.inf
 
@@ -75,9 +65,21 @@ class RobotSocket:
             else:
                 yield datagram, self._clock.now()
 
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
+
+def connected(host: str, port: int) -> socket.socket:
+    """A UDP socket for a robot's address.
+
+    Raises:
+        LinkError: There is no such host, or no way to it.
+    """
+    opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    opened.setblocking(False)
+    try:
+        opened.connect((host, port))
+    except OSError as error:
+        opened.close()
+        raise LinkError(f"no way to {host}:{port}: {error.strerror or error}") from error
+    return opened
 
 
 def let_down(robot: RobotSocket, settings: Go1Settings, clock: Clock, least: float = 0.0) -> None:

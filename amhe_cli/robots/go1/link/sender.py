@@ -13,9 +13,11 @@ import math
 import os
 import select
 import signal
+import socket
 import sys
 import traceback
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -38,15 +40,14 @@ _BIN, _BINS = 1e-5, 10_000
 _REPORT_PERIOD = 0.02
 #: Every second state is passed on: 500 Hz, evenly spaced by the robot's own clock.
 _PASS_ON = 2
-#: Signals that end the run: also those that would suspend the sender while it drives the motors.
-_STOPPING = (
-    signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT,
-    signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU,
-)  # fmt: skip
+#: Signals by which the operator ends the run, and those that would suspend the sender while it drives motors.
+_STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+_SUSPENDING = (signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU)
+#: The most keys, or signals, that are read at one go.
+_MANY = 64
 _DRIVEN = (
     "the robot's motors are driven already: another program talks to it, or died there; end it, and try again"
 )
-_NO_PRIORITY = "the sender has no real-time priority: packets may be late when the computer is busy"
 
 
 class DrivenError(wire.LinkError):
@@ -90,8 +91,9 @@ class Sender:
         robot: Socket to the robot.
         pipe: Pipe to the program.
         clock: The program's clock.
+        signals: Descriptor from which numbers of signals to the program are read.
         keys: Descriptor of a terminal whose keys are read; -1: none.
-        notes: Further entries of the report.
+        realtime: Whether it has real-time priority.
     """
 
     def __init__(
@@ -100,11 +102,12 @@ class Sender:
         robot: RobotSocket,
         pipe: Pipe,
         clock: Clock,
+        signals: int,
         keys: int,
-        notes: list[str],
+        realtime: bool,
     ) -> None:
         self._settings, self._robot, self._pipe, self._clock = settings, robot, pipe, clock
-        self._keys, self._notes = keys, notes
+        self._signals, self._keys, self._realtime = signals, keys, realtime
         self._machine, self._inbox, self._contact = Machine(settings), Inbox(), Contact()
         self._share = Share()
         self._ticks, self._tick = ClockMap(), -1
@@ -123,6 +126,7 @@ class Sender:
         while self._machine.phase != Phase.OVER:
             self._read_robot(due)
             self._read_pipe()
+            self._read_signals()
             self._read_keys()
             now = self._clock.now()
             self._send(self._machine.step(now, self._inbox), now)
@@ -132,6 +136,13 @@ class Sender:
     def stop(self, reason: str) -> None:
         """Damp the motors at the next tick."""
         self._inbox.stop = self._inbox.stop or reason
+
+    def stop_on(self, number: int) -> None:
+        """Damp the motors at the next tick, if a signal to us or the program is to end the run."""
+        if number in _STOPPING:
+            self.stop(signal.Signals(number).name)
+        elif number in _SUSPENDING:
+            self.stop(f"{signal.Signals(number).name} would suspend the sender")
 
     def say(self, reason: str, phase: Phase = Phase.OVER) -> None:
         """Report an end for a reason, which is the last of our reports if its phase is the last."""
@@ -180,16 +191,19 @@ class Sender:
                 self._inbox.doubt = message[1:].decode()
             elif message in _ORDERS:
                 _ORDERS[message](self._inbox)
-            elif len(message) == 1 and message[0] in _STOPPING:
-                self.stop(signal.Signals(message[0]).name)
         if not self._pipe.open:
             self.stop("the program has died")
+
+    def _read_signals(self) -> None:
+        with suppress(BlockingIOError):
+            for number in os.read(self._signals, _MANY):
+                self.stop_on(number)
 
     def _read_keys(self) -> None:
         if self._keys < 0 or not select.select([self._keys], [], [], 0.0)[0]:
             return
         try:
-            keys = os.read(self._keys, 64)
+            keys = os.read(self._keys, _MANY)
         except OSError:  # the terminal has been closed
             keys = b""
         if not keys:
@@ -224,7 +238,7 @@ class Sender:
                     "phase": int(machine.phase), "trip": machine.trip, "reason": machine.reason,
                     "contact": self._contact.report, "refused": self._robot.refused,
                     "intervals": self._intervals.summary() if machine.phase >= Phase.PAUSE else {},
-                    "robot": _robot(self._inbox.state), "notes": self._notes,
+                    "robot": _robot(self._inbox.state), "realtime": self._realtime,
                     "unfit": machine.unfit(now, self._inbox) if looked_at else "",
                 }
             )
@@ -283,17 +297,13 @@ def main() -> None:
     """Read the settings from the pipe, and send."""
     pipe, given = begun()
     settings, clock = Go1Settings.model_validate(given["settings"]), Clock(given["slow"])
-    try:
-        robot = RobotSocket(given["host"], given["port"], clock)
-    except wire.LinkError as error:
-        pipe.send(mail.report_message({"phase": int(Phase.OVER), "trip": "error", "reason": str(error)}))
-        return
+    robot = RobotSocket(socket.socket(fileno=given["robot"]), clock)
     gc.freeze()
     gc.disable()  # no code here makes reference cycles
-    notes = [] if take_priority(SENDER) else [_NO_PRIORITY]
-    sender = Sender(settings, robot, pipe, clock, given["keys"], notes)
-    for number in _STOPPING:
-        signal.signal(number, lambda number, _: sender.stop(signal.Signals(number).name))
+    realtime = take_priority(SENDER, longest=settings.trips.report_age * clock.slow)
+    sender = Sender(settings, robot, pipe, clock, given["signals"], given["keys"], realtime)
+    for number in (*_STOPPING, *_SUSPENDING):
+        signal.signal(number, lambda number, _: sender.stop_on(number))
     try:
         sender.run()
     except DrivenError as error:

@@ -83,7 +83,7 @@ class Go1Target:
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []
         self._poses: list[tuple[float, Pose, Pose]] = []
-        self._playing, self._sends = False, True
+        self._playing, self._sends, self._realtime = False, True, False
         self._doubtful = 0
         self._diverged: StoppedError | None = None
         self._opened = ExitStack()
@@ -94,7 +94,7 @@ class Go1Target:
         with ExitStack() as opening:  # what is open already is closed again where the next step fails
             opening.enter_context(self._feed)
             opening.enter_context(self._link)
-            opening.enter_context(planning_first())  # once their processes have started
+            _, self._realtime = opening.enter_context(planning_first())  # once their processes have started
             self._opened = opening.pop_all()
         return self
 
@@ -117,6 +117,15 @@ class Go1Target:
     def report(self) -> SenderReport:
         """The newest report of the sender."""
         return self._link.report
+
+    @property
+    def notes(self) -> list[str]:
+        """What the operator should know of this computer."""
+        others = {"poses": self._feed.realtime, "planner": self._realtime}
+        late = [*self._link.late, *(name for name, has in others.items() if not has)]
+        if not late:
+            return []
+        return [f"no real-time priority: {', '.join(late)}; they may be late when the computer is busy"]
 
     # -- before the run -------------------------------------------------------------------------------
 
@@ -145,7 +154,7 @@ class Go1Target:
             "poses": self._feed.about,
             "box": f"at ({place[0]:.2f}, {place[1]:.2f}, {place[2]:.2f}) m of the task's frame",
             **({"not by default": changed} if (changed := deviations(s)) else {}),
-            **{f"note {number}": note for number, note in enumerate(report.notes, start=1)},
+            **{f"note {number}": note for number, note in enumerate(self.notes, start=1)},
         }
 
     def begin(self, say: Callable[[str], None]) -> None:

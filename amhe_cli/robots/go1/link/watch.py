@@ -9,7 +9,6 @@ import math
 import threading
 import time
 from collections import deque
-from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -32,21 +31,22 @@ class SenderWatch:
 
     Args:
         child: The sender's process.
-        host, port: Address of the robot.
+        robot: The sender's own socket, open as long as the watch: in an emergency none can fail to open.
         settings: Settings of the robot.
         clock: The program's clock.
 
     Attributes:
         report: The newest report of the sender; if it was lost, of what is done in its place.
         driven: Whether the robot has been commanded to move.
+        realtime: Whether it has real-time priority.
     """
 
-    def __init__(self, child: Child, host: str, port: int, settings: Go1Settings, clock: Clock) -> None:
-        self._child, self._where, self._settings, self._clock = child, (host, port), settings, clock
+    def __init__(self, child: Child, robot: RobotSocket, settings: Go1Settings, clock: Clock) -> None:
+        self._child, self._robot, self._settings, self._clock = child, robot, settings, clock
         self._samples: deque[Any] = deque()
         self._closing = False
         self.report = SenderReport()
-        self.driven = False
+        self.driven = self.realtime = False
         # no daemon: Python itself does not end before the robot is down
         self._thread = threading.Thread(target=self._run, name="watch over the sender")
         self._thread.start()
@@ -62,7 +62,7 @@ class SenderWatch:
 
     def _run(self) -> None:
         fault = "the program's own watch failed"
-        take_priority(WATCH, anywhere=True)  # a sender that hangs may take all of its core
+        self.realtime = take_priority(WATCH, anywhere=True)  # a sender that hangs may take all of its core
         try:
             fault = self._lost()
         finally:
@@ -104,7 +104,6 @@ class SenderWatch:
         try:
             self._child.process.kill()  # one that hangs may wake up, and go on
             if self.driven:
-                with closing(RobotSocket(*self._where, self._clock)) as robot:
-                    let_down(robot, self._settings, self._clock, _DAMP)
+                let_down(self._robot, self._settings, self._clock, _DAMP)
         finally:
             self.report = replace(self.report, phase=Phase.OVER)

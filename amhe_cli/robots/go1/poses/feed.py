@@ -100,11 +100,12 @@ class PoseFeed:
 
     Attributes:
         about: Whom the source listens to, in words.
+        realtime: Whether it has real-time priority.
     """
 
     def __init__(self, options: FeedOptions) -> None:
         self._options = options
-        self.about = ""
+        self.about, self.realtime = "", False
         self._child: Child | None = None
 
     def __enter__(self) -> PoseFeed:
@@ -135,7 +136,7 @@ class PoseFeed:
             for message in self._messages():
                 if "connecting" in message and not begun:  # its Python has started: the wait begins now
                     begun, end = True, time.monotonic() + self._options.seconds * max(1.0, self._options.slow)
-                    self.about = message["connecting"]
+                    self.about, self.realtime = message["connecting"], message["realtime"]
                 pose = _pose(message)
                 if pose is not None:
                     seen[pose.body] = pose
@@ -241,8 +242,8 @@ def main() -> None:
     options = FeedOptions(settings=PoseSettings.model_validate(given.pop("settings")), **given)
     sender = _Sender(pipe, Clock(options.slow))
     source = source_of(replace(options, seconds=options.seconds * max(1.0, options.slow)))
-    sender.say({"connecting": source.about})
-    take_priority(POSES)  # a late pose looks like a lost one
+    realtime = take_priority(POSES)  # a late pose looks like a lost one
+    sender.say({"connecting": source.about, "realtime": realtime})
     try:
         source.connect()
         while pipe.open:

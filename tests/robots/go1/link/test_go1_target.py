@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import time as clock
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -19,7 +21,7 @@ from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.report import StoppedError
+from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
 from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
@@ -66,6 +68,19 @@ def test_a_check_says_what_it_found_and_moves_nothing(puppet: Puppet) -> None:
     assert found["battery"] == "80 %"
     assert found["box"] == "at (0.60, 0.00, 0.15) m of the task's frame"
     assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
+
+
+def test_what_has_no_real_time_priority_is_one_note(puppet: Puppet) -> None:
+    with a_target(puppet) as (target, _):
+        target.check()
+        assert (target.notes == []) == (os.sched_getscheduler(0) == os.SCHED_FIFO)
+        watch = target._link._watch
+        assert watch is not None
+        watch.realtime = target._feed.realtime = target._realtime = False
+        words = "watch, poses, planner; they may be late when the computer is busy"
+        assert target.notes[0].endswith(words)
+        late = Mock(report=SenderReport(realtime=False), realtime=False)
+        assert Link.late.fget(Mock(report=late.report, _watch=late)) == ["sender", "watch"]  # type: ignore[misc]
 
 
 def test_what_is_not_by_default_is_reported_before_arming(puppet: Puppet) -> None:

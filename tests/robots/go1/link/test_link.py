@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import socket
@@ -13,21 +14,23 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from amhe_cli.core.errors import OperatorStopError
 from amhe_cli.robots.go1.kinematics import HOME
+from amhe_cli.robots.go1.link import link as link_module
 from amhe_cli.robots.go1.link import mail, state, watch, wire
-from amhe_cli.robots.go1.link.child import Pipe
+from amhe_cli.robots.go1.link.child import Child, Pipe
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.first_contact import Share
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.report import StoppedError
-from amhe_cli.robots.go1.link.robot_socket import RobotSocket
+from amhe_cli.robots.go1.link.robot_socket import RobotSocket, connected
 from amhe_cli.robots.go1.link.sender import Sender
 from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.wire import LinkError
@@ -204,9 +207,17 @@ def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -
     assert link.report.reason == "key"
 
 
-@pytest.mark.parametrize("number", [signal.SIGTSTP, signal.SIGTTIN, signal.SIGQUIT])
+@pytest.mark.parametrize(
+    ("number", "reason", "stop"),
+    [
+        (signal.SIGTSTP, "SIGTSTP would suspend the sender", StoppedError),
+        (signal.SIGTTIN, "SIGTTIN would suspend the sender", StoppedError),
+        (signal.SIGQUIT, "SIGQUIT", OperatorStopError),
+        (signal.SIGHUP, "SIGHUP", OperatorStopError),
+    ],
+)
 def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
-    puppet: Puppet, number: signal.Signals
+    puppet: Puppet, number: signal.Signals, reason: str, stop: type[Exception]
 ) -> None:
     with a_link(puppet) as link:
         link.connect()
@@ -217,7 +228,8 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
         assert os.getsid(sender) == sender  # keys of our terminal do not reach it as signals
         os.kill(sender, number)
         puppet.wait(damps)
-    assert link.report.reason == number.name
+    assert link.report.reason == reason
+    assert type(link.report.stop) is stop
 
 
 @pytest.mark.parametrize(
@@ -226,13 +238,17 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
 def test_a_sender_that_dies_or_hangs_is_stood_in_for(
     puppet: Puppet, monkeypatch: pytest.MonkeyPatch, number: signal.Signals, message: str
 ) -> None:
-    """Motors follow the last command that they got for good; one that hangs for good would not even end."""
+    """Motors follow the last command that they got for good; one that hangs for good would not even end.
+
+    Nothing is opened in the emergency, which could fail.
+    """
     monkeypatch.setattr(watch, "_DAMP", 0.5)
     with a_link(puppet) as link:
         link.connect()
         link.stand()
         puppet.wait(lambda got: got.kp[0] > 10.0)
         assert link._child is not None
+        monkeypatch.setattr(socket, "socket", Mock(side_effect=OSError(errno.EMFILE, "Too many open files")))
         link._child.process.send_signal(number)
         puppet.wait(damps)
         with pytest.raises(StoppedError, match=message):
@@ -247,6 +263,48 @@ def test_a_sender_that_dies_or_hangs_is_stood_in_for(
     assert all(map(damps, commands[last_driven + 1 : -1]))
     assert len(commands) - last_driven > 50
     assert commands[-1].kp.max() == commands[-1].kd.max() == 0.0
+
+
+@pytest.mark.slow
+def test_a_sender_that_spins_on_the_only_core_is_stood_in_for(
+    puppet: Puppet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With its real-time priority nobody else gets to run there."""
+    monkeypatch.setattr(watch, "_DAMP", 0.5)
+    monkeypatch.setattr(
+        link_module, "Child", lambda _, *settings: Child("tests.robots.go1.link.spinning", *settings)
+    )
+    trips = QUICK.trips.model_copy(update={"report_age": 0.5})
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})
+    try:
+        with a_link(puppet, QUICK.model_copy(update={"trips": trips})) as link:
+            link.connect()
+            link.stand()
+            puppet.wait(lambda got: got.kp[0] > 10.0)
+            puppet.wait(damps)
+    finally:
+        os.sched_setaffinity(0, cores)
+    assert link.report.trip == "sender_lost"
+
+
+def test_a_signal_after_the_sender_has_died_is_no_exception(
+    puppet: Puppet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python writes its number to whoever listens, and complains where nobody does."""
+    complaints: list[object] = []
+    monkeypatch.setattr(sys, "unraisablehook", complaints.append)
+    before = signal.signal(signal.SIGUSR1, lambda *_: None)
+    try:
+        with a_link(puppet) as link:
+            link._wait_for_sender()
+            assert link._child is not None
+            link._child.process.kill()
+            link._child.process.wait()
+            signal.raise_signal(signal.SIGUSR1)
+    finally:
+        signal.signal(signal.SIGUSR1, before)
+    assert not complaints
 
 
 def test_a_sender_that_hangs_before_anything_moved_is_one_line(puppet: Puppet) -> None:
@@ -280,7 +338,7 @@ def test_a_sender_that_stalled_damps_when_it_goes_on(puppet: Puppet) -> None:
 def test_a_plan_that_waited_in_the_pipe_is_as_old_as_it_is() -> None:
     ends = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     ours, theirs = map(Pipe, ends)
-    sender = Sender(QUICK, None, theirs, CLOCK, -1, [])  # type: ignore[arg-type]
+    sender = Sender(QUICK, None, theirs, CLOCK, -1, -1, False)  # type: ignore[arg-type]
     sent = CLOCK.now() - 0.5
     ours.send(mail.plan_message(Targets(sent, 0.02, np.tile(HOME, (16, 1))), sent - 0.1, sent))
     sender._read_pipe()
@@ -382,8 +440,9 @@ def test_a_calendar_clock_that_is_set_changes_no_time_of_arrival(
     true = time.time
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
-        closing(RobotSocket("127.0.0.1", bound_port(robot), CLOCK)) as ours,
+        closing(connected("127.0.0.1", bound_port(robot))) as end,
     ):
+        ours = RobotSocket(end, CLOCK)
         ours.send(b"hello")
         _, peer = robot.recvfrom(9)
         before = CLOCK.now()
@@ -398,8 +457,9 @@ def test_what_waited_unread_is_as_old_as_it_may_be() -> None:
     """A sender that stalled must not take old states for new ones."""
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
-        closing(RobotSocket("127.0.0.1", bound_port(robot), CLOCK)) as ours,
+        closing(connected("127.0.0.1", bound_port(robot))) as end,
     ):
+        ours = RobotSocket(end, CLOCK)
         assert list(ours.received(0.0)) == []
         looked = CLOCK.now()
         ours.send(b"hello")
@@ -414,8 +474,9 @@ def test_states_from_another_port_are_not_taken() -> None:
     with (
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger,
-        closing(RobotSocket("127.0.0.1", bound_port(robot), CLOCK)) as ours,
+        closing(connected("127.0.0.1", bound_port(robot))) as end,
     ):
+        ours = RobotSocket(end, CLOCK)
         ours.send(b"hello")
         _, peer = robot.recvfrom(9)
         for _ in range(200):
@@ -509,5 +570,5 @@ def test_a_motor_in_no_mode_to_be_driven_is_refused(puppet: Puppet) -> None:
 
 
 def test_no_such_host_is_one_line() -> None:
-    with Link("256.1.1.1", 8007, QUICK, CLOCK) as link, pytest.raises(LinkError, match="no way to"):
-        link.connect()
+    with pytest.raises(LinkError, match="no way to"), Link("256.1.1.1", 8007, QUICK, CLOCK):
+        pass

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ import pytest
 from amhe_cli.core.errors import AmheError
 from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
 from amhe_cli.robots.go1.link.calibration import Calibration
-from amhe_cli.robots.go1.link.child import Child, planning_first
+from amhe_cli.robots.go1.link.child import PLANNER, POSES, SENDER, Child, planning_first, take_priority
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.target import Go1Target
@@ -155,32 +156,66 @@ def scheduling() -> tuple[int, int, set[int]]:
 
 def test_a_planner_keeps_off_the_last_core_and_goes_first_while_it_plans() -> None:
     before = scheduling()
-    cores, within = [], []
+    found, within = [], []
 
     def plan() -> None:
-        with planning_first() as count:
-            cores.append(count)
+        with planning_first() as cores_and_priority:
+            found.append(cores_and_priority)
             within.append(scheduling())
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         plan()
     assert scheduling() == before
-    ((_, _, used),) = within
-    assert used == before[2] - {max(before[2])} or len(before[2]) == 1
-    assert cores == [len(used)]
+    (((policy, _, used),), ((cores, first),)) = within, found
+    assert first == (policy == os.SCHED_FIFO)
+    assert used == (before[2] - {max(before[2])} if first and len(before[2]) > 1 else before[2])
+    assert cores == len(used)
 
 
-@pytest.mark.parametrize("allowed", [True, False])
-def test_a_planner_takes_real_time_priority_below_all_else_of_the_link(monkeypatch, allowed: bool) -> None:
-    chosen: list[tuple[int, int]] = []
+@pytest.fixture
+def granted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The highest real-time priority that is granted (as `ulimit -r`), then those that were taken."""
+    most: list[int] = []
 
     def choose(_: int, policy: int, param: os.sched_param) -> None:
-        if policy == os.SCHED_FIFO and not allowed:
+        if policy == os.SCHED_FIFO and param.sched_priority > most[0]:
             raise PermissionError
-        chosen.append((policy, param.sched_priority))
+        most.append(param.sched_priority)
 
     monkeypatch.setattr(os, "sched_setscheduler", choose)
-    with planning_first():
+    monkeypatch.setattr(os, "sched_setaffinity", Mock())
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2})
+    monkeypatch.setattr(os, "nice", Mock())
+    return most
+
+
+def test_a_planner_takes_real_time_priority_below_all_else_of_the_link(granted: list[int]) -> None:
+    granted.append(99)
+    with planning_first() as (cores, first):
+        assert granted[-1] == PLANNER
+    assert (cores, first) == (2, True)
+    assert granted[-1] == scheduling()[1]
+
+
+@pytest.mark.parametrize("most", [0, PLANNER, SENDER - 1])
+def test_without_real_time_priority_for_all_nobody_has_it_and_no_core_is_given_up(
+    granted: list[int], most: int
+) -> None:
+    """A planner alone with it would go before the sender."""
+    granted.append(most)
+    with planning_first() as (cores, first):
         pass
-    assert chosen == [(os.SCHED_FIFO, 10)] * allowed + [scheduling()[:2]]
+    assert (cores, first) == (3, False)
+    assert not take_priority(POSES)
+    assert granted == [most]
+    os.sched_setaffinity.assert_not_called()  # type: ignore[attr-defined]
+
+
+def test_where_nothing_is_known_of_priorities_a_planner_plans(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The line that the link needs Linux comes later."""
+    for name in ("sched_getscheduler", "sched_getparam", "sched_getaffinity", "sched_setscheduler"):
+        monkeypatch.delattr(os, name)
+    with planning_first() as (cores, first):
+        assert cores > 0
+    assert not first
