@@ -20,6 +20,7 @@ from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.report.folder import reserve
 from amhe_cli.system.export import identified_assets, identified_xml
 from amhe_cli.system.export_urdf import identified_urdf
+from amhe_cli.system.folders import named_system
 from amhe_cli.system.isaaclab import isaaclab_text
 from amhe_cli.system.mjlab import mjlab_text
 from amhe_cli.system.system import System
@@ -49,7 +50,7 @@ def export(
             the belief that keep its correlations; 'mjlab' or 'isaaclab': a Python file with the belief's
             intervals as randomisation ranges, and the identified model (MJCF or URDF).
         out: Folder of the files; made if it does not exist.
-        system: The system, its name or folder; None: the one that the belief names.
+        system: The system, its name or folder; None: the one that the belief names, if it comes with amhe.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
         urdf: For 'urdf' and 'isaaclab': a URDF of the robot, whose text is kept but for the values; None: one
             is made of the model.
@@ -71,7 +72,7 @@ def export(
     if not (isinstance(count, int) and count > 0):
         raise ConfigError(f"`count`: {count!r} is no whole number of 1 or more")
     read = belief if isinstance(belief, Belief) else read_belief(Path(belief))
-    opened, given = named_system(read, system).starting_from(belief, belief_anyway=belief_anyway)
+    opened, given = system_of(read, system).starting_from(belief, belief_anyway=belief_anyway)
     assert given is not None, "a belief was given"
     known, folder = completed(given, opened), reserve(Path(out), "export", force)
     contents: dict[str, str | FloatArray] = {}
@@ -90,13 +91,17 @@ def export(
     return [folder / name for name in contents]
 
 
-def named_system(belief: Belief, system: System | str | Path | None) -> System:
-    """A system, or the one that a belief names: of its folder where it had one, else a bundled one."""
+def system_of(belief: Belief, system: System | str | Path | None) -> System:
+    """The user's choice of a system, or else the bundled one that a belief names.
+
+    Raises:
+        ConfigError: There is no such system, or the belief is about one of the user's.
+    """
     if isinstance(system, System):
         return system
-    folder = belief.provenance.get("system_folder")
-    own = str(folder) if folder and Path(str(folder)).is_dir() else belief.system
-    return System.load(system or own, warn=False)
+    own = belief.provenance.get("system_folder")
+    chosen = system or named_system(belief.system, "the belief", None if own is None else str(own))
+    return System.load(chosen, warn=False)
 
 
 def _samples(

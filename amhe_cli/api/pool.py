@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from amhe_cli.api.export import named_system
+from amhe_cli.api.export import system_of
 from amhe_cli.core.belief_file import belief_for, read_belief
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.parameters import Belief, belief_of
@@ -50,7 +50,8 @@ def pool(
     Args:
         beliefs: Beliefs, or paths of belief.yaml files; from runs of the same system, each with the system's
             own prior and logs of its own.
-        system: The system, its name or folder; None: the one that the first belief names.
+        system: The system, its name or folder; None: the one that the first belief names, if it comes with
+            amhe.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
 
     Raises:
@@ -63,7 +64,7 @@ def pool(
     read = [one if isinstance(one, Belief) else read_belief(Path(one)) for one in beliefs]
     names = tuple(f"belief {i + 1}" if isinstance(one, Belief) else str(one) for i, one in enumerate(beliefs))
     _refuse_shared(names, read)
-    opened = named_system(read[0], system)
+    opened = system_of(read[0], system)
     known = [belief_for(opened, one, belief_anyway) for one in read]
     space = opened.space
     means, covariances = (np.array(each) for each in zip(*map(space.gaussian_of, known), strict=True))

@@ -122,19 +122,13 @@ def _own_settings(path: Path) -> dict[str, Any]:
 def _folder_named_by(logs: Sequence[Path]) -> Path:
     """Folder of the bundled system that logs name: a log may choose none of the user's files."""
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.system.folders import bundled_systems
+    from amhe_cli.system.folders import named_system
 
     names = sorted(set(_systems_of(logs).values()))
     if len(names) > 1:
         listed = ", ".join(names)
         raise ConfigError(f"the logs are about different systems ({listed}); choose one with --system")
-    name = names[0] if names else DEFAULT_SYSTEM
-    if (folder := bundled_systems().get(name)) is None:
-        raise ConfigError(
-            f"{', '.join(map(str, logs))}: about the system {name!r}, which does not come with amhe: "
-            f"give its folder with --system DIR"
-        )
-    return folder
+    return named_system(names[0] if names else DEFAULT_SYSTEM, ", ".join(map(str, logs)))
 
 
 def _unnamed(logs: Sequence[Path], error: str) -> str:

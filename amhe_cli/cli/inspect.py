@@ -70,12 +70,22 @@ def _inspection(log: Member, inputs: Inputs) -> Inspection:
     """Look through a log, and check it for the system that the user or the log names, if any."""
     from amhe_cli.core.errors import ConfigError
     from amhe_cli.logs import inspect_log, read_metadata
+    from amhe_cli.system.folders import bundled_systems
 
     path = log.path
-    if inputs.system or read_metadata(path).get("system"):
+    named = read_metadata(path).get("system")
+    if inputs.system or named in bundled_systems():
         system = inputs.open([path]).reading(log.topics)
         start, end = log.start or inputs.start, log.end or inputs.end
         return inspect_log(path, system, start=start, end=end, msg_path=inputs.msg_path)
     if inputs.topics or inputs.start is not None or inputs.end is not None:
         raise ConfigError("--topic, --from and --to are about a system's signals: name it with --system")
+    if named:
+        import logging  # not at the top: --help needs none
+
+        logging.getLogger(__name__).warning(
+            "%s: about the system %r, which does not come with amhe: with `system=DIR` it is checked for it",
+            path,
+            named,
+        )
     return inspect_log(path, msg_path=inputs.msg_path)

@@ -102,7 +102,7 @@ limits = click.option(
     is_eager=True,
     expose_value=False,
     callback=_set_limits,
-    help="Set a limit on what reading a log may cost, such as topics=20000. Repeatable.",
+    help="Set a limit on what reading a file may cost, such as topics=20000. Repeatable.",
 )
 
 

@@ -1,6 +1,6 @@
 """Options that several commands share, in the words of one place.
 
-common: --strict --json -q -v --no-color --version, on every command and before it
+common: --strict --json -q -v --no-color --limit --version, on every command and before it
 where:  --system --topic --msg-path --from --to
 tuning: --set --config
 engine: --engine
@@ -162,6 +162,7 @@ common = stacked(
     _flag("-q", "--quiet", help="No progress; warnings, errors and results only."),
     _flag("-v", "--verbose", help="Say more on stderr; twice: everything.", is_flag=False, count=True),
     _flag("--no-color", help="No colours (NO_COLOR in the environment does the same)."),
+    log_path.limits,
     click.version_option(__version__, message="amhe %(version)s"),
 )
 
@@ -199,14 +200,11 @@ def system_or(default: str) -> Callable[[F], F]:
 system = system_or("named by the log, else go1_push")
 
 
-msg_path = stacked(
-    click.option(
-        "--msg-path",
-        type=EXISTING_FOLDER,
-        metavar="DIR",
-        help="Folder of .msg files, for message types that the log does not define itself.",
-    ),
-    log_path.limits,
+msg_path = click.option(
+    "--msg-path",
+    type=EXISTING_FOLDER,
+    metavar="DIR",
+    help="Folder of .msg files, for message types that the log does not define itself.",
 )
 
 

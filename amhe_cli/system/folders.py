@@ -59,6 +59,26 @@ def find_system(name_or_dir: str | Path) -> Path:
     raise ConfigError(f"{one_of('system', str(name_or_dir), bundled)} (or any folder with a {FILE_NAME})")
 
 
+def named_system(name: str, source: str, folder: str | None = None) -> Path:
+    """Folder of the bundled system that a file names: a file chooses none of the user's folders.
+
+    Args:
+        name: Name of the system in the file.
+        source: The file.
+        folder: The folder that the file names, if any: it is shown, not opened.
+
+    Raises:
+        ConfigError: It is a system of the user's, who gives its folder.
+    """
+    found = bundled_systems().get(name)
+    if folder is not None or found is None:
+        raise ConfigError(
+            f"{source}: about the system {name!r}{f' in {folder}' if folder else ''}, which does not come "
+            f"with amhe: give its folder with `system={folder or 'DIR'}`"
+        )
+    return found
+
+
 def parameter_names(folder: Path) -> list[str]:
     """Names under `parameters:` in a system folder, as they stand there; nothing is checked."""
     try:

@@ -1,5 +1,6 @@
 """Exports: files that other tools read, and draws that keep the belief."""
 
+import re
 from pathlib import Path
 
 import mujoco
@@ -59,7 +60,9 @@ def test_every_kind_is_a_command(
     assert sum(mujoco.MjModel.from_xml_path(str(model)).body_mass) == pytest.approx(load + rod, rel=1e-5)
 
 
-def test_a_belief_finds_the_folder_of_its_system(tmp_path: Path, pendulum_log: Path) -> None:
+def test_a_belief_shows_the_folder_of_its_system_and_opens_it_only_when_it_is_given(
+    tmp_path: Path, pendulum_log: Path
+) -> None:
     system = amhe.System.load("pendulum")
     folder = tmp_path / "mine"
     folder.mkdir()
@@ -68,7 +71,16 @@ def test_a_belief_finds_the_folder_of_its_system(tmp_path: Path, pendulum_log: P
     mine = amhe.System.load(folder)
     log = amhe.read_log(pendulum_log, mine, end=3.0)
     amhe.identify(mine, log, only=["load_mass"], max_time=1.0).save(tmp_path / "result")
-    amhe.export(tmp_path / "result" / "belief.yaml", "mjcf", tmp_path / "out")
+    belief = tmp_path / "result" / "belief.yaml"
+    with pytest.raises(
+        amhe.AmheError, match=f"in {folder}, which .+: give its folder with `system={folder}`"
+    ):
+        amhe.export(belief, "mjcf", tmp_path / "out")
+    renamed = tmp_path / "renamed.yaml"
+    renamed.write_text(re.sub("system_folder: .*\n", "", belief.read_text()).replace("mine", str(folder)))
+    with pytest.raises(amhe.AmheError, match="give its folder with `system=DIR`"):
+        amhe.export(renamed, "mjcf", tmp_path / "out")
+    amhe.export(belief, "mjcf", tmp_path / "out", system=folder)
     assert (tmp_path / "out" / "identified.xml").is_file()
 
 

@@ -63,3 +63,14 @@ def test_a_part_needs_a_system(tmp_path_factory, capsys) -> None:
     assert run(["inspect", str(log)]) == 0
     assert "for system" not in capsys.readouterr().out
     assert run(["inspect", str(log), "--from", "0.1"]) == 2
+
+
+def test_a_log_about_an_unknown_system_shows_its_topics_and_the_name(tmp_path: Path, capsys) -> None:
+    from tests.conftest import write_pendulum_log
+
+    log = write_pendulum_log(tmp_path / "log.mcap", 0.2, system="/home/me/mine")
+    assert run(["inspect", str(log)]) == 0
+    out, err = capsys.readouterr()
+    assert "/joint_states" in out
+    assert "about the system '/home/me/mine', which does not come with amhe: with --system DIR" in err
+    assert run(["identify", str(log)]) == 2

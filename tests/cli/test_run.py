@@ -295,3 +295,14 @@ def test_a_full_disk_ends_a_run_and_keeps_its_log(monkeypatch, capsys, size: int
     assert err.endswith("/out/log.mcap: File too large\n")
     assert names("out") == ["log.mcap"]
     assert sum(topic.count for topic in survey(Path("out/log.mcap")).topics) >= messages
+
+
+def test_the_advice_of_a_limit_is_an_option_of_the_command(capsys) -> None:
+    Path("belief.yaml").write_text(
+        BELIEF.format(system="go1_push", mass=5.5) + "note: [" + "1, " * 400_000 + "]"
+    )
+    arguments = ["--task", "t1", "--mode", "baseline", "--belief", "belief.yaml", "--duration", "0.1", *QUICK]
+    assert run(["run", *arguments]) == 2
+    assert "(--limit yaml_values=1200000 raises it)" in capsys.readouterr().err
+    assert run(["run", *arguments, "--limit", "yaml_values=1200000"]) == 2
+    assert "beyond the limit" not in capsys.readouterr().err
