@@ -139,5 +139,9 @@ def emulate(
         with watching_robot(session, system, measured, emulator.body) if watch else nullcontext() as show:
             emulator.serve(lambda: (show() if show else None) or stopped())
         accepted, rejected = emulator.counts
-        lag = f"; this computer was {emulator.lag:.1f} s too slow" if emulator.lag > 0.05 else ""
+        lag = (
+            f"; this computer was {emulator.lag:.1f} s too slow: larger `slow`, or no other emulator"
+            if emulator.lag > 0.05
+            else ""
+        )
         session.say("", f"{accepted} commands, {rejected} damaged datagrams{lag}")

@@ -84,7 +84,9 @@ def run(arguments: Sequence[str]) -> int:
             code = amhe.main(list(arguments), prog_name="amhe", standalone_mode=False, obj=session)
             return code if isinstance(code, int) else session.exit_code
         except (click.Abort, KeyboardInterrupt):  # click makes an Abort of Ctrl-C
-            session.say("", "interrupted; nothing was written")
+            command = amhe.commands.get(session.command.split()[-1])
+            writes = command is None or any(option.name == "out" for option in command.params)
+            session.say("", "interrupted; nothing was written" if writes else "interrupted")
             return TERMINATED if session.terminated else INTERRUPTED
         except Exception as error:
             return _failed(session, error)

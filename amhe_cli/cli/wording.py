@@ -17,9 +17,9 @@ _OTHERS = {
 }
 _ALIKE = {
     "belief", "belief_anyway", "box", "checkpoint", "cluster", "config", "count", "duration", "fault", "fix",
-    "force", "held_out", "host", "limit", "max_time", "method", "mode", "msg_path", "only", "plant", "port",
-    "pose", "pose_host", "pose_port", "posterior", "report", "resume", "seed", "slow", "system", "target",
-    "task", "threads", "to", "update_period", "urdf", "video", "window", "workers",
+    "force", "held_out", "host", "limit", "max_time", "method", "mocap_port", "mode", "msg_path", "only",
+    "plant", "port", "pose", "pose_host", "pose_port", "posterior", "report", "resume", "seed", "slow",
+    "system", "target", "task", "threads", "to", "update_period", "urdf", "video", "window", "workers",
 }  # fmt: skip
 #: Groups of settings: `logs.align=true` is --set logs.align=true.
 _GROUPS = {"boxes", "clips", "control", "cost", "go1", "identify", "logs", "mhe", "probe"}

@@ -72,6 +72,8 @@ def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Cons
         console: Console on stdout.
     """
     tone, text = verdict(record)
+    if str(record["error"]).startswith("trip "):  # its reason was printed when it came
+        text = f"stopped by {record['error'].partition(':')[0]}"
     style = {"good": "green", "mixed": "yellow", "bad": "red"}[tone]
     line = Text.assemble((f"{record['task']} ({title}), mode {record['mode']}: "), (text, style))
     console.print(line, soft_wrap=True)
@@ -209,7 +211,7 @@ def belief_line(record: Mapping[str, Any]) -> str:
         f"{name} {value:.3g}" + (f" ({truth[name]:.3g})" if name in truth else "")
         for name, value in record["belief"].items()
     ]
-    return f"belief (truth) at the end: {', '.join(values)}"
+    return f"belief{' (truth)' if truth else ''} at the end: {', '.join(values)}"
 
 
 def number(value: float | None, form: str) -> str:

@@ -81,15 +81,18 @@ def test_a_full_disk_is_no_bug(trial, capsys) -> None:
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)]
 )
-def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, number, code) -> None:
-    @click.command(cls=options.Command)
-    @options.common
-    def trial() -> None:
+@pytest.mark.parametrize("writes", [True, False])
+def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, number, code, writes) -> None:
+    def trial(**_: object) -> None:
         signal.raise_signal(number)
 
-    monkeypatch.setitem(entry.amhe.commands, "trial", trial)
+    shared = options.stacked(options.out, options.common) if writes else options.common
+    monkeypatch.setitem(
+        entry.amhe.commands, "trial", click.command("trial", cls=options.Command)(shared(trial))
+    )
     assert entry.run(["trial"]) == code
-    assert "interrupted; nothing was written" in capsys.readouterr().err
+    said = "interrupted; nothing was written" if writes else "interrupted"
+    assert capsys.readouterr().err.strip() == f"amhe trial: {said}"
 
 
 def test_a_signal_as_of_a_closed_terminal_silences_no_open_one(monkeypatch) -> None:

@@ -1,12 +1,14 @@
 """Statements about a run, and its page."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from rich.console import Console
 
 from amhe_cli.core.floor import Floor
-from amhe_cli.report.run import TaskFacts, measure_table, run_page, statements, verdict
+from amhe_cli.report.run import TaskFacts, measure_table, print_run, run_page, statements, verdict
 
 RECORD: dict[str, Any] = {
     "error": None, "fell": False, "interrupted": False, "success": True, "arrived": True, "on_time": True,
@@ -66,6 +68,16 @@ def test_the_verdict_is_one_of_a_few(changed: dict[str, Any], expected: tuple[st
     assert ("The run took" in stated(**changed)) == bool(
         (RECORD | changed)["success"] and (RECORD | changed)["arrived"]
     )
+
+
+def test_what_is_printed_names_a_trip_and_a_truth_only_where_there_is_one(tmp_path: Path, capsys) -> None:
+    trip = {"task": "t1", "mode": "baseline"} | {"error": "trip plan_lost: no plan for 92 ms", "truth": {}}
+    print_run(RECORD | trip, "straight", tmp_path, Console(width=200))
+    out = capsys.readouterr().out
+    assert "stopped by trip plan_lost\n" in out
+    assert "belief at the end: " in out
+    print_run(trip | RECORD, "straight", tmp_path, Console(width=200))
+    assert "belief (truth) at the end: " in capsys.readouterr().out
 
 
 PROVENANCE = {

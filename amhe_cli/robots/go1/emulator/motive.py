@@ -54,7 +54,7 @@ class Motive:
         self, host: str, port: int, names: Sequence[str],
         version: tuple[int, int] = (4, 1), latency: float = 0.004,
     ) -> None:  # fmt: skip
-        self._socket = bound(host, port)
+        self._socket = bound(host, port, ("mocap_port", "pose_port"))
         self._names, self._version, self._latency = list(names), version, latency
         self._clients: dict[tuple[str, int], float] = {}
         self._waiting: deque[tuple[float, bytes]] = deque()

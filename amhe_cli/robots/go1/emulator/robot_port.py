@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import heapq
 import itertools
 import socket
@@ -22,8 +23,12 @@ class PortError(AmheError):
     """A port cannot be opened."""
 
 
-def bound(host: str, port: int) -> socket.socket:
+def bound(host: str, port: int, arguments: tuple[str, str] = ("port", "port")) -> socket.socket:
     """A non-blocking UDP socket.
+
+    Args:
+        host, port: Address to bind.
+        arguments: What chooses the port here, and in the program that comes to it.
 
     Raises:
         PortError: Another program has the port, or this computer has no such address.
@@ -34,7 +39,10 @@ def bound(host: str, port: int) -> socket.socket:
         end.bind((host, port))
     except OSError as error:
         end.close()
-        raise PortError(f"port {port} of {host} cannot be had: {error.strerror or error}") from error
+        here, there = arguments
+        other = f"; with another emulator there, give this one `{here}` and its `amhe run` the same `{there}`"
+        advice = other if error.errno == errno.EADDRINUSE else ""
+        raise PortError(f"port {port} of {host} cannot be had: {error.strerror or error}{advice}") from error
     return end
 
 

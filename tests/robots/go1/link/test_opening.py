@@ -139,6 +139,8 @@ def test_an_emulator_that_cannot_open_gives_its_ports_back(
         with pytest.raises(AmheError, match="cannot be had|no body") as raised:
             Emulator(EmulatorOptions(find_task("t1"), port=port, mocap_port=mocap))
         assert not taken(port), raised.value
+    if step == "cameras":
+        assert "give this one `mocap_port` and its `amhe run` the same `pose_port`" in str(raised.value)
 
 
 def test_without_linux_sockets_the_link_says_so_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
