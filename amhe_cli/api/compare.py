@@ -26,24 +26,16 @@ from amhe_cli.system.system import System
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class Comparison(Compared):
     """What several systems predict of the same held-out clips.
 
     Args:
-        names: Names of the systems.
         results: What was identified of each.
-        horizons: Their errors at each horizon.
-        best: Index of the system that predicts best.
-        verdicts: What the logs say of it against each other system, in words.
         seconds: Time that the comparison took [s].
         warnings: What was warned of on the way, by system.
     """
 
-    names: tuple[str, ...]
     results: tuple[Result, ...]
-    horizons: tuple[AtHorizon, ...]
-    best: int
-    verdicts: tuple[str, ...]
     seconds: float
     warnings: tuple[str, ...]
 
@@ -56,12 +48,7 @@ class Comparison:
 
     def record(self) -> dict[str, Any]:
         """The keys of a comparison in result.json."""
-        return comparison_record(self._compared)
-
-    @property
-    def _compared(self) -> Compared:
-        found = tuple(result.found for result in self.results)
-        return Compared(self.names, found, self.horizons, self.best, self.verdicts)
+        return comparison_record(self)
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write result.json and report.html, and the files of each system's identification in a folder.
@@ -84,7 +71,7 @@ class Comparison:
             result.save(folder / name, force=True)
         one = self.results[0]
         origin = provenance(command, one.seed, one.found.method, one.system, one.logs, one.held_out)
-        write_comparison(folder, self._compared, record, origin)
+        write_comparison(folder, self, record, origin)
 
     def __str__(self) -> str:
         return self.table
@@ -121,7 +108,8 @@ def compare(
     seed, threads = checked(seed, threads, times={"max_time": max_time})
     if len(systems) < 2:
         raise ConfigError("`systems`: give two or more")
-    for argument, given in (("logs", logs), ("held_out", held_out or logs)):
+    unseen = held_out or logs
+    for argument, given in (("logs", logs), ("held_out", unseen)):
         if [len(own) for own in given] != [len(given[0])] * len(systems) or not given[0]:
             raise ConfigError(f"`{argument}`: give the same logs for each of the {len(systems)} systems")
     names = _names(systems)
@@ -137,16 +125,25 @@ def compare(
         with collected_warnings() as texts:
             results.append(
                 identify(
-                    system, logs[i], held_out=held_out[i] if held_out else None, seed=seed, threads=threads,
+                    system, logs[i], held_out=unseen[i] if held_out else None, seed=seed, threads=threads,
                     engine=engine, max_time=share, progress=show,
                 )
             )  # fmt: skip
         warnings += [f"{name}: {text}" for text in texts]
     say("held-out clips")
-    found = _scored(alike, results, logs, held_out, seed, threads, engine)
+    parts = [whole(log) for log in unseen[0]] if held_out else split_held_out(logs[0], clips.held_out)[1]
+    found = _scored(alike, results, unseen, parts, seed, threads, engine)
     best = best_of(found)
-    verdicts = tuple(verdict(found, names, best, i) for i in range(len(names)) if i != best)
-    return Comparison(names, tuple(results), found, best, verdicts, time.monotonic() - begun, tuple(warnings))
+    return Comparison(
+        names=names,
+        found=tuple(result.found for result in results),
+        horizons=found,
+        best=best,
+        verdicts=tuple(verdict(found, names, best, i) for i in range(len(names)) if i != best),
+        results=tuple(results),
+        seconds=time.monotonic() - begun,
+        warnings=tuple(warnings),
+    )
 
 
 def _names(systems: Sequence[System]) -> tuple[str, ...]:
@@ -162,23 +159,18 @@ def _scored(
     systems: Sequence[System],
     results: Sequence[Result],
     logs: Sequence[Sequence[Log]],
-    held_out: Sequence[Sequence[Log]] | None,
+    parts: Sequence[Window],
     seed: int,
     threads: int,
     engine: str,
 ) -> tuple[AtHorizon, ...]:
-    """Errors of all systems on the same held-out windows, at each horizon that they have."""
-    given = held_out or logs
-    if held_out:
-        parts = [whole(log) for log in held_out[0]]
-    else:
-        parts = split_held_out(logs[0], systems[0].settings.clips.held_out)[1]
+    """Errors of all systems on the same windows in parts of the first one's logs, at each horizon."""
     engines = [open_engine(system, threads=threads, kind=engine) for system in systems]
     found, rng = [], np.random.default_rng([seed, 1])
     longest = max((part.duration for part in parts), default=0.0)
     for horizon in (*(h for h in HORIZONS if h < longest), np.inf):
         windows = [
-            [_same_time(window, logs[0] if not held_out else held_out[0], own) for own in given]
+            [_same_time(window, logs[0], own) for own in logs]
             for window in starts(systems[0], parts, horizon)
         ]
         usable = [row for row in windows if all(_usable(s, w) for s, w in zip(systems, row, strict=True))]

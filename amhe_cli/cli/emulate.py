@@ -50,9 +50,7 @@ OFFSET = _Offset()
     metavar="N",
     help="Of the robot.",
 )
-@click.option(
-    "--mocap", type=click.Choice(MOCAP), default="natnet", show_default=True, help="Its cameras' protocol."
-)
+@options.choice("--mocap", MOCAP, "natnet", "Its cameras' protocol.")
 @click.option(
     "--mocap-port",
     type=options.WholeNumber(0, 65535),

@@ -27,19 +27,17 @@ if TYPE_CHECKING:
 @log_path.held_out("Log used only to validate")
 @believed("Start from an earlier belief.yaml instead of the system's own prior.")
 @narrowing
-@click.option(
+@options.choice(
     "--method",
-    type=click.Choice(["linearised", "cmaes"]),
-    default="linearised",
-    show_default=True,
-    help="Estimator; linearised falls back on cmaes where it does not help.",
+    ("linearised", "cmaes"),
+    "linearised",
+    "Estimator; linearised falls back on cmaes where it does not help.",
 )
-@click.option(
+@options.choice(
     "--posterior",
-    type=click.Choice(["linearised", "sampled"]),
-    default="linearised",
-    show_default=True,
-    help="Intervals by slopes at the estimate, or of draws under the true cost: many more rollouts.",
+    ("linearised", "sampled"),
+    "linearised",
+    "Intervals by slopes at the estimate, or of draws under the true cost: many more rollouts.",
 )
 @click.option(
     "--max-time",

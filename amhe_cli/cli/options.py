@@ -172,11 +172,15 @@ TASKS = ("t1", "t2", "t3", "t4", "t5", "hw1", "hw2")
 MODES = ("true", "baseline", "stale", "adaptive")
 
 
+def choice(name: str, values: Sequence[str], default: str | None, about: str) -> Callable[[F], F]:
+    """One of a few values."""
+    kind = click.Choice(values)
+    return click.option(name, type=kind, default=default, show_default=bool(default), help=about)
+
+
 def task(about: str, default: str | None = "t1") -> Callable[[F], F]:
     """Whose box and floor."""
-    return click.option(
-        "--task", type=click.Choice(TASKS), default=default, show_default=bool(default), help=about
-    )
+    return choice("--task", TASKS, default, about)
 
 
 def seconds(about: str, default: float, **bounds: Any) -> Callable[[F], F]:

@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 @click.command(cls=options.Command, short_help="Design and record the most informative motion.")
 @options.system_or("go1_push")
-@click.option(
-    "--target", type=click.Choice(["sim", "go1"]), default="sim", show_default=True, help="What is probed."
-)
+@options.choice("--target", ("sim", "go1"), "sim", "What is probed.")
 @at_the_robot.wire_options
 @options.task(
     "Whose box and floor go1_push is probed with, as they are before anything changes.  [default: t1]", None

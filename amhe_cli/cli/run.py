@@ -29,20 +29,13 @@ _TASKS = (
 
 @click.command(cls=options.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
 @click.option("--task", type=click.Choice(options.TASKS), required=True, help=_TASKS)
-@click.option(
-    "--target",
-    type=click.Choice(["sim", "go1"]),
-    default="sim",
-    show_default=True,
-    help="What is controlled.",
-)
+@options.choice("--target", ("sim", "go1"), "sim", "What is controlled.")
 @at_the_robot.wire_options
-@click.option(
+@options.choice(
     "--mode",
-    type=click.Choice(options.MODES),
-    default="adaptive",
-    show_default=True,
-    help="What the controller plans with: the plant's own parameters, the task's fixed wrong ones, or the "
+    options.MODES,
+    "adaptive",
+    "What the controller plans with: the plant's own parameters, the task's fixed wrong ones, or the "
     "newest estimate, starting from the baseline's.",
 )
 @believed("A belief.yaml in place of the task's own for modes baseline, stale and adaptive.")

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from cmaes import CMA
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.core.information import mean_squares, noise_scale
@@ -14,6 +14,9 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Iteration
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.matching.cost import quadratic_prior
+
+if TYPE_CHECKING:
+    from cmaes import CMA
 
 #: Private attributes that a `cmaes.CMA` changes from generation to generation. The package cannot save them
 #: other than by pickle, which no file is ever loaded from.
@@ -132,6 +135,8 @@ def advance(problem: Problem, state: CmaState) -> CmaState:
 
 def _restored(problem: Problem, state: CmaState, rng: np.random.Generator) -> CMA:
     """The optimizer after the last generation, with a generator of this generation's own."""
+    from cmaes import CMA  # it loads all of scipy.stats, for a second
+
     free = np.flatnonzero(problem.active)
     lower, upper = problem.system.space.bounds
     mean = np.zeros(free.size)

@@ -80,6 +80,7 @@ def conclude(
     watch.enter("covariance")
     fit = final_fit(problem, finding, watch)
     held_out, against = validate(problem, validation, finding), left_out(fit)
+    shown = unexplained(system, fit)
     if held_out and watch.allows("held-out clips from fitted first states", problem.linearisation):
         judged = judge(problem, validation, fit)
         against = (*against, *judged.against)
@@ -90,14 +91,17 @@ def conclude(
             noise_scale=judged.noise_scale,
             errors=judged.errors,
         )
+    if finding.done:
+        advice = "; compare measured with predicted in the report, and free what the model may lack"
+        report_misfit(system, fit)
+        report_unsettled(problem, finding, fit)
+    else:  # of a search that was cut short, misfit says nothing of the model
+        against, shown, advice = (watch.short,) * bool(against or shown), (), ""
     for text in against:
-        logger.warning(
-            f"{text}: no value is called identified; compare measured with predicted in the report, "
-            f"and free what the model may lack"
-        )
+        logger.warning(f"{text}: no value is called identified{advice}")
     if held_out and watch.allows("error against horizon", _predictions(problem, validation)):
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
-    evidence, drawn = _evidence(problem, finding, fit, against, watch, sampled)
+    evidence, drawn = _evidence(problem, finding, fit, (*against, *shown), watch, sampled)
     watch.report_skipped()
     watch.enter("figures")
     return Identification(
@@ -171,8 +175,6 @@ def _evidence(
     alone = each_run(problem, finding.z, fit)
     differing = runs_that_differ(problem, alone)
     between = spread_between(alone, differing) if differing else np.zeros(len(space))
-    report_misfit(problem.system, fit)
-    report_unsettled(problem, finding, fit)
     report_drift(space, compared)
     shifts = shifts_of(problem, fit) if watch.allows("shifts under other models", once) else []
     again = repeated(fit)
@@ -216,7 +218,7 @@ def _evidence(
             problem.active,
             points if watch.allows("cost profiles", rollouts) else 0,
         ),
-        unexplained=(*against, *unexplained(problem.system, fit)),
+        unexplained=against,
         rough=problem.rough,
         repeats=np.sqrt(1.0 + np.diag(again) / np.diag(own)),
         causes=causes,

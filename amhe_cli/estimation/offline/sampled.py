@@ -62,7 +62,7 @@ def sampled_posterior(problem: Problem, fit: FinalFit) -> SampledPosterior:
         space.prior_covariance,
         space.bounds,
         problem.settings.identify.draws,
-        problem.rng(6),
+        problem.rng(8),
     )
     return SampledPosterior(drawn.z, drawn.effective, drawn.evaluations * len(cost.clips.windows))
 

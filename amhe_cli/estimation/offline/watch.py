@@ -64,6 +64,12 @@ class Watch:
             )
         return self.interrupted or self._late
 
+    @property
+    def short(self) -> str:
+        """Why the values of a search that was cut short explain too little, in words."""
+        cause = "it was interrupted" if self.interrupted else f"`max_time` of {self._limit:g} s"
+        return f"the search did not end ({cause}), and its values do not explain the logs yet: give it longer"
+
     def affords(self, rollouts: float) -> bool:
         """Whether there is time for so many rollouts."""
         return self._limit is None or self._pace * rollouts <= self._limit - (time.monotonic() - self._began)

@@ -110,7 +110,7 @@ def test_a_clip_that_is_left_out_and_contradicts_the_others_speaks_against_every
     problem, found = at_truth(pendulum, changed(swing(6.2), "command.position", np.negative))
     watch = Watch(lambda record, total: None, None, PARTS)
     watch.interrupted = True  # no other check
-    result = conclude(problem, found, [], watch)
+    result = conclude(problem, replace(found, stage="done"), [], watch)
     assert {p.verdict for p in result.parameters} == {"model-sensitive"}
     (reason,) = result.unexplained
     assert "of swing 2.40-3.00 s by" in reason and "`cost.trim` leaves it out" in reason
