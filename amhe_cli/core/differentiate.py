@@ -13,6 +13,8 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 _NEIGHBOURS = 3
 _HALF_WINDOW = 0.02
 _MOST_NEIGHBOURS = 50
+#: Samples that are differentiated at once: long logs take no more memory than what is made of them.
+_ROWS = 2**15
 
 
 def derivative(times: FloatArray, values: FloatArray, bridge: float) -> FloatArray:
@@ -42,20 +44,21 @@ def _slope(
     half = int(np.clip(np.ceil(_HALF_WINDOW / period), _NEIGHBOURS, _MOST_NEIGHBOURS))
     size = np.minimum(2 * half + 1, stop - start)
     first = np.clip(np.arange(n) - half, start, stop - size)
-    index = np.arange(n)
-    powers = np.zeros((5, n))  # sums over the window of 1, t, .., t^4
-    right = np.zeros((3, n, width))  # and of y, t y, t^2 y
-    for k in range(2 * half + 1):
-        j = np.minimum(first + k, n - 1)
-        weight = (k < size).astype(np.float64)
-        t = (times[j] - times) / (half * period)
-        y = change(index, j)
-        for power in range(5):
-            powers[power] += weight
-            if power < 3:
-                right[power] += weight[:, None] * y
-            weight = weight * t
-    slopes[size >= 3] = (_linear_term(powers, right) / (half * period))[size >= 3]
+    for rows in np.array_split(np.arange(n), -(-n // _ROWS)):
+        powers = np.zeros((5, rows.size))  # sums over the window of 1, t, .., t^4
+        right = np.zeros((3, rows.size, width))  # and of y, t y, t^2 y
+        for k in range(2 * half + 1):
+            j = np.minimum(first[rows] + k, n - 1)
+            weight = (k < size[rows]).astype(np.float64)
+            t = (times[j] - times[rows]) / (half * period)
+            y = change(rows, j)
+            for power in range(5):
+                powers[power] += weight
+                if power < 3:
+                    right[power] += weight[:, None] * y
+                weight = weight * t
+        slopes[rows] = _linear_term(powers, right) / (half * period)
+    slopes[size < 3] = np.nan
     return slopes
 
 

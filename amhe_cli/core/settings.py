@@ -58,6 +58,11 @@ class ClipSettings(SettingsGroup):
     still: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 3.0
     """A clip is motionless, and dropped, when its motion stays within this many noise sd."""
 
+    @property
+    def most(self) -> int:
+        """Clips side by side that are fitted, and that are validated on, at most."""
+        return 6 * self.count
+
 
 class CostSettings(SettingsGroup):
     """The rollout-matching cost."""

@@ -24,7 +24,7 @@ from amhe_cli.engine.states import controls, first_activations, without_contacts
 from amhe_cli.system.edits import ModelEdits
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
-RECORD_BYTES = 256 * 2**20
+RECORD_BYTES = 64 * 2**20
 #: Rollouts of different lengths are run in at most this many groups of similar length, so that a short
 #: one does not pay for the longest.
 LENGTH_GROUPS = 6

@@ -115,6 +115,14 @@ class MatchingCost:
         other._wanted = [wanted.at_half_steps() for wanted in self._wanted]
         return other
 
+    def of(self, clips: IntArray) -> MatchingCost:
+        """The cost on some of the clips."""
+        other = copy.copy(self)
+        other.clips = self.clips.of(clips)
+        other._alike = _alike([window.log for window in other.clips.windows])
+        other._wanted = [wanted.of(clips) for wanted in self._wanted]
+        return other
+
     @property
     def nx(self) -> int:
         """Number of first-state coordinates whose measurement error is known."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -65,6 +65,15 @@ class Clips:
     starts: Starts
     observed: tuple[Observed, ...]
     counts: FloatArray
+
+    def of(self, clips: IntArray) -> Clips:
+        """Some of the clips."""
+        observed = tuple(
+            replace(o, rows=o.rows[clips], measured=o.measured[clips], mask=o.mask[clips])
+            for o in self.observed
+        )
+        windows = tuple(self.windows[i] for i in clips)
+        return Clips(windows, self.starts.of(clips), observed, self.counts[clips])
 
 
 def prepare(

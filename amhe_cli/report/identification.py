@@ -141,6 +141,8 @@ def print_identification(
     for c in known_together(result)[:MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
     console.print(f"held-out: {held_out_line(result.held_out)}")
+    if result.clips.thinned:
+        console.print(f"fitted: {result.clips.fitted_of}")
     if truth:
         console.print(truth_line(result, truth))
     if result.interrupted:

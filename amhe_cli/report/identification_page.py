@@ -338,10 +338,9 @@ def fit_section(fits: Sequence[Fit]) -> Section:
 
 def _data_section(result: Identification) -> Section:
     clips = result.clips
-    many = f", spread evenly over {clips.fitted + clips.thinned}," if clips.thinned else ""
     return Section(
         "Data",
-        text=f"{clips.fitted} clips were fitted{many} and {clips.held_out} held out. {clips.motionless} were "
+        text=f"{clips.fitted_of} were fitted and {clips.held_out} held out. {clips.motionless} were "
         f"dropped because nothing moves in them, and {clips.across_gaps} because they contain a gap. "
         f"{result.diverged:,} of {result.rollouts:,} rollouts diverged.",
         items=result.logs,

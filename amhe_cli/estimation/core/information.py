@@ -16,13 +16,13 @@ Offline identification, the moving-horizon update and the design of experiments 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber_weight
-from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
+from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, turns
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
 
@@ -34,7 +34,6 @@ class Information:
         matrix: Information matrices, shape (c, d, d); zero for a window that diverged.
         score: Gradients of half the weighted squared residuals and nuisances, shape (c, d).
         residual: Residuals at dz = 0 with the nuisances fitted, shape (c, R).
-        slope: Slopes of these residuals by z, the nuisances moved along, shape (c, d, R).
         nuisance: Best nuisances at dz = 0, shape (c, n).
         nuisance_gain: Slopes of the best nuisances by z, shape (c, n, d).
         nuisance_precision: Precision of the nuisances, given z, shape (c, n, n).
@@ -44,7 +43,6 @@ class Information:
     matrix: FloatArray
     score: FloatArray
     residual: FloatArray
-    slope: FloatArray
     nuisance: FloatArray
     nuisance_gain: FloatArray
     nuisance_precision: FloatArray
@@ -95,7 +93,6 @@ def marginalised(
         matrix=wz @ slope.transpose(0, 2, 1),
         score=(wz @ fitted[..., None])[..., 0],
         residual=fitted,
-        slope=slope,
         nuisance=mean - offset,
         nuisance_gain=np.negative(gain),
         nuisance_precision=precision,
@@ -125,12 +122,21 @@ def information(
 
     def fitted(residual: FloatArray, times: tuple[float, ...]) -> Information:
         weight = weights(cost, residual, times) / noise * counted
-        return marginalised(slopes.residual, gz, gx, weight, mean)
+        arrays = slopes.residual, gz, gx, weight, mean
+        some = turns(len(mean), slopes.gain[:1].nbytes)
+        return _joined([marginalised(*(one[clips] for one in arrays)) for clips in some])
 
     # weights depend on the fitted residuals: a first fit gives them
     first = fitted(slopes.residual, (1.0,) * len(cost.clips.observed))
     times = channel_times(cost, first.residual, slopes.completed)
     return fitted(first.residual, tuple(1.0 + repeats * (time - 1.0) for time in times))
+
+
+def _joined(parts: Sequence[Information]) -> Information:
+    """Information of some windows each as one of all windows."""
+    names = [field.name for field in fields(Information)]
+    arrays = ([getattr(part, name) for part in parts] for name in names)
+    return parts[0] if len(parts) == 1 else Information(*map(np.concatenate, arrays))
 
 
 def gauss_newton_step(

@@ -17,17 +17,28 @@ copied to the host.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, namespace_of, to_host
+from amhe_cli.core.arrays import (
+    AnyArray,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    namespace_of,
+    to_host,
+)
+from amhe_cli.engine.rollout import cut
 from amhe_cli.estimation.core.reach import Reach, colours, moved_along, patterns
 from amhe_cli.estimation.core.shape import coordinates
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
 #: Steps to one side alone, in sd of the samples: what bends in them is less by this factor.
 SHORT = 0.01
+#: Clips whose arrays have more bytes than this take their turns, so that memory does not grow with the logs.
+TURN_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,6 +57,10 @@ class FirstStates:
     def recorded(clips: int, nx: int) -> FirstStates:
         """The prior: the recorded states with the noise of their sensors."""
         return FirstStates(np.zeros((clips, nx)), np.tile(np.eye(nx), (clips, 1, 1)))
+
+    def of(self, clips: IntArray) -> FirstStates:
+        """Those of some of the clips."""
+        return FirstStates(self.mean[clips], self.shape[clips])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,33 +127,64 @@ def linearise(
     half, others = len(directions), directions[:0] if straight else -directions
     signs = np.concatenate((directions, others, np.zeros((1, d + nx))))
     candidates = cost.system.space.clip(z + signs[:, :d] @ shape.T)  # h pairs, and their centre
-    errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
-    residuals = cost.residuals(candidates, errors if nx else None)
-    odd, even, pairs = _parity(residuals, half)
-
     # a bound may have cut a step short: the step that was really taken is half the pair's difference
     plus, minus = candidates[:half], candidates[-1:] if straight else candidates[half:-1]
     first_steps = directions[:, d:] * (0.5 if straight else 1.0)
     steps = np.concatenate((coordinates(shape, 0.5 * (plus - minus)), first_steps), axis=1)
-    gain = _by_coordinates(_regress(odd, pairs, steps, moves), shape, first.shape)
+    middles = 0.5 * (plus + minus)[: len(others)] - z
 
-    # then the pair's middle is not z either, and its share of the even response is linear
-    bent = len(even)
-    curves = even - _predicted(gain[:, :d], 0.5 * (plus + minus)[:bent] - z, even)
-    lift, bend = _moments(curves, pairs[:, :bent])
-    centre = to_host(residuals.stacked[-1])
-    return Linearisation(
-        cost=cost,
-        residual=centre + averaged * lift,
-        centre=centre,
-        gain=gain,
-        curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
-        bend=bend - lift**2 if averaged else bend,
-        first=first,
-        completed=residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half),
-        rollouts=residuals.completed.size,
-        diverged=int((~residuals.completed).sum()),
-    )
+    def of_clips(cost: MatchingCost, first: FirstStates) -> Linearisation:
+        errors = first.mean + np.einsum("cij,hj->hci", first.shape, signs[:, d:])
+        residuals = cost.residuals(candidates, errors if nx else None)
+        odd, even, pairs = _parity(residuals, half)
+        gain = _by_coordinates(_regress(odd, pairs, steps, moves), shape, first.shape)
+        # the middle of a pair may not be z either, and its share of the even response is linear
+        bent = len(even)
+        curves = even - _predicted(gain[:, :d], middles, even)
+        lift, bend = _moments(curves, pairs[:, :bent])
+        centre = to_host(residuals.stacked[-1])
+        return Linearisation(
+            cost=cost,
+            residual=centre + averaged * lift,
+            centre=centre,
+            gain=gain,
+            curves=curves * namespace_of(curves).asarray(pairs.T[:bent, :, None]),
+            bend=bend - lift**2 if averaged else bend,
+            first=first,
+            completed=residuals.completed[-1] & (pairs.sum(axis=1) >= 0.75 * half),
+            rollouts=residuals.completed.size,
+            diverged=int((~residuals.completed).sum()),
+        )
+
+    residuals = sum(observed.mask.shape[1] * observed.width for observed in cost.clips.observed)
+    parts = turns(len(first.mean), 8 * len(candidates) * residuals)
+    if len(parts) == 1:
+        return of_clips(cost, first)
+    done = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
+    return _joined(cost, first, done)
+
+
+def turns(count: int, each: int) -> list[IntArray]:
+    """The numbers of so many clips, each worth so many bytes, cut into parts of about `TURN_BYTES`."""
+    return cut(count, -(-count * each // TURN_BYTES))
+
+
+def _joined(
+    cost: MatchingCost, first: FirstStates, parts: Iterable[tuple[IntArray, Linearisation]]
+) -> Linearisation:
+    """Linearisations of some clips each as one of all clips, in no more memory than the whole and one."""
+    whole: dict[str, AnyArray] = {}
+    rollouts = diverged = 0
+    for clips, part in parts:
+        arrays = {name: getattr(part, name) for name in ("residual", "centre", "gain", "bend", "completed")}
+        arrays["curves"] = to_host(part.curves).swapaxes(0, 1)
+        for name, values in arrays.items():
+            if name not in whole:
+                whole[name] = np.empty((len(first.mean), *values.shape[1:]), values.dtype)
+            whole[name][clips] = values
+        rollouts, diverged = rollouts + part.rollouts, diverged + part.diverged
+    curves = whole.pop("curves").swapaxes(0, 1)
+    return Linearisation(cost=cost, first=first, curves=curves, rollouts=rollouts, diverged=diverged, **whole)
 
 
 def orthogonal_directions(dimension: int, count: int, rng: np.random.Generator) -> FloatArray:

@@ -48,6 +48,12 @@ def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Window], lis
     )
 
 
+def evenly(clips: Sequence[Window], most: int) -> list[Window]:
+    """At most so many of the clips, spread evenly over them."""
+    rows = np.linspace(0, len(clips) - 1, min(most, len(clips))).round().astype(int)
+    return [clips[i] for i in rows]
+
+
 @dataclass
 class ClipPool:
     """Source of clips from some parts of logs; counts the clips that it had to drop.

@@ -29,6 +29,7 @@ from amhe_cli.estimation.offline.held_out import judge, validate
 from amhe_cli.estimation.offline.horizon import HORIZONS, STARTS, horizon_errors
 from amhe_cli.estimation.offline.minima import SHARE, second_minimum
 from amhe_cli.estimation.offline.posterior import (
+    PROFILED,
     TURNS,
     Disagreement,
     FinalFit,
@@ -197,7 +198,7 @@ def _evidence(
         covariance = (draws - finding.z).T @ (draws - finding.z) / len(draws)
     points = setting.profile_points
     unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
-    rollouts = points * int(unknowns) * len(problem.clips)
+    rollouts = points * int(unknowns) * min(len(problem.clips), PROFILED)
     evidence = Evidence(
         z=finding.z,
         covariance=covariance,

@@ -16,7 +16,7 @@ from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
-from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
+from amhe_cli.estimation.offline.clips import ClipPool, evenly, split_held_out, whole
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.conclude import PARTS, RESERVE, conclude
 from amhe_cli.estimation.offline.held_out import fitted_costs, validate
@@ -131,6 +131,7 @@ def _pose(
     validation = ClipPool(system, held, clips)
     low, high = clips.length
     windows = validation.cut(clips.held_out_length or 0.5 * (low + high), clips.held_out_first_only)
+    windows = evenly(windows, clips.most)
     if held and not windows:
         logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")
     for name, reason in problem.idle.items():

@@ -37,6 +37,8 @@ TURNS = 4
 LITTLE = 0.1
 #: Sampling sd of the first of them after CMA-ES, in prior sd.
 SMALL = 0.05
+#: Clips that are enough to draw a cost along a parameter.
+PROFILED = 24
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -199,7 +201,7 @@ class FinalFit:
         return channel_times(self.slopes.cost, self.found.residual, self.slopes.completed)
 
     def costs_along(self, rows: IntArray, values: FloatArray, reach: Reach | None) -> FloatArray:
-        """Mean cost with one parameter moved at a time, first states fitted along.
+        """Mean cost of some clips with one parameter moved at a time, first states fitted along.
 
         Parameters that move different measurements are moved in the same rollouts, and their costs put
         together from what each of them moves.
@@ -212,29 +214,30 @@ class FinalFit:
         Returns:
             Costs, shape (m, p).
         """
-        cost, costs = self.slopes.cost, np.empty_like(values)
-        counted = (self.weight > 0.0).astype(float)
+        clips = np.arange(len(self.weight))[:: -(-len(self.weight) // PROFILED)]
+        cost, costs = self.slopes.cost.of(clips), np.empty_like(values)
+        counted = (self.weight[clips] > 0.0).astype(float)
         together, here = np.arange(len(rows)), ()
+
+        def first_states(z: FloatArray) -> FloatArray | None:
+            first = self.found.first(z - self.z)[:, clips]
+            return first if first.shape[2] else None
+
         if reach is not None:
             together = colours(reach.residuals(cost, False)[rows])
-            here = cost.residuals(self.z[None], self._first(self.z[None])).values
+            here = cost.residuals(self.z[None], first_states(self.z[None])).values
         for colour in range(together.max() + 1):
             some = np.flatnonzero(together == colour)
             z = np.repeat(self.z[None], values.shape[1], axis=0)
             z[:, rows[some]] = values[some].T
-            found = cost.residuals(z, self._first(z))
+            found = cost.residuals(z, first_states(z))
             for i in some:
                 own = found if reach is None else reach.alone(rows[i], cost, found, here)
                 alone = np.repeat(self.z[None], len(z), axis=0)
                 alone[:, rows[i]] = values[i]
-                first = self.found.first(alone - self.z)
+                first = self.found.first(alone - self.z)[:, clips]
                 costs[i] = objective(cost, own, first, (1.0,) * len(own.values), counted)
         return costs / max(float((counted * cost.clips.counts).sum()), 1.0)
-
-    def _first(self, z: FloatArray) -> FloatArray | None:
-        """First-state errors (p, c, nx) that fit best under candidates z (p, d); None: none are fitted."""
-        first = self.found.first(z - self.z)
-        return first if first.shape[2] else None
 
 
 def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) -> FinalFit:
@@ -251,6 +254,8 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     scale, first = finding.scale, finding.first if searched else None
     # the last steps of the search have sampled in this shape and fitted the first states
     known = searched and first is not None and (problem.rough or finding.settled)
+    # slopes from samples that hardly bend are those of wider ones, too
+    straight = searched and finding.straight
     for turn in range(TURNS):
         slopes = _linearised(problem, finding, scale, shape, first, turn)
         found = information(slopes)
@@ -260,7 +265,7 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
         )
         covariance = within(fit.posterior.covariance, problem.alike)
         wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
-        if known and not changed(sampling_sd(shape), sampling_sd(wanted)):
+        if known and (straight or not changed(sampling_sd(shape), sampling_sd(wanted))):
             break
         if watch is not None:
             watch.measured(slopes.rollouts)

@@ -8,17 +8,17 @@ from functools import cached_property
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, to_host
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed, to_host
 from amhe_cli.core.each_log import owner_free
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
-from amhe_cli.engine.rollout import Engine
+from amhe_cli.engine.rollout import Engine, cut
 from amhe_cli.engine.states import nearest, touching
-from amhe_cli.estimation.core.information import Information
+from amhe_cli.estimation.core.information import Information, marginalised
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.reach import Reach
-from amhe_cli.estimation.core.shape import sampling_width
-from amhe_cli.estimation.offline.clips import ClipPool
+from amhe_cli.estimation.core.shape import WIDEST, diagonal, sampling_width
+from amhe_cli.estimation.offline.clips import ClipPool, evenly
 from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_errors
 from amhe_cli.system.contacts import geom_name, needed_contacts
@@ -32,6 +32,8 @@ FEWEST = 8
 ROUGH = 0.02
 #: Clips that show what the errors of a first state move.
 FEW = 2
+#: Times as many clips as can be fitted from which those are chosen that tell most, and of which at most.
+WORTH, LOOKED_AT = 2, 3
 #: Smallest sampling sd of a first state along any direction where the model is rough, in its recorded sd:
 #: slopes from narrower samples are jitter, and would count as knowledge of the first state.
 NARROWEST = 0.7
@@ -84,11 +86,33 @@ class Problem:
 
     @cached_property
     def clips(self) -> tuple[Window, ...]:
-        """The fitted logs cut into clips, each instant used once; thinned evenly where there are many."""
-        clips, most = self._all_clips, 6 * self.settings.clips.count
-        if len(clips) > most and not self.only:
-            clips = [clips[i] for i in np.linspace(0, len(clips) - 1, most).round().astype(int)]
-        return tuple(clips)
+        """The fitted logs cut into clips, each instant used once; where there are many, some of them.
+
+        Those that tell more are taken more often, but behind contacts, where slopes far from the estimate say
+        nothing of it.
+        """
+        if self.only:
+            return self.only
+        most = self.settings.clips.most
+        if len(self._all_clips) < WORTH * most or self.touches:
+            return tuple(evenly(self._all_clips, most))
+        clips = evenly(self._all_clips, LOOKED_AT * most)
+        return tuple(clips[i] for i in by_leverage(self._information(clips), most))
+
+    def _information(self, clips: Sequence[Window]) -> FloatArray:
+        """Information (c, d, d) of clips at the prior's mean, in turns that need no more memory than one."""
+        z = np.zeros(len(self.system.space))
+        shape, found = diagonal(WIDEST, self.active), []
+        for rows in cut(len(clips), -(-len(clips) // self.settings.clips.count)):
+            cost = self.cost([clips[i] for i in rows])
+            first = FirstStates.recorded(
+                len(rows), 0 if self.settings.identify.first_state == "never" else cost.nx
+            )
+            slopes = self.linearised(cost, z, first, shape, self.rng(7), straight=True)
+            gz, gx = np.split(slopes.gain, [z.size], axis=1)
+            weight = np.repeat(slopes.completed.astype(np.float64)[:, None], gz.shape[2], axis=1)
+            found.append(marginalised(slopes.residual, gz, gx, weight, first.mean).matrix)
+        return np.concatenate(found)
 
     @property
     def thinned(self) -> int:
@@ -142,7 +166,7 @@ class Problem:
     @cached_property
     def _some_clips(self) -> Sequence[Window]:
         """Clips that show what moves what."""
-        return self.clips[:: max(1, len(self.clips) // 8)]
+        return self._all_clips[:: max(1, len(self._all_clips) // 8)]
 
     @cached_property
     def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
@@ -229,18 +253,27 @@ class Problem:
     @cached_property
     def idle(self) -> dict[str, str]:
         """Why these logs do not depend on a parameter, for each that is not active."""
-        names = [
-            name for name, active in zip(self.system.space.names, self.active, strict=True) if not active
-        ]
+        idle = np.flatnonzero(~self.active)
+        names = [self.system.space.names[i] for i in idle]
         if not names:
             return {}
         cost = self.cost(self._some_clips)
+        ends = np.zeros((2, idle.size, self.active.size))
+        ends[:, np.arange(idle.size), idle] = np.array(self.system.space.bounds)[:, idle]
+        at_ends = cost.residuals(np.concatenate((np.zeros((1, self.active.size)), *ends)))
+        felt = np.any([columns.any(axis=1) for columns in _moved_columns(cost, at_ends).values()], axis=0)
+        felt = (felt | ~at_ends.completed[1:].all(axis=1)).reshape(2, -1).any(axis=0)
         qpos, inputs = self._states(cost, np.zeros(len(self.system.space)))
         rows = np.linspace(0, len(qpos) - 1, min(len(qpos), _LOOKS)).astype(int)
         cells = {parameter.name: own for parameter, own in self.system.edits.by_parameter()}
         model, reasons = self.system.model, {}
-        for name in names:
+        for name, far in zip(names, felt, strict=True):
             reasons[name] = "no measurement in these logs depends on it"
+            if far:
+                reasons[name] += (
+                    " near its nominal value, but at its bounds one does: give a nominal value of the right "
+                    "size, or a wider prior"
+                )
             if pairs := needed_contacts(model, cells.get(name.partition("[")[0], ())):
                 gap, pair = nearest(model, qpos[rows], inputs[rows], self.system.input_spec, pairs)
                 if gap > _TOUCH:
@@ -266,6 +299,22 @@ class Problem:
             qpos.append(done.rollouts.qpos[inside])
             inputs.append(done.inputs[inside])
         return np.concatenate(qpos), np.concatenate(inputs)
+
+
+def by_leverage(information: FloatArray, most: int) -> IntArray:
+    """At most so many of c clips, a clip the more often the larger its share of all information is.
+
+    Its share is its leverage tr(M_c (P + sum M)^-1) (Drineas, Mahoney and Muthukrishnan 2006): a clip that
+    many others repeat has little, one that alone knows something has much. Clips are taken at equal steps
+    of the summed leverage: evenly where all are alike.
+
+    Args:
+        information: Information of each clip on z, whose prior is N(0, I), shape (c, d, d).
+        most: The number.
+    """
+    known = sealed(np.linalg.inv(information.sum(axis=0) + np.eye(information.shape[1])))
+    total = np.cumsum(np.einsum("cij,ji->c", information, known))
+    return np.unique(np.searchsorted(total, (np.arange(most) + 0.5) / most * total[-1]))
 
 
 def spread_floor(problem: Problem) -> FloatArray:

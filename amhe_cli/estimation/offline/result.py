@@ -228,6 +228,11 @@ class ClipCount:
     across_gaps: int
     thinned: int = 0
 
+    @property
+    def fitted_of(self) -> str:
+        """How many clips were fitted, in words: '24 clips', '144 of 1174 clips'."""
+        return f"{self.fitted}{f' of {self.fitted + self.thinned}' * (self.thinned > 0)} clips"
+
 
 @dataclass(frozen=True, slots=True)
 class BodyNumber:

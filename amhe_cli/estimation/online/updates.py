@@ -138,6 +138,8 @@ class WindowFit:
         innovation: Normalised innovation: distance of the window's own estimate from the prior, in sd of
             both; 0 where its own fit leaves most of the residuals, since no parameters explain them.
         excitation: Rms change of the predictions under the samples, in noise sd.
+        slope: Slopes of the fitted residuals by z, the nuisances moved along, shape (d, R); empty where too
+            many samples diverged.
     """
 
     slopes: Linearisation
@@ -145,6 +147,7 @@ class WindowFit:
     noise: Noise
     innovation: float
     excitation: float
+    slope: FloatArray
 
 
 def fit_window(problem: WindowProblem, z: FloatArray) -> WindowFit:
@@ -158,23 +161,24 @@ def fit_window(problem: WindowProblem, z: FloatArray) -> WindowFit:
     first_states = FirstStates.recorded(1, nx)
     slopes = linearise(cost, z, first_states, shape, problem.samples, problem.rng)
     if not slopes.completed[0]:
-        return WindowFit(slopes, None, problem.noise, 0.0, np.inf)
+        return WindowFit(slopes, None, problem.noise, 0.0, np.inf, np.empty((0, 0)))
     gz, gx = slopes.gain[:, :d], _nuisances(problem, slopes)
     zero = np.zeros((1, gx.shape[1]))
 
-    def fitted(residual: FloatArray, noise: Noise) -> tuple[Information, FloatArray, FloatArray]:
-        """Information under the weights of some residuals, its own step, and the residuals that it leaves."""
+    def fitted(residual: FloatArray, noise: Noise) -> tuple[Information, FloatArray, FloatArray, FloatArray]:
+        """Information under the weights of some residuals, `slope`, its own step, and residuals after it."""
         keys = [observed.channel.key for observed in cost.clips.observed]
         variances = [max(noise.square.get(key, 1.0), 1.0) for key in keys]
         weight = weights(cost, residual, [noise.time.get(key, 1.0) for key in keys], variances)
         found = marginalised(slopes.residual, gz, gx, weight / (1.0 + slopes.bend), zero)
         # the system's prior separates what the window alone cannot
         step, _ = gauss_newton_step(found.matrix[0], found.score[0], np.eye(d), np.zeros(d))
-        return found, step, found.residual + step @ found.slope[0]
+        slope = (gz + found.nuisance_gain.transpose(0, 2, 1) @ gx)[0]
+        return found, slope, step, found.residual + step @ slope
 
-    _, _, left = fitted(slopes.residual, problem.noise)
+    *_, left = fitted(slopes.residual, problem.noise)
     noise, square = _remembered(problem.noise, cost, left)
-    found, step, left = fitted(left, noise.at_least(square))
+    found, slope, step, left = fitted(left, noise.at_least(square))
     explained = (left**2).sum() <= _JUMP_LEAVES * (found.residual**2).sum()
     alone = np.linalg.inv(problem.settings.information * found.matrix[0] + np.eye(d))
     distance = np.sqrt(step @ np.linalg.solve(problem.prior.covariance + alone, step))
@@ -184,6 +188,7 @@ def fit_window(problem: WindowProblem, z: FloatArray) -> WindowFit:
         noise=_remembered(problem.noise, cost, left)[0],
         innovation=float(distance) if explained else 0.0,
         excitation=rms(shape.T @ gz[0], cost.clips.counts),
+        slope=slope,
     )
 
 
@@ -232,7 +237,7 @@ def linearised_update(problem: WindowProblem, first: WindowFit, prior: Gaussian)
     while fit.information is not None:
         found = fit.information
         step, covariance = _posterior_step(problem, prior, found, belief.z)
-        after = rms(found.residual[0] + step @ found.slope[0], counts)
+        after = rms(found.residual[0] + step @ fit.slope, counts)
         belief = Gaussian(space.clip(belief.z + step), covariance)
         short = step @ np.linalg.solve(covariance, step) < 1.0
         if short or done == problem.settings.iteration_count or problem.late():

@@ -50,6 +50,7 @@ def swing(pendulum: System) -> Callable[..., Log]:
         theta: np.ndarray = TRUTH,
         noise: float = 1.0,
         later: np.ndarray | None = None,
+        size: float = 0.3,
     ) -> Log:
         rng = np.random.default_rng(seed)
         model = pendulum.edits.apply(pendulum.model, theta)
@@ -61,7 +62,7 @@ def swing(pendulum: System) -> Callable[..., Log]:
         states = np.empty((steps + 1, 3))
         for step in range(steps + 1):
             held = np.floor(step * dt / 0.02 + 1e-9) * 0.02
-            data.ctrl[0] = 0.3 * np.sin(2.0 * np.pi * hertz * held + phase).sum()
+            data.ctrl[0] = size * np.sin(2.0 * np.pi * hertz * held + phase).sum()
             states[step] = data.qpos[0], data.qvel[0], data.ctrl[0]
             mujoco.mj_step(model if 2 * step < steps else switched, data)
         states[:, :2] += noise * rng.normal(0.0, NOISE, (steps + 1, 2))

@@ -98,3 +98,23 @@ def test_the_contacts_that_a_parameter_needs(target: dict, pairs: set) -> None:
     ((_, cells),) = made.edits.by_parameter()
     found = {tuple(made.model.geom(g).name for g in pair) for pair in needed_contacts(made.model, cells)}
     assert found == pairs
+
+
+def test_a_nominal_value_that_is_far_too_small_is_the_reason() -> None:
+    # mujoco#3284: a search that starts at 1e-8 stays there
+    tiny = {"nominal": 2e-8, "bounds": [1e-8, 10.0], "targets": [{"joint": "hinge", "set": "damping"}]}
+    made = System.from_model(
+        mujoco.MjSpec.from_string(
+            '<mujoco><worldbody><body><joint name="hinge" axis="0 1 0"/><geom type="capsule" '
+            'fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.4"/></body></worldbody></mujoco>'
+        ),
+        parameters={"damping": tiny},
+        signals={"joints": {"joints": ["hinge"], "noise": {"position": 0.001}}},
+        settings={"clips": {"length": [0.3, 0.4]}},
+        warn=False,
+    )
+    times = np.arange(0.0, 2.0, 0.01)
+    arrays = {"joints": {"time": times, "position": np.cos(6.0 * times)[:, None]}}
+    log = Log.from_arrays(arrays, made)
+    found = Problem(made, ClipPool(made, [whole(log)], made.settings.clips), open_engine(made), 0)
+    assert "give a nominal value of the right size" in found.idle["damping"]
