@@ -377,9 +377,15 @@ with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
 
 @pytest.mark.parametrize(
     "number",
-    [signal.SIGINT, signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)],
+    [
+        signal.SIGINT,
+        signal.SIGKILL,
+        *(pytest.param(number, marks=pytest.mark.slow) for number in (signal.SIGTERM, signal.SIGSTOP)),
+    ],
 )
-def test_a_program_that_is_killed_leaves_motors_damped_and_no_process(puppet: Puppet, number: int) -> None:
+def test_a_program_that_is_killed_or_hangs_leaves_motors_damped_and_no_process(
+    puppet: Puppet, number: int
+) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     with subprocess.Popen(
         [sys.executable, "-c", _PROGRAM, str(puppet.port)], stdout=subprocess.PIPE, text=True, env=environment
@@ -395,6 +401,21 @@ def test_a_program_that_is_killed_leaves_motors_damped_and_no_process(puppet: Pu
     count = len(puppet.received)
     time.sleep(0.2)
     assert len(puppet.received) <= count + 1
+
+
+@pytest.mark.slow
+def test_an_error_of_the_program_sits_the_robot_down(puppet: Puppet) -> None:
+    """As a full disk."""
+    with pytest.raises(OSError, match="No space left"), a_link(puppet) as link:
+        running(link)
+        player = Player(link)
+        puppet.wait(lambda got: bool(np.allclose(got.position, HOME + 0.1, atol=1e-3)))
+        raise OSError(errno.ENOSPC, "No space left on device")
+    player.stop.set()
+    commands = [got for _, got in puppet.received]
+    folded = next(i for i, got in enumerate(commands) if i > 500 and got.kp[0] > 0 and got.position[2] < -2.0)
+    assert folded < next(i for i, got in enumerate(commands) if i > folded and damps(got))
+    assert (link.report.phase, link.report.trip) == (Phase.OVER, "")
 
 
 def test_nobody_there() -> None:
