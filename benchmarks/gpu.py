@@ -21,9 +21,9 @@ from common import PROJECT, multisine, show, simulated
 from matching_cost import cube_toss, pendulum
 
 from amhe_cli.core.log import Log
+from amhe_cli.engine.gpu.blueprint import bytes_per_world
 from amhe_cli.engine.gpu.card import Card
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.gpu.worlds import bytes_per_world
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline import search

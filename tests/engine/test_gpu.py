@@ -15,8 +15,8 @@ from amhe_cli.core.arrays import to_host
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.gpu import card
 from amhe_cli.engine.gpu import engine as gpu
+from amhe_cli.engine.gpu.blueprint import Room
 from amhe_cli.engine.gpu.engine import GpuEngine
-from amhe_cli.engine.gpu.worlds import Room
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.system.system import System

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import mujoco
-import mujoco_warp as mjw
-import numpy as np
 import warp as wp
 
-from amhe_cli.core.errors import ConfigError, SimulationError
-from amhe_cli.engine.gpu.worlds import Blueprint, Job, Room, Worlds, bytes_per_world
+from amhe_cli.core.errors import SimulationError
+from amhe_cli.engine.gpu.blueprint import Blueprint, Room, bytes_per_world, first_room
+from amhe_cli.engine.gpu.worlds import Job, Worlds
 from amhe_cli.engine.rollout import Predicted
-from amhe_cli.engine.states import first_activations
 
 #: Share of the memory of a card that one set of worlds and its records may take.
 MEMORY_SHARE = 0.25
@@ -82,26 +79,3 @@ class Card:
             worlds = Worlds(self.blueprint, size, self._room, self._device)
         self._kept[size] = worlds  # the last used is the last to go
         return worlds
-
-
-def first_room(model: mujoco.MjModel) -> Room:
-    """First guess of the buffers of one world, from the contacts of the home state."""
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
-    return Room(max(16, 2 * data.ncon), max(32, 2 * data.nefc))
-
-
-def check_supported(blueprint: Blueprint, device: str) -> None:
-    """Refuse a model that mujoco-warp cannot simulate, before any work is done.
-
-    Raises:
-        ConfigError: It cannot; the text says what it lacks.
-    """
-    try:
-        with wp.ScopedDevice(device):
-            mjw.put_model(blueprint.nominal)
-    except (NotImplementedError, ValueError) as error:
-        raise ConfigError(f"mujoco-warp cannot simulate this model: {error}; take the engine 'cpu'") from None
-    model = blueprint.nominal
-    if first_activations(model, np.ones((1, model.nq)), np.ones((1, model.nu))).any():
-        raise ConfigError("filters and slews of actuators start at rest on a card; take the engine 'cpu'")

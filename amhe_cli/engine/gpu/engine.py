@@ -11,8 +11,9 @@ import warp as wp
 
 from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.engine.gpu.card import Card, check_supported
-from amhe_cli.engine.gpu.worlds import Blueprint, Job
+from amhe_cli.engine.gpu.blueprint import Blueprint, check_supported
+from amhe_cli.engine.gpu.card import Card
+from amhe_cli.engine.gpu.worlds import Job
 from amhe_cli.engine.rollout import (
     Call,
     Predicted,

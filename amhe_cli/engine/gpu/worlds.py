@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import partial
 from threading import Lock
 from typing import Any
 
@@ -16,11 +16,9 @@ import warp as wp
 
 from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from amhe_cli.engine.gpu import kernels
+from amhe_cli.engine.gpu.blueprint import Blueprint, Room
 from amhe_cli.engine.rollout import Starts, Wanted
-from amhe_cli.system.edits import ModelEdits
 
-#: Constants that `set_const` derives from masses, inertias and armatures: each world has its own.
-DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0", "actuator_acc0")
 #: Blocks of the input vector, in the order of mjtState: bit, array of mjw.Data.
 INPUTS = (
     (mujoco.mjtState.mjSTATE_CTRL, "ctrl"),
@@ -39,55 +37,6 @@ FULL = (
 )
 #: Held while a job is prepared: graphs are captured, and warp's default device is one for all threads.
 PREPARING = Lock()
-
-
-@dataclass(frozen=True, eq=False)
-class Blueprint:
-    """What all worlds of an engine share.
-
-    Args:
-        model: The model to roll out.
-        edits: How parameters are written into it.
-        input_spec: mjtState bits of the input vector.
-        sensors: Whether rollouts record sensors.
-    """
-
-    model: mujoco.MjModel
-    edits: ModelEdits
-    input_spec: int
-    sensors: bool
-
-    @cached_property
-    def nominal(self) -> mujoco.MjModel:
-        """The model that the card gets; mujoco-warp leaves out terms that are zero in it."""
-        model = self.edits.apply(self.model, self.edits.space.nominal)
-        # mujoco-warp has no reset of bad states; kernels.watch marks them and sends them home
-        model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
-        if not self.sensors:
-            model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_SENSOR
-        return model
-
-    @property
-    def own(self) -> tuple[str, ...]:
-        """Fields of the model of which each world has its own."""
-        return (*self.edits.fields, *(DERIVED if self.edits.needs_set_const else ()))
-
-
-@dataclass(frozen=True, slots=True)
-class Room:
-    """Buffers of one world.
-
-    Args:
-        contacts: Contacts, on the average over the worlds.
-        rows: Constraint rows.
-    """
-
-    contacts: int
-    rows: int
-
-    def larger(self) -> Room:
-        """Twice the room."""
-        return Room(2 * self.contacts, 2 * self.rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,26 +272,3 @@ def _by_row(rows: IntArray, steps: int) -> tuple[IntArray, IntArray]:
     clip, sample = np.nonzero(rows < steps)
     np.add.at(first, (clip, rows[clip, sample] + 1), 1)
     return first.cumsum(axis=1), np.argsort(rows, axis=1, kind="stable")
-
-
-def bytes_per_world(blueprint: Blueprint, room: Room, device: str) -> int:
-    """Memory of one world [bytes]: how much two more take than one."""
-    with wp.ScopedDevice(device):
-        sizes = [
-            _bytes(mjw.make_data(blueprint.nominal, count, room.contacts, njmax=room.rows))
-            for count in (1, 3)
-        ]
-        own = mjw.put_model(blueprint.nominal)
-    model: Mapping[str, Any] = vars(own)
-    return (sizes[1] - sizes[0]) // 2 + sum(model[name].capacity for name in blueprint.own)
-
-
-def _bytes(owner: Any) -> int:
-    """Memory of all arrays of an object."""
-    total = 0
-    for value in vars(owner).values():
-        if isinstance(value, wp.array):
-            total += value.capacity
-        elif hasattr(value, "__dict__"):
-            total += _bytes(value)
-    return total
