@@ -92,24 +92,31 @@ def _gpu_engine(
     if executor is not None:
         raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
     cards = _cards()
-    from amhe_cli.engine.gpu.engine import GpuEngine
-
+    try:
+        from amhe_cli.engine.gpu.engine import GpuEngine
+    except ImportError as error:
+        raise _missing(error) from None
     return GpuEngine(model, edits, input_spec, sensors, cards)
 
 
 def _cards() -> list[str]:
-    """Warp's names of the cards of this computer.
+    """Warp's names of the cards of this computer; mujoco-warp takes seconds to load, and is not needed.
 
     Raises:
-        ConfigError: mujoco-warp or a card is missing.
+        ConfigError: Warp or a card is missing.
     """
     try:
-        from amhe_cli.engine.gpu.engine import visible_cards
+        from amhe_cli.engine.gpu import visible_cards
     except ImportError as error:
-        raise ConfigError(
-            f"the engine 'gpu' needs {error.name}, which is not installed: pip install 'amhe[gpu]'"
-        ) from None
+        raise _missing(error) from None
     return visible_cards()
+
+
+def _missing(error: ImportError) -> ConfigError:
+    """The refusal of an engine without the libraries of the cards."""
+    return ConfigError(
+        f"the engine 'gpu' needs {error.name}, which is not installed: pip install 'amhe[gpu]'"
+    )
 
 
 def contact_variants(engine: Engine, model: mujoco.MjModel) -> dict[str, Engine]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sys
 from typing import Any
 
 import numpy as np
@@ -112,6 +113,19 @@ def test_a_model_that_the_cards_refuse_stays_on_the_processor(cards, monkeypatch
     assert caplog.messages[1:] == [
         "the CPU computes all rollouts: mujoco-warp cannot simulate this model: PGS"
     ]
+
+
+def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> None:
+    """It takes seconds; here it cannot be loaded at all."""
+    monkeypatch.setattr("amhe_cli.engine.gpu.visible_cards", lambda: ["cuda:0"])
+    monkeypatch.setitem(sys.modules, "amhe_cli.engine.gpu.engine", None)
+    monkeypatch.setattr("amhe_cli.engine.auto.START", 0.0)
+    caplog.set_level(NOTE, "amhe_cli")
+    engine = auto()
+    engine.rollout(*some(2))
+    assert len(caplog.messages) == 1, "only where the card is quicker"
+    engine.rollout(*some(int(engine.fewest) + 1))
+    assert "which is not installed: pip install 'amhe[gpu]'" in caplog.messages[1]
 
 
 def test_the_table_is_read_by_contacts_and_size() -> None:

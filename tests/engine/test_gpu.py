@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -81,7 +82,7 @@ def test_buffers_that_are_too_small_are_made_larger(monkeypatch: pytest.MonkeyPa
 
 
 def test_an_estimate_is_that_of_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(gpu, "visible_cards", lambda: ["cpu"])
+    monkeypatch.setattr("amhe_cli.engine.gpu.visible_cards", lambda: ["cpu"])
     log = amhe.read_log(Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap", PENDULUM)
     cpu, warp = (amhe.identify(PENDULUM, log, engine=kind, threads=1, seed=0) for kind in ("cpu", "gpu"))
     for name, one in cpu.parameters.items():
@@ -91,12 +92,40 @@ def test_an_estimate_is_that_of_the_processor(monkeypatch: pytest.MonkeyPatch) -
         assert other.verdict == one.verdict, name
 
 
-def test_a_model_that_mujoco_warp_cannot_simulate_is_refused() -> None:
-    spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))  # type: ignore[operator]
+def solver(spec: Any) -> None:
     spec.option.solver = mujoco.mjtSolver.mjSOL_PGS
+
+
+def pid(spec: Any) -> None:
+    spec.actuators[0].set_to_pid(kp=1.0, ki=1.0)
+
+
+def filtered(spec: Any) -> None:
+    spec.actuators[0].set_to_position(kp=1.0, timeconst=0.1)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (solver, "mujoco-warp cannot simulate this model: .*PGS is unsupported"),
+        (pid, "mujoco-warp cannot simulate this model: .*PID.* not supported"),
+        (filtered, "filters and slews of actuators start at rest on a card"),
+    ],
+    ids=["solver", "PID", "filter"],
+)
+def test_a_model_that_the_cards_cannot_simulate_is_refused(change: Callable[[Any], None], why: str) -> None:
+    """One line says what they lack; `auto` takes the processor then (test_auto.py)."""
+    spec = mujoco.MjSpec.from_file(str(PENDULUM.folder / "scene.xml"))  # type: ignore[operator]
+    change(spec)
     model = spec.compile()
-    with pytest.raises(ConfigError, match="mujoco-warp cannot simulate this model: .*PGS.*; take the engine"):
+    with pytest.raises(ConfigError, match=f"^{why}; take the engine 'cpu'$"):
         GpuEngine(model, PENDULUM.edits.upon(model), PENDULUM.input_spec, False, ["cpu"])
+
+
+def test_variants_begin_with_the_buffers_that_proved_large_enough() -> None:
+    engine = on(CUBE)
+    engine.cards[0].room = Room(99, 999)
+    assert engine.upon(CUBE.model).cards[0].room == Room(99, 999)
 
 
 def test_without_a_card_the_command_says_so_in_one_line(

@@ -79,7 +79,8 @@ def check_supported(blueprint: Blueprint, device: str) -> None:
         with wp.ScopedDevice(device):
             mjw.put_model(blueprint.nominal)
     except (NotImplementedError, ValueError) as error:
-        raise ConfigError(f"mujoco-warp cannot simulate this model: {error}; take the engine 'cpu'") from None
+        lacks = str(error).rstrip(".")
+        raise ConfigError(f"mujoco-warp cannot simulate this model: {lacks}; take the engine 'cpu'") from None
     model = blueprint.nominal
     if first_activations(model, np.ones((1, model.nq)), np.ones((1, model.nu))).any():
         raise ConfigError("filters and slews of actuators start at rest on a card; take the engine 'cpu'")

@@ -31,7 +31,8 @@ class Card:
 
     def __init__(self, blueprint: Blueprint, device: str) -> None:
         self.blueprint, self._device = blueprint, device
-        self._room = first_room(blueprint.model)
+        #: Buffers of a world; they grow.
+        self.room = first_room(blueprint.model)
         self._kept: dict[int, Worlds] = {}
         self._bytes: dict[Room, int] = {}
 
@@ -51,7 +52,7 @@ class Card:
                 raise SimulationError(f"mujoco-warp refused a rollout: {error}") from error
             if last or not full:
                 break
-            self._room = self._room.larger()
+            self.room = self.room.larger()
             self._kept.clear()
         return Predicted(tuple(values), completed)
 
@@ -60,9 +61,9 @@ class Card:
         device = wp.get_device(self._device)
         if not device.is_cuda:
             return WITHOUT_CARD
-        if self._room not in self._bytes:
-            self._bytes[self._room] = bytes_per_world(self.blueprint, self._room, self._device)
-        return max(1, int(MEMORY_SHARE * device.total_memory / (self._bytes[self._room] + record)))
+        if self.room not in self._bytes:
+            self._bytes[self.room] = bytes_per_world(self.blueprint, self.room, self._device)
+        return max(1, int(MEMORY_SHARE * device.total_memory / (self._bytes[self.room] + record)))
 
     def worlds(self, count: int) -> Worlds:
         """Worlds for so many rollouts, of few different sizes, so that they are used again.
@@ -70,12 +71,12 @@ class Card:
         Up to some thousand worlds a step takes as long as that of one.
         """
         least = FEWEST if wp.get_device(self._device).is_cuda else 16
-        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - 4))
+        grain = max(least, 2 ** (max(count - 1, 1).bit_length() - 6))
         size = -(-count // grain) * grain
         worlds = self._kept.pop(size, None)
         if worlds is None:
             while len(self._kept) >= KEPT:
                 del self._kept[next(iter(self._kept))]
-            worlds = Worlds(self.blueprint, size, self._room, self._device)
+            worlds = Worlds(self.blueprint, size, self.room, self._device)
         self._kept[size] = worlds  # the last used is the last to go
         return worlds

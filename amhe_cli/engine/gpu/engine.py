@@ -7,10 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 
 import mujoco
 import numpy as np
-import warp as wp
 
 from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
-from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.gpu.blueprint import Blueprint, check_supported
 from amhe_cli.engine.gpu.card import Card
 from amhe_cli.engine.gpu.worlds import Job
@@ -92,7 +90,10 @@ class GpuEngine:
         """See `Engine.upon`."""
         about = self._blueprint
         edits = edits or about.edits.upon(model)
-        return GpuEngine(model, edits, about.input_spec, about.sensors, self._devices)
+        engine = GpuEngine(model, edits, about.input_spec, about.sensors, self._devices)
+        for card, known in zip(engine.cards, self.cards, strict=True):
+            card.room = known.room  # of one layout: what was too small once need not be tried again
+        return engine
 
     def _dealt(self, calls: Sequence[Call]) -> list[Predicted]:
         """The parts of a prediction, dealt to the cards; their numbers come together on the first."""
@@ -129,18 +130,6 @@ def _in_order(done: Predicted, count: int) -> Predicted:
     """The numbers of all rollouts of p candidates as (p, c, ...)."""
     values = tuple(part.reshape(count, -1, *part.shape[1:]) for part in done.values)
     return Predicted(values, done.completed.reshape(count, -1))
-
-
-def visible_cards() -> list[str]:
-    """Warp's names of the cards that this process can use.
-
-    Raises:
-        ConfigError: There is none.
-    """
-    names = [str(device.alias) for device in wp.get_cuda_devices()]
-    if not names:
-        raise ConfigError("no graphics card that CUDA can use; take the engine 'cpu'")
-    return names
 
 
 def _gathered(values: AnyArray) -> AnyArray:
