@@ -71,6 +71,11 @@ def test_the_package_imports_nothing_heavy(tmp_path: Path) -> None:
     assert python(text, tmp_path).strip() == "[]"
 
 
+def test_identify_imports_no_search_that_it_does_not_use(tmp_path: Path) -> None:
+    text = "import sys, amhe_cli.api.identify; print([m for m in ('cmaes', 'scipy') if m in sys.modules])"
+    assert python(text, tmp_path).strip() == "[]"
+
+
 def test_the_examples_of_the_docs_run(tmp_path: Path) -> None:
     printed = python(blocks(ROOT / "docs" / "api.md"), tmp_path)
     assert "no signal 'joint'" in printed

@@ -72,7 +72,8 @@ class Reach:
 
 def alike(moves: BoolArray) -> list[IntArray]:
     """The rows of a table of what unknowns move (u, R), those together that are equal."""
-    _, group = np.unique(moves, axis=0, return_inverse=True)
+    packed = np.ascontiguousarray(np.packbits(moves, axis=1))  # bytes are compared much quicker than flags
+    _, group = np.unique(packed.view(f"V{packed.shape[1]}")[:, 0], return_inverse=True)
     return [np.flatnonzero(group == g) for g in range(group.max() + 1)]
 
 
@@ -87,7 +88,7 @@ def colours(moves: BoolArray) -> IntArray:
 
     The unknowns that move the most come first, each with the lowest number that is left.
     """
-    kinds = np.unique(moves, axis=1).astype(int)
+    kinds = moves[:, [columns[0] for columns in alike(moves.T)]].astype(int)
     clash = kinds @ kinds.T > 0
     found = np.full(len(moves), -1)
     for row in np.argsort(-kinds.sum(axis=1), kind="stable"):

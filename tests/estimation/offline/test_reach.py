@@ -11,7 +11,7 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.linearise import FirstStates, linearise
-from amhe_cli.estimation.core.reach import colours, patterns
+from amhe_cli.estimation.core.reach import alike, colours, patterns
 from amhe_cli.estimation.core.shape import bounded, within
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
@@ -158,3 +158,13 @@ def test_two_arms_are_identified_from_a_few_rollouts(apart: Problem) -> None:
         assert found.estimate == pytest.approx(true, rel=0.05) and found.verdict == "identified", name
         assert abs(found.estimate - true) < 4.0 * found.sd, name
     assert result.found.iterations[-1].rollouts < 13 * len(apart.clips), "one candidate for each unknown"
+
+
+@pytest.mark.parametrize("unknowns", [1, 8, 21])
+def test_unknowns_that_move_the_same_come_together_in_the_order_of_their_flags(unknowns: int) -> None:
+    rng = np.random.default_rng(unknowns)
+    moves = (rng.random((5, unknowns)) < 0.4)[rng.integers(5, size=40)]
+    kinds, group = np.unique(moves, axis=0, return_inverse=True)
+    assert [rows.tolist() for rows in alike(moves)] == [
+        np.flatnonzero(group == number).tolist() for number in range(len(kinds))
+    ]
