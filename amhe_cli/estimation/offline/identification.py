@@ -125,7 +125,7 @@ def _pose(
     else:
         fit, held = split_held_out(training, clips.held_out)
     engine = open_engine(system, threads=options.threads, executor=options.executor, kind=options.engine)
-    problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed)
+    problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed, threads=options.threads)
     if not problem.clips:
         raise EstimationError(_no_clips(problem.pool))
     validation = ClipPool(system, held, clips)

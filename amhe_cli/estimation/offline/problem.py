@@ -12,6 +12,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed, to_hos
 from amhe_cli.core.each_log import owner_free
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
+from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, cut
 from amhe_cli.engine.states import nearest, touching
 from amhe_cli.estimation.core.information import Information, marginalised
@@ -26,6 +27,8 @@ from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.
 OUT_OF_REACH = 1e-2
+#: Relative rounding of an engine that does not decide it: contacts amplify its rounding beyond that.
+COARSE = 1e-12
 #: Random clips drawn even from a log too short for them side by side.
 FEWEST = 8
 #: Even over odd response to small steps from which a model is rough.
@@ -52,6 +55,7 @@ class Problem:
         seed: Seed of every random draw.
         only: Fit these clips alone, a part of the problem.
         whole: The problem of which this is a part: what moves what is the same.
+        threads: Number of CPU threads, for what a coarse engine cannot decide.
     """
 
     system: System
@@ -60,6 +64,7 @@ class Problem:
     seed: int
     only: tuple[Window, ...] = ()
     whole: Problem | None = None
+    threads: int = 1
 
     def part(self, clips: IntArray) -> Problem:
         """The same problem on some of its clips."""
@@ -175,6 +180,8 @@ class Problem:
         The other side is tried of those alone that the first side leaves without an effect.
         """
         d, cost = len(self.system.space), self.cost(self._some_clips)
+        if self.engine.precision > COARSE:
+            cost = cost.upon(open_engine(self.system, threads=self.threads))
         moved = {o.channel.key: np.zeros((d, o.width), dtype=bool) for o in cost.clips.observed}
         diverged, left = np.zeros(d, dtype=bool), np.arange(d)
         for side in (0.5, -0.5):

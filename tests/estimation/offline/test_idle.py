@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -10,10 +11,13 @@ import pytest
 
 from amhe_cli.core.log import Log
 from amhe_cli.engine.open import open_engine
+from amhe_cli.engine.rollout import Engine, Predicted, Rollouts
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.system.contacts import needed_contacts
 from amhe_cli.system.system import System
+from tests.estimation.offline.conftest import CHEAP
+from tests.estimation.offline.test_identification import fall
 
 XML = """
 <mujoco>
@@ -118,3 +122,32 @@ def test_a_nominal_value_that_is_far_too_small_is_the_reason() -> None:
     log = Log.from_arrays(arrays, made)
     found = Problem(made, ClipPool(made, [whole(log)], made.settings.clips), open_engine(made), 0)
     assert "give a nominal value of the right size" in found.idle["damping"]
+
+
+class Coarse:
+    """An engine whose rounding contacts have amplified, as on a graphics card."""
+
+    precision = float(np.finfo(np.float32).eps)
+
+    def __init__(self, engine: Engine) -> None:
+        self.engine, self.rng = engine, np.random.default_rng(0)
+
+    def rollout(self, theta: Any, qpos: Any, qvel: Any, inputs: Any, lengths: Any) -> Rollouts:
+        return self.engine.rollout(theta, qpos, qvel, inputs, lengths)
+
+    def predict(self, theta: Any, starts: Any, errors: Any, wanted: Any) -> Predicted:
+        done = self.engine.predict(theta, starts, errors, wanted)
+        return Predicted(tuple(v + 0.01 * self.rng.normal(size=v.shape) for v in done.values), done.completed)
+
+    def upon(self, model: Any, edits: Any = None) -> Engine:
+        return Coarse(self.engine.upon(model, edits))
+
+
+def test_rounding_behind_contacts_is_no_effect_of_a_parameter() -> None:
+    """The motion of a tossed cube does not depend on its mass."""
+    cube = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
+    pool = ClipPool(cube, [whole(fall(cube))], cube.settings.clips)
+    active = Problem(cube, pool, Coarse(open_engine(cube)), 0).active
+    assert dict(zip(cube.space.names, active, strict=True)) == {
+        "friction": True, "inertia_scale": True, "contact_damping": True, "mass": False,
+    }  # fmt: skip
