@@ -17,6 +17,8 @@ from amhe_cli.estimation.design.design import known_record, plan_record
 from amhe_cli.estimation.design.files import log_name
 from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
 from amhe_cli.system.system import System
+from amhe_cli.view.scene import scene_of
+from amhe_cli.view.scene_log import SceneLog
 
 
 def probe(
@@ -82,7 +84,7 @@ def probe(
         with filling(Path(excitation)) as folder:
             opened.excitation().write(folder)
     with _file(log, log_name(opened.system.signals)) as path:
-        ending = opened.run(plan, path, lambda: False, say)
+        ending = opened.run(plan, path, lambda: False, say, SceneLog(scene_of(opened.system)))
         if ending.error:
             raise ending.error
         found = achieved(opened.system, path, options)
@@ -132,8 +134,6 @@ def run(
     from amhe_cli.robots.go1.recording import recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.robots.go1.tasks import LONGEST
-    from amhe_cli.view.scene import scene_of
-    from amhe_cli.view.scene_log import SceneLog
 
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"duration": duration}, files={"log": log})

@@ -112,6 +112,8 @@ def probe(
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.folders import bundled_systems, find_system
     from amhe_cli.system.provenance import provenance
+    from amhe_cli.view.scene import scene_of
+    from amhe_cli.view.scene_log import SceneLog
 
     session.hush_mujoco()
     folder = out.reserve("probe")
@@ -146,7 +148,7 @@ def probe(
             opened.excitation().write(scratch)
         if not plan_only:
             with stopping(session) as stopped:
-                ending = opened.run(plan, scratch / log, stopped, say)
+                ending = opened.run(plan, scratch / log, stopped, say, SceneLog(scene_of(opened.system)))
             session.interrupted, error = ending.interrupted, ending.error
             if isinstance(error, OSError):  # as on a full disk
                 raise error

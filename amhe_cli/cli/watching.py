@@ -95,7 +95,7 @@ def watching_robot(
 
     def show() -> None:
         if page.due(body.time):
-            page.put(Happening(body.time, [coordinates(at, body.state)[0]]))
+            page.put(Happening(body.time, [coordinates(at, body.state)[0]], forces=body.contacts))
 
     with page:
         announce(session, page.server)

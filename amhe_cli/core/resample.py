@@ -103,7 +103,8 @@ def resample(
         if own.size < fewest:  # columns that come in messages of their own: the rarest ones decide
             fewest = own.size
             sampled = _nearest(own, grid)
-    out[~valid] = 0.0
+    if not valid.all():
+        out = np.where(valid[:, None], out, 0.0)
     return Series(out, valid, sampled & valid, columns, derived)
 
 
@@ -127,8 +128,8 @@ def _fill(
     first = int(np.searchsorted(times, grid[0] - slack)) if grid.size else 0
     own = slice(first, first + grid.size)
     if times[own].size == grid.size and (np.abs(times[own] - grid) <= slack).all():
-        # recorded at each of the clock's instants
-        return np.array(values[own]), np.ones(grid.size, dtype=bool)
+        # recorded at each of the clock's instants: nothing is copied
+        return values[own], np.ones(grid.size, dtype=bool)
     before = np.searchsorted(times, grid + slack, side="right") - 1
     left, right = np.clip(before, 0, None), np.clip(before + 1, None, times.size - 1)
     since, until = grid - times[left], times[right] - grid

@@ -184,21 +184,29 @@ def increasing(stamps: IntArray) -> BoolArray:
 
     A single stamp that jumps ahead therefore costs one message, and not all messages after it.
     """
-    if np.all(np.diff(stamps) > 0):
-        return np.ones(len(stamps), dtype=bool)
+    most, least = np.iinfo(stamps.dtype).max, np.iinfo(stamps.dtype).min
+    before = np.append(least, np.maximum.accumulate(stamps[:-1]))
+    after = np.append(np.minimum.accumulate(stamps[:0:-1])[::-1], most)
+    keep = (before < stamps) & (stamps < after)  # these are in it, whatever lies between them
+    edges = np.flatnonzero(np.diff(np.concatenate(([True], keep, [True]))))
+    for first, end in edges.reshape(-1, 2).tolist():
+        keep[first:end] = _longest_run(stamps[first:end].tolist())
+    return keep
+
+
+def _longest_run(stamps: list[int]) -> list[bool]:
+    """The longest strictly increasing part of some stamps, as a mask."""
     tails: list[int] = []  # the smallest stamp that ends a run of each length
     ends: list[int] = []  # its index
-    before = np.full(len(stamps), -1)
-    for i, stamp in enumerate(stamps.tolist()):
+    before = [-1] * len(stamps)
+    for i, stamp in enumerate(stamps):
         length = bisect_left(tails, stamp)
         before[i] = ends[length - 1] if length else -1
         tails[length : length + 1] = [stamp]
         ends[length : length + 1] = [i]
-    keep = np.zeros(len(stamps), dtype=bool)
-    i = ends[-1]
+    keep, i = [False] * len(stamps), ends[-1]
     while i >= 0:
-        keep[i] = True
-        i = int(before[i])
+        keep[i], i = True, before[i]
     return keep
 
 

@@ -29,17 +29,24 @@ def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None])
     A pose without a rotation was not measured: motion capture that loses its markers sends zeros. Its
     position is dropped too, unless no message of the topic has a rotation at all.
     """
-    values = {quantity: np.array(block) for quantity, block in samples.values.items()}
-    for quantity, block in values.items():
-        with np.errstate(invalid="ignore"):
-            absurd = np.abs(block) > _ABSURD
+    values = dict(samples.values)
+    for quantity, block in samples.values.items():
         plain = quantity == "value" and not signal.is_input  # a number of any unit, which drives nothing
-        if absurd.any() and not plain:
-            warn(f"{messages(int(absurd.any(axis=1).sum()))} with impossible {quantity} dropped")
-            block[absurd.any(axis=1)] = np.nan
+        if plain or not _beyond(block):  # as in most logs: nothing is copied
+            continue
+        with np.errstate(invalid="ignore"):
+            absurd = (np.abs(block) > _ABSURD).any(axis=1)
+        warn(f"{messages(int(absurd.sum()))} with impossible {quantity} dropped")
+        values[quantity] = np.where(absurd[:, None], np.nan, block)
     if "orientation" in values:
         _check_rotation(values, signal, warn)
     return replace(samples, values=values)
+
+
+def _beyond(block: FloatArray) -> bool:
+    """Whether any number is impossible; NaN is not."""
+    ends = (float(end.reduce(block, axis=None, initial=0.0)) for end in (np.fmax, np.fmin))
+    return any(abs(end) > _ABSURD for end in ends)
 
 
 def _check_rotation(values: dict[str, FloatArray], signal: Signal, warn: Callable[[str], None]) -> None:
@@ -52,9 +59,9 @@ def _check_rotation(values: dict[str, FloatArray], signal: Signal, warn: Callabl
     )
     if lost.any() and not lost.all():
         warn(f"{messages(int(lost.sum()))} without a valid quaternion (zero, NaN, not of unit norm) dropped")
-    if "position" in values:
-        for block in values.values():
-            block[lost] = np.nan
+    if "position" in values and lost.any():
+        for quantity, block in values.items():
+            values[quantity] = np.where(lost[:, None], np.nan, block)
 
 
 def twist_looks_global(times: FloatArray, values: Mapping[str, FloatArray], turned: FloatArray) -> bool:

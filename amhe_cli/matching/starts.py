@@ -51,48 +51,56 @@ def first_states(
     for channel in system.channels:
         if not channel.sets_state:
             continue
-        columns = list(channel.columns)
-        for i, window in enumerate(windows):
-            if channel.source == "qpos":
-                measured.update(columns)
-                qpos[i, columns] = _position(channel, window, smoothing)
-            else:
-                qvel[i, columns] = _velocity(channel, window)
+        columns, recorded = list(channel.columns), _recorded(channel, windows)
+        if channel.source == "qpos":
+            measured.update(columns)
+            qpos[:, columns] = _positions(channel, windows, recorded, smoothing)
+        else:
+            qvel[:, columns] = _velocities(channel, windows, recorded)
     set_followers(system.model, qpos, qvel, measured)
     set_gaps(system.model, qpos, qvel, measured)
     return qpos, qvel
 
 
-def _position(channel: Channel, window: Window, reach: float) -> FloatArray:
-    """Position or orientation of one channel at a window's start, shape (columns,)."""
-    recorded = _recorded(channel, window)
-    fitted = _parabola(window, channel.key, reach)
-    if fitted is None:
-        return recorded
-    if channel.kind == "rotation":
-        return rotations.multiply(recorded, rotations.exp(fitted[0]))
-    return fitted[0]
+def _positions(channel: Channel, windows: Sequence[Window], recorded: FloatArray, reach: float) -> FloatArray:
+    """Position or orientation of one channel at the windows' starts, shape (c, columns)."""
+    found = recorded.copy()
+    for i, window in enumerate(windows if reach else ()):
+        if (fitted := _parabola(window, channel.key, reach)) is not None:
+            turned = channel.kind == "rotation"
+            found[i] = rotations.multiply(recorded[i], rotations.exp(fitted[0])) if turned else fitted[0]
+    return found
 
 
-def _velocity(channel: Channel, window: Window) -> FloatArray:
-    """Velocity of one channel at a window's start, shape (columns,).
+def _velocities(channel: Channel, windows: Sequence[Window], recorded: FloatArray) -> FloatArray:
+    """Velocity of one channel at the windows' starts, shape (c, columns).
 
     It is the slope of the positions where the channel demands that: a velocity that was filtered on the
     robot lags the motion.
     """
-    recorded = _recorded(channel, window)
-    fitted = _parabola(window, channel.integral, channel.slope) if channel.slope else None
-    return recorded if fitted is None else fitted[1]
+    found = recorded.copy()
+    for i, window in enumerate(windows if channel.slope else ()):
+        if (fitted := _parabola(window, channel.integral, channel.slope)) is not None:
+            found[i] = fitted[1]
+    return found
 
 
-def _recorded(channel: Channel, window: Window) -> FloatArray:
-    log, start = window.log, window.start
-    series = log[channel.key]
-    if not series.valid[start]:
-        raise LogError(
-            f"{log.source}: {channel.key} was not measured at {start * log.dt:.3f} s, where a window starts"
-        )
-    return series.values[start]
+def _recorded(channel: Channel, windows: Sequence[Window]) -> FloatArray:
+    """What was recorded of one channel at the windows' starts, shape (c, columns)."""
+    found = np.empty((len(windows), len(channel.columns)))
+    own: dict[int, list[int]] = {}
+    for i, window in enumerate(windows):
+        own.setdefault(id(window.log), []).append(i)
+    for rows in own.values():
+        log, starts = windows[rows[0]].log, np.array([windows[i].start for i in rows])
+        series = log[channel.key]
+        if not (known := series.valid[starts]).all():
+            raise LogError(
+                f"{log.source}: {channel.key} was not measured at {starts[np.argmin(known)] * log.dt:.3f} s, "
+                "where a window starts"
+            )
+        found[rows] = series.values[starts]
+    return found
 
 
 def _parabola(window: Window, key: str, reach: float) -> FloatArray | None:

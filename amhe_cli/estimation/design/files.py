@@ -14,6 +14,7 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter
 from amhe_cli.logs.containers.table_writer import Columns, joined, write_csv
 from amhe_cli.logs.messages.signal_writer import write_samples
+from amhe_cli.logs.messages.writer import StateDrawing
 
 #: Topic of the commands of a system whose logs are tables.
 _COMMANDS = "/joint_commands"
@@ -59,7 +60,12 @@ def log_name(signals: Sequence[Signal]) -> str:
 
 
 def write_log(
-    path: Path, signals: Sequence[Signal], samples: Samples, about: Mapping[str, str], start: float
+    path: Path,
+    signals: Sequence[Signal],
+    samples: Samples,
+    about: Mapping[str, str],
+    start: float,
+    drawn: tuple[StateDrawing, FloatArray, FloatArray] | None = None,
 ) -> None:
     """Write samples as the signals' system reads them: a table (.csv) or messages (.mcap).
 
@@ -69,6 +75,7 @@ def write_log(
         samples: Samples of the signals.
         about: Metadata.
         start: Time of the first sample [s].
+        drawn: What messages for 3-D panels show: times [s], shape (n,), and states (n, nq).
     """
     if path.suffix == ".csv":
         parts = [
@@ -81,8 +88,17 @@ def write_log(
         write_csv(path, joined(parts), about, 0)
         return
     plain = [replace(one, topic=one.topic or _COMMANDS, columns={}) for one in signals]
+
+    def stamp(time: float) -> int:
+        return round(1e9 * (time + start))
+
     with LogWriter(path, about) as file:
-        write_samples(file, plain, samples, lambda time: round(1e9 * (time + start)))
+        write_samples(file, plain, samples, stamp)
+        if drawn is not None:
+            drawing, times, states = drawn
+            drawing.begin(file, stamp(times[0]))
+            for time, qpos in zip(times, states, strict=True):
+                drawing.write_state(file, stamp(time), qpos)
 
 
 def _names(signal: Signal, quantity: str | None = None) -> tuple[str, ...]:

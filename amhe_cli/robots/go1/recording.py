@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.live.episode import Cycle
 from amhe_cli.live.recorder import NEVER, SELDOM, Recorder, Throttle, stamp_ns
 from amhe_cli.logs import LogWriter
+from amhe_cli.logs.messages.writer import StateDrawing
 from amhe_cli.robots.go1.model import layout
 from amhe_cli.robots.go1.run import Run, measured
 from amhe_cli.robots.go1.settings import settings_of
@@ -32,18 +32,6 @@ _IMU = Signal(
     child_frame="trunk",
 )
 _PATH_POINTS = 49
-
-
-class StateDrawing(Protocol):
-    """Writes into a log what 3-D panels show of a run."""
-
-    def begin(self, log: LogWriter, stamp_ns: int) -> None:
-        """Write what never changes, with the time of the first state [ns]."""
-        ...
-
-    def write_state(self, log: LogWriter, stamp_ns: int, qpos: FloatArray) -> None:
-        """Write a state, shape (nq,), with its time [ns]."""
-        ...
 
 
 def recorder_of(run: Run, path: Path, drawing: StateDrawing | None = None) -> Recorder:

@@ -66,6 +66,11 @@ class EmulatedBody:
         return self._plant.state
 
     @property
+    def contacts(self) -> FloatArray:
+        """Forces between touching bodies, for pictures; see `engine.contacts`."""
+        return self._plant.contacts
+
+    @property
     def trunk_height(self) -> float:
         """Height of the trunk over the floor [m]."""
         return float(self._plant.state.trunk.position[2])
