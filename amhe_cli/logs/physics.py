@@ -35,7 +35,7 @@ def checked(samples: SignalSamples, signal: Signal, warn: Callable[[str], None])
         if plain or not _beyond(block):  # as in most logs: nothing is copied
             continue
         with np.errstate(invalid="ignore"):
-            absurd = (np.abs(block) > _ABSURD).any(axis=1)
+            absurd = np.any(np.abs(block) > _ABSURD, axis=1)
         warn(f"{messages(int(absurd.sum()))} with impossible {quantity} dropped")
         values[quantity] = np.where(absurd[:, None], np.nan, block)
     if "orientation" in values:

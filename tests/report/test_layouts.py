@@ -17,6 +17,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.logs import LogWriter
+from amhe_cli.report.layouts.panels import Panels
+from amhe_cli.report.layouts.rerun import rerun_layout
 
 LOGS = Path(__file__).parents[2] / "examples" / "logs"
 #: Keys of a plot's path and of a plot, by PlotPath and PlotConfig of Lichtblick's suite-base.
@@ -159,7 +161,7 @@ def test_a_layout_of_plotjuggler_suits_both_versions() -> None:
 
 
 def test_a_layout_of_rerun_is_a_script_that_builds_its_blueprint(monkeypatch, tmp_path: Path) -> None:
-    """The names are those of rerun.blueprint in rerun-sdk 0.26, where the script was run."""
+    """The names are those of rerun-sdk 0.41, where the script was run and its blueprint looked at."""
     made: list[tuple[str, dict[str, Any]]] = []
     rerun, blueprint = ModuleType("rerun"), ModuleType("rerun.blueprint")
     for name in (
@@ -178,6 +180,7 @@ def test_a_layout_of_rerun_is_a_script_that_builds_its_blueprint(monkeypatch, tm
 
         setattr(blueprint, name, make)
     rerun.blueprint = blueprint  # type: ignore[attr-defined]
+    rerun.TransformAxes3D = float  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, "rerun", rerun)
     monkeypatch.setitem(sys.modules, "rerun.blueprint", blueprint)
     path = tmp_path / "layout.py"
@@ -185,7 +188,11 @@ def test_a_layout_of_rerun_is_a_script_that_builds_its_blueprint(monkeypatch, tm
     assert runpy.run_path(str(path))["blueprint"] == "Blueprint"
     origins = {about["origin"] for name, about in made if name == "TimeSeriesView"}
     assert {"/joint_states/position", "/joint_states/velocity", "/joint_commands/position", "/imu"} <= origins
-    assert ("Spatial3DView", {"name": "3-D", "origin": "/"}) in made
+    (scene,) = (about for name, about in made if name == "Spatial3DView")
+    assert (scene["name"], scene["origin"]) == ("3-D", "/")
+    assert scene["overrides"] == {"/tf": 0.2}
+    still = rerun_layout(Panels("a.mcap", (), ("/tf",), "world"))
+    assert "spatial_information=rrb.SpatialInformation(target_frame='world')" in still
 
 
 def test_wrong_words_are_one_line(tmp_path: Path, capsys) -> None:

@@ -138,7 +138,10 @@ class SignalDecoder:
             self._columns,
             self._has_header,
         )
-        return joined.pick(np.lexsort((np.concatenate(parts.order), joined.log_ns)))
+        order = np.concatenate(parts.order)
+        if np.all(np.diff(joined.log_ns) >= 0) and np.all(np.diff(order) > 0):  # as in most logs
+            return joined
+        return joined.pick(np.lexsort((order, joined.log_ns)))
 
     # -- what is wanted -------------------------------------------------------------------------------
 

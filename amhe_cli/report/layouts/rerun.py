@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from amhe_cli.report.layouts.panels import Panels, TopicPlots
 
 _HEAD = '''\
@@ -31,12 +33,21 @@ _PLOTTED = ("Imu", "JointState", "Float32", "Float64", "Float64MultiArray")
 
 def rerun_layout(panels: Panels) -> str:
     """The script: a 3-D view where there is something to see in it, and a tab of plots for each topic."""
-    lines = ['        rrb.Spatial3DView(name="3-D", origin="/"),\n'] if panels.spatial else []
+    lines = [f"        rrb.Spatial3DView({', '.join(_scene(panels))}),\n"] if panels.spatial else []
     if panels.topics:
         lines.append("        rrb.Tabs(\n")
         lines += [f"            {_tab(topic)},\n" for topic in panels.topics]
         lines.append("        ),\n")
     return _HEAD + "".join(lines) + _TAIL.format(log=ascii(panels.log))
+
+
+def _scene(panels: Panels) -> Iterator[str]:
+    """Arguments of the 3-D view: rerun draws no scene of foxglove_msgs, so axes of frames do."""
+    yield from ('name="3-D"', 'origin="/"')
+    if panels.fixed_frame:
+        yield f"spatial_information=rrb.SpatialInformation(target_frame={panels.fixed_frame!a})"
+    if axes := [topic for topic in panels.spatial if topic.strip("/") in ("tf", "tf_static")]:
+        yield f"overrides={{{', '.join(f'{topic!a}: rr.TransformAxes3D(0.2)' for topic in axes)}}}"
 
 
 def _tab(topic: TopicPlots) -> str:

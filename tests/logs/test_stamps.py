@@ -1,0 +1,22 @@
+"""Stamps out of order."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from amhe_cli.logs.clocks import _longest_run, increasing
+
+
+def test_one_stamp_out_of_order_is_looked_for_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    looked: list[int] = []
+
+    def counted(stamps: list[int]) -> list[bool]:
+        looked.append(len(stamps))
+        return _longest_run(stamps)
+
+    monkeypatch.setattr("amhe_cli.logs.clocks._longest_run", counted)
+    stamps = np.arange(1000) * 10
+    stamps[500] += 25
+    assert not increasing(stamps)[500] and increasing(stamps).sum() == 999
+    assert max(looked) < 5
