@@ -227,6 +227,15 @@ def test_a_signal_after_the_end_changes_nothing(number: signal.Signals) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+def test_what_is_imported_is_not_searched_for_garbage() -> None:
+    code = (
+        "import atexit, gc, sys; from amhe_cli.cli.main import main; sys.argv[1:] = ['--version'];"
+        "atexit.register(lambda: print(gc.get_threshold(), gc.get_freeze_count() > 1000)); main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "(700, 10, 100) True"
+
+
 @pytest.mark.parametrize(
     ("option", "kind"), [("--from", "number"), ("--max-time", "number"), ("--seed", "whole number")]
 )
