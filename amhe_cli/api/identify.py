@@ -206,8 +206,8 @@ def identify(
             logs' time is held out.
         prior: A belief, or the path of a belief.yaml, to start from in place of the system's own prior.
         belief_anyway: Take a prior about another model too, and only warn of what has changed.
-        fix: Parameter -> value that is taken as known; it stays in the model and is not estimated. Logs that
-            know a value of their own keep it.
+        fix: Parameter -> value that is taken as known; it stays in the model and is not estimated. One of
+            which a log knows its own value is refused.
         only: Parameters to estimate, by names or patterns such as 'left_*'; all others are fixed at their
             prior's value. None: all that are not fixed.
         method: 'linearised', or 'cmaes'.
@@ -239,17 +239,20 @@ def identify(
     for log in validation:
         if any(log is other or _same_data(log, other) for other in fitted):
             raise ConfigError(f"`held_out`: {log.source} is fitted too; validation needs a log of its own")
+    every = (*fitted, *validation)
     for name in fix or ():
-        if all(name in log.known for log in fitted):
-            raise ConfigError(f"`fix`: every fitted log knows its value of {name}; leave one of them out")
+        if knowing := next((log for log in every if name in log.known), None):
+            raise ConfigError(f"`fix`: {knowing.source} knows its own value of {name}; leave one of them out")
     chosen, start = system.starting_from(prior, fix=fix, only=only, belief_anyway=belief_anyway)
     fixed = {name: value for name, value in chosen.fixed.items() if name not in system.fixed}
-    known = {name for log in (*fitted, *validation) for name in log.known}
-    if fixed:
-        fitted, validation = (fixing(some, fixed, known) for some in (fitted, validation))
-    if known & fixed.keys():  # the model itself can only have values that are the same for all logs
-        rest = {name: value for name, value in fixed.items() if name not in known}
+    if by_log := {name for log in every for name in log.known} & fixed.keys():
+        # the model itself can only have values that are the same for all logs
+        rest = {name: value for name, value in fixed.items() if name not in by_log}
         chosen, start = system.starting_from(prior, fix=rest, belief_anyway=belief_anyway)
+    if fixed:
+        lacking = {name for name in by_log if any(name not in log.known for log in fitted)}
+        stated = {name: fixed[name] for name in lacking}
+        fitted, validation = (fixing(some, fixed, stated) for some in (fitted, validation))
     system = chosen
     check_logs(fitted, validation, system.space, system.fixed)
     options = identification.IdentifyOptions(

@@ -204,19 +204,18 @@ def _check_own(logs: Sequence[Log], name: str) -> None:
         )
 
 
-def fixing(logs: Sequence[Log], values: Mapping[str, float], by_log: Collection[str]) -> tuple[Log, ...]:
-    """The logs where some parameters have fixed values.
+def fixing(logs: Sequence[Log], names: Collection[str], stated: Mapping[str, float]) -> tuple[Log, ...]:
+    """The logs where some parameters are not searched.
 
     Args:
         logs: The logs.
-        values: Parameter -> the value that all logs have of it, but those that know theirs.
-        by_log: The parameters of which some logs know the value; the model has the others' values itself.
+        names: The parameters; no log has a value of its own of them.
+        stated: Those of them of which only some logs know the value -> the value of the others.
     """
-    stated = {name: value for name, value in values.items() if name in by_log}
     return tuple(
         log.with_(
-            known=stated | dict(log.known),
-            own={name: owner for name, owner in log.own.items() if name not in values},
+            known=dict(stated) | dict(log.known),
+            own={name: owner for name, owner in log.own.items() if name not in names},
         )
         for log in logs
     )

@@ -105,12 +105,10 @@ def _zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess
                     {"signal": signal.name, "set": "bias", "joint": joint, "quantity": "position"},
                 ],
             }
-            shown = (
-                "gravity shows it"
-                if _lifts(model, joint)
-                else ("gravity does not, since it acts alike at any position of this joint")
-            )
-            why = f"zero of the encoder of joint {joint}: the log reads angle + offset; {shown}"
+            gravity = "gravity shows it"
+            if not _lifts(model, joint):
+                gravity = "nothing shows it: gravity's torque does not change with this joint"
+            why = f"zero of the encoder of joint {joint}: the log reads angle + offset; {gravity}"
             yield Guess(f"{joint}_offset", entry, why)
 
 

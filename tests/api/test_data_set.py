@@ -116,11 +116,15 @@ def test_parameters_that_logs_know_or_own_can_be_fixed(folder: Path, tmp_path: P
     assert set(only.parameters) == {"load"} and set(only.system.fixed) == {"damping"}
     assert [log.known["gain"] for log in only.logs] == list(GAINS), "what logs know stays so"
     some = [log.with_(own=["damping"]) for log in (*logs[:2], *(log.with_(known={}) for log in logs[2:]))]
-    fixed = found(some, fix={"gain": 3.5, "damping": DAMPING})
-    assert set(fixed.parameters) == {"load"}
-    assert [log.known["gain"] for log in fixed.logs] == [*GAINS[:2], 3.5, 3.5]
-    with pytest.raises(ConfigError, match="`fix`: every fitted log knows its value of gain"):
-        found(logs, fix={"gain": 2.0})
+    fixed = found(some, fix={"damping": DAMPING}, only=["load"])
+    assert set(fixed.parameters) == {"load"} and fixed.belief.fixed == {"damping": DAMPING}
+    nominal = system.space.named(system.space.nominal)["gain"]
+    assert [log.known["gain"] for log in fixed.logs] == [*GAINS[:2], nominal, nominal]
+    for one in (logs, [*some[2:], logs[0].with_(held_out=True)]):
+        with pytest.raises(ConfigError, match=r"`fix`: .*run0\.npz.* knows its own value of gain"):
+            found(one, fix={"gain": 2.0})
+    with pytest.raises(ConfigError, match="gain is known in every fitted log; give its value here too"):
+        found([*logs[:3], logs[3].with_(known={}, held_out=True)], only=["load"])
     with pytest.raises(ConfigError, match="`known`: the logs know every parameter"):
         found(logs, only=["gain"])
 

@@ -44,7 +44,7 @@ class SampledPosterior:
         """
         more = covariance - np.linalg.inv(fit.posterior.hessian)
         values, vectors = np.linalg.eigh(more)
-        normal = problem.rng(7).standard_normal(self.z.shape)
+        normal = problem.rng(10).standard_normal(self.z.shape)
         return problem.system.space.clip(self.z + normal * np.sqrt(np.maximum(values, 0.0)) @ vectors.T)
 
 
