@@ -78,7 +78,11 @@ def own_system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_a_log_chooses_no_folder(own_system: Path, way: str, tmp_path: Path, capsys) -> None:
     name = str(own_system) if way == "absolute" else way
     log = write_pendulum_log(tmp_path / "log.mcap", 0.2, system=name)
-    for command in (["inspect"], ["identify", "-o", "out"], ["mhe-replay", "-o", "out"]):
+    assert run(["inspect", str(log)]) == 0
+    out, err = capsys.readouterr()
+    assert "for system" not in out
+    assert repr(name) in err
+    for command in (["identify", "-o", "out"], ["mhe-replay", "-o", "out"]):
         assert run([command[0], str(log), *command[1:]]) == 2, command
         err = capsys.readouterr().err
         assert repr(name) in err and "give its folder with --system DIR" in err
