@@ -54,6 +54,7 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "method": result.method,
             "interrupted": result.interrupted,
             "fixed": result.belief.fixed,
+            "exact": result.exact,
             "parameters": [{name: getattr(p, name) for name in _PARAMETER_FIELDS} for p in result.parameters],
             "bodies": [asdict(number) for number in result.bodies],
             "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
@@ -132,6 +133,8 @@ def print_identification(
         console.print()
     if result.belief.fixed:
         console.print(f"fixed: {numbers.named(result.belief.fixed)}")
+    if result.exact:
+        console.print(f"taken as exact (identify.rulers): {', '.join(result.exact)}")
     for reason, names in _first_reasons(result).items():
         console.print(f"{', '.join(names)}: {reason}", style="dim")
     for spread in result.spreads:

@@ -159,7 +159,7 @@ def rulers_of(
     """The rulers that act and that no parameter sets.
 
     Args:
-        system: The system; its settings say how far each kind may be off, 0 leaves it out.
+        system: The system; its settings say how far each kind may be off, 0 that it is exact.
         acts: What acts in its rollouts.
         felt: Parameters that the logs depend on.
         largest: Key of a channel -> largest value that the logs have of it.
@@ -207,7 +207,7 @@ def rulers_of(
         found.append(
             Ruler("commands that act at once", None, edits.prompt, "add", late, f"{1000.0 * late:g} ms")
         )
-    return [ruler for ruler in found if ruler.sd > 0.0]
+    return found
 
 
 def _own(name: str) -> str:

@@ -125,6 +125,7 @@ def conclude(
         ),
         noise_scale=fit.scale,
         unexplained=tuple(evidence.unexplained),
+        exact=evidence.exact,
         fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
         interrupted=watch.interrupted,
         bodies=body_numbers(system, finding.z, evidence.covariance, problem.rng(5)),
@@ -177,7 +178,9 @@ def _evidence(
     differing = runs_that_differ(problem, alone)
     between = spread_between(alone, differing) if differing else np.zeros(len(space))
     report_drift(space, compared)
-    shifts = shifts_of(problem, fit) if watch.allows("shifts under other models", once) else []
+    shifts, exact = [], ()
+    if watch.allows("shifts under other models", once):
+        shifts, exact = shifts_of(problem, fit)
     again = repeated(fit)
     prior, resamples = space.prior_precision, setting.bootstrap
     resampled = bootstrap(finding.z, fit.found, fit.weight, prior, resamples, problem.rng(4))
@@ -225,6 +228,7 @@ def _evidence(
         causes=causes,
         rival=rival,
         draws=draws,
+        exact=exact,
     )
     return evidence, beside
 

@@ -308,6 +308,7 @@ class Identification:
     noise_scale: Mapping[str, float]  # channel -> residual sd over declared noise sd
     fits: tuple[Fit, ...]
     unexplained: tuple[str, ...] = ()  # why no value can be believed
+    exact: tuple[str, ...] = ()  # numbers of the model that act and that the settings take as exact
     interrupted: bool = False
     logs: tuple[str, ...] = field(default=())
     spreads: tuple[OwnSpread, ...] = ()

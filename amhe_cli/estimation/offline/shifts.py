@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.core.each_log import owner_free
 from amhe_cli.engine.open import contact_variants, finer_solver, finer_step
 from amhe_cli.estimation.core.information import Information, gauss_newton_step, information, objective
@@ -21,7 +21,7 @@ from amhe_cli.estimation.offline.posterior import FinalFit, posterior
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.verdicts import RESTS, SURPRISE, Shift
 from amhe_cli.estimation.offline.widening import beyond_chance
-from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.system.rulers import Acting, Ruler, acting, joined, rulers_of, with_rulers
 
 logger = logging.getLogger(__name__)
@@ -36,10 +36,16 @@ JOINED = 0.4
 EXAMINED = 1000
 
 
-def shifts_of(problem: Problem, fit: FinalFit) -> list[Shift]:
-    """Where the estimate would move under other contacts, a finer simulation, and other rulers."""
-    about = _Neighbourhood(fit, problem.system.space.prior_precision)
-    return [*_contacts(problem, about), *_simulation(problem, about), *_rulers(problem, about)]
+def shifts_of(problem: Problem, fit: FinalFit) -> tuple[list[Shift], tuple[str, ...]]:
+    """Where the estimate would move under other contacts, a finer simulation, and other rulers.
+
+    The second value has the names of the rulers that act and that the settings take as exact.
+    """
+    about, rulers = _Neighbourhood(fit, problem.system.space.prior_precision), _acting_rulers(problem, fit)
+    open_ones = [ruler for ruler in rulers if ruler.sd > 0.0]
+    exact = (ruler.name.partition(" along ")[0] for ruler in rulers if ruler.sd == 0.0)
+    found = [*_contacts(problem, about), *_solver(problem, about), *_rulers(problem, about, open_ones)]
+    return found, tuple(dict.fromkeys(exact))
 
 
 def allowed(rise: float) -> float:
@@ -58,11 +64,13 @@ class _Move:
         z: The move, shape (d,).
         share: Share of the change that the log allows.
         rise: Rise of the misfit under all of the change, as a share of it.
+        slope: What the change does to the residuals besides the move, shape (c, R); 0 where a clip diverged.
     """
 
     z: FloatArray
     share: float
     rise: float
+    slope: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,37 +80,33 @@ class _Neighbourhood:
     fit: FinalFit
     prior: FloatArray
 
-    def residuals(self, cost: MatchingCost, extra: FloatArray) -> tuple[FloatArray, BoolArray]:
-        """Residuals (k, c, R) at the estimate, further columns of z being `extra` (k, r); which completed."""
-        first = np.repeat(self.fit.slopes.first.mean[None], len(extra), axis=0)
-        z = np.concatenate((np.repeat(self.fit.z[None], len(extra), axis=0), extra), axis=1)
-        found = cost.residuals(z, first if first.shape[2] else None)
-        return found.flat, found.completed
+    def residuals(self, cost: MatchingCost, step: FloatArray, first: FloatArray) -> Residuals:
+        """Residuals after a step (d,) of the estimate, first states (c, nx) moved along."""
+        z = cost.system.space.clip((self.fit.z + step)[None])
+        return cost.residuals(z, first[None] if first.shape[1] else None)
 
-    def followed(self, change: FloatArray, completed: BoolArray) -> tuple[FloatArray, Information]:
-        """Step (d,) to the estimate that a change (c, R) of the residuals leads to, and its information."""
-        slopes = self.fit.slopes
-        both = slopes.completed & completed
-        found = information(replace(slopes, residual=slopes.residual + change, completed=both))
-        return posterior(self.fit.z, found, self.fit.weight * both, self.prior).step, found
-
-    def misfits(
-        self, cost: MatchingCost, steps: FloatArray, first: FloatArray, extra: FloatArray
-    ) -> FloatArray:
-        """Weighted squared residuals (k,) after steps (k, d), first states (k, c, nx) moved along."""
-        z = np.concatenate((self.fit.z + steps, extra), axis=1)
-        residuals = cost.residuals(cost.system.space.clip(z), first if first.shape[2] else None)
-        return objective(cost, residuals, first, self.fit.times, self.fit.weight)
+    def misfit(self, cost: MatchingCost, residuals: Residuals, first: FloatArray) -> float:
+        """Weighted squared residuals, and first-state errors (c, nx)."""
+        return float(objective(cost, residuals, first[None], self.fit.times, self.fit.weight)[0])
 
     def moved(self, cost: MatchingCost) -> _Move:
         """Move of the estimate under the engine of `cost`, as far as the log allows it."""
-        fit, none = self.fit, np.zeros((1, 0))
-        flat, completed = self.residuals(cost, none)
-        step, found = self.followed(flat[0] - fit.slopes.centre, completed[0])
-        here = fit.posterior.step[None]
-        least = float(self.misfits(fit.slopes.cost, here, fit.found.first(here), none)[0])
-        rise = float(self.misfits(cost, step[None], found.first(step[None]), none)[0]) - least
-        return _Move(allowed(rise) * (step - here[0]), allowed(rise), rise / least)
+        fit, slopes = self.fit, self.fit.slopes
+        changed = self.residuals(cost, np.zeros_like(fit.z), slopes.first.mean)
+        both = slopes.completed & changed.completed[0]
+        residual = slopes.residual + changed.flat[0] - slopes.centre
+        found = information(replace(slopes, residual=residual, completed=both))
+        steps = fit.posterior.step, posterior(fit.z, found, fit.weight * both, self.prior).step
+        firsts = [one.first(step[None])[0] for one, step in zip((fit.found, found), steps, strict=True)]
+        costs = slopes.cost, cost
+        here, there = (self.residuals(*each) for each in zip(costs, steps, firsts, strict=True))
+        least, most = (self.misfit(*each) for each in zip(costs, (here, there), firsts, strict=True))
+        share, z = allowed(most - least), steps[1] - steps[0]
+        gz, gx = np.split(slopes.gain, [len(z)], axis=1)
+        along = np.einsum("d,cdr->cr", z, gz) + np.einsum("cx,cxr->cr", firsts[1] - firsts[0], gx)
+        done = here.completed[0] & there.completed[0]
+        slope = np.where(done[:, None], there.flat[0] - here.flat[0] - along, 0.0)
+        return _Move(share * z, share, (most - least) / least, slope)
 
     def beyond_sd(self, move: FloatArray) -> FloatArray:
         """The move (d,), or none where it stays within the sd of every parameter."""
@@ -118,22 +122,11 @@ def _contacts(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
         yield Shift(f"{label} would move it by {{}}", move.z, spread)
 
 
-def _simulation(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
-    """Half the time step, and a solver that goes on for longer."""
-    cost, option = about.fit.slopes.cost, problem.system.model.opt
-    engine, order = finer_step(problem.engine, problem.system.model)
-    move = about.moved(cost.at_half_steps(engine))
-    half = f"{500.0 * option.timestep:g} ms"
-    text = f"it depends on the time step: at {half} it would move by {{}}; run the model at {half}"
-    # an error of order n falls to 2^-n of itself: this is the rest of the way to a step of zero
-    yield Shift(text, move.z, about.beyond_sd(move.z / (1.0 - 0.5**order)))
-    if move.rise < -EXPLAINS:
-        logger.warning(
-            f"the time step is too long: at {half} the model explains {-move.rise:.0%} of what it misses "
-            f"of the logs; run it at {half}"
-        )
+def _solver(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
+    """A solver that goes on for longer."""
+    option = problem.system.model.opt
     if (engine := finer_solver(problem.engine, problem.system.model)) is not None:
-        move = about.moved(cost.upon(engine))
+        move = about.moved(about.fit.slopes.cost.upon(engine))
         text = (
             f"it depends on the solver's {option.iterations} iterations: with more it would move by {{}}; "
             f"give the model more, and a smaller tolerance"
@@ -141,45 +134,66 @@ def _simulation(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
         yield Shift(text, move.z, about.beyond_sd(move.z))
 
 
-def _rulers(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
+def _rulers(problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) -> Iterator[Shift]:
     """Numbers that the model takes as exact, each with what a data sheet is worth as its prior.
 
     As nuisances r ~ N(0, 1) beside z they have slopes, a posterior N(m, S) and a gain A: the estimate moves
     by A r. It was found at r = 0 and stays there, so that A (S + m m') A' is what they add to its covariance.
-    Each eigenvector of S + m m' is a shift: of rulers that the log knows only together, one.
+    The first of them is the way to a time step of zero: the world has no step, and a log that another program
+    simulated may have the model's. Of the others, each eigenvector of what S + m m' has besides is a shift:
+    of rulers that the log knows only together, one.
     """
-    names = problem.system.space.names
-    felt = {owner_free(name) for name, active in zip(names, problem.active, strict=True) if active}
-    largest = {
-        o.channel.key: np.abs(o.measured[o.mask]).max(initial=0.0)
-        for o in about.fit.slopes.cost.clips.observed
-    }
-    rulers = rulers_of(problem.system, _acting(problem, about.fit), felt, largest)
-    if not rulers:
-        return
-    nuisances = _Nuisances(problem, about, rulers)
+    half, order = finer_step(problem.engine, problem.system.model)
+    halved = about.moved(about.fit.slopes.cost.at_half_steps(half))
+    way = 1.0 / (1.0 - 0.5**order)  # to a step of zero: an error of order n falls to 2^-n of itself
+    nuisances = _Nuisances(problem, about, rulers, way * halved.slope)
     found = nuisances.joint(nuisances.slopes(None))
     # samples that leave the ridge along which z follows a ruler would bend, and pass for information
     found = nuisances.joint(nuisances.slopes(found))
     known, mean, moves = nuisances.posterior(found)
+    spread = known + np.outer(mean, mean)
+    # where contacts jitter, a finer step is another draw of the jitter, of which the log says nothing
+    towards = way * halved.z if problem.rough else moves @ spread[0] / np.sqrt(spread[0, 0])
+    yield _step(problem, halved, about.beyond_sd(towards))
+    known, mean, moves, left = known[1:, 1:], mean[1:], moves[:, 1:], _without_first(spread)
     for ruler, wanted, sd, along in zip(rulers, mean, np.sqrt(known.diagonal()), moves.T, strict=True):
         if abs(wanted) > SURPRISE * sd and about.beyond_sd(wanted * along).any():
             logger.warning(
                 f"the logs speak against {ruler.name}: they want {wanted:+.1f} times {ruler.change} "
                 f"of change ({abs(wanted) / sd:.0f} sd); measure it, or make it a parameter"
             )
-    values, vectors = np.linalg.eigh(known + np.outer(mean, mean))
+    values, vectors = np.linalg.eigh(left)
     for value, vector in zip(values, vectors.T, strict=True):
-        move = np.sqrt(value) * (moves @ vector)
+        move = np.sqrt(max(value, 0.0)) * (moves @ vector)
         together = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > JOINED]
         yield Shift(_rests([rulers[i] for i in together]), move, about.beyond_sd(move), assumed=True)
 
 
-class _Nuisances:
-    """Rulers as further unknowns r beside z, in units of their sd."""
+def _step(problem: Problem, halved: _Move, spread: FloatArray) -> Shift:
+    """The shift under half the time step, and a warning where that explains what the model misses."""
+    half = f"{500.0 * problem.system.model.opt.timestep:g} ms"
+    if halved.rise < -EXPLAINS:
+        logger.warning(
+            f"the time step is too long: at {half} the model explains {-halved.rise:.0%} of what it misses "
+            f"of the logs; run it at {half}"
+        )
+    text = f"it depends on the time step: at {half} it would move by {{}}; run the model at {half}"
+    return Shift(text, halved.z, spread)
 
-    def __init__(self, problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) -> None:
-        self._fit, self._count, self._d = about.fit, len(rulers), len(about.fit.z)
+
+def _without_first(spread: FloatArray) -> FloatArray:
+    """What a covariance (K, K) has besides the first unknown and all that goes with it, (K - 1, K - 1)."""
+    return spread[1:, 1:] - np.outer(spread[1:, 0], spread[0, 1:]) / spread[0, 0]
+
+
+class _Nuisances:
+    """Further unknowns r beside z, in units of their sd: the time step, of known slope (c, R), and rulers."""
+
+    def __init__(
+        self, problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler], step: FloatArray
+    ) -> None:
+        self._fit, self._d, self._step = about.fit, len(about.fit.z), step[:, None]
+        self._rulers, self._count = len(rulers), 1 + len(rulers)
         system = with_rulers(problem.system, rulers)
         self._cost = about.fit.slopes.cost.upon(problem.engine.upon(system.model, system.edits), system)
         self._rough = problem.rough
@@ -187,17 +201,19 @@ class _Nuisances:
         self._prior[: self._d, : self._d] = about.prior
 
     def slopes(self, follow: Information | None) -> FloatArray:
-        """Slopes of the residuals by r, shape (c, k, R).
+        """Slopes of the residuals by r, shape (c, K, R).
 
         Args:
             follow: Samples of r are accompanied by what z and the first states do along with it, according
                 to this information on z and r; None: they are small, and alone.
         """
-        fit, d, k = self._fit, self._d, self._count
+        fit, d, k = self._fit, self._d, self._rulers
+        if not k:
+            return self._step
         moves, turns = np.zeros((d, k)), np.zeros((*fit.slopes.first.mean.shape, k))
         if follow is not None:
-            moves = self.posterior(follow)[2]
-            turns = follow.nuisance_gain[..., :d] @ moves + follow.nuisance_gain[..., d:]
+            moves = self.posterior(follow)[2][:, 1:]
+            turns = follow.nuisance_gain[..., :d] @ moves + follow.nuisance_gain[..., d + 1 :]
         size = 1.0 if follow is not None or self._rough else SMALL
         steps = size * np.concatenate((np.eye(k), -np.eye(k)))
         z = np.concatenate((fit.z + steps @ moves.T, steps), axis=1)
@@ -205,7 +221,8 @@ class _Nuisances:
         residuals = self._cost.residuals(z, first if first.shape[2] else None)
         change = np.einsum("pk,pcr->ckr", steps, residuals.flat) / (2.0 * size**2)
         gz, gx = np.split(fit.slopes.gain, [d], axis=1)
-        return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
+        own = change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
+        return np.concatenate((self._step, own), axis=1)
 
     def joint(self, slopes: FloatArray) -> Information:
         """Information of the clips on z and r together, from the slopes by r (c, K, R)."""
@@ -249,3 +266,13 @@ def _acting(problem: Problem, fit: FinalFit) -> Acting:
         model = system.edits.apply(system.model, done.theta)
         found.append(acting(model, system.input_spec, qpos, qvel, done.inputs[clips, rows + 1]))
     return joined(found)
+
+
+def _acting_rulers(problem: Problem, fit: FinalFit) -> list[Ruler]:
+    """The rulers that act in the rollouts at the estimate."""
+    names = problem.system.space.names
+    felt = {owner_free(name) for name, active in zip(names, problem.active, strict=True) if active}
+    largest = {
+        o.channel.key: np.abs(o.measured[o.mask]).max(initial=0.0) for o in fit.slopes.cost.clips.observed
+    }
+    return rulers_of(problem.system, _acting(problem, fit), felt, largest)

@@ -92,6 +92,7 @@ class Evidence:
         causes: What widened the sd beyond noise, in words -> variance that it added.
         rival: A second minimum.
         draws: Draws of the posterior, shape (n, d), from which the intervals are; None: the covariance's.
+        exact: Rulers that act and that the settings take as exact.
     """
 
     z: FloatArray
@@ -110,6 +111,7 @@ class Evidence:
     rough: bool
     rival: Rival | None = None
     draws: FloatArray | None = None
+    exact: tuple[str, ...] = ()
 
     @property
     def shrinkage(self) -> FloatArray:

@@ -101,7 +101,7 @@ def shifts(system: System, log: Log, at: np.ndarray = TRUTH) -> list[Shift]:
     """The shifts at the truth, which moves the estimate by its step to the minimum."""
     problem = Problem(system, ClipPool(system, [whole(log)], system.settings.clips), open_engine(system), 0)
     state = search.restart(problem, system.space.z_of(at))
-    return shifts_of(problem, final_fit(problem, state))
+    return shifts_of(problem, final_fit(problem, state))[0]
 
 
 def about(found: list[Shift], word: str) -> Shift:
@@ -126,6 +126,20 @@ def test_only_rulers_that_act_move_anything() -> None:
     assert not any("limit" in name for name in names), "it reaches neither of its two"
 
 
+@pytest.mark.parametrize(
+    ("more", "exact"),
+    [
+        ({}, ("the gain of servo (4)", "the centre of mass of load", "commands that act at once")),
+        ({"gain": 0.1, "command_delay": 0.005, "force_limit": 0.0}, ("the centre of mass of load",)),
+    ],
+)
+def test_rulers_that_are_taken_as_exact_are_listed_where_they_act(
+    more: dict[str, Any], exact: tuple[str, ...]
+) -> None:
+    system = pendulum(50.0, **more)
+    assert identify(system, [swing(system, unchanged, 2.0)], None, IdentifyOptions()).exact == exact
+
+
 def test_a_limit_that_acts_is_named_with_its_value_and_share() -> None:
     system = pendulum(limit=1.1)
     shift = about(shifts(system, swing(system, unchanged)), "limit")
@@ -139,7 +153,7 @@ def test_rulers_of_logs_with_known_values_move_what_is_searched() -> None:
     fewer = replace(system, space=searched(system.space, [log]))
     problem = Problem(fewer, ClipPool(fewer, [whole(log)], system.settings.clips), open_engine(system), 0)
     state = search.restart(problem, fewer.space.z_of(np.delete(TRUTH, 1)))
-    shift = about(shifts_of(problem, final_fit(problem, state)), "limit")
+    shift = about(shifts_of(problem, final_fit(problem, state))[0], "limit")
     assert shift.z.shape == (3,) and shift.z[0] > 0.0
 
 
@@ -152,7 +166,7 @@ def test_what_a_parameter_sets_is_no_ruler() -> None:
         0,
     )
     state = search.restart(problem, free.space.z_of(np.append(TRUTH, 1.1)))
-    assert not any(shift.assumed for shift in shifts_of(problem, final_fit(problem, state)))
+    assert not any(shift.assumed for shift in shifts_of(problem, final_fit(problem, state))[0])
 
 
 @pytest.mark.parametrize(
@@ -194,6 +208,28 @@ def test_commands_that_act_late_are_found_and_the_interval_holds(caplog: pytest.
     assert held(found)
     (text,) = (line for line in caplog.messages if "speak against commands that act at once" in line)
     assert "want +1." in text and "times 5 ms" in text
+
+
+@pytest.mark.parametrize(("late", "told"), [(0, False), (2, True)])  # 4 ms are two steps
+def test_what_a_finer_step_explains_is_no_delay(
+    late: int, told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    system = pendulum(50.0, command_delay=0.005)
+    log = swing(system, finer)
+    acted = log["command.position"]
+    early = replace(acted, values=np.roll(acted.values, -late, axis=0))
+    log = replace(log, series={**log.series, "command.position": early})
+    identify(system.fixing({"load_mass": TRUTH[0]}), [log], None, IdentifyOptions())
+    assert ("speak against commands that act at once" in caplog.text) == told
+
+
+def test_the_step_widens_nothing_where_the_log_shows_that_the_plant_has_it_too() -> None:
+    system = pendulum(50.0, step=0.005)
+    of_model, of_world = (
+        about(shifts(system, swing(system, plant)), "time step") for plant in (unchanged, finer)
+    )
+    assert not of_model.spread.any()
+    assert np.abs(of_world.spread).max() > np.abs(of_world.z).max(), "the way to a step of zero is longer"
 
 
 def test_an_exact_ruler_that_is_assumed_leaves_an_estimate_identified() -> None:
