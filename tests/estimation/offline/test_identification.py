@@ -151,8 +151,6 @@ def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, c
     )
     first = "left no time for: held-out clips from fitted first states"
     assert caplog.text.count(f"{first}, {skipped}") == 1
-    short = "the search did not end (`max_time` of 0.001 s), and its values do not explain the logs yet"
-    assert caplog.text.count(short) == 1 and short in result.parameters[0].reasons[0]
     assert not any(
         advice in caplog.text for advice in ("identify.iterations", "the model may lack", "is missing in it")
     )
