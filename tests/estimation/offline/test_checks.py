@@ -46,7 +46,7 @@ def shifted(noise: float, executor: Executor | None = None) -> list[Shift]:
     z = np.zeros(len(system.space))
     z[0] = system.space.z_of(np.array([0.3, *system.space.nominal[1:]]))[0]
     state = search.restart(problem, z)
-    return shifts_of(problem, final_fit(problem, state))
+    return shifts_of(problem, final_fit(problem, state))[0]
 
 
 def test_a_sharp_log_that_rules_soft_contacts_out_is_not_widened_by_them() -> None:
