@@ -91,8 +91,7 @@ def statements(result: Identification) -> list[Statement]:
         *_verdicts(result.parameters),
         *_combinations(result),
         *sampled_statements(result),
-        *fixed_statement(result.belief.fixed),
-        *_exact(result),
+        *fixed_statement(result.belief.fixed, result.exact),
         *_residuals(result),
         *_divergence(result),
     ]
@@ -106,11 +105,6 @@ def _stopped(result: Identification) -> Iterator[Statement]:
 def _unexplained(result: Identification) -> Iterator[Statement]:
     for text in result.unexplained:
         yield Statement("bad", f"{text[0].upper()}{text[1:]}.")
-
-
-def _exact(result: Identification) -> Iterator[Statement]:
-    if result.exact:
-        yield Statement("mixed", f"Taken as exact, by identify.rulers: {numbers.joined(result.exact)}.")
 
 
 def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:

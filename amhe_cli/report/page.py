@@ -25,10 +25,12 @@ class Statement:
     text: str
 
 
-def fixed_statement(fixed: Mapping[str, float]) -> Iterator[Statement]:
+def fixed_statement(fixed: Mapping[str, float], exact: Sequence[str] = ()) -> Iterator[Statement]:
     """Which parameters were taken as known."""
     if fixed:
         yield Statement("mixed", f"Taken as known, and not estimated: {numbers.named(fixed)}.")
+    if exact:
+        yield Statement("mixed", f"Taken as exact, by identify.rulers: {numbers.joined(exact)}.")
 
 
 @dataclass(frozen=True, slots=True)
