@@ -38,10 +38,6 @@ class Pipe:
         self._end = end
         self.open = True
 
-    def fileno(self) -> int:
-        """Descriptor of the pipe: for `select`, and for signals to be written to."""
-        return self._end.fileno()
-
     def send(self, message: bytes) -> bool:
         """Hand a message over; False where the other side is gone, or so far behind that it is dropped."""
         try:
@@ -132,18 +128,14 @@ def take_priority(level: int, anywhere: bool = False, longest: float = math.inf)
         longest: With real-time priority, the kernel kills this process where it computes so long [s] without
             a pause: on one core nobody else gets to run, to notice that it hangs.
     """
-    if not _real_time(level):
+    # without its limit this process gets no real-time priority, and without that the limit does nothing
+    if not (_limited(longest) and _real_time(level)):
         with contextlib.suppress(OSError):
             os.nice(-10)
         return False
     if not anywhere:
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
-    if longest < math.inf:
-        import resource  # no other operating system has it, and none comes here
-
-        _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
-        limit = int(1e6 * longest) if most == resource.RLIM_INFINITY else min(int(1e6 * longest), most)
-        resource.setrlimit(resource.RLIMIT_RTTIME, (limit, limit))
+        with contextlib.suppress(OSError):
+            os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
     return True
 
 
@@ -182,5 +174,20 @@ def _real_time(level: int) -> bool:
         for each in (SENDER, level):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(each))
     except (OSError, AttributeError):  # no right to it; not Linux
+        return False
+    return True
+
+
+def _limited(longest: float) -> bool:
+    """Let the kernel kill this process as `take_priority` says, if it does that."""
+    if longest == math.inf:
+        return True
+    try:
+        import resource  # no other operating system has it, and none comes here
+
+        _, most = resource.getrlimit(resource.RLIMIT_RTTIME)
+        limit = int(1e6 * longest) if most == resource.RLIM_INFINITY else min(int(1e6 * longest), most)
+        resource.setrlimit(resource.RLIMIT_RTTIME, (limit, limit))
+    except (OSError, ValueError):  # EPERM and EINVAL are raised as ValueErrors
         return False
     return True

@@ -18,7 +18,7 @@ from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.report import SenderReport
-from amhe_cli.robots.go1.link.robot_socket import RobotSocket, connected
+from amhe_cli.robots.go1.link.robot_socket import connected
 from amhe_cli.robots.go1.link.watch import SenderWatch
 from amhe_cli.robots.go1.link.wire import LinkError
 from amhe_cli.robots.go1.settings import Go1Settings
@@ -59,8 +59,7 @@ class Link:
                 files = [robot.fileno(), incoming, *keys]
                 self._child = Child("amhe_cli.robots.go1.link.sender", given, files)
             opening.callback(self._child.end, 5.0 * self._clock.slow)
-            ours = RobotSocket(robot, self._clock)
-            self._watch = SenderWatch(self._child, ours, self._settings, self._clock)
+            self._watch = SenderWatch(self._child, robot, self._settings, self._clock)
             opening.callback(self._watch.close)
             if threading.current_thread() is threading.main_thread():
                 # the signal itself informs the sender, even while our thread is deep in a rollout

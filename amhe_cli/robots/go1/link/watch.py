@@ -6,6 +6,7 @@ It has a thread of its own, so that a plan that takes long does not hold it up.
 from __future__ import annotations
 
 import math
+import socket
 import threading
 import time
 from collections import deque
@@ -31,7 +32,8 @@ class SenderWatch:
 
     Args:
         child: The sender's process.
-        robot: The sender's own socket, open as long as the watch: in an emergency none can fail to open.
+        robot: The sender's own socket. The watch has a duplicate, open until the robot is down: in an
+            emergency none can fail to open, and no Ctrl-C closes it.
         settings: Settings of the robot.
         clock: The program's clock.
 
@@ -41,15 +43,15 @@ class SenderWatch:
         realtime: Whether it has real-time priority.
     """
 
-    def __init__(self, child: Child, robot: RobotSocket, settings: Go1Settings, clock: Clock) -> None:
-        self._child, self._robot, self._settings, self._clock = child, robot, settings, clock
+    def __init__(self, child: Child, robot: socket.socket, settings: Go1Settings, clock: Clock) -> None:
+        self._child, self._settings, self._clock = child, settings, clock
+        self._robot = robot.dup()
         self._samples: deque[Any] = deque()
         self._closing = False
         self.report = SenderReport()
         self.driven = self.realtime = False
         # no daemon: Python itself does not end before the robot is down
-        self._thread = threading.Thread(target=self._run, name="watch over the sender")
-        self._thread.start()
+        threading.Thread(target=self._run, name="watch over the sender").start()
 
     def samples(self) -> list[Any]:
         """States that arrived since the last call, as records of `mail.SAMPLE`."""
@@ -58,16 +60,20 @@ class SenderWatch:
     def close(self) -> None:
         """End the watch, once the robot is down; a sender that has not ended by now is lost, too."""
         self._closing = True
-        self._thread.join()
+        while self.report.phase != Phase.OVER:  # after a `join` that Ctrl-C interrupts Python would end first
+            time.sleep(_STEP)
 
     def _run(self) -> None:
         fault = "the program's own watch failed"
-        self.realtime = take_priority(WATCH, anywhere=True)  # a sender that hangs may take all of its core
         try:
+            self.realtime = take_priority(
+                WATCH, anywhere=True
+            )  # a sender that hangs may take all of its core
             fault = self._lost()
         finally:
-            if fault:
-                self._stand_in(fault)
+            with self._robot:
+                if fault:
+                    self._stand_in(fault)
 
     def _lost(self) -> str:
         """Take in messages until the last phase is over: '', or until the sender is lost: how."""
@@ -104,6 +110,6 @@ class SenderWatch:
         try:
             self._child.process.kill()  # one that hangs may wake up, and go on
             if self.driven:
-                let_down(self._robot, self._settings, self._clock, _DAMP)
+                let_down(RobotSocket(self._robot, self._clock), self._settings, self._clock, _DAMP)
         finally:
             self.report = replace(self.report, phase=Phase.OVER)

@@ -10,7 +10,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -23,7 +24,7 @@ from amhe_cli.core.errors import OperatorStopError
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link import link as link_module
 from amhe_cli.robots.go1.link import mail, state, watch, wire
-from amhe_cli.robots.go1.link.child import Child, Pipe
+from amhe_cli.robots.go1.link.child import SENDER, Child, Pipe, take_priority
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.first_contact import Share
 from amhe_cli.robots.go1.link.link import Link
@@ -265,11 +266,19 @@ def test_a_sender_that_dies_or_hangs_is_stood_in_for(
     assert commands[-1].kp.max() == commands[-1].kd.max() == 0.0
 
 
+def in_a_thread(action: Callable[[], bool]) -> bool:
+    """What an action returns in a thread, which keeps the priority and the cores that it gets."""
+    with ThreadPoolExecutor(1) as thread:
+        return thread.submit(action).result()
+
+
 @pytest.mark.slow
 def test_a_sender_that_spins_on_the_only_core_is_stood_in_for(
     puppet: Puppet, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With its real-time priority nobody else gets to run there."""
+    if not in_a_thread(lambda: take_priority(SENDER)):
+        pytest.skip("no real-time priority is granted here: a sender that spins stops nobody else")
     monkeypatch.setattr(watch, "_DAMP", 0.5)
     monkeypatch.setattr(
         link_module, "Child", lambda _, *settings: Child("tests.robots.go1.link.spinning", *settings)
@@ -401,6 +410,45 @@ def test_a_program_that_is_killed_or_hangs_leaves_motors_damped_and_no_process(
     count = len(puppet.received)
     time.sleep(0.2)
     assert len(puppet.received) <= count + 1
+
+
+_INTERRUPTED = """
+import os, signal, sys, threading, time
+from amhe_cli.robots.go1.link import watch
+from amhe_cli.robots.go1.link.clock import Clock
+from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.mail import Phase
+from tests.robots.go1.link.test_link import QUICK
+watch._DAMP = 1.0
+def interrupt():
+    for _ in range(2):
+        time.sleep(0.2)
+        os.kill(os.getpid(), signal.SIGINT)
+with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
+    link.connect()
+    link.stand()
+    time.sleep(0.3)
+    link._child.process.kill()
+    while link.report.phase != Phase.DAMP:
+        time.sleep(0.002)
+    threading.Thread(target=interrupt, daemon=True).start()
+"""
+
+
+def test_neither_the_first_nor_the_second_ctrl_c_cuts_off_who_stands_in_for_the_sender(
+    puppet: Puppet,
+) -> None:
+    """The first ends the wait for the last phase, the second the wait for the watch; then Python ends."""
+    command = [sys.executable, "-c", _INTERRUPTED, str(puppet.port)]
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert done.stderr.rstrip().endswith("KeyboardInterrupt")
+    end = time.monotonic() + 10.0
+    while damps(puppet.received[-1][1]) and time.monotonic() < end:  # until it has read all
+        time.sleep(0.01)
+    damped = [when for when, got in puppet.received if damps(got)]
+    assert damped[-1] - damped[0] > 0.9
+    assert puppet.received[-1][1].kd.max() == 0.0
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -212,6 +213,25 @@ def test_without_real_time_priority_for_all_nobody_has_it_and_no_core_is_given_u
     assert not take_priority(POSES)
     assert granted == [most]
     os.sched_setaffinity.assert_not_called()  # type: ignore[attr-defined]
+
+
+def test_a_core_that_is_refused_costs_no_priority(
+    granted: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    granted.append(99)
+    monkeypatch.setattr(os, "sched_setaffinity", Mock(side_effect=OSError(errno.EINVAL, "Invalid argument")))
+    assert take_priority(SENDER)
+
+
+@pytest.mark.parametrize("refusal", [OSError("blocked"), ValueError("not allowed to raise maximum limit")])
+def test_without_a_limit_on_computing_there_is_no_real_time_priority(
+    granted: list[int], monkeypatch: pytest.MonkeyPatch, refusal: Exception
+) -> None:
+    """A sender that then computes for ever would stop everybody else on its core."""
+    granted.append(99)
+    monkeypatch.setattr(resource, "setrlimit", Mock(side_effect=refusal))
+    assert not take_priority(SENDER, longest=1.0)
+    assert granted == [99]
 
 
 def test_where_nothing_is_known_of_priorities_a_planner_plans(monkeypatch: pytest.MonkeyPatch) -> None:
