@@ -72,7 +72,8 @@ def export(
     if not (isinstance(count, int) and count > 0):
         raise ConfigError(f"`count`: {count!r} is no whole number of 1 or more")
     read = belief if isinstance(belief, Belief) else read_belief(Path(belief))
-    opened, given = system_of(read, system).starting_from(belief, belief_anyway=belief_anyway)
+    source = "the belief" if isinstance(belief, Belief) else str(belief)
+    opened, given = system_of(read, source, system).starting_from(belief, belief_anyway=belief_anyway)
     assert given is not None, "a belief was given"
     known, folder = completed(given, opened), reserve(Path(out), "export", force)
     contents: dict[str, str | FloatArray] = {}
@@ -91,8 +92,13 @@ def export(
     return [folder / name for name in contents]
 
 
-def system_of(belief: Belief, system: System | str | Path | None) -> System:
+def system_of(belief: Belief, source: str, system: System | str | Path | None) -> System:
     """The user's choice of a system, or else the bundled one that a belief names.
+
+    Args:
+        belief: The belief.
+        source: Its file, or what else to call it in an error.
+        system: The user's choice; None: there is none.
 
     Raises:
         ConfigError: There is no such system, or the belief is about one of the user's.
@@ -100,7 +106,7 @@ def system_of(belief: Belief, system: System | str | Path | None) -> System:
     if isinstance(system, System):
         return system
     own = belief.provenance.get("system_folder")
-    chosen = system or named_system(belief.system, "the belief", None if own is None else str(own))
+    chosen = system or named_system(belief.system, source, None if own is None else str(own))
     return System.load(chosen, warn=False)
 
 

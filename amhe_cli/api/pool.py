@@ -64,7 +64,7 @@ def pool(
     read = [one if isinstance(one, Belief) else read_belief(Path(one)) for one in beliefs]
     names = tuple(f"belief {i + 1}" if isinstance(one, Belief) else str(one) for i, one in enumerate(beliefs))
     _refuse_shared(names, read)
-    opened = system_of(read[0], system)
+    opened = system_of(read[0], names[0], system)
     known = [belief_for(opened, one, belief_anyway) for one in read]
     space = opened.space
     means, covariances = (np.array(each) for each in zip(*map(space.gaussian_of, known), strict=True))

@@ -83,6 +83,7 @@ def identify(
     """
     from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress
+    from amhe_cli.core.errors import ConfigError
     from amhe_cli.core.executors import executor_of
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
@@ -92,6 +93,11 @@ def identify(
     folder = out.reserve("identify")
     _check_apart(logs, held_out)
     opened = inputs.open(logs, overrides)
+    try:  # long logs are not read for a mistake in an option
+        opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
+    except ConfigError:
+        if inputs.named(logs):  # else reading says first that the system may be the wrong one
+            raise
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:

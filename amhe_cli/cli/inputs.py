@@ -66,6 +66,10 @@ class Inputs:
         loaded = System.load(folder, settings, schema=schema, boxes_for_meshes=boxes_for_meshes)
         return loaded.reading(self.topics)
 
+    def named(self, logs: Sequence[Path]) -> bool:
+        """Whether the user or a log names the system; else the default one is tried."""
+        return bool(self.system or _systems_of(logs))
+
     def read(self, system: System, logs: Sequence[Path]) -> list[Log]:
         """Read logs for a system; where that fails, the error also names what they may be about instead.
 
@@ -78,9 +82,9 @@ class Inputs:
         try:
             return read_log(logs, system, start=self.start, end=self.end, msg_path=self.msg_path)
         except LogError as error:
-            named = set(_systems_of(logs).values())
-            if not self.system and not named:
+            if not self.named(logs):
                 raise LogError(_unnamed(logs, str(error))) from None
+            named = set(_systems_of(logs).values())
             if self.system and named - {system.name}:
                 about = f"{', '.join(sorted(named))}, not {system.name}"
                 raise LogError(f"{error}. The log says that it is about {about}") from None
@@ -136,7 +140,7 @@ def _unnamed(logs: Sequence[Path], error: str) -> str:
 
     examples = (f"example:{name}" for name in bundled_models() if bundled_logs().get(name) == logs[0])
     own = next((f"{name} {name}" for name in examples), f"MODEL.xml {logs[0]}")
-    what = error.partition(";")[0]  # what to do would be for the system that it is not about
+    what = error.partition("; there is: ")[0]  # the rest is about signals of a system that is not the log's
     says = "the log does not say" if len(logs) == 1 else f"none of the {len(logs)} logs says"
     return (
         f"{what} ({says} which system it is about, and {DEFAULT_SYSTEM} was tried): name one with --system "

@@ -83,8 +83,8 @@ def _on_table(tables: Mapping[str, Connection], signal: Signal) -> Signal:
         found = _columns(signal, quantity, columns, own=bool(names))
         if not found and (quantity in signal.columns or quantity not in DERIVED):
             raise LogError(
-                f"signal {signal.name!r} names no columns of its {quantity}; add to it, for instance, "
-                f"columns: {{{quantity}: [{next(iter(columns))}]}}; there is: {', '.join(columns)}"
+                f"signal {signal.name!r} names no columns of its {quantity}; there is: {', '.join(columns)}; "
+                f"add to it, for instance, columns: {{{quantity}: [{next(iter(columns))}]}}"
             )
         if found:
             fields[quantity] = found

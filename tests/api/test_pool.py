@@ -51,6 +51,17 @@ def test_a_log_counts_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "both made of tue.mcap" in capsys.readouterr().err
 
 
+def test_a_system_of_ones_own_is_asked_for_with_the_file_that_names_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [saved(tmp_path, day, np.zeros(4), day) for day in ("mon", "tue")]
+    for file in map(Path, files):
+        file.write_text(file.read_text().replace("pendulum", "mine"))
+    for command in (["pool", *files], ["export", files[0], "--to", "mjcf", "-o", str(tmp_path / "out")]):
+        assert run(command) == 2
+        assert f"{files[0]}: about the system 'mine'" in capsys.readouterr().err
+
+
 def test_the_record(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [saved(tmp_path, day, np.zeros(4), day) for day in ("mon", "tue")]
     assert run(["pool", *files, "--json"]) == 0

@@ -6,12 +6,14 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import mujoco
 import pytest
 import yaml
 
 from amhe_cli.cli.main import run
+from amhe_cli.core.errors import LogError
 
 ROOT = Path(__file__).parents[2]
 
@@ -183,6 +185,33 @@ def test_a_log_that_names_no_system_says_what_to_do(capsys, tmp_path_factory) ->
     said = capsys.readouterr().err
     assert "amhe init example:arm example:arm -o my_system/" in said
     assert "columns: {" not in said, "go1_push's system.yaml is not to be changed for it"
+
+
+def test_advice_about_a_log_that_names_no_system_is_whole(capsys, tmp_path_factory, monkeypatch) -> None:
+    from tests.conftest import write_pendulum_log
+
+    log = write_pendulum_log(tmp_path_factory.mktemp("logs") / "nameless.mcap", 0.2)
+    advice = "the log has no definition of My; give the folder that holds My.msg with `msg_path`"
+    monkeypatch.setattr("amhe_cli.logs.read_log", Mock(side_effect=LogError(advice)))
+    assert run(["identify", str(log)]) == 4
+    assert "give the folder that holds My.msg with --msg-path (the log does not" in capsys.readouterr().err
+
+
+def test_mistakes_in_options_are_found_before_logs_are_read(
+    done: Path, pendulum_log: Path, capsys, tmp_path_factory, monkeypatch
+) -> None:
+    from tests.conftest import write_pendulum_log
+
+    folder = tmp_path_factory.mktemp("logs")
+    belief = folder / "belief.yaml"
+    belief.write_text((done / "belief.yaml").read_text().replace("load_mass", "lode_mass"))
+    nameless = write_pendulum_log(folder / "nameless.mcap", 0.2)
+    assert run(["identify", str(nameless), "--fix", "damping=0.05"]) == 4
+    assert "name one with --system" in capsys.readouterr().err, "damping is no mistake, but in go1_push"
+    monkeypatch.setattr("amhe_cli.logs.read_log", Mock(side_effect=AssertionError))
+    for option, value in (("--fix", "damp=1"), ("--only", "damp"), ("--belief", str(belief))):
+        assert run(["identify", str(pendulum_log), "-o", f"out{option}", option, value]) == 2
+        assert "did you mean" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
