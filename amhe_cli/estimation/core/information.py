@@ -25,6 +25,9 @@ from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber_weight
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, turns
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
+#: Residuals below this share of their declared noise are rounding, as in a log without noise.
+QUIETEST = 1e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Information:
@@ -224,7 +227,9 @@ def noise_scale(squares: Mapping[str, float], before: Mapping[str, float]) -> di
         squares: Channel -> mean squared residual.
         before: Channel -> factor on the declared noise sd that these residuals were divided by.
     """
-    return {key: before.get(key, 1.0) * float(np.sqrt(max(square, 1e-12))) for key, square in squares.items()}
+    return {
+        key: max(before.get(key, 1.0) * float(np.sqrt(square)), QUIETEST) for key, square in squares.items()
+    }
 
 
 def fitted_noise_scale(

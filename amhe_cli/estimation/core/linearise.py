@@ -38,7 +38,7 @@ from amhe_cli.matching.cost import MatchingCost, Residuals
 #: Steps to one side alone, in sd of the samples: what bends in them is less by this factor.
 SHORT = 0.01
 #: Clips whose arrays have more bytes than this take their turns, so that memory does not grow with the logs.
-TURN_BYTES = 64 * 2**20
+TURN_BYTES = 32 * 2**20
 
 
 @dataclass(frozen=True, slots=True, eq=False)

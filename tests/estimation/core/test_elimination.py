@@ -110,6 +110,10 @@ def test_the_noise_scale_is_the_residual_sd_over_the_declared_one() -> None:
     assert scale == pytest.approx({"box.position": 6.0, "joints.position": 0.5}, rel=0.05)
 
 
+def test_residuals_below_a_thousandth_of_the_noise_are_rounding_and_no_noise() -> None:
+    assert noise_scale({"joints.position": 1e-20}, {"joints.position": 0.1}) == {"joints.position": 1e-3}
+
+
 def test_clips_that_diverged_or_are_the_worst_do_not_count_for_the_noise() -> None:
     cost = cost_of(10, 400, {"box.position": 3}, trim=0.1)
     residual = noisy(cost, {"box.position": 1.0})
