@@ -132,7 +132,7 @@ def test_the_constants_of_a_dc_motor_are_found_from_its_voltage() -> None:
     close(result, constant=0.5, resistance=2.0)
 
 
-LUGRE = '<dcmotor name="{0}" joint="{0}" motorconst="0.5" resistance="2" lugre="%g 1 %g %g %g"/>'
+LUGRE = '<dcmotor name="{0}" joint="{0}" motorconst="0.5" resistance="2" lugre="%g %g %g %g %g"/>'
 PID = '<pid name="{0}" joint="{0}" kp="8" kv="0.3" %s/>'
 
 
@@ -148,10 +148,14 @@ def test_the_stiction_of_a_dc_motor_is_found() -> None:
     """Friction falls from its static to its Coulomb value as the joint gets faster."""
     words = ("bristle_stiffness", "coulomb_friction", "static_friction", "stribeck_velocity")
     truth, start = (10.0, 0.15, 0.3, 0.2), (15.0, 0.1, 0.2, 0.3)
-    result = from_whole_logs(
-        arm(LUGRE % truth), arm(LUGRE % start), 4.0, **dict(zip(words, start, strict=True))
-    )
+    true, wrong = (arm(LUGRE % (stiffness, 1.0, *others)) for stiffness, *others in (truth, start))
+    result = from_whole_logs(true, wrong, 4.0, **dict(zip(words, start, strict=True)))
     close(result, **dict(zip(words, truth, strict=True)))
+
+
+def test_the_damping_of_a_dc_motors_bristles_is_found() -> None:
+    true, wrong = (arm(LUGRE % (10.0, damping, 0.15, 0.3, 0.2)) for damping in (2.0, 1.0))
+    close(from_whole_logs(true, wrong, 4.0, bristle_damping=1.0), bristle_damping=2.0)
 
 
 def test_the_limit_of_a_dc_motors_current_is_found() -> None:
