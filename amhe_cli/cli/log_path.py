@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,9 +59,14 @@ def example(
 
 
 def episodes(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    """The logs with each LeRobot dataset replaced by its episodes, unless the line is only parsed."""
+    return paths if ctx.resilient_parsing else each_episode(paths)
+
+
+def each_episode(paths: Sequence[Path]) -> tuple[Path, ...]:
     """The logs with each LeRobot dataset replaced by its episodes."""
     if not any("#" in str(path) or (path / "meta" / "info.json").exists() for path in paths):
-        return paths
+        return tuple(paths)
     from amhe_cli.logs import episode_paths
 
     return tuple(one for path in paths for one in episode_paths(path))
@@ -69,14 +74,16 @@ def episodes(ctx: click.Context, param: click.Parameter, paths: tuple[Path, ...]
 
 def one_episode(ctx: click.Context, param: click.Parameter, path: Path | None) -> Path | None:
     """A single log: of a LeRobot dataset, one episode; a data set file of one log."""
-    found = () if path is None else episodes(ctx, param, (path,))
-    if len(found) > 1:
-        raise click.BadParameter(f"{path} holds several episodes; name one, such as {found[0]}", ctx, param)
-    if found and found[0].suffix in (".yaml", ".yml"):
+    if path is None or ctx.resilient_parsing:
+        return path
+    first, *more = each_episode([path])
+    if more:
+        raise click.BadParameter(f"{path} holds several episodes; name one, such as {first}", ctx, param)
+    if first.suffix in (".yaml", ".yml"):
         from amhe_cli.logs import only_member
 
-        only_member(found[0])
-    return found[0] if found else None
+        only_member(first)
+    return first
 
 
 #: A log that must exist (exit code 2 if not); whether it can be read is the reader's word (4).
@@ -87,6 +94,8 @@ def _set_limits(ctx: click.Context, param: click.Parameter, given: tuple[str, ..
     from amhe_cli.core.errors import ConfigError
     from amhe_cli.core.limits import limit
 
+    if ctx.resilient_parsing:  # the line of a file that somebody wrote, or one that is completed
+        return
     pairs = [text.partition("=") for text in given]
     try:
         ctx.with_resource(limit(**{name: int(number) for name, _, number in pairs}))

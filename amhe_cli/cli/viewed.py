@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -12,9 +13,10 @@ from typing import TYPE_CHECKING, Any
 import click
 from click.core import ParameterSource
 
+from amhe_cli.cli import log_path
 from amhe_cli.cli.inputs import Inputs
 from amhe_cli.cli.settings import Overrides, gathered
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import NOTE, ConfigError
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.system.folders import find_system
 
@@ -23,6 +25,8 @@ if TYPE_CHECKING:
     from amhe_cli.core.log import Log
     from amhe_cli.core.parameters import Belief
     from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
 
 #: Options that say how logs are read: those with which a result was made, unless the user gives others.
 _READING = ("system", "topics", "msg_path", "start", "end")
@@ -86,6 +90,9 @@ class Viewed:
 def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     """What a path stands for: a log, or a result folder.
 
+    A result folder is taken for the user's own: the log, the system and the other files that the command in
+    it names are opened. A note names them.
+
     Raises:
         ConfigError: The folder holds no result that can be viewed, or its logs are gone.
     """
@@ -101,12 +108,18 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         raise ConfigError(f"{source / 'result.json'}: is no result of amhe; view the log itself") from None
     for path in (*found.logs, *found.apart):
-        if not path.exists():
+        try:
+            log_path.LOG.convert(path, None, None)
+        except click.BadParameter:
             instead = f" with --belief {found.belief}" if found.belief else " itself"
             raise ConfigError(
                 f"{path}: this log of the result is not there; run the command where the result was "
                 f"made, or view the log{instead}"
-            )
+            ) from None
+    how = found.inputs
+    also = [f"messages of {how.msg_path}"] if how.msg_path else []
+    system = f"system {how.system}" if how.system else "the system that the log names"
+    logger.log(NOTE, "opens %s", ", ".join([*map(str, (*found.logs, *found.apart)), system, *also]))
     return found
 
 
@@ -117,15 +130,17 @@ def _identified(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrid
 
     belief = folder / "belief.yaml"
     given, inputs, overrides = _as_then(identify, Belief.load(belief).provenance, inputs, overrides)
-    logs, held_out = given.get("logs") or map(Path, record["logs"]), given.get("held_out") or ()
-    return Viewed(tuple(logs), inputs, overrides, tuple(held_out), belief, record.get("fixed") or {})
+    logs = given.get("logs") or tuple(map(Path, record["logs"]))
+    apart, fixed = log_path.each_episode(given.get("held_out") or ()), record.get("fixed") or {}
+    return Viewed(log_path.each_episode(logs), inputs, overrides, apart, belief, fixed)
 
 
 def _replayed(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
     """A result of `amhe mhe-replay`."""
     from amhe_cli.cli.mhe_replay import mhe_replay
 
-    _, then, overrides = _as_then(mhe_replay, record["provenance"], inputs, overrides)
+    origin = record.get("provenance") or {"system_folder": record["system"]}  # earlier versions wrote none
+    _, then, overrides = _as_then(mhe_replay, dict(origin), inputs, overrides)
     whole = replace(then, start=inputs.start, end=inputs.end)  # estimates of a part stand in all of the log
     estimates = folder / "estimates.mcap"
     return Viewed((Path(record["log"]),), whole, overrides, fixed=record["fixed"], recorded=estimates)
@@ -148,15 +163,17 @@ def _as_then(
         ConfigError: The system or another file is not where it was.
     """
     line, given = shlex.split(str(origin.get("command", ""))), {"system": origin.get("system_folder")}
-    if line[:2] == ["amhe", command.name]:
-        context = command.make_context(line[1], line[2:], resilient_parsing=True)
-        given = dict(context.params)
-        for name in ("config", "held_out", "msg_path"):  # None: the file is not there
-            if given.get(name) is None and context.get_parameter_source(name) is ParameterSource.COMMANDLINE:
-                raise ConfigError(
-                    f"the file that --{name.replace('_', '-')} of this result names is not there; run the "
-                    "command where the result was made, or view its log"
-                )
+    if line[:1] == ["amhe"] and command.name in line:
+        line.remove(command.name)  # options that stand before it are options of the command too
+        with command.make_context(command.name, line[1:], resilient_parsing=True) as context:
+            given = dict(context.params)
+            for name in ("config", "held_out", "msg_path"):
+                named = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
+                if named and given.get(name) is None and not getattr(inputs, name, None):
+                    raise ConfigError(
+                        f"what --{name.replace('_', '-')} of this result names is not there; run the command "
+                        "where the result was made, or view its log"
+                    )
     if not inputs.system and (system := given.get("system")):
         try:
             find_system(system)

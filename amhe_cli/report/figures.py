@@ -224,7 +224,8 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup
                     column + 0.5, size - row - 0.5, text, ha="center", va="center", color=color, fontsize=8
                 )
         centres = np.arange(size) + 0.5
-        axes.set_xticks(centres, names, rotation=30, ha="right")
+        # the page moves a name by its anchor, which is at its tick
+        axes.set_xticks(centres, names, rotation=30, ha="right", rotation_mode="anchor")
         axes.set_yticks(centres, list(names)[::-1])
         for spine in axes.spines.values():
             spine.set_visible(False)

@@ -16,9 +16,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from amhe_cli.cli.identify import identify
+from amhe_cli.cli.inputs import Inputs
 from amhe_cli.cli.main import run
+from amhe_cli.cli.mhe_replay import mhe_replay
+from amhe_cli.cli.settings import Overrides
+from amhe_cli.cli.viewed import viewed
+from amhe_cli.core.limits import Limits, limits
 from amhe_cli.view.server import PageServer
 from tests.conftest import MODELS
+from tests.logs.test_lerobot import dataset
 
 
 def test_a_log_becomes_one_page(pendulum_log: Path, tmp_path: Path, capsys) -> None:
@@ -102,6 +109,8 @@ def numbers(text: str) -> np.ndarray:
     ("change", "text"),
     [
         ({"command": "mhe-replay", "log": 3}, "is no result of amhe"),
+        ({"command": "mhe-replay", "provenance": [3]}, "is no result of amhe"),
+        ({"command": "mhe-replay", "provenance": "amhe mhe-replay"}, "is no result of amhe"),
         ({"command": "run"}, "is no result of amhe"),
         ({"schema_version": 2}, "of version 2"),
         ({"command": "eval"}, "of `amhe eval`"),
@@ -199,12 +208,16 @@ def own_result(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     (folder / "mine" / "system.yaml").write_text(text.replace("/joint_states", "/elsewhere"))
     system = ["--system", str(folder / "mine"), "--topic", "joints=/joint_states"]
     more = ["--set", "parameters.load_mass.nominal=0.7", "--to", "3", "-q"]
-    assert run(["mhe-replay", str(pendulum_log), *system, *more, "-o", str(folder / "out")]) == 0
+    # options of `amhe` itself may stand before the command
+    before = ["-q", "--limit", "topics=3000"]
+    assert run([*before, "mhe-replay", str(pendulum_log), *system, *more, "-o", str(folder / "out")]) == 0
     return folder
 
 
-def test_a_replay_of_an_own_system_needs_no_option_again(own_result: Path, tmp_path: Path) -> None:
+def test_a_replay_of_an_own_system_needs_no_option_again(own_result: Path, tmp_path: Path, capsys) -> None:
     assert run(["view", str(own_result / "out"), "--save", str(tmp_path / "page.html")]) == 0
+    (note,) = [line for line in capsys.readouterr().err.splitlines() if "note: opens" in line]
+    assert "pendulum" in note and str(own_result / "mine") in note
     data = data_of(tmp_path / "page.html")
     assert {row["name"]: row["nominal"] for row in data["parameters"]}["load_mass"] == 0.7
     assert data["recordings"][0]["curves"]
@@ -223,3 +236,63 @@ def test_a_system_that_moved_is_one_line_that_names_the_option(
     assert "gone: the system of this result is not there" in line
     assert "--system" in line
     assert run([*command, "--system", str(tmp_path / "moved")]) == 0
+
+
+def altered(result: Path, to: Path, old: str, new: str) -> list[str]:
+    """The command that views a copy of a result whose record has another text."""
+    shutil.copytree(result, to)
+    record = (to / "result.json").read_text()
+    assert old in record
+    (to / "result.json").write_text(record.replace(old, new))
+    return ["view", str(to), "--save", str(to / "page.html")]
+
+
+def test_a_result_lifts_no_limit(own_result: Path, tmp_path: Path) -> None:
+    command = altered(own_result / "out", tmp_path / "out", "topics=3000", "yaml_values=999999999")
+    assert run(command) == 0
+    assert limits() == Limits()
+    assert run([*command, "--limit", "yaml_values=1"]) == 2, "the user's own limit holds"
+
+
+def test_a_replay_of_an_earlier_version_is_shown(own_result: Path, tmp_path: Path, capsys) -> None:
+    out = tmp_path / "out"
+    command = altered(own_result / "out", out, "mhe-replay", "mhe-replay")
+    record = json.loads((out / "result.json").read_text())
+    del record["provenance"]
+    (out / "result.json").write_text(json.dumps(record))
+    assert run(command) == 2
+    assert "mine: the system of this result is not there" in capsys.readouterr().err
+    own = ["--system", str(own_result / "mine"), "--topic", "joints=/joint_states"]
+    assert run([*command, *own]) == 0
+    assert data_of(out / "page.html")["candidates"] == ["nominal", "final belief"]
+
+
+def test_messages_given_now_replace_those_that_are_gone(own_result: Path, tmp_path: Path, capsys) -> None:
+    gone = f"--to 3 --msg-path {tmp_path / 'gone'}"
+    command = altered(own_result / "out", tmp_path / "out", "--to 3", gone)
+    assert run(command) == 2
+    assert "--msg-path of this result names is not there" in capsys.readouterr().err
+    (tmp_path / "Some.msg").write_text("float64 x\n")
+    assert run([*command, "--msg-path", str(tmp_path)]) == 0
+
+
+def test_a_line_that_is_only_parsed_opens_no_data_set(tmp_path: Path) -> None:
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text("{")
+    (tmp_path / "one.yaml").write_text("{")
+    with identify.make_context("identify", [str(tmp_path)], resilient_parsing=True) as context:
+        assert context.params["logs"] == (tmp_path,)
+    file = str(tmp_path / "one.yaml")
+    with mhe_replay.make_context("mhe-replay", [file], resilient_parsing=True) as context:
+        assert context.params["log"] == Path(file)
+
+
+def test_the_episodes_of_a_data_set_are_logs_of_a_result(result: Path, tmp_path: Path) -> None:
+    path, copy = dataset(tmp_path, "v3.0"), tmp_path / "copy"
+    shutil.copytree(result, copy)
+    text = (copy / "belief.yaml").read_text()
+    (copy / "belief.yaml").write_text(text.replace("amhe identify", "made elsewhere"))
+    record = json.loads((copy / "result.json").read_text()) | {"logs": [f"{path}#1:3"]}
+    (copy / "result.json").write_text(json.dumps(record))
+    found = viewed(copy, Inputs(None, {}, None, None, None), Overrides({}, {}))
+    assert found.logs == (Path(f"{path}#1"), Path(f"{path}#2"))

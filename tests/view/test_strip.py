@@ -8,10 +8,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 
 import amhe_cli as amhe
 from amhe_cli.core.parameters import belief_of
-from amhe_cli.report.figures import thinned
+from amhe_cli.report.figures import Grid, correlation_figure, styled, svg, thinned
+from amhe_cli.report.page import Origin, Page, Section
 from amhe_cli.view.open import strips
 from amhe_cli.view.strip import _outline
 from tests.conftest import MODELS
@@ -88,9 +90,6 @@ def test_an_outline_holds_all_points_and_only_corners() -> None:
 
 @needs_chromium
 def test_a_report_shows_numbers_under_the_pointer_and_zooms(tmp_path: Path) -> None:
-    from amhe_cli.report.figures import Grid, styled, svg
-    from amhe_cli.report.page import Origin, Page, Section
-
     with styled("test"):
         figure = (grid := Grid(1, 1, 3.0)).figure()
         axes = grid.axes(figure, 0)
@@ -98,10 +97,8 @@ def test_a_report_shows_numbers_under_the_pointer_and_zooms(tmp_path: Path) -> N
         axes.set_xlim(0.0, 8.0)
         axes.set_ylim(2.0, 4.0)
         element = svg(figure)
-    page = Page("identify", "x", (), "h", (), [Section("f", figure=element)], (), Origin(("amhe",)))
-    (tmp_path / "page.html").write_text(page.html(), encoding="utf-8")
     with browser(tmp_path / "profile") as one:
-        one.open((tmp_path / "page.html").as_uri())
+        one.open(page_with(element, tmp_path))
         one.run("document.querySelector('svg[data-axes]').scrollIntoView()")
         middle = one.run(
             "(() => { const svg = document.querySelector('svg[data-axes]'), [l, t, r, b] = "
@@ -134,3 +131,42 @@ def test_a_report_shows_numbers_under_the_pointer_and_zooms(tmp_path: Path) -> N
         assert after["line"] == pytest.approx([-4.0 / (right - 4.0), 4.0 / (right - 4.0)], abs=0.01)
         one.run("document.querySelector('svg[data-axes]').dispatchEvent(new Event('dblclick'))")
         assert one.run(SHARES) == before
+
+
+def page_with(figure: Markup, folder: Path) -> str:
+    """Address of a page that has a figure."""
+    page = Page("identify", "x", (), "h", (), [Section("f", figure=figure)], (), Origin(("amhe",)))
+    (folder / "page.html").write_text(page.html(), encoding="utf-8")
+    return (folder / "page.html").as_uri()
+
+
+@needs_chromium
+def test_a_double_click_keeps_the_names_of_correlations(tmp_path: Path) -> None:
+    names = ("load_mass", "friction_loss", "armature")
+    with browser(tmp_path / "profile") as one:
+        one.open(page_with(correlation_figure(names, np.eye(3)), tmp_path))
+        shown = (
+            "[...document.querySelectorAll('[id^=xtick] text')].filter((one) => "
+            "getComputedStyle(one).visibility === 'visible').map((one) => one.textContent)"
+        )
+        assert one.run(shown) == list(names)
+        one.run("document.querySelector('svg[data-axes]').dispatchEvent(new Event('dblclick'))")
+        assert one.run(shown) == list(names)
+
+
+@needs_chromium
+def test_curves_stay_above_the_grid_and_shades_below_it(tmp_path: Path) -> None:
+    with styled("test"):
+        figure = (grid := Grid(1, 1, 3.0)).figure()
+        axes = grid.axes(figure, 0)
+        axes.plot([0.0, 1.0], [0.0, 1.0])
+        axes.axvspan(0.2, 0.4, zorder=0)
+        element = svg(figure)
+    order = (
+        "[...document.querySelectorAll('#axes_1 > g > g[transform] > g, #axes_1 > g[id^=matplotlib]')]"
+        ".map((one) => one.id.replace(/_?\\d+$/, ''))"
+    )
+    with browser(tmp_path / "profile") as one:
+        one.open(page_with(element, tmp_path))
+        one.run("document.querySelector('svg[data-axes]').dispatchEvent(new Event('dblclick'))")
+        assert one.run(order) == ["patch", "matplotlib.axis", "matplotlib.axis", "line2d"]

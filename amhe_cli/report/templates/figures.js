@@ -25,12 +25,16 @@ class Axes {
     this.labels = children.filter((one) => one.id.startsWith("text")).map((one) => ({ one, at: this.place(one.querySelector("text")) }))
       .filter(({ at: [px, py] }) => left <= px && px <= right && top <= py && py <= bottom);
     this.ticks = Object.fromEntries(["x", "y"].map((name) => [name, [...group.querySelectorAll(`g[id^=${name}tick]`)]]));
-    if (!drawn.length) return;
-    const frame = document.createElementNS(group.namespaceURI, "g"), moving = this.moving = frame.cloneNode();
-    frame.setAttribute("clip-path", clipped(drawn[0]).getAttribute("clip-path"));
-    drawn[0].before(frame); frame.append(moving); moving.append(...drawn);
-    for (const one of moving.querySelectorAll("[clip-path]")) one.removeAttribute("clip-path");
-    this.dots = [...moving.querySelectorAll("[id^=line2d] use, [id^=PathCollection] use")];
+    // What lies below the grid and what lies above it, each in a frame that clips it.
+    const grid = children.findLastIndex((one) => one.id.startsWith("matplotlib.")), above = (one) => children.indexOf(one) > grid;
+    this.moving = [drawn.filter((one) => !above(one)), drawn.filter(above)].filter((some) => some.length).map((some) => {
+      const frame = document.createElementNS(group.namespaceURI, "g"), moving = frame.cloneNode();
+      frame.setAttribute("clip-path", clipped(some[0]).getAttribute("clip-path"));
+      some[0].before(frame); frame.append(moving); moving.append(...some);
+      for (const one of moving.querySelectorAll("[clip-path]")) one.removeAttribute("clip-path");
+      return moving;
+    });
+    this.dots = this.moving.flatMap((one) => [...one.querySelectorAll("[id^=line2d] use, [id^=PathCollection] use")]);
   }
   // The place of a text or of a grid line.
   place(one) {
@@ -49,12 +53,12 @@ class Axes {
   }
   draw() {
     const { x: [x0, x1], y: [y0, y1] } = this.seen, [px, py] = this.moved(0, 0), whole = x1 - x0 === 1 && y1 - y0 === 1;
-    if (this.moving) {
-      this.moving.setAttribute("class", whole ? "" : "zoomed"); this.moving.setAttribute("transform", `matrix(${1 / (x1 - x0)} 0 0 ${1 / (y1 - y0)} ${px} ${py})`);
-      for (const dot of this.dots) {
-        const [at, to] = ["x", "y"].map((name) => Number(dot.getAttribute(name)));
-        dot.setAttribute("transform", `translate(${at} ${to}) scale(${x1 - x0} ${y1 - y0}) translate(${-at} ${-to})`);
-      }
+    for (const one of this.moving) {
+      one.setAttribute("class", whole ? "" : "zoomed"); one.setAttribute("transform", `matrix(${1 / (x1 - x0)} 0 0 ${1 / (y1 - y0)} ${px} ${py})`);
+    }
+    for (const dot of this.dots) {
+      const [at, to] = ["x", "y"].map((name) => Number(dot.getAttribute(name)));
+      dot.setAttribute("transform", `translate(${at} ${to}) scale(${x1 - x0} ${y1 - y0}) translate(${-at} ${-to})`);
     }
     for (const { one, at } of this.labels) this.move(one, at, this.moved(...at));
     for (const name of ["x", "y"]) this.axis(name, this.seen[name][1] - this.seen[name][0] === 1);
