@@ -117,12 +117,19 @@ def ready(target: Any, session: Session) -> Iterator[None]:
     if isinstance(target, SimTarget):
         yield
         return
+    from amhe_cli.robots.go1.link.wire import LinkError
+    from amhe_cli.robots.go1.poses.source import PoseError
+
     with _unseen_keys(), target:
         for name, value in target.check().items():
             session.say("", f"{name}: {value}")
         try:
             target.begin(lambda text: session.say("", text))
             yield
+        except (LinkError, PoseError) as error:
+            if target.begun and not target.stop:
+                session.say("error", f"{error}; the robot is let down")
+            raise
         finally:
             if target.stop:
                 _say_stop(session, target.stop, target.report.phase)
@@ -152,6 +159,7 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
         LinkError, PoseError: Before anything moved.
     """
     from amhe_cli.core.errors import AmheError, Ending, OperatorStopError
+    from amhe_cli.live.target import SimTarget
 
     try:
         with ready(target, session):
@@ -160,6 +168,10 @@ def attended(target: Any, session: Session, go: Callable[[], Ending]) -> Ending:
         if not target.begun:
             raise
         return Ending(interrupted=True) if isinstance(error, OperatorStopError) else Ending(error=error)
+    except KeyboardInterrupt:  # once more, while a robot is let down: it must not cost the log
+        if isinstance(target, SimTarget) or not target.begun:
+            raise
+        return Ending(error=target.stop) if is_trip(target.stop) else Ending(interrupted=True)
 
 
 def attendant(

@@ -151,11 +151,10 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
             remedies[text] = remedy
             found.setdefault(text, []).append(name)
         largest = float(np.max(np.abs(values[log[key].valid]), initial=0.0))
-        reach = float(np.abs(model.jnt_range[row]).max()) if model.jnt_limited[row] else np.inf
         hinge = int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_HINGE
         # a wheel turns for long, and its velocity agrees; both may be in degrees where a joint has an end
-        far = largest > max(_BEYOND * reach, 2.0 * np.pi) or (slope is None and largest > _LARGEST)
-        if hinge and far and not causes:
+        far = _beyond(model, row, largest) or (hinge and slope is None and largest > _LARGEST)
+        if far and not causes:
             text = f"position reaches {largest:.4g} rad: looks like degrees"
             remedies[text] = {"unit": "deg"}
             found.setdefault(text, []).append(name)
@@ -220,9 +219,12 @@ def _of_commands(system: System, log: Log, one: Input, positions: _Positions) ->
     names = [model.joint(joint).name for joint in joints]
     found: dict[str, list[str]] = {}
     remedies: dict[str, Mapping[str, Any]] = {}
-    for column, name in enumerate(names):
+    for column, (joint, name) in enumerate(zip(joints, names, strict=True)):
         slope = _slope(commands[:, column], measured[:, column])
-        for text, remedy in _named(slope, _OF_COMMAND) if slope is not None else ():
+        causes = _named(slope, _OF_COMMAND) if slope is not None else []
+        if not causes and _beyond(model, joint, float(np.abs(commands[:, column]).max())):
+            causes = [_OF_COMMAND[_DEGREES]]
+        for text, remedy in causes:
             remedies[text] = remedy
             found.setdefault(text, []).append(name)
     for text, which in found.items():
@@ -237,6 +239,13 @@ def _of_commands(system: System, log: Log, one: Input, positions: _Positions) ->
             f"order of the joints is wrong in the commands or in the positions (correlation {after:.2f} so, "
             f"{before:.2f} as given)",
         )
+
+
+def _beyond(model: mujoco.MjModel, joint: int, largest: float) -> bool:
+    """Whether an angle is far beyond the range of a joint that has one."""
+    hinge = int(model.jnt_type[joint]) == mujoco.mjtJoint.mjJNT_HINGE
+    reach = float(np.abs(model.jnt_range[joint]).max()) if model.jnt_limited[joint] else np.inf
+    return hinge and largest > max(_BEYOND * reach, 2.0 * np.pi)
 
 
 def _servo_joint(system: System, place: int) -> int | None:

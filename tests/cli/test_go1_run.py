@@ -26,6 +26,7 @@ from mcap.writer import Writer
 from amhe_cli.cli import at_the_robot
 from amhe_cli.cli.main import run
 from amhe_cli.cli.session import Session
+from amhe_cli.core.errors import Ending
 from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
@@ -151,6 +152,15 @@ def test_a_robot_that_is_stopped_on_the_way_has_an_ending(monkeypatch, report, b
         return
     found = at_the_robot.attended(target, Mock(), Mock())
     assert (found.interrupted, found.error and str(found.error)) == ending
+
+
+@pytest.mark.parametrize("stop", [None, KEY.stop, HOT.stop])
+def test_ctrl_c_while_a_robot_is_let_down_keeps_the_run(monkeypatch, stop) -> None:
+    monkeypatch.setattr(at_the_robot, "ready", Mock(side_effect=KeyboardInterrupt))
+    found = at_the_robot.attended(Mock(begun=True, stop=stop), Mock(), Mock())
+    assert found == (Ending(error=stop) if isinstance(stop, StoppedError) else Ending(interrupted=True))
+    with pytest.raises(KeyboardInterrupt):
+        at_the_robot.attended(Mock(begun=False), Mock(), Mock())
 
 
 @pytest.mark.parametrize(

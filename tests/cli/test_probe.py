@@ -116,7 +116,7 @@ def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
     shutil.move("mine", "elsewhere")
     assert run(["mhe-replay", "probe/probe.mcap", "-q", "-o", "again"]) == 2
     assert "about the system 'mine', which does not come with amhe" in capsys.readouterr().err
-    assert run(["inspect", "probe/probe.mcap"]) == 2
+    assert run(["inspect", "probe/probe.mcap"]) == 0
     assert "about the system 'mine', which does not come with amhe" in capsys.readouterr().err
 
 

@@ -112,6 +112,17 @@ def test_degrees_without_a_velocity_are_found_by_range(
     assert "looks like degrees (shoulder, elbow)" in said(arrays, arm, caplog)
 
 
+def test_commands_in_degrees_that_joints_hardly_follow_are_found_by_range(
+    arm: amhe.System, caplog: pytest.LogCaptureFixture
+) -> None:
+    arrays = motion()
+    fast = np.sin(np.outer(TIMES, [9.0, 7.0]))
+    arrays["command"]["position"] = fast
+    assert "degrees" not in said(arrays, arm, caplog)
+    arrays["command"]["position"] = np.rad2deg(fast)
+    assert "'command': the command looks like degrees (shoulder)" in said(arrays, arm, caplog)
+
+
 def test_an_encoder_that_wraps(arm: amhe.System, caplog: pytest.LogCaptureFixture) -> None:
     arrays = motion(velocity=False)
     angle = 3.0 + arrays["joints"]["position"][:, 1]

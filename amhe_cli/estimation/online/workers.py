@@ -146,7 +146,7 @@ class InProcess:
         except (OSError, EOFError):
             return self._restarted(now, f"the estimator died{self._exit_code()}")
         if self._since is not None and time.monotonic() - self._since > self._limit:
-            return self._restarted(now, f"the estimator hung for {self._limit:g} s")
+            return self._restarted(now, f"the estimator gave no answer for {self._limit:g} s of the clock")
         return ()
 
     def close(self) -> None:
@@ -182,7 +182,7 @@ class InProcess:
             self._since = None
             return (Trouble(now, f"{what}; the last good belief stays, and no other estimator is started"),)
         self._start()
-        return (Trouble(now, f"{what}; the last good belief stays"),)
+        return (Trouble(now, f"{what}; another one starts from the last good belief"),)
 
 
 def _cores() -> set[int]:

@@ -59,7 +59,7 @@ def ready(worker: InProcess) -> None:
 
 @pytest.mark.parametrize(
     ("order", "message"),
-    [("fail", "ValueError: no such window"), ("die", "died (exit code 7)"), ("hang", "hung for 0.3 s")],
+    [("fail", "ValueError: no such window"), ("die", "died (exit code 7)"), ("hang", "no answer for 0.3 s")],
 )
 def test_whatever_becomes_of_the_estimator_the_controller_goes_on(order: str, message: str) -> None:
     worker = InProcess(Puppet, budget=0.2, patience=0.3)  # type: ignore[arg-type]

@@ -23,7 +23,7 @@ from amhe_cli.robots.go1.settings import Go1Settings
 
 #: Time between two looks [s], and the least time for which motors are damped in place of the sender [s].
 _STEP, _DAMP = 0.005, 2.0
-_DIED = "the process that talks to the robot has died; its last words are above"
+_DIED = "the process that talks to the robot has died"
 _ENDLESS = "the process that talks to the robot does not end"
 
 
