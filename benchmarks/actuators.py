@@ -1,6 +1,7 @@
 """Every drive of a whole robot from one excitation: error, coverage and time, `mujoco.sysid` beside it.
 
     python benchmarks/actuators.py [--seeds 20] [--seconds 20] [--noise-free] [--sysid] [--jobs 2] [--quick]
+    python benchmarks/actuators.py --quick --minutes 30    # of a long log: time, memory, and what was fitted
 
 Results are kept on disk, those of the two searches apart: a run that was cut short goes on where it was, and
 the same code shows the table of results that another machine has made (`--seeds 10:20` is the second half).
@@ -21,6 +22,7 @@ from __future__ import annotations
 import argparse
 import functools
 import logging
+import resource
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -49,6 +51,8 @@ SIZE, BAND = 0.25, (0.1, 10.0)
 FACTOR, OFFSET, DELAY = float(np.log(2.0)), 0.05, (0.0025, 0.0175)
 KINDS = ("armature", "viscous", "coulomb", "offset", "delay")
 ERROR, MEDIAN, SECONDS, COVERAGE, RATIO = 1.2, 0.5, 60.0, (0.86, 0.94), 0.5
+#: Peak memory of an identification from a long log [GB].
+MEMORY = 2.0
 
 
 # -- the problem -------------------------------------------------------------------------------------------
@@ -264,6 +268,26 @@ def sysid_trial(seconds: float, noise: float, whitened: bool, budget: float, see
     }
 
 
+def long_trial(minutes: float, seed: int) -> dict[str, Any]:
+    """Our search on a long log: what it takes, what it fits, and how far it is off."""
+    case = case_of(seed, 60.0 * minutes, NOISE)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    found, path, warnings = with_amhe(case, seed)
+    theta = np.array(found.belief.estimate)
+    truth, scale = case.theta, [p.scale == "log" for p in case.system.space.parameters]
+    return {
+        "cpu": path.total,
+        "gigabytes": [
+            1024.0 * kib / 1e9 for kib in (before, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+        ],
+        "fitted": found.clips.fitted_of,
+        "share": np.abs(theta / truth - 1.0)[scale].tolist(),
+        "held": [bool(p.lower <= t <= p.upper) for p, t in zip(found.parameters, truth, strict=True)],
+        "verdicts": [p.verdict for p in found.parameters],
+        "warnings": warnings,
+    }
+
+
 def arrivals(ours: dict[str, Any], theirs: dict[str, Any]) -> tuple[float, float]:
     """CPU seconds until each of two searches was within ARRIVED of the better one's last held-out cost."""
     target = ARRIVED * min(ours["costs"][-1], theirs["costs"][-1])
@@ -310,10 +334,28 @@ def kind_rows(results: Sequence[dict[str, Any]], names: Sequence[str]) -> list[t
     return lines
 
 
+def show_long(minutes: float, results: Sequence[dict[str, Any]]) -> None:
+    """One line for each seed of long logs."""
+    rows = [
+        (
+            str(r["seed"]), f"{r['cpu']:.0f}", "{1:.2f} ({0:.2f})".format(*r["gigabytes"]), r["fitted"],
+            f"{np.median(r['share']):.3%}", f"{max(r['share']):.2%}", f"{np.mean(r['held']):.0%}",
+            f"{np.mean([v == 'identified' for v in r['verdicts']]):.0%}",
+        )
+        for r in results
+    ]  # fmt: skip
+    show(
+        f"{minutes:g} minutes of log (goal: {MEMORY:g} GB); errors of what has a log scale",
+        ("seed", "CPU s", "peak GB (before)", "fitted", "median error", "largest", "held", "identified"),
+        rows,
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=seeds_of, default=range(20), metavar="N or A:B")
     parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--minutes", type=float, help="of a long log instead: time and memory")
     parser.add_argument("--noise-free", action="store_true")
     parser.add_argument("--sysid", action="store_true", help="mujoco.sysid on the same logs")
     parser.add_argument("--budget", type=float, default=600.0, help="CPU seconds of each search of sysid")
@@ -321,6 +363,10 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="one seed")
     given = parser.parse_args()
     noise, seeds = (0.0 if given.noise_free else NOISE), (range(1) if given.quick else given.seeds)
+    if given.minutes:
+        one = functools.partial(long_trial, given.minutes)
+        name = f"actuators-{given.minutes:g}min"
+        return show_long(given.minutes, over_seeds(name, one, seeds, given.jobs))
     name = f"actuators-{given.seconds:g}s-{'exact' if given.noise_free else 'noisy'}"
     results = over_seeds(name, functools.partial(trial, given.seconds, noise), seeds, given.jobs)
     names = system_of().space.names
