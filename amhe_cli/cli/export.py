@@ -59,13 +59,15 @@ def export(
 ) -> None:
     """Write what BELIEF says of a system in a form that another tool takes.
 
-    BELIEF is a belief.yaml. Ranges of mjlab and Isaac Lab lose correlations; samples keep them.
+    BELIEF is a belief.yaml; in the folder that `amhe identify` wrote it needs no --system. Ranges of mjlab
+    and Isaac Lab lose correlations; samples keep them.
     """
     from amhe_cli.api.export import export as write
+    from amhe_cli.cli.viewed import system_of_result
 
     files = write(
-        belief, kind, out.reserve("export"), system=system, belief_anyway=belief_anyway, urdf=urdf,
-        count=count, models=models, seed=seed, force=out.force,
+        belief, kind, out.reserve("export"), system=system or system_of_result(belief),
+        belief_anyway=belief_anyway, urdf=urdf, count=count, models=models, seed=seed, force=out.force,
     )  # fmt: skip
     if session.json:
         session.print_json(session.record(files=[str(file) for file in files]))

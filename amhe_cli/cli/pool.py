@@ -23,14 +23,16 @@ def pool(
     """Compare each BELIEF, a belief.yaml, with the others, and make one of them if they agree.
 
     The runs are of one system and have logs of their own. Beliefs that contradict each other are refused,
-    with the parameter and the pair that differ most.
+    with the parameter and the pair that differ most. A first BELIEF in the folder that `amhe identify` wrote
+    needs no --system.
     """
     from amhe_cli.api.pool import pool as pooled
+    from amhe_cli.cli.viewed import system_of_result
     from amhe_cli.report.pool import pool_record, pool_table
     from amhe_cli.report.tables import rich_table
 
     session.hush_mujoco()
-    found = pooled(beliefs, system=system, belief_anyway=belief_anyway)
+    found = pooled(beliefs, system=system or system_of_result(beliefs[0]), belief_anyway=belief_anyway)
     if out is not None:
         found.belief.save(out)
     if session.json:

@@ -1,4 +1,4 @@
-"""What `amhe view` shows: a log, or the logs of a result folder and what was recorded beside them."""
+"""What a result folder stands for: the logs and all else that `amhe view` shows, and its system."""
 
 from __future__ import annotations
 
@@ -123,6 +123,33 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     return found
 
 
+def system_of_result(belief: Path) -> System | None:
+    """The system of the result of `amhe identify` that a belief lies in, with the settings that it had.
+
+    The folder is taken for the user's own, as by `viewed`: a note names the system that is opened.
+
+    Args:
+        belief: The file.
+
+    Returns:
+        The system; None where the file is not belief.yaml of such a folder, or the system comes with amhe.
+
+    Raises:
+        ConfigError: The system or the settings are not where they were.
+    """
+    from amhe_cli.cli.identify import identify
+    from amhe_cli.core.parameters import Belief
+
+    if belief.name != "belief.yaml" or not belief.with_name("result.json").is_file():
+        return None
+    origin, none = Belief.load(belief).provenance, Inputs(None, {}, None, None, None)
+    _, inputs, overrides = _as_then(identify, origin, none, Overrides({}, {}), needed=("config",))
+    if inputs.system is None:
+        return None
+    logger.log(NOTE, "opens system %s", inputs.system)
+    return inputs.open((), overrides)
+
+
 def _identified(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
     """A result of `amhe identify`."""
     from amhe_cli.cli.identify import identify
@@ -153,7 +180,11 @@ def _run(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Ove
 
 
 def _as_then(
-    command: click.Command, origin: Mapping[str, Any], inputs: Inputs, overrides: Overrides
+    command: click.Command,
+    origin: Mapping[str, Any],
+    inputs: Inputs,
+    overrides: Overrides,
+    needed: Sequence[str] = ("config", "held_out", "msg_path"),
 ) -> tuple[dict[str, Any], Inputs, Overrides]:
     """The options with which a command made a result, and how its logs are read: as they were then.
 
@@ -167,7 +198,7 @@ def _as_then(
         line.remove(command.name)  # options that stand before it are options of the command too
         with command.make_context(command.name, line[1:], resilient_parsing=True) as context:
             given = dict(context.params)
-            for name in ("config", "held_out", "msg_path"):
+            for name in needed:
                 named = context.get_parameter_source(name) is ParameterSource.COMMANDLINE
                 if named and given.get(name) is None and not getattr(inputs, name, None):
                     raise ConfigError(

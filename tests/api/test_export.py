@@ -1,6 +1,7 @@
 """Exports: files that other tools read, and draws that keep the belief."""
 
 import re
+import shutil
 from pathlib import Path
 
 import mujoco
@@ -10,6 +11,8 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.core.parameters import belief_of
+from amhe_cli.system.folders import bundled_systems
+from amhe_cli.system.provenance import sha256
 
 COVARIANCE = np.array([[0.01, 0.008, 0, 0], [0.008, 0.01, 0, 0], [0, 0, 0.01, 0], [0, 0, 0, 0.01]])
 
@@ -82,6 +85,46 @@ def test_a_belief_shows_the_folder_of_its_system_and_opens_it_only_when_it_is_gi
         amhe.export(renamed, "mjcf", tmp_path / "out")
     amhe.export(belief, "mjcf", tmp_path / "out", system=folder)
     assert (tmp_path / "out" / "identified.xml").is_file()
+
+
+def test_a_result_folder_names_the_system_of_its_belief(
+    tmp_path: Path, pendulum_log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine, out = tmp_path / "mine", tmp_path / "out"
+    shutil.copytree(bundled_systems()["pendulum"], mine)
+    search = [
+        "--only",
+        "load_mass",
+        "--set",
+        "parameters.load_mass.nominal=0.5",
+        "--max-time",
+        "1",
+        "--to",
+        "3",
+    ]
+    done = ["-o", str(tmp_path / "mon"), "-q"]
+    assert run(["identify", str(pendulum_log), "--system", str(mine), *search, *done]) in (0, 3)
+    belief = tmp_path / "mon" / "belief.yaml"
+    export = ["export", "--to", "mjcf", "-o", str(out), "--force"]
+    assert run([*export, str(belief)]) == 0
+    assert f"opens system {mine}" in capsys.readouterr().err
+    assert "load_mass" in (out / "identified.xml").read_text()
+
+    shutil.copytree(tmp_path / "mon", tmp_path / "tue")
+    other = tmp_path / "tue" / "belief.yaml"  # as if of another log
+    other.write_text(other.read_text().replace(sha256(pendulum_log), "0" * 64))
+    assert run(["pool", str(belief), str(other)]) == 0
+    alone = tmp_path / "belief.yaml"
+    shutil.copy(belief, alone)
+    capsys.readouterr()
+    assert run([*export, str(alone)]) == 2, "a belief alone opens no folder"
+    assert f"--system {mine}" in capsys.readouterr().err
+    assert run(["pool", str(alone), str(other)]) == 2
+
+    mine.rename(tmp_path / "moved")
+    assert run([*export, str(belief)]) == 2
+    assert "the system of this result is not there; give its folder with --system" in capsys.readouterr().err
+    assert run([*export, str(belief), "--system", str(tmp_path / "moved")]) == 0
 
 
 def test_wrong_arguments_are_one_line(belief: Path, tmp_path: Path) -> None:
