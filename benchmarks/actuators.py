@@ -274,7 +274,7 @@ def long_trial(minutes: float, seed: int) -> dict[str, Any]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     found, path, warnings = with_amhe(case, seed)
     theta = np.array(found.belief.estimate)
-    truth, scale = case.theta, [p.scale == "log" for p in case.system.space.parameters]
+    truth, scale = case.theta, case.system.space.log
     return {
         "cpu": path.total,
         "gigabytes": [
