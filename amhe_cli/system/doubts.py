@@ -133,6 +133,7 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
     """Units of joint positions, by the velocities measured with them and by the joints' ranges."""
     found: dict[str, list[str]] = {}
     remedies: dict[str, Mapping[str, Any]] = {}
+    far: dict[str, float] = {}
     velocity = log.series.get(f"{key.rpartition('.')[0]}.velocity")
     for column, row in enumerate(joints):
         values, name = log[key].values[:, column], model.joint(row).name
@@ -153,11 +154,11 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
         largest = float(np.max(np.abs(values[log[key].valid]), initial=0.0))
         hinge = int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_HINGE
         # a wheel turns for long, and its velocity agrees; both may be in degrees where a joint has an end
-        far = _beyond(model, row, largest) or (hinge and slope is None and largest > _LARGEST)
-        if far and not causes:
-            text = f"position reaches {largest:.4g} rad: looks like degrees"
-            remedies[text] = {"unit": "deg"}
-            found.setdefault(text, []).append(name)
+        if not causes and (_beyond(model, row, largest) or (hinge and slope is None and largest > _LARGEST)):
+            far[name] = largest
+    if far:
+        text = f"position reaches {max(far.values()):.4g} rad: looks like degrees"
+        found[text], remedies[text] = list(far), {"unit": "deg"}
     for text, names in found.items():
         yield Doubt(key.rpartition(".")[0], f"{text} ({', '.join(names)})", remedies[text])
 

@@ -70,9 +70,10 @@ def test_degrees_of_positions_and_velocities_are_found_by_range(
 ) -> None:
     arrays = motion()
     for quantity in ("position", "velocity"):
-        arrays["joints"][quantity] = np.rad2deg(arrays["joints"][quantity])
+        arrays["joints"][quantity] = np.rad2deg(2.0 * arrays["joints"][quantity])
     text = said(arrays, arm, caplog)
-    assert "looks like degrees (shoulder" in text and "; unit: deg in system.yaml" in text
+    (line,) = [line for line in text.splitlines() if "position reaches" in line]
+    assert "looks like degrees (shoulder, elbow); unit: deg in system.yaml" in line
 
 
 @pytest.mark.parametrize("velocity", [True, False])
