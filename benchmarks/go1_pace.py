@@ -68,8 +68,12 @@ def run(task: str, mode: str, seed: int) -> dict[str, Any]:
         where = ["--host", "127.0.0.1", "--port", port, "--pose-host", "127.0.0.1", "--pose-port", mocap_port]
         settings = [word for setting in QUICK for word in ("--set", setting)]
         command = [*AMHE, "run", "--task", task, "--target", "go1", "--mode", mode, "--seed", str(seed)]
-        subprocess.run([*command, *where, *settings, "-q", "-o", str(out)], capture_output=True, check=False)
+        ended = subprocess.run(
+            [*command, *where, *settings, "-q", "-o", str(out)], capture_output=True, text=True, check=False
+        )
         emulator.terminate()
+        if not (out / "result.json").is_file():  # refused before the robot stood
+            return {"cycles": 0, "error": ended.stderr.strip().rpartition("error: ")[2]}
         return json.loads((out / "result.json").read_text())
 
 

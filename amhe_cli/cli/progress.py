@@ -47,10 +47,12 @@ def _bar(
     console: Console, title: str, shown: Callable[[T], Shown], stays: bool
 ) -> Iterator[Callable[[T], None]]:
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.table import Column
 
-    text = TextColumn("{task.fields[state]}", markup=False)
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), text, TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=not stays) as bars:
+    # the state takes what is left of the line: a narrow terminal cuts its end, not the bar or the time
+    rest = TextColumn("{task.fields[state]}", markup=False, table_column=Column(no_wrap=True, ratio=1))
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=24), TimeElapsedColumn(), rest)
+    with Progress(*columns, console=console, transient=not stays, expand=True) as bars:
         task = bars.add_task(title, total=None, state="")
 
         def show(item: T) -> None:

@@ -1,6 +1,7 @@
 """How every ending becomes an exit code, and what is loaded before a command runs."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -12,6 +13,7 @@ import pytest
 from amhe_cli import __version__
 from amhe_cli.cli import main as entry
 from amhe_cli.cli import options
+from amhe_cli.cli.progress import progress
 from amhe_cli.cli.session import Session
 from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, LogError
 from docs.make_cli_docs import FILE, document
@@ -242,3 +244,18 @@ def test_what_is_imported_is_not_searched_for_garbage() -> None:
 def test_what_is_no_number_is_reported_in_plain_words(option, kind, capsys, tmp_path) -> None:
     assert entry.run(["identify", str(tmp_path), option, "abc"]) == 2
     assert f"'abc' is not a valid {kind}" in capsys.readouterr().err
+
+
+def test_a_narrow_terminal_cuts_the_state_and_keeps_bar_and_time(monkeypatch, capsys) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "80")
+    words = "12.3 s of 20 s, " + 10 * "the box is 1.2 m from its goal, "
+
+    def shown(done: float) -> tuple[str, float, float]:
+        return words, done, 20.0
+
+    with progress(Session(), "run", shown, stays=True) as show:
+        show(5.0)
+    lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err).strip().splitlines()
+    assert re.match(r"run \S+ 0:00:0\d 12\.3 s of 20 s, the box.*…", lines[-1])
+    assert max(map(len, lines)) <= 80

@@ -41,6 +41,7 @@ class Tracker:
         self._buffer.append(samples)
         now = self._buffer.newest if now is None else now
         news = self._worker.poll(now)
+        self._late |= any(isinstance(each, Trouble) for each in news)  # why it is late has been reported
         if now < self._due - 1e-6:
             return news
         return news + (self._begin(now) if begin else self._skip(now))

@@ -163,3 +163,21 @@ def test_a_late_estimator_is_reported_once_until_it_is_ready_again(cart: System,
     assert [now for now, _ in troubles] == [pytest.approx(one.time) for _, one in troubles]
     ends = np.array([at for _, at in worker.windows])
     assert np.diff(ends).min() > 3.0 * period, "no window waits in a queue: the newest is taken"
+
+
+class Dies(Slow):
+    """A worker that dies in its second update and then needs some polls to start again."""
+
+    def poll(self, now: float) -> tuple[News, ...]:
+        if len(self.windows) == 2 and self.polls == 1:
+            self.left, self.polls = 60, 2
+            return (Trouble(now, "the estimator died"),)
+        return super().poll(now)
+
+
+def test_an_estimator_that_died_is_not_reported_as_late_too(cart: System, drive: Drive) -> None:
+    worker = Dies(polls=1)
+    tracker = Tracker(cart, worker)
+    news = [one for now, part in portions(sampled(drive(3.0)), 0.01, 3.0) for one in tracker.feed(part, now)]
+    assert [one.text for one in news if isinstance(one, Trouble)] == ["the estimator died"]
+    assert len(worker.windows) > 5, "it goes on once it has started again"
