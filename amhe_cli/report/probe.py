@@ -11,6 +11,12 @@ from rich.text import Text
 from amhe_cli.report import numbers
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 
+#: What stands below the first table.
+AT_BEST = (
+    "sd at best, of noise alone under an exact model: amhe identify adds what rests on gains, limits and the "
+    "time step"
+)
+
 
 def print_plan(record: Mapping[str, Any], console: Console) -> None:
     """Print the sequence of motions and the expected posterior sds; `record` is the content of plan.json."""
@@ -20,6 +26,7 @@ def print_plan(record: Mapping[str, Any], console: Console) -> None:
     console.print()
     plain = record["plain_title"]
     print_known(record, {"prior": "prior sd", "expected": "expected", "plain": f"{seconds} {plain}"}, console)
+    console.print(AT_BEST, style="dim")
 
 
 def print_achieved(record: Mapping[str, Any], following: str, console: Console) -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, namespace_of
+from amhe_cli.core.arrays import BoolArray, FloatArray, namespace_of
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.core.information import (
@@ -19,6 +19,7 @@ from amhe_cli.estimation.core.information import (
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.shape import sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 
@@ -33,6 +34,12 @@ def clips_of(system: System, log: Log) -> list[Window]:
     return ClipPool(system, [whole(log)], clips).cut(0.5 * sum(clips.length))
 
 
+def active_in(system: System, windows: Sequence[Window], engine: Engine) -> BoolArray:
+    """Parameters that windows depend on at all, shape (d,), as `amhe identify` finds them."""
+    pool = ClipPool(system, windows, system.settings.clips)
+    return Problem(system, pool, engine, seed=0, only=tuple(windows)).active
+
+
 def information_at(
     system: System,
     windows: Sequence[Window],
@@ -40,6 +47,7 @@ def information_at(
     z: FloatArray,
     rng: np.random.Generator,
     *,
+    active: BoolArray | None = None,
     recorded: bool = False,
 ) -> Information:
     """Information of each of c windows at z (d,); its `matrix` has shape (c, d, d).
@@ -54,6 +62,7 @@ def information_at(
         engine: Rollouts of the system's model.
         z: Where the predictions are linearised, shape (d,).
         rng: Source of the samples.
+        active: Parameters that the windows depend on, see `active_in`; None: all.
         recorded: Take first states as recorded, unless the system's settings always fit them; for a robot
             this needs a fifteenth of the rollouts.
     """
@@ -61,7 +70,8 @@ def information_at(
     cost = MatchingCost(system, windows, engine, system.settings.cost)
     fitted = setting.first_state == "always" or (setting.first_state == "polish" and not recorded)
     first = FirstStates.recorded(len(windows), cost.nx if fitted else 0)
-    shape = np.diag(sampling_width(system.space, setting.step))
+    width = sampling_width(system.space, setting.step)
+    shape = np.diag(width if active is None else width * active)
     found = linearise(cost, z, first, shape, 0, rng)
     return information(rescaled(found, fitted_noise_scale(found, information(found), {})))
 
@@ -92,10 +102,10 @@ def information_where_it_points(
     parameter. The information is that at the point before the last step.
     """
     space = system.space
-    z = np.zeros(len(space))
+    z, active = np.zeros(len(space)), active_in(system, windows, engine)
     for recorded, most in ((True, FAR), (False, NEAR)):
         for _ in range(most):
-            found = information_at(system, windows, engine, z, rng, recorded=recorded)
+            found = information_at(system, windows, engine, z, rng, active=active, recorded=recorded)
             matrix, score = found.matrix.sum(axis=0), found.score.sum(axis=0)
             step, hessian = gauss_newton_step(matrix, score, space.prior_precision, z)
             z = space.clip(z + step)

@@ -30,6 +30,7 @@ from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, cri
 from amhe_cli.estimation.design.excitation import Waves, candidates, driven_controls, slow_sine
 from amhe_cli.estimation.design.files import Excitation, write_log
 from amhe_cli.estimation.design.information import (
+    active_in,
     clips_of,
     information_at,
     information_where_it_points,
@@ -271,14 +272,16 @@ class ActuatorProbe:
 
     def _information(self, one: Waves, draws: FloatArray) -> FloatArray | Broken:
         """Information on z for each draw, shape (e, d, d), or what one of them breaks."""
-        system, found = self.system, []
+        system, found, active = self.system, [], None
         logs = self._played(self._model, one, system.space.theta_of(draws), 2)
         for z, log in zip(draws, logs, strict=True):
             if isinstance(log, Broken):
                 return log
             matrix, windows = np.zeros((z.size, z.size)), clips_of(system, log)
             if windows:
-                own = information_at(system, windows, self._engine, z, self._options.rng(4))
+                active = active_in(system, windows, self._engine) if active is None else active
+                rng = self._options.rng(4)
+                own = information_at(system, windows, self._engine, z, rng, active=active)
                 matrix = own.matrix.sum(axis=0)
             found.append(matrix)
         return np.stack(found)

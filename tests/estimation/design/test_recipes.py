@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,7 +46,7 @@ ARM = """
 </mujoco>"""
 
 
-def arm() -> System:
+def arm(model: str = ARM, more: Mapping[str, Any] | None = None) -> System:
     """An arm beside a wall, whose logs are tables."""
     damping = {"targets": [{"joint": "*", "set": "damping"}], "nominal": 0.1}
     late = {"targets": [{"set": "command_delay"}], "nominal": 0.01, "bounds": [0.0, 0.05], "prior_sd": 0.005}
@@ -59,8 +60,8 @@ def arm() -> System:
     }
     settings = {"probe": {"candidates": 1, "pairs": 1}, "clips": {"length": [0.4, 0.8]}}
     return amhe.System.from_model(
-        mujoco.MjSpec.from_string(ARM),
-        parameters={"damping": damping, "delay": late},
+        mujoco.MjSpec.from_string(model),
+        parameters={"damping": damping, "delay": late, **(more or {})},
         signals=signals,
         settings=settings,
         name="arm",
@@ -159,3 +160,14 @@ def test_commands_act_late_in_the_rehearsal_where_they_do_in_the_model() -> None
 def test_what_only_a_recipe_has_is_refused_without_one(arguments: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         amhe.probe(arm(), threads=1, **arguments)
+
+
+def test_what_no_measurement_depends_on_is_expected_to_stay_as_unknown() -> None:
+    """The zero of an encoder about an upright axis: commands are in its frame, and gravity hides it."""
+    upright = ARM.replace('axis="0 1 0"', 'axis="0 0 1"')
+    zero = {"signal": "joints", "set": "bias", "quantity": "position", "joint": "shoulder"}
+    offset = {"nominal": 0.0, "bounds": [-0.3, 0.3], "scale": "linear", "prior_sd": 0.05, "targets": [zero]}
+    system = arm(upright, {"offset": offset})
+    for row in amhe.probe(system, recipe="chirp", seconds=4.0, speed=1.0, threads=1)["parameters"]:
+        told = [row["expected_sd"] / row["prior_sd"], row["achieved_sd"] / row["prior_sd"]]
+        assert told == pytest.approx([1.0, 1.0]) if row["name"] == "offset" else max(told) < 0.5
