@@ -126,7 +126,7 @@ def information(
     def fitted(residual: FloatArray, times: tuple[float, ...]) -> Information:
         weight = weights(cost, residual, times) / noise * counted
         arrays = slopes.residual, gz, gx, weight, mean
-        some = turns(len(mean), slopes.gain[:1].nbytes)
+        some = turns(len(mean), 8 * slopes.gain[:1].size)
         return _joined([marginalised(*(one[clips] for one in arrays)) for clips in some])
 
     # weights depend on the fitted residuals: a first fit gives them

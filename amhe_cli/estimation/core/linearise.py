@@ -161,7 +161,8 @@ def linearise(
     if len(parts) == 1:
         return of_clips(cost, first)
     done = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
-    return _joined(cost, first, done)
+    # where nothing touches, a step is none the worse for slopes of seven digits
+    return _joined(cost, first, done, np.float64 if moves is None else np.float32)
 
 
 def turns(count: int, each: int) -> list[IntArray]:
@@ -170,9 +171,15 @@ def turns(count: int, each: int) -> list[IntArray]:
 
 
 def _joined(
-    cost: MatchingCost, first: FirstStates, parts: Iterable[tuple[IntArray, Linearisation]]
+    cost: MatchingCost,
+    first: FirstStates,
+    parts: Iterable[tuple[IntArray, Linearisation]],
+    kept_as: type[np.floating],
 ) -> Linearisation:
-    """Linearisations of some clips each as one of all clips, in no more memory than the whole and one."""
+    """Linearisations of some clips each as one of all clips, in no more memory than the whole and one.
+
+    The slopes, which are most of it, are kept in the given type.
+    """
     whole: dict[str, AnyArray] = {}
     rollouts = diverged = 0
     for clips, part in parts:
@@ -180,7 +187,8 @@ def _joined(
         arrays["curves"] = to_host(part.curves).swapaxes(0, 1)
         for name, values in arrays.items():
             if name not in whole:
-                whole[name] = np.empty((len(first.mean), *values.shape[1:]), values.dtype)
+                kind = kept_as if name == "gain" else values.dtype
+                whole[name] = np.empty((len(first.mean), *values.shape[1:]), kind)
             whole[name][clips] = values
         rollouts, diverged = rollouts + part.rollouts, diverged + part.diverged
     curves = whole.pop("curves").swapaxes(0, 1)

@@ -90,6 +90,23 @@ def test_arms_side_by_side_share_rollouts_and_arms_in_a_row_do_not(apart: Proble
     assert [list(group) for group in apart.alike or []] == [[2, 3], [0, 1], [4]]
 
 
+@pytest.mark.parametrize("shared", [True, False])
+def test_slopes_of_many_clips_take_half_the_memory_where_nothing_touches(
+    shared: bool, apart: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cost, z, reach = apart.cost(apart.clips), np.full(5, 0.2), apart.reach if shared else None
+    first = FirstStates.recorded(len(apart.clips), cost.nx)
+
+    def slopes() -> np.ndarray:
+        return linearise(cost, z, first, 1e-3 * np.eye(5), 0, np.random.default_rng(0), reach=reach).gain
+
+    whole = slopes()
+    monkeypatch.setattr("amhe_cli.estimation.core.linearise.TURN_BYTES", 1000)
+    in_turns = slopes()
+    assert in_turns.nbytes == (0.5 if shared else 1.0) * whole.nbytes
+    np.testing.assert_allclose(in_turns, whole, rtol=1e-6 if shared else 0.0)
+
+
 def test_what_touches_may_move_everything(apart: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Problem, "touches", True)
     assert apart.part(np.arange(3)).reach is apart.reach, "a part knows what the whole knows"
