@@ -86,7 +86,8 @@ def system_of(settings: dict[str, Any] | None = None) -> amhe.System:
             "quantity": "position",
         },
     }
-    given = {"identify": {"rulers": {"gain": 0, "force_limit": 0, "ctrl_limit": 0, "joint_limit": 0}}}
+    exact = dict.fromkeys(("gain", "force_limit", "ctrl_limit", "joint_limit", "mass"), 0)
+    given = {"identify": {"rulers": exact}}
     return amhe.System.from_model(
         spec, parameters=parameters, signals=signals, settings=given | (settings or {}), keyframe="home",
         name="go1_in_the_air", warn=False,

@@ -93,6 +93,8 @@ class RulerSettings(SettingsGroup):
     """Either end of a joint's range, as a share of the range."""
     center_of_mass: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01
     """Centre of mass of a body whose mass is a parameter, along each axis [m]."""
+    mass: Share = 0.1
+    """Masses and inertias of the moving bodies whose mass is no parameter, all together, as a share."""
     force_bias: Share = 0.05
     """Bias of a force or torque sensor that is compared, along each axis, as a share of its largest value."""
     command_delay: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.005

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.statistics import white_noise_sd
@@ -153,6 +153,15 @@ def first_errors(system: System, log: Log) -> tuple[IntArray, FloatArray]:
         sd[nv + dofs[own]] = sd[nv + dofs[other]]
     index = np.flatnonzero(sd > 0.0)
     return index, sd[index]
+
+
+def differentiated(system: System, log: Log) -> BoolArray:
+    """Which coordinates of `first_errors` are velocities that were differentiated, shape (nx,)."""
+    flags = np.zeros(2 * system.model.nv, dtype=bool)
+    for channel in system.channels:
+        if channel.sets_state and log[channel.key].derived:
+            flags[tangent_of(system, channel)] = True
+    return flags[first_errors(system, log)[0]]
 
 
 def tangent_of(system: System, channel: Channel) -> list[int]:

@@ -1,7 +1,7 @@
 """Rulers: numbers of the model that are taken as exact and can set the scale of the estimates.
 
 Forces of a servo are known as well as its gain, and where it saturates, as well as its limit. Masses follow,
-as they do from a force sensor, whose zero drifts.
+as they do from a force sensor, whose zero drifts. Where gains are unknown, they follow from the masses.
 """
 
 from __future__ import annotations
@@ -77,16 +77,16 @@ def _forces(system: System) -> list[Channel]:
 
 
 def _general(system: System, rulers: Sequence[Ruler]) -> mujoco.MjModel:
-    """The system's model; bodies whose centre of mass a ruler moves without MuJoCo's short cuts."""
+    """The model without values; bodies whose centre of mass a ruler moves without MuJoCo's short cuts."""
     rows = {cells.row for ruler in rulers for cells in ruler.cells if cells.field == "body_ipos"}
     names = {system.model.body(row).name for row in rows}
     if not names:
-        return system.model
+        return system.unedited
     spec = system.spec.copy()
     for body in spec.bodies:
         if body.name in names:
             body.simple = 0
-    return system.edits.apply(compiled(spec), system.edits.space.nominal)
+    return compiled(spec)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,6 +201,7 @@ def rulers_of(
     found = [_scaled(kind, value, members, shares[kind]) for (kind, value), members in groups.items()]
     found += _ranges(model, settings.joint_limit, acts.joint)
     found += _centres(model, edits, settings.center_of_mass, felt)
+    found += _masses(model, settings.mass, unknown)
     found += _biases(system, settings.force_bias, largest)
     if edits.prompt:
         late = settings.command_delay
@@ -210,8 +211,8 @@ def rulers_of(
     return found
 
 
-def _own(name: str) -> str:
-    return "" if name.startswith("amhe/") else name
+def _own(name: str, unnamed: str = "") -> str:
+    return "" if name.startswith("amhe/") else name or unnamed
 
 
 def _scaled(
@@ -254,6 +255,17 @@ def _centres(
             yield Ruler(
                 what, None, (Cells("body_ipos", row, (axis,)),), "add", length, f"{1000.0 * length:g} mm"
             )
+
+
+def _masses(model: mujoco.MjModel, share: float, unknown: Collection[tuple[str, int]]) -> Iterator[Ruler]:
+    """One scale of all bodies that move and that no parameter weighs: their model has one author."""
+    moving = (row for row in range(model.nbody) if model.body_weldid[row] and _own(model.body(row).name, "?"))
+    rows = [row for row in moving if model.body_mass[row] > 0.0 and ("body_mass", row) not in unknown]
+    inertias = [Cells("body_inertia", row, (0, 1, 2)) for row in rows if ("body_inertia", row) not in unknown]
+    if rows:
+        total = float(model.body_mass[rows].sum())
+        cells = (*(Cells("body_mass", row) for row in rows), *inertias)
+        yield Ruler(f"the masses of the links ({total:.3g} kg)", None, cells, "scale", share, f"{share:.0%}")
 
 
 def _biases(system: System, share: float, largest: Mapping[str, float]) -> Iterator[Ruler]:

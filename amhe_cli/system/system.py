@@ -201,6 +201,11 @@ class System(Displayed):
         return float(self.model.opt.timestep)
 
     @property
+    def unedited(self) -> mujoco.MjModel:
+        """The model with its own numbers, upon which edits write: a value that scales them is in it once."""
+        return self.edits.own(self.model)
+
+    @property
     def widths(self) -> dict[str, int]:
         """Number of columns of each series, `signal.quantity`, that meets the model."""
         return {one.key: len(one.columns) for one in (*self.channels, *self.inputs)}

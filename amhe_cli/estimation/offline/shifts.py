@@ -22,6 +22,7 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.verdicts import RESTS, SURPRISE, Shift
 from amhe_cli.estimation.offline.widening import beyond_chance
 from amhe_cli.matching.cost import MatchingCost, Residuals
+from amhe_cli.matching.starts import differentiated
 from amhe_cli.system.rulers import Acting, Ruler, acting, joined, rulers_of, with_rulers
 
 logger = logging.getLogger(__name__)
@@ -30,6 +31,8 @@ logger = logging.getLogger(__name__)
 EXPLAINS = 0.1
 #: First change of a ruler, in its sd; where contacts jitter, it is all of the sd.
 SMALL = 0.05
+#: Factor on the sd of a first velocity that was differentiated, where rulers are judged.
+BLIND = 10.0
 #: Weight of a ruler in a combination from which it is named.
 JOINED = 0.4
 #: States of the rollouts that are examined for what acts in them, about.
@@ -115,7 +118,7 @@ class _Neighbourhood:
 
 def _contacts(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
     """Other contacts. Half of the move beyond chance counts as an sd: none of them is known to be right."""
-    for name, engine in contact_variants(problem.engine, problem.system.model).items():
+    for name, engine in contact_variants(problem.engine, problem.system.unedited).items():
         move = about.moved(about.fit.slopes.cost.upon(engine))
         label = name if move.share == 1.0 else f"{name}, as far as the log allows it,"
         spread = 0.5 * beyond_chance(about.fit.posterior.covariance, move.z)
@@ -125,7 +128,7 @@ def _contacts(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
 def _solver(problem: Problem, about: _Neighbourhood) -> Iterator[Shift]:
     """A solver that goes on for longer."""
     option = problem.system.model.opt
-    if (engine := finer_solver(problem.engine, problem.system.model)) is not None:
+    if (engine := finer_solver(problem.engine, problem.system.unedited)) is not None:
         move = about.moved(about.fit.slopes.cost.upon(engine))
         text = (
             f"it depends on the solver's {option.iterations} iterations: with more it would move by {{}}; "
@@ -143,7 +146,7 @@ def _rulers(problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) ->
     simulated may have the model's. Of the others, each eigenvector of what S + m m' has besides is a shift:
     of rulers that the log knows only together, one.
     """
-    half, order = finer_step(problem.engine, problem.system.model)
+    half, order = finer_step(problem.engine, problem.system.unedited)
     halved = about.moved(about.fit.slopes.cost.at_half_steps(half))
     way = 1.0 / (1.0 - 0.5**order)  # to a step of zero: an error of order n falls to 2^-n of itself
     nuisances = _Nuisances(problem, about, rulers, way * halved.slope)
@@ -154,7 +157,8 @@ def _rulers(problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) ->
     spread = known + np.outer(mean, mean)
     # where contacts jitter, a finer step is another draw of the jitter, of which the log says nothing
     towards = way * halved.z if problem.rough else moves @ spread[0] / np.sqrt(spread[0, 0])
-    yield _step(problem, halved, about.beyond_sd(towards))
+    assumed = not problem.rough and abs(mean[0]) <= SURPRISE * np.sqrt(known[0, 0])
+    yield _step(problem, halved, about.beyond_sd(towards), assumed)
     known, mean, moves, left = known[1:, 1:], mean[1:], moves[:, 1:], _without_first(spread)
     for ruler, wanted, sd, along in zip(rulers, mean, np.sqrt(known.diagonal()), moves.T, strict=True):
         if abs(wanted) > SURPRISE * sd and about.beyond_sd(wanted * along).any():
@@ -169,14 +173,18 @@ def _rulers(problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) ->
         yield Shift(_rests([rulers[i] for i in together]), move, about.beyond_sd(move), assumed=True)
 
 
-def _step(problem: Problem, halved: _Move, spread: FloatArray) -> Shift:
-    """The shift under half the time step, and a warning where that explains what the model misses."""
-    half = f"{500.0 * problem.system.model.opt.timestep:g} ms"
+def _step(problem: Problem, halved: _Move, spread: FloatArray, assumed: bool) -> Shift:
+    """The shift on the way to a step of zero, and a warning where half the step explains what is missed."""
+    step = 1000.0 * problem.system.model.opt.timestep
+    half = f"{0.5 * step:g} ms"
     if halved.rise < -EXPLAINS:
         logger.warning(
             f"the time step is too long: at {half} the model explains {-halved.rise:.0%} of what it misses "
             f"of the logs; run it at {half}"
         )
+    if assumed:
+        text = f"{RESTS} the time step of {step:g} ms: a finer one leaves {{}} open"
+        return Shift(text, spread, spread, assumed=True)
     text = f"it depends on the time step: at {half} it would move by {{}}; run the model at {half}"
     return Shift(text, halved.z, spread)
 
@@ -194,6 +202,9 @@ class _Nuisances:
     ) -> None:
         self._fit, self._d, self._step = about.fit, len(about.fit.z), step[:, None]
         self._rulers, self._count = len(rulers), 1 + len(rulers)
+        # the errors of these velocities have a common cause, and would pass for one of a ruler
+        self._loose = np.where(differentiated(problem.system, problem.clips[0].log), BLIND, 1.0)
+        self._loose = self._loose[: about.fit.slopes.first.mean.shape[1]]
         system = with_rulers(problem.system, rulers)
         self._cost = about.fit.slopes.cost.upon(problem.engine.upon(system.model, system.edits), system)
         self._rough = problem.rough
@@ -213,7 +224,8 @@ class _Nuisances:
         moves, turns = np.zeros((d, k)), np.zeros((*fit.slopes.first.mean.shape, k))
         if follow is not None:
             moves = self.posterior(follow)[2][:, 1:]
-            turns = follow.nuisance_gain[..., :d] @ moves + follow.nuisance_gain[..., d + 1 :]
+            gain = self._loose[:, None] * follow.nuisance_gain
+            turns = gain[..., :d] @ moves + gain[..., d + 1 :]
         size = 1.0 if follow is not None or self._rough else SMALL
         steps = size * np.concatenate((np.eye(k), -np.eye(k)))
         z = np.concatenate((fit.z + steps @ moves.T, steps), axis=1)
@@ -227,9 +239,10 @@ class _Nuisances:
     def joint(self, slopes: FloatArray) -> Information:
         """Information of the clips on z and r together, from the slopes by r (c, K, R)."""
         own, d = self._fit.slopes, self._d
-        return information(
-            replace(own, gain=np.concatenate((own.gain[:, :d], slopes, own.gain[:, d:]), axis=1))
-        )
+        gz, gx = np.split(own.gain, [d], axis=1)
+        gain = np.concatenate((gz, slopes, self._loose[:, None] * gx), axis=1)
+        first = replace(own.first, mean=own.first.mean / self._loose)
+        return information(replace(own, gain=gain, first=first))
 
     def posterior(self, found: Information) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Covariance (K, K) and mean (K,) of r, and how z follows r (d, K)."""

@@ -341,4 +341,7 @@ def share(space: ParameterSpace, i: int, dz: float) -> float:
 def size(space: ParameterSpace, i: int, dz: float) -> str:
     """A step in z in words: a percentage for log-scaled parameters, in the unit for linear ones."""
     p = space.parameters[i]
-    return f"{np.expm1(dz * p.prior_sd):+.0%}" if p.log else f"{dz * p.prior_sd:+.2g} {p.unit}"
+    if not p.log:
+        return f"{dz * p.prior_sd:+.2g} {p.unit}"
+    percent = 100.0 * np.expm1(dz * p.prior_sd)
+    return f"{percent:+.0f}%" if abs(percent) >= 1.0 else f"{percent:+.1g}%"
