@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from amhe_cli.estimation.offline.result import VERDICTS
 from tests.test_architecture import ALLOWED
 
 ROOT = Path(__file__).parents[1]
@@ -18,6 +19,11 @@ LINK = re.compile(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)")
 
 def test_the_readme_is_short() -> None:
     assert len((ROOT / "README.md").read_text(encoding="utf-8")) < 10_000
+
+
+def test_the_readme_gives_verdicts_the_meanings_that_reports_give() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert dict(re.findall(r"^  \| `([\w-]+)` \| (.+) \|$", text, re.MULTILINE)) == VERDICTS
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/ARCHITECTURE.md"])

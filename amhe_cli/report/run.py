@@ -267,9 +267,10 @@ def _motion_sections(
         legend=(robot, Key("commanded speed", figures.INITIAL, "dashed"), box, *changed),
         figure=run_figures.motion_figure(columns),
     )
+    true = [Key("true", figures.INK)] if any(name.startswith("truth/") for name in columns) else []
     interval = [Key("90 % interval", run_figures.BAND, "patch")] if estimated else []
     yield Section(
-        "Belief and truth",
-        legend=(Key("true", figures.INK), Key("believed", figures.IDENTIFIED, "dashed"), *interval),
+        "Belief and truth" if true else "Belief",
+        legend=(*true, Key("believed", figures.IDENTIFIED, "dashed"), *interval),
         figure=run_figures.belief_figure(columns, task.units),
     )

@@ -231,8 +231,8 @@ def test_only_what_is_known_better_than_its_parts_is_called_known() -> None:
 
 def test_words_name_every_verdict_that_is_not_identified() -> None:
     text = stated(identification())
-    assert "friction_loss: the logs narrow the value down a little" in text
-    assert "armature: the logs contain no information about the value" in text
+    assert "friction_loss: the logs narrow it down: use" in text
+    assert "armature: the logs hardly narrow it down: the value is your prior" in text
     assert "arm.velocity are 3.6 times the declared noise" in text
     assert "arm.position" not in text
 

@@ -186,12 +186,13 @@ def test_a_layout_of_rerun_is_a_script_that_builds_its_blueprint(monkeypatch, tm
     path = tmp_path / "layout.py"
     assert run(["inspect", str(LOGS / "t1.mcap"), "--layout", "rerun", "-o", str(path)]) == 0
     assert runpy.run_path(str(path))["blueprint"] == "Blueprint"
+    assert str((LOGS / "t1.mcap").resolve()) in path.read_text()  # it can be run in any folder
     origins = {about["origin"] for name, about in made if name == "TimeSeriesView"}
     assert {"/joint_states/position", "/joint_states/velocity", "/joint_commands/position", "/imu"} <= origins
     (scene,) = (about for name, about in made if name == "Spatial3DView")
     assert (scene["name"], scene["origin"]) == ("3-D", "/")
     assert scene["overrides"] == {"/tf": 0.2}
-    still = rerun_layout(Panels("a.mcap", (), ("/tf",), "world"))
+    still = rerun_layout(Panels(Path("a.mcap"), (), ("/tf",), "world"))
     assert "spatial_information=rrb.SpatialInformation(target_frame='world')" in still
 
 

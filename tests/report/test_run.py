@@ -106,4 +106,8 @@ def test_the_page_draws_path_motion_belief_cost_and_planning() -> None:
     )
     html = page({name: np.linspace(0.1, 1.0, 50) for name in names.split()})
     assert html.count("<svg") == 5
+    assert "<h2>Belief and truth</h2>" in html
+    robot = page({name: np.linspace(0.1, 1.0, 50) for name in names.split() if "truth" not in name})
+    assert "<h2>Belief</h2>" in robot
+    assert "true</span>" not in robot
     assert "from x = 1.5 m on the floor friction is 0.8" in html

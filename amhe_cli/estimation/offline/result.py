@@ -12,8 +12,8 @@ from amhe_cli.core.parameters import Belief
 #: Verdicts, best first, and what each means to the user.
 VERDICTS: Mapping[str, str] = {
     "identified": "the logs determine the value",
-    "weak": "the logs narrow the value down a little: use the interval, not the estimate",
-    "prior": "the logs contain no information about the value: it is the prior",
+    "weak": "the logs narrow it down: use the interval, not the estimate alone",
+    "prior": "the logs hardly narrow it down: the value is your prior",
     "model-sensitive": "the value depends on details that the model gets wrong",
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from amhe_cli.core.signals import QUANTITIES, Signal
 from amhe_cli.core.text import printable
@@ -62,13 +63,13 @@ class Panels:
     """What to show of a log.
 
     Args:
-        log: Name of the log's file.
+        log: The log's file.
         topics: Topics with plots; those that the system reads come first.
         spatial: Topics that a 3-D panel can show.
         fixed_frame: The frame that stays still there; '' where the log does not say.
     """
 
-    log: str
+    log: Path
     topics: tuple[TopicPlots, ...] = ()
     spatial: tuple[str, ...] = ()
     fixed_frame: str = ""
@@ -98,7 +99,7 @@ def panels_of(found: Inspection) -> Panels:
     spatial = [topic for topic in survey if _is_spatial(topic)]
     ours = any(topic.type.endswith("SceneUpdate") and topic.name.startswith("/amhe/") for topic in spatial)
     names = tuple(topic.name for topic in spatial)
-    return Panels(found.survey.path.name, tuple(plots), names, "world" if ours else "")
+    return Panels(found.survey.path, tuple(plots), names, "world" if ours else "")
 
 
 def _is_spatial(topic: TopicSurvey) -> bool:

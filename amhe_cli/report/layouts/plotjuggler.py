@@ -6,7 +6,6 @@ Version 3 finds a curve by its whole name, version 4 by topic and field; each sk
 from __future__ import annotations
 
 from itertools import cycle
-from pathlib import PurePath
 from xml.etree import ElementTree
 
 from amhe_cli.core.text import printable
@@ -46,7 +45,7 @@ def _names(panels: Panels, topic: TopicPlots, curve: Curve) -> dict[str, str]:
     if topic.table:
         return {
             "name": printable(curve.path),
-            "topic": PurePath(panels.log).stem,
+            "topic": panels.log.stem,
             "field": printable(curve.path),
         }
     name = printable(topic.topic)

@@ -38,7 +38,7 @@ def rerun_layout(panels: Panels) -> str:
         lines.append("        rrb.Tabs(\n")
         lines += [f"            {_tab(topic)},\n" for topic in panels.topics]
         lines.append("        ),\n")
-    return _HEAD + "".join(lines) + _TAIL.format(log=ascii(panels.log))
+    return _HEAD + "".join(lines) + _TAIL.format(log=ascii(str(panels.log.resolve())))
 
 
 def _scene(panels: Panels) -> Iterator[str]:
