@@ -27,7 +27,9 @@ if TYPE_CHECKING:
     help="Write a layout with which this viewer opens the log: plots of each topic, and a 3-D panel where it "
     "has poses. foxglove is Lichtblick too.",
 )
-@options.new_file("-o", "--out", use="File of the layout, such as log.json, log.xml or log_layout.py.")
+@options.fresh_file(
+    "out", "-o", "--out", use="File of the layout, such as log.json, log.xml or log_layout.py."
+)
 @options.where
 @options.common
 @click.pass_obj

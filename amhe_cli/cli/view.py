@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 @click.argument("source", type=log_path.LOG, metavar="LOG|RESULT")
 @options.where
 @believed("The belief.yaml of an identification: its ghost is shown beside the nominal one.")
-@options.new_file(
-    "--save", use="Write one page that needs no network, and serve nothing.", metavar="PAGE.html"
+@options.fresh_file(
+    "save", "--save", use="Write one page that needs no network, and serve nothing.", metavar="PAGE.html"
 )
 @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="To serve on.")
 @click.option(

@@ -44,6 +44,7 @@ class Viewed:
         belief: The belief.yaml of an identification; None: there is none.
         fixed: Parameters that were taken as known.
         recorded: The log with the estimates of an online estimator or the beliefs of a run; None: none.
+        first: The belief with which the estimator began, by name; {}: what was recorded may hold it.
         task: Name of the task of a run; None: it is no run.
     """
 
@@ -54,6 +55,7 @@ class Viewed:
     belief: Path | None = None
     fixed: Mapping[str, float] = field(default_factory=dict)
     recorded: Path | None = None
+    first: Mapping[str, float] = field(default_factory=dict)
     task: str | None = None
 
     def beside(self, system: System, first: Log, known: Belief | None) -> dict[str, Any]:
@@ -70,17 +72,19 @@ class Viewed:
         if self.recorded is None:
             return {"fitted": self.belief is not None, "belief": known}
         from amhe_cli.cli.watching import floor_of
-        from amhe_cli.live.recorded import recorded_curves
+        from amhe_cli.live.recorded import first_belief, recorded_curves
         from amhe_cli.robots.go1.run import as_measured
         from amhe_cli.robots.go1.tasks import find_task
 
         units = {p.name: p.unit for p in system.space.parameters}
         curves, jumps = recorded_curves(self.recorded, first.start_ns, units)
+        begun = self.first or first_belief(self.recorded)
         shown = {
             "curves": curves,
             "events": jumps,
-            "belief": _last(system, curves),
-            "known_as": "final belief",
+            "first": begun if begun.keys() >= set(system.space.names) else None,
+            "belief": _last(system, curves) if known is None else known,
+            "known_as": "final belief" if known is None else "given belief",
         }
         if self.task is not None:
             shown["more"] = floor_of(as_measured(find_task(self.task), system))
@@ -169,8 +173,10 @@ def _replayed(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides
     origin = record.get("provenance") or {"system_folder": record["system"]}  # earlier versions wrote none
     _, then, overrides = _as_then(mhe_replay, dict(origin), inputs, overrides)
     whole = replace(then, start=inputs.start, end=inputs.end)  # estimates of a part stand in all of the log
-    estimates = folder / "estimates.mcap"
-    return Viewed((Path(record["log"]),), whole, overrides, fixed=record["fixed"], recorded=estimates)
+    estimates, first = folder / "estimates.mcap", {p["name"]: p["start"] for p in record["parameters"]}
+    return Viewed(
+        (Path(record["log"]),), whole, overrides, fixed=record["fixed"], recorded=estimates, first=first
+    )
 
 
 def _run(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:

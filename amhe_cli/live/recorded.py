@@ -48,9 +48,8 @@ def recorded_curves(
             jumps.append(time)
     if not rows:  # the belief was fixed
         for time, fields in messages("/amhe/params"):
-            for one in _places(fields, "name[{}]"):
-                value = float(fields[one.replace("name", "position")])
-                rows["parameters", str(fields[one])].append((time, value))
+            for name, value in _believed(fields).items():
+                rows["parameters", name].append((time, value))
     for name, (topic, field, _) in _RUN.items():
         rows["run", name] = [(time, float(fields[field])) for time, fields in messages(topic)]
     known = {**units, **{name: unit for name, (_, _, unit) in _RUN.items()}}
@@ -61,6 +60,24 @@ def recorded_curves(
             unit = known.get(name, "")
             curves.append(TimeCurve(name, group, unit, times, values, np.array(band) if band else None))
     return curves, np.array(jumps)
+
+
+def first_belief(path: Path) -> dict[str, float]:
+    """The parameters that a run began with, by name; {} where its log has none.
+
+    Args:
+        path: `log.mcap` of `amhe run`.
+
+    Raises:
+        LogError: The log cannot be read.
+    """
+    return next((_believed(fields) for _, fields in read_topic(path, "/amhe/params")), {})
+
+
+def _believed(fields: Fields) -> dict[str, float]:
+    """The values in one message of /amhe/params."""
+    places = _places(fields, "name[{}]")
+    return {str(fields[one]): float(fields[one.replace("name", "position")]) for one in places}
 
 
 def _places(fields: Fields, place: str) -> Iterator[str]:

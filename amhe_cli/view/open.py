@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,6 +29,7 @@ def page_of(
     *,
     held_out: Sequence[Log] = (),
     belief: Belief | None = None,
+    first: Mapping[str, float] | None = None,
     fitted: bool = False,
     threads: int = 1,
     title: str = "",
@@ -41,10 +42,12 @@ def page_of(
     """The page of logs with their ghosts.
 
     Args:
-        system: The system; its nominal parameters are the first candidate.
+        system: The system.
         logs: The logs.
         held_out: Further logs that were only used to validate.
         belief: What was identified, the second candidate; None: there is none.
+        first: Values of the first candidate by name, those with which something began; None: the system's
+            nominal ones.
         fitted: `belief` comes from these logs: those clips come first that were held out of the fit.
         threads: CPU threads; the page does not depend on them.
         title: Title of the page; empty: the system's name.
@@ -57,19 +60,21 @@ def page_of(
     Raises:
         LogError: A log has no instant at which all of the state was measured.
     """
-    candidates = {"nominal": np.zeros(len(system.space))}
+    begun = system.space.named(system.space.nominal) if first is None else first
+    start = np.array([begun[name] for name in system.space.names])
+    candidates = {"nominal" if first is None else "first belief": system.space.z_of(start)}
     if belief is not None:
         candidates[known_as] = _identified(system, belief)
     parts = list(_parts(system, logs, held_out)) if fitted else [(whole(log), None) for log in logs]
     found = viewing(system, parts, candidates, open_engine(system, threads=threads), more=more)
-    first, *others = found.recordings
-    found = replace(found, recordings=(replace(first, curves=curves, events=events), *others))
+    recording, *others = found.recordings
+    found = replace(found, recordings=(replace(recording, curves=curves, events=events), *others))
     seconds = sum(log.duration for log in (*logs, *held_out))
     heading = Heading(
         title or system.name,
         (f"{seconds:.1f} s of log", f"{len(found.takes)} clips"),
         [*warnings, *_notes(found)],
-        parameter_rows(system.space, belief),
+        parameter_rows(system.space, begun, belief),
     )
     return saved_page(found, heading)
 

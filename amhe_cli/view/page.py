@@ -145,11 +145,13 @@ def _curve(curve: TimeCurve) -> dict[str, Any]:
     }
 
 
-def parameter_rows(space: ParameterSpace, belief: Belief | None) -> list[dict[str, Any]]:
-    """Name, unit and nominal value of each parameter; where there is a belief, estimate and 90 % interval."""
+def parameter_rows(
+    space: ParameterSpace, first: Mapping[str, float], belief: Belief | None
+) -> list[dict[str, Any]]:
+    """Name, unit and first value of each parameter; where there is a belief, estimate and 90 % interval."""
     rows = []
     for p in space.parameters:
-        row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "nominal": p.nominal}
+        row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "first": first[p.name]}
         if belief is not None and p.name in belief.names:
             i = belief.names.index(p.name)
             value, sd = float(belief.estimate[i]), float(np.sqrt(belief.covariance[i, i]))

@@ -35,6 +35,12 @@ def test_a_log_becomes_one_page(pendulum_log: Path, tmp_path: Path, capsys) -> N
     text = page.read_text(encoding="utf-8")
     assert text.startswith("<!doctype html>")
     assert "http" not in text.replace("http-equiv", "")
+    page.write_text("kept")
+    assert run(["view", str(pendulum_log), "--save", str(page)]) == 2
+    assert "--force" in capsys.readouterr().err
+    assert page.read_text() == "kept"
+    assert run(["view", str(pendulum_log), "--save", str(page), "--force"]) == 0
+    assert page.read_text(encoding="utf-8") == text
 
 
 @pytest.fixture(scope="module")
@@ -63,15 +69,16 @@ def test_a_result_shows_both_ghosts_and_its_held_out_clips_first(result: Path, t
 
 
 def test_a_replay_shows_its_estimates_over_time_and_the_last_one_as_a_ghost(
-    pendulum_log: Path, tmp_path: Path
+    pendulum_log: Path, result: Path, tmp_path: Path
 ) -> None:
     out, page = tmp_path / "replay", tmp_path / "page.html"
     assert run(["mhe-replay", str(pendulum_log), "--from", "1", "--to", "4", "-q", "-o", str(out)]) == 0
     assert run(["view", str(out), "--save", str(page)]) == 0
     record, data = json.loads((out / "result.json").read_text()), data_of(page)
-    assert data["candidates"] == ["nominal", "final belief"]
+    assert data["candidates"] == ["first belief", "final belief"]
     last = {row["name"]: row for row in record["parameters"]}
     for row in data["parameters"]:
+        assert row["first"] == pytest.approx(last[row["name"]]["start"])
         assert row["estimate"] == pytest.approx(last[row["name"]]["estimate"])
         assert row["lower"] == pytest.approx(last[row["name"]]["lower"])
     curves = {curve["name"]: curve for curve in data["recordings"][0]["curves"]}
@@ -83,6 +90,10 @@ def test_a_replay_shows_its_estimates_over_time_and_the_last_one_as_a_ghost(
         # the estimates of a part of the log stand at its times in the whole log
         assert (times[0], times[-1]) == pytest.approx((begun, record["end_s"]), abs=0.01)
         assert [end[-1] for end in ends] == pytest.approx([row[k] for k in ("estimate", "lower", "upper")])
+    assert (
+        run(["view", str(out), "--belief", str(result / "belief.yaml"), "--save", str(page), "--force"]) == 0
+    )
+    assert data_of(page)["candidates"] == ["first belief", "given belief"]
 
 
 def test_a_run_shows_its_path_its_belief_and_how_it_planned(tmp_path: Path) -> None:
@@ -97,6 +108,7 @@ def test_a_run_shows_its_path_its_belief_and_how_it_planned(tmp_path: Path) -> N
     for name, value in record["belief"].items():
         assert numbers(curves[name]["values"]) == pytest.approx(value)
         assert curves[name]["lower"] is None
+        assert {row["name"]: row["first"] for row in data["parameters"]}[name] == pytest.approx(value)
     plates = [geom for geom in data["geoms"] if geom["body"] < 0 and not geom["floor"]]
     assert max(geom["pose"][0] for geom in plates) == pytest.approx(0.6 + 2.4, abs=0.2)  # the goal
 
@@ -219,7 +231,7 @@ def test_a_replay_of_an_own_system_needs_no_option_again(own_result: Path, tmp_p
     (note,) = [line for line in capsys.readouterr().err.splitlines() if "note: opens" in line]
     assert "pendulum" in note and str(own_result / "mine") in note
     data = data_of(tmp_path / "page.html")
-    assert {row["name"]: row["nominal"] for row in data["parameters"]}["load_mass"] == 0.7
+    assert {row["name"]: row["first"] for row in data["parameters"]}["load_mass"] == 0.7
     assert data["recordings"][0]["curves"]
 
 
@@ -251,7 +263,7 @@ def test_a_result_lifts_no_limit(own_result: Path, tmp_path: Path) -> None:
     command = altered(own_result / "out", tmp_path / "out", "topics=3000", "yaml_values=999999999")
     assert run(command) == 0
     assert limits() == Limits()
-    assert run([*command, "--limit", "yaml_values=1"]) == 2, "the user's own limit holds"
+    assert run([*command, "--force", "--limit", "yaml_values=1"]) == 2, "the user's own limit holds"
 
 
 def test_a_replay_of_an_earlier_version_is_shown(own_result: Path, tmp_path: Path, capsys) -> None:
@@ -264,7 +276,7 @@ def test_a_replay_of_an_earlier_version_is_shown(own_result: Path, tmp_path: Pat
     assert "mine: the system of this result is not there" in capsys.readouterr().err
     own = ["--system", str(own_result / "mine"), "--topic", "joints=/joint_states"]
     assert run([*command, *own]) == 0
-    assert data_of(out / "page.html")["candidates"] == ["nominal", "final belief"]
+    assert data_of(out / "page.html")["candidates"] == ["first belief", "final belief"]
 
 
 def test_messages_given_now_replace_those_that_are_gone(own_result: Path, tmp_path: Path, capsys) -> None:

@@ -74,12 +74,40 @@ def test_it_opens_from_a_file_without_a_network_and_draws(opened: Browser, page:
     assert opened.run("document.getElementById('failure').hidden")
 
 
+def test_a_lost_graphics_context_is_said_and_comes_back(opened: Browser) -> None:
+    before, scene = opened.run(PIXELS), "document.getElementById('scene')"
+    opened.run(f"window.context = {scene}.getContext('webgl2').getExtension('WEBGL_lose_context')")
+    for event, ask in (("lost", "loseContext"), ("restored", "restoreContext")):
+        opened.run(
+            f"new Promise((done) => {{ {scene}.addEventListener('webglcontext{event}', done, {{once: true}});"
+            f" context.{ask}(); }}).then(() => {FRAMES})"
+        )
+        said = opened.run("document.getElementById('failure').innerText")
+        assert ("Reload the page" in said) == (event == "lost"), said
+        assert opened.run(f"getComputedStyle({scene}).visibility") == {"lost": "hidden"}.get(event, "visible")
+    assert opened.run(PIXELS) == before
+
+
 def test_scrubbing_changes_time_picture_and_numbers(opened: Browser) -> None:
     seek(opened, 0.1)
     first, clock = opened.run(PIXELS), opened.run("document.getElementById('clock').textContent")
     seek(opened, 0.9)
     assert opened.run(PIXELS)[0] != first[0]
     assert opened.run("document.getElementById('clock').textContent") != clock
+
+
+def test_numbers_beside_a_plot_have_the_colours_of_its_legend(opened: Browser) -> None:
+    seek(opened, 0.5)
+    key = opened.run(
+        "[...document.querySelectorAll('#plotkey span')]"
+        ".map((one) => [one.textContent, one.firstChild.style.background])"
+    )
+    numbers = opened.run(
+        "[...document.querySelector('#panels figure').querySelectorAll('b')]"
+        ".map((one) => [one.title, one.style.color])"
+    )
+    assert [name for name, _ in key] == ["measured", "nominal", "identified"]
+    assert sorted(numbers) == sorted(key)
 
 
 def test_playing_goes_on_and_pausing_stops(opened: Browser) -> None:

@@ -10,7 +10,8 @@ class Player {
     this.decode();
     this.shown = new Set(["measured", ...data.candidates]);
     this.plots = new Plots($("panels"), (time) => this.seek(time));
-    try { this.stage = new Stage($("scene"), data); this.stage.changed = () => this.dirty = true; } catch (error) { $("failure").hidden = false; $("failure").textContent = error.message; }
+    const failed = (text) => { $("failure").hidden = !text; $("failure").textContent = text; };
+    try { this.stage = Object.assign(new Stage($("scene"), data), { changed: () => this.dirty = true, failed }); } catch (error) { failed(error.message); }
     for (const note of data.notes) $("notes").append(made("li", { textContent: note }));
     this.palette(); this.layers(); this.controls(); this.list(); this.table(); this.channels();
     if (this.takes.length && !this.recording.curves.size) this.choose(this.takes[0]); else this.fit();
@@ -103,9 +104,9 @@ class Player {
   table() {
     const rows = this.data.parameters, known = rows.some((row) => row.estimate !== undefined);
     $("parameters").hidden = !rows.length;
-    const head = made("tr", {}, ...["parameter", "nominal", ...(known ? ["estimate"] : [])].map((text) => made("th", { textContent: text, scope: "col" })));
+    const head = made("tr", {}, ...["parameter", this.data.candidates[0], ...(known ? ["estimate"] : [])].map((text) => made("th", { textContent: text, scope: "col" })));
     const body = rows.map((row) => {
-      const cells = [made("td", {}, row.name, made("small", { textContent: row.unit })), made("td", { textContent: brief(row.nominal) })];
+      const cells = [made("td", {}, row.name, made("small", { textContent: row.unit })), made("td", { textContent: brief(row.first) })];
       if (known) cells.push(row.estimate === undefined ? made("td") : made("td", { title: "estimate and 90 % interval" }, brief(row.estimate), made("small", { textContent: `${brief(row.lower)} to ${brief(row.upper)}` })));
       return made("tr", {}, ...cells);
     });
@@ -125,6 +126,13 @@ class Player {
     const own = [...this.recording.curves.values()].filter((one) => one.group === name).map((one) => ({ title: one.name, unit: one.unit, lines: () => [{ ...one, color: this.colors.blue }] }));
     const columns = this.data.columns.map((column, k) => ({ ...column, k })).filter((column) => column.channel === name);
     this.plots.show(own.length ? own : columns.map((column) => ({ title: column.name === name ? name : column.name, unit: column.unit, lines: (from, to) => this.lines(column.k, from, to) })));
+  }
+  // What the colours of the plots mean.
+  legend() {
+    const { blue, dots } = this.colors, own = [...this.recording.curves.values()].filter((one) => one.group === $("channel").value);
+    const band = own.some((one) => one.lower) ? [["90 % interval", `color-mix(in srgb, ${blue} 25%, transparent)`]] : [];
+    const keys = own.length ? [["value", blue], ...band] : [["measured", dots], ...this.data.candidates.map((name, i) => [name, this.lineColor(i)])];
+    $("plotkey").replaceChildren(...keys.map(([name, color]) => { const dot = made("i"); dot.style.background = color; return made("span", {}, dot, name); }));
   }
   lines(k, from, to) {
     const lines = [], inside = this.recording.takes.filter((take) => take.stop >= from && take.start <= to && (!this.take || take === this.take));
@@ -192,7 +200,7 @@ class Player {
     const [from, to] = this.span();
     $("next").hidden = !this.takes.length && !this.recording.events.length;
     $("next").textContent = !this.take && this.recording.events.length ? "next jump" : "next clip";
-    this.plots.draw(this.data.live && !this.take ? Math.max(from, to - 30) : from, to, this.colors); this.marks(); this.paint();
+    this.legend(); this.plots.draw(this.data.live && !this.take ? Math.max(from, to - 30) : from, to, this.colors); this.marks(); this.paint();
   }
   marks() {
     const canvas = $("marks"), ratio = Math.min(window.devicePixelRatio || 1, 2), width = canvas.clientWidth, height = canvas.clientHeight;

@@ -51,7 +51,8 @@ class Plots {
       paper.beginPath(); paper.moveTo(EDGE, y(tick.value)); paper.lineTo(width - 4, y(tick.value)); paper.stroke();
       paper.textAlign = "right"; paper.fillText(tick.text, EDGE - 4, y(tick.value) + 3);
     }
-    for (const tick of ticks(this.from, this.to, 5)) { paper.textAlign = "center"; paper.fillText(tick.text, Math.min(x(tick.value), width - 12), height - 3); }
+    const times = ticks(this.from, this.to, 5);
+    times.forEach((tick, i) => { const last = i === times.length - 1; paper.textAlign = "center"; paper.fillText(tick.text + (last ? " s" : ""), Math.min(x(tick.value), width - 12), height - 3); });
     paper.save(); paper.beginPath(); paper.rect(EDGE, 0, width - EDGE - 4, height - 15); paper.clip();
     for (const line of lines) this.curve(paper, line, x, y);
     paper.restore();
@@ -88,8 +89,9 @@ class Plots {
         paper.strokeStyle = color; paper.lineWidth = 1; paper.beginPath(); paper.moveTo(panel.x(time), 0); paper.lineTo(panel.x(time), panel.height - 15); paper.stroke();
       }
       const time = this.hover ?? now, found = new Map();
-      for (const line of panel.drawn) { const value = near(line, time); if (value !== null) found.set(line.label ?? line.color, value); }
-      panel.number.textContent = (this.hover === null ? "" : `${time.toFixed(2)} s: `) + [...found.values()].map((value) => brief(value)).join(" | ");
+      for (const line of panel.drawn) { const value = near(line, time); if (value !== null) found.set(line.label ?? "", { value, color: line.color }); }
+      const values = [...found].map(([title, { value, color }]) => { const one = document.createElement("b"); Object.assign(one, { title, textContent: brief(value) }); one.style.color = color; return one; });
+      panel.number.replaceChildren(this.hover === null ? "" : `${time.toFixed(2)} s: `, ...values);
     }
   }
 }

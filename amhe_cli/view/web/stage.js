@@ -3,6 +3,7 @@ const LIGHT = unit([-0.35, 0.45, 1.0]);
 // How much further away a layer is drawn where an earlier one is seen, in distances from the eye: where their faces
 // nearly coincide there are no patches of both.
 const BACK = 0.06;
+const LOST = "The browser has lost the picture's graphics context. Reload the page if the picture does not come back; the plots are complete.";
 const VERTEX = `#version 300 es
 precision highp float;
 in vec3 place; in vec3 normal; uniform mat4 model, view; uniform vec3 eye; uniform float back; out vec3 world, facing;
@@ -35,6 +36,15 @@ class Stage {
     const gl = this.gl = canvas.getContext("webgl2", { antialias: true, stencil: true, preserveDrawingBuffer: true });
     if (!gl) throw new Error("This browser has no WebGL 2: the scene cannot be drawn. The plots below are complete.");
     this.canvas = canvas; this.bodies = data.bodies.length; this.unmeasured = new Set(data.unmeasured);
+    this.load(data);
+    canvas.addEventListener("webglcontextlost", (event) => { event.preventDefault(); this.failed(LOST); });
+    canvas.addEventListener("webglcontextrestored", () => { this.load(data); this.failed(""); this.changed(); });
+    this.camera = { around: -2.2, above: 0.36, away: 2, moved: [0, 0, 0] };
+    this.handle();
+  }
+  // What lies on the graphics card: all of it is gone with a lost context.
+  load(data) {
+    const gl = this.gl;
     this.program = this.compile(); this.at = {};
     for (const name of ["model", "view", "color", "eye", "light", "grid", "sky", "middle", "kind", "reach", "back"]) {
       this.at[name] = gl.getUniformLocation(this.program, name);
@@ -45,8 +55,6 @@ class Stage {
     this.arrow = this.mesh(...arrow()); this.line = gl.createVertexArray(); this.points = gl.createBuffer();
     gl.bindVertexArray(this.line); gl.bindBuffer(gl.ARRAY_BUFFER, this.points);
     gl.enableVertexAttribArray(0); gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 0, 0); gl.bindVertexArray(null);
-    this.camera = { around: -2.2, above: 0.36, away: 2, moved: [0, 0, 0] };
-    this.handle();
   }
   compile() {
     const gl = this.gl, program = gl.createProgram();
@@ -129,10 +137,13 @@ class Stage {
     const { around } = this.camera, scale = this.camera.away / this.canvas.clientHeight;
     this.camera.moved = add(this.camera.moved, [scale * (Math.sin(around) * x + 0.4 * Math.cos(around) * -y), scale * (-Math.cos(around) * x - 0.4 * Math.sin(around) * y), scale * 0.6 * y]);
   }
+  // The page says what to do when the picture has changed, or has failed: a sentence, empty where it is back.
   changed() {}
+  failed() {}
   // Draws layers: { poses, tint, opacity, tints } each, the one without a tint measured, and where two nearly coincide
   // the earlier one; arrows of forces, 6 numbers each, long at a weight; and lines through so many points each.
   draw(layers, middle, colors, { forces, weight, traces, points }) {
+    if (this.gl.isContextLost()) return;
     const gl = this.gl, canvas = this.canvas, ratio = Math.min(window.devicePixelRatio || 1, 2), { around, above, away } = this.camera;
     const width = Math.round(canvas.clientWidth * ratio), height = Math.round(canvas.clientHeight * ratio);
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
