@@ -36,14 +36,31 @@ def to_host(array: AnyArray) -> FloatArray:
 
 
 def sealed(values: ArrayLike) -> FloatArray:
-    """Return a read-only float64 copy of `values`: freezing a dataclass does not freeze its arrays."""
-    copy = np.array(values, dtype=np.float64)
-    copy.setflags(write=False)
-    return copy
+    """Return `values` as a read-only float64 array: freezing a dataclass does not freeze its arrays.
+
+    It is a copy, unless nobody can write to the array any more: who hands over an array of his own makes it
+    read-only first.
+    """
+    return _sealed(values, np.float64)
 
 
 def sealed_mask(values: ArrayLike) -> BoolArray:
-    """Return a read-only boolean copy of `values`."""
-    copy = np.array(values, dtype=np.bool_)
+    """Return `values` as a read-only boolean array; see `sealed`."""
+    return _sealed(values, np.bool_)
+
+
+def _sealed(values: ArrayLike, kind: type[np.generic]) -> NDArray[Any]:
+    if isinstance(values, np.ndarray) and values.dtype == kind and not _writeable(values):
+        return values
+    copy = np.array(values, dtype=kind)
     copy.setflags(write=False)
     return copy
+
+
+def _writeable(array: Any) -> bool:
+    """Whether anybody may write to an array, or to one of which it is a part."""
+    while isinstance(array, np.ndarray):
+        if array.flags.writeable:
+            return True
+        array = array.base
+    return array is not None

@@ -206,6 +206,7 @@ def _series(
     series: dict[str, Series] = {}
     for quantity in signal.quantities:
         values, columns, derived = _values(path, track, quantity, times, bridge)
+        values.setflags(write=False)  # nobody else has them: the log need not copy them
         series[signal.key(quantity)] = resample(
             times,
             values,

@@ -222,7 +222,7 @@ def _parameter_table(result: Identification, truth: Mapping[str, float]) -> Tabl
             "parameter", "estimate ± sd", "unit", "90 % interval", "prior", "prior and posterior",
             "shrinkage", "verdict",
         ),
-        ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", "", NUMBER, ""),
+        ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", "spare", NUMBER, ""),
         rows,
         [_remark(p, truth) for p in result.parameters],
     )  # fmt: skip

@@ -34,7 +34,7 @@ _CLIPS = 0.65
 #: Pairs of bodies that usually touch, at most.
 _TOUCHING = 4
 #: Most steps of all clips that are rolled out, and most clips.
-_STEPS, _TAKES = 36_000, 240
+_STEPS, _TAKES = 36_000, 150
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.opcode import Opcode
 
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log
 from amhe_cli.logs import read_metadata, read_signals, survey
+from amhe_cli.logs.containers import mcap_file, mcap_index
 from tests.logs.log_makers import (
     DT,
     ROS1,
@@ -114,6 +116,34 @@ def test_flipped_bits(
         assert caplog.records or not lost or name in UNPROTECTED, f"bit {place}: data are lost without a word"
     if name != "mcap_loose":
         assert read > 0.75 * flips, "one bit must not cost the whole log"
+
+
+@pytest.mark.parametrize("wrong", [None, 0, 1, 9, 2**63, 2**64 - 1])
+def test_the_index_behind_a_chunk_is_used_but_not_believed(
+    wrong: int | None, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, believed = write_mcap(tmp_path / "a.mcap", motion(ROS2, STEPS), chunk_size=4000), []
+
+    def is_chain(*given: np.ndarray) -> bool:
+        believed.append(mcap_index.is_chain(*given))
+        return believed[-1]
+
+    monkeypatch.setattr(mcap_file, "is_chain", is_chain)
+    content = bytearray(path.read_bytes())
+    at = len(mcap_index.MAGIC)
+    while wrong is not None and at < len(content) - len(mcap_index.MAGIC):
+        opcode, size = mcap_index.RECORD.unpack_from(content, at)
+        for place in range(at + 23, at + 9 + size, 16) if opcode == Opcode.MESSAGE_INDEX else ():
+            content[place : place + 8] = wrong.to_bytes(8, "little")
+        at += 9 + size
+    trajectory = attempt(path, bytes(content), caplog)
+    assert trajectory is not None
+    assert not any(wrong_samples(trajectory).values())
+    assert trajectory.steps == STEPS
+    assert len(believed) > 5
+    assert sum(believed) == (
+        len(believed) - 1 if wrong is None else 0
+    )  # the first one holds declarations too
 
 
 @pytest.mark.parametrize("kind", ["ZSTD", "LZ4", "NONE"])

@@ -18,6 +18,7 @@ from mcap.records import Channel as ChannelRecord
 from mcap.records import Metadata, Schema
 from numpy.typing import NDArray
 
+from amhe_cli.core.arrays import IntArray
 from amhe_cli.logs.containers.compression import Unfolder
 from amhe_cli.logs.containers.mcap_index import MAGIC as MAGIC
 from amhe_cli.logs.containers.mcap_index import (
@@ -26,6 +27,8 @@ from amhe_cli.logs.containers.mcap_index import (
     Contents,
     Piece,
     contents,
+    indexed,
+    is_chain,
     span_ns,
     stream,
     unfolded,
@@ -71,7 +74,7 @@ class McapFile:
             if not piece.is_chunk:
                 yield from self._records(self._data, piece.start, piece.stop, topics)
             elif (data := self._unfold(piece, unfolder)) is not None:
-                yield from self._records(data, 0, len(data), topics)
+                yield from self._chunk(data, indexed(self._data, piece), topics)
         if found.cut is not None and (data := self._unfold_start(found.cut)):
             yield from self._records(data, 0, len(data), topics)
         self._note_metadata(found)
@@ -142,6 +145,16 @@ class McapFile:
             self.problems.append(f"the chunk at byte {position} is used up to the cut, without its checksum")
         return data
 
+    def _chunk(
+        self, data: bytes, index: NDArray[np.uint64], topics: Collection[str] | None
+    ) -> Iterator[Batch]:
+        """The messages of a chunk: by its index where that is right, as it mostly is, else by a walk."""
+        buffer = np.frombuffer(data, np.uint8)
+        if buffer.size <= _BATCH_BYTES and is_chain(buffer, index):
+            yield from self._flush(buffer, index.astype(np.int64), topics)
+        else:
+            yield from self._records(data, 0, len(data), topics)
+
     def _records(
         self, data: bytes | mmap, start: int, stop: int, topics: Collection[str] | None
     ) -> Iterator[Batch]:
@@ -150,7 +163,7 @@ class McapFile:
         position, flush_at = start, start + _BATCH_BYTES
         unpack, message = RECORD.unpack_from, int(Opcode.MESSAGE)
         try:
-            while position < stop:  # the one loop over all messages: only what each needs is in it
+            while position < stop:  # a loop over all messages: only what each needs is in it
                 opcode, size = unpack(data, position)
                 after = position + 9 + size
                 if after > stop:
@@ -163,16 +176,15 @@ class McapFile:
                     raise ValueError(f"the record at byte {position} has no place there")
                 position = after
                 if position > flush_at:
-                    yield from self._flush(buffer, places, topics)
+                    yield from self._flush(buffer, np.array(places, dtype=np.int64), topics)
                     places, flush_at = [], position + _BATCH_BYTES
         except PARSE_ERRORS as error:
             self.problems.append(f"records are damaged: {error}")
-        yield from self._flush(buffer, places, topics)
+        yield from self._flush(buffer, np.array(places, dtype=np.int64), topics)
 
     def _flush(
-        self, buffer: NDArray[np.uint8], places: list[int], topics: Collection[str] | None
+        self, buffer: NDArray[np.uint8], starts: IntArray, topics: Collection[str] | None
     ) -> Iterator[Batch]:
-        starts = np.array(places, dtype=np.int64)
         starts = starts[starts + _MESSAGE.itemsize <= buffer.size]
         rows = np.lib.stride_tricks.sliding_window_view(buffer, _MESSAGE.itemsize)[starts]
         heads = rows.view(_MESSAGE)[:, 0]

@@ -14,10 +14,12 @@ from io import BytesIO
 from mmap import mmap
 from typing import NamedTuple
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile
 from mcap.opcode import Opcode
 from mcap.records import ChunkIndex, Statistics
+from numpy.typing import NDArray
 
 from amhe_cli.logs.containers.compression import Unfolder, unfold_start
 
@@ -25,8 +27,8 @@ MAGIC = b"\x89MCAP0\r\n"
 RECORD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")
 _LOG_NS = struct.Struct("<Q")
-#: Bytes of a message before its payload.
-_STAMPED = 22
+#: Bytes of a message before its payload, and of an index before its stamps and places.
+_STAMPED, _INDEXED = 22, 6
 _FOOTER = struct.Struct("<QQI")
 #: What parsing a damaged record raises.
 PARSE_ERRORS = (ValueError, struct.error, EndOfFile)
@@ -150,6 +152,34 @@ def unfolded_start(data: mmap, position: int) -> bytes:
             break
         at += 9 + size
     return records[:at]
+
+
+def indexed(data: mmap, chunk: Piece) -> NDArray[np.uint64]:
+    """Where the messages of a chunk begin in its records, in their order, as the index behind it says.
+
+    Nothing of it is certain: see `is_chain`.
+    """
+    found = [np.empty(0, dtype=np.uint64)]
+    try:
+        for opcode, start, stop in _split(data, chunk.stop, len(data)):
+            if opcode != Opcode.MESSAGE_INDEX:
+                break
+            numbers = np.frombuffer(data, "<u8", max(stop - start - _INDEXED, 0) // 8, start + _INDEXED)
+            found.append(numbers[1::2])  # each stands behind the message's stamp
+    except PARSE_ERRORS:
+        pass  # the walk over the file has noted it
+    return np.sort(np.concatenate(found))
+
+
+def is_chain(records: NDArray[np.uint8], starts: NDArray[np.uint64]) -> bool:
+    """Whether records are messages at these places (n,), one behind the other, and nothing else."""
+    if not starts.size or starts[0] != 0 or starts[-1] > records.size - RECORD.size:
+        return False
+    heads = np.lib.stride_tricks.sliding_window_view(records, RECORD.size)[starts.astype(np.int64)]
+    sizes = heads[:, 1:].copy().view("<u8")[:, 0]
+    next_ones = np.append(starts[1:], np.uint64(records.size))
+    sound = (heads[:, 0] == Opcode.MESSAGE) & (sizes < records.size) & (starts + sizes + 9 == next_ones)
+    return bool(sound.all())
 
 
 class _Head(NamedTuple):
