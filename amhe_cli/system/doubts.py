@@ -177,11 +177,13 @@ def _slope_over_velocity(times: FloatArray, position: FloatArray, velocity: Floa
     span = max(1, round(_SPAN / period)) if period > 0.0 else 1
     if times.size <= 2 * span:
         return None
-    elapsed = times[span:] - times[:-span]
-    whole = elapsed < 2.0 * span * period  # no gap within
-    way = np.concatenate([[0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * np.diff(times))])
-    moved, expected = ((x[span:] - x[:-span]) / elapsed for x in (position, way))
-    return _slope(moved[whole], expected[whole])
+    starts = np.arange(0, times.size - span, max(1, times.size // _MANY))
+    starts = starts[times[starts + span] - times[starts] < 2.0 * span * period]  # no gap within
+    elapsed = times[starts + span] - times[starts]
+    rows = starts[:, None] + np.arange(span + 1)
+    speeds = velocity[rows]
+    way = np.sum(0.5 * (speeds[:, 1:] + speeds[:, :-1]) * np.diff(times[rows]), axis=1)
+    return _slope((position[starts + span] - position[starts]) / elapsed, way / elapsed)
 
 
 def _slope(first: FloatArray, second: FloatArray) -> float | None:

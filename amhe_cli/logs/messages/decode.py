@@ -68,16 +68,44 @@ class _Columns:
     unknown: dict[str, Leaf]
 
 
+class _Growing:
+    """An array (n, ...) to which rows are appended: at its end there is no second copy of an hour of log."""
+
+    def __init__(self, rows: NDArray) -> None:
+        self._held, self._count = np.array(rows), len(rows)
+
+    def append(self, rows: NDArray) -> None:
+        end = self._count + len(rows)
+        if end > len(self._held):
+            self._held.resize((max(end, 5 * self._count // 4), *self._held.shape[1:]), refcheck=False)
+        self._held[self._count : end] = rows
+        self._count = end
+
+    def whole(self) -> NDArray:
+        self._held.resize((self._count, *self._held.shape[1:]), refcheck=False)
+        return self._held
+
+    def of_width(self, width: int) -> _Growing:
+        """The same where it is so wide, else as many rows of NaN."""
+        same = self._held.shape[1] == width
+        return self if same else _Growing(np.full((self._count, width), np.nan))
+
+
+def _stamps() -> _Growing:
+    return _Growing(np.empty(0, dtype=np.int64))
+
+
 @dataclass(slots=True)
 class _Parts:
-    """Arrays of the groups read so far, one entry a group."""
+    """What was read so far, and in how many groups."""
 
-    order: list[IntArray] = field(default_factory=list)
-    log_ns: list[IntArray] = field(default_factory=list)
-    publish_ns: list[IntArray] = field(default_factory=list)
-    header_ns: list[IntArray] = field(default_factory=list)
-    delay_ns: list[IntArray] = field(default_factory=list)
-    values: dict[str, list[FloatArray]] = field(default_factory=dict)
+    groups: int = 0
+    order: _Growing = field(default_factory=_stamps)
+    log_ns: _Growing = field(default_factory=_stamps)
+    publish_ns: _Growing = field(default_factory=_stamps)
+    header_ns: _Growing = field(default_factory=_stamps)
+    delay_ns: _Growing = field(default_factory=_stamps)
+    values: dict[str, _Growing] = field(default_factory=dict)
 
 
 class SignalDecoder:
@@ -99,7 +127,7 @@ class SignalDecoder:
         self._names: tuple[str, ...] = signal.names
         self._columns: dict[str, tuple[str, ...]] = {}
         self._seen: set[str] = set()
-        self._parts = _Parts(values={quantity: [] for quantity in self._wanted})
+        self._parts = _Parts(values={quantity: _Growing(np.empty((0, 0))) for quantity in self._wanted})
         self._recipes: dict[int, tuple[Layout, list[_Columns]]] = {}
         self.count = self._held = 0
         self._has_header = False
@@ -130,15 +158,15 @@ class SignalDecoder:
         self._check_complete()
         parts = self._parts
         joined = SignalSamples(
-            np.concatenate(parts.log_ns),
-            np.concatenate(parts.publish_ns),
-            np.concatenate(parts.header_ns),
-            np.concatenate(parts.delay_ns),
-            {quantity: np.concatenate(values) for quantity, values in parts.values.items()},
+            parts.log_ns.whole(),
+            parts.publish_ns.whole(),
+            parts.header_ns.whole(),
+            parts.delay_ns.whole(),
+            {quantity: values.whole() for quantity, values in parts.values.items()},
             self._columns,
             self._has_header,
         )
-        order = np.concatenate(parts.order)
+        order = parts.order.whole()
         if np.all(np.diff(joined.log_ns) >= 0) and np.all(np.diff(order) > 0):  # as in most logs
             return joined
         return joined.pick(np.lexsort((order, joined.log_ns)))
@@ -249,6 +277,7 @@ class SignalDecoder:
         size = members.size
         zero = np.zeros(size, dtype=np.int64)
         parts = self._parts
+        parts.groups += 1
         parts.order.append(self.count + members)
         parts.log_ns.append(batch.log_ns[members])
         parts.publish_ns.append(batch.publish_ns[members])
@@ -260,10 +289,14 @@ class SignalDecoder:
             self.not_finite[quantity] += int((~np.isfinite(block[:, present])).any(axis=1).sum())
             if quantity in columns.unknown:
                 block[_gather(rows, [columns.unknown[quantity]])[:, 0] == -1.0] = np.nan
-            parts.values[quantity].append(block)
+            width = len(self._columns.get(quantity, ()))
+            parts.values[quantity] = parts.values[quantity].of_width(width)
+            parts.values[quantity].append(
+                block if block.shape[1] == width else np.full((size, width), np.nan)
+            )
 
     def _check_complete(self) -> None:
-        if not self._parts.log_ns:
+        if not self._parts.groups:
             frame = self._signal.child_frame
             if frame is not None and self._seen:
                 raise LogError(f"{self._topic}: {one_of('child frame', frame, self._seen)}")
@@ -272,11 +305,6 @@ class SignalDecoder:
             for name in self._signal.names:
                 if name not in self._seen:
                     raise LogError(f"{self._topic}: {one_of('joint', name, self._seen)}")
-        for quantity, blocks in self._parts.values.items():
-            width = len(self._columns.get(quantity, ()))
-            self._parts.values[quantity] = [
-                block if block.shape[1] == width else np.full((len(block), width), np.nan) for block in blocks
-            ]
 
 
 def time_leaves(layout: Layout, path: str) -> tuple[Leaf, Leaf] | None:
