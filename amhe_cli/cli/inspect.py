@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from amhe_cli.cli import log_path, options
+from amhe_cli.cli.fresh_file import fresh_file
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -27,9 +28,7 @@ if TYPE_CHECKING:
     help="Write a layout with which this viewer opens the log: plots of each topic, and a 3-D panel where it "
     "has poses. foxglove is Lichtblick too.",
 )
-@options.fresh_file(
-    "out", "-o", "--out", use="File of the layout, such as log.json, log.xml or log_layout.py."
-)
+@fresh_file("out", "-o", "--out", use="File of the layout, such as log.json, log.xml or log_layout.py.")
 @options.where
 @options.common
 @click.pass_obj

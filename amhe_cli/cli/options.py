@@ -103,26 +103,6 @@ def new_file(*names: str, use: str, metavar: str = "FILE") -> Callable[[F], F]:
     return click.option(*names, type=kind, callback=_in_existing_folder, metavar=metavar, help=use)
 
 
-def fresh_file(name: str, *names: str, use: str, metavar: str = "FILE") -> Callable[[F], F]:
-    """A file as of `new_file`, and --force: without it an existing file is refused, before any work.
-
-    Args:
-        name: Name of the argument.
-        names, use, metavar: See `new_file`.
-    """
-
-    def checked(**given: Any) -> Path | None:
-        path: Path | None = given[name]
-        if path is not None and path.exists() and not given["force"]:
-            from amhe_cli.core.errors import ConfigError
-
-            raise ConfigError(f"{path}: exists; choose another name, or give `force=True` to write over it")
-        return path
-
-    over = click.option("--force", is_flag=True, help=f"Write over {metavar} where it exists.")
-    return bundled(name, checked, (name, "force"), new_file(*names, use=use, metavar=metavar), over)
-
-
 def _cores() -> int:
     """Cores that this process may use."""
     from amhe_cli.api.arguments import cores

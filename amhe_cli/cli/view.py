@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from amhe_cli.cli import log_path, options
+from amhe_cli.cli.fresh_file import fresh_file
 from amhe_cli.cli.prior_options import believed
 from amhe_cli.cli.session import Session
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 @click.argument("source", type=log_path.LOG, metavar="LOG|RESULT")
 @options.where
 @believed("The belief.yaml of an identification: its ghost is shown beside the nominal one.")
-@options.fresh_file(
+@fresh_file(
     "save", "--save", use="Write one page that needs no network, and serve nothing.", metavar="PAGE.html"
 )
 @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="To serve on.")
