@@ -53,7 +53,7 @@ class CpuEngine:
         self._written = np.empty((0, len(edits.space)))
         self._controls = controls(model, input_spec)
 
-    precision = float(np.finfo(np.float64).eps)
+    precision, device_bytes = float(np.finfo(np.float64).eps), 0
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import copy
 import logging
-from concurrent.futures import Executor
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import cache
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -17,6 +19,9 @@ from amhe_cli.engine.spread import SpreadEngine
 from amhe_cli.engine.states import collides
 from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.system import System
+
+if TYPE_CHECKING:
+    from amhe_cli.engine.gpu.engine import GpuEngine
 
 logger = logging.getLogger(__name__)
 
@@ -63,7 +68,12 @@ def open_engine(
     except ConfigError as error:
         logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
         return cpu
-    engine = AutoEngine(cpu, lambda: _gpu_engine(None, *about, senses), about[0], threads)
+
+    @cache
+    def begin() -> Future[Engine]:
+        return ThreadPoolExecutor(1).submit(lambda: _loaded(_gpu_engine(None, *about, senses)))
+
+    engine = AutoEngine(cpu, begin, lambda: begin().result(), about[0], threads)
     logger.log(
         NOTE, "the graphics card%s, where it is quicker: calls of %.0f rollouts or more; else the CPU",
         "s" * (len(cards) > 1), engine.fewest,
@@ -83,7 +93,7 @@ def check_kind(kind: str) -> None:
 
 def _gpu_engine(
     executor: Executor | None, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, sensors: bool
-) -> Engine:
+) -> GpuEngine:
     """The engine on all cards of this computer.
 
     Raises:
@@ -97,6 +107,12 @@ def _gpu_engine(
     except ImportError as error:
         raise _missing(error) from None
     return GpuEngine(model, edits, input_spec, sensors, cards)
+
+
+def _loaded(engine: GpuEngine) -> Engine:
+    """The engine of the cards with its kernels."""
+    engine.load()
+    return engine
 
 
 def _cards() -> list[str]:

@@ -247,6 +247,11 @@ class Engine(Protocol):
         """Relative rounding of its numbers: slopes need steps well above it."""
         ...
 
+    @property
+    def device_bytes(self) -> int:
+        """Memory of the device on which predicted numbers stay [bytes]; 0 where they are numpy's."""
+        ...
+
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:

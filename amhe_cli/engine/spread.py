@@ -54,7 +54,7 @@ class SpreadEngine:
         # a model is megabytes, nearly all of it zeros; it goes with each part, since workers come and go
         self._blueprint = zlib.compress(pickle.dumps((model, edits, input_spec, sensors)), 1)
 
-    precision = float(np.finfo(np.float64).eps)
+    precision, device_bytes = float(np.finfo(np.float64).eps), 0
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray

@@ -11,9 +11,10 @@ import pytest
 
 from amhe_cli.core.errors import NOTE, ConfigError
 from amhe_cli.engine import open as opening
-from amhe_cli.engine.auto import TABLE, AutoEngine, step_cost
+from amhe_cli.engine.auto import AutoEngine
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.open import open_engine
+from amhe_cli.engine.step_cost import TABLE, step_cost
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
 
 
@@ -22,7 +23,7 @@ class Cards:
 
     def __init__(self, engine: Any) -> None:
         self.engine, self.calls = engine, []
-        self.precision = engine.precision
+        self.precision, self.device_bytes = engine.precision, 2**30
 
     def rollout(self, *arguments: Any) -> Any:
         self.calls.append(len(arguments[-1]))
@@ -31,6 +32,9 @@ class Cards:
     def predict(self, theta: Any, starts: Any, *rest: Any) -> Any:
         self.calls.append(len(theta) * len(starts.lengths))
         return self.engine.predict(theta, starts, *rest)
+
+    def load(self) -> None:
+        """Nothing to load."""
 
     def upon(self, model: Any, edits: Any = None) -> Cards:
         return Cards(self.engine.upon(model, edits))
@@ -83,14 +87,18 @@ def test_small_calls_go_to_the_processor_and_large_ones_to_the_cards(cards, capl
     np.testing.assert_array_equal(done.values[0], alone.values[0])
 
 
-def test_cards_are_opened_once_that_is_worth_their_start(cards, monkeypatch) -> None:
+def test_cards_open_once_that_is_worth_it_while_the_processor_computes_on(cards, monkeypatch) -> None:
     engine = auto()
-    large = some(int(2.0 * engine.fewest))  # each call gains what one on the cards takes
+    theta, qpos, qvel, inputs, _ = some(int(2.0 * engine.fewest))
+    large = theta, qpos, qvel, inputs, np.full(len(theta), 40)  # takes 1 on the cards, 2 on the processor
     each = 40 * step_cost(PENDULUM.model).card
-    monkeypatch.setattr("amhe_cli.engine.auto.START", 13.0 * each)
-    for _ in range(5):
+    monkeypatch.setattr("amhe_cli.engine.auto.START", 13.5 * each)
+    for _ in range(3):
+        engine.rollout(*large)  # these calls and ten that are expected gain 13
+    assert not cards
+    for _ in range(10):
         engine.rollout(*large)
-    assert [len(one.calls) for one in cards] == [2], "three calls before, ten that are expected"
+    assert [len(one.calls) for one in cards] == [3], "seven calls of 2 while they opened for 13.5"
 
 
 def test_variants_of_a_model_share_the_cards(cards) -> None:

@@ -99,6 +99,7 @@ class Diverging:
     """An engine whose second clip never completes under the first candidate."""
 
     rollout, upon, precision = ENGINE.rollout, ENGINE.upon, ENGINE.precision
+    device_bytes = ENGINE.device_bytes
 
     def predict(self, theta, starts, errors, wanted):
         predicted = ENGINE.predict(theta, starts, errors, wanted)

@@ -86,6 +86,7 @@ class DeviceEngine:
     """An engine whose predictions lie on a device."""
 
     rollout, upon, precision = ENGINE.rollout, ENGINE.upon, ENGINE.precision
+    device_bytes = ENGINE.device_bytes
 
     def predict(self, theta: Any, starts: Any, errors: Any, wanted: Any) -> Predicted:
         done = ENGINE.predict(theta, starts, errors, wanted)

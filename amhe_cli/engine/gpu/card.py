@@ -36,6 +36,12 @@ class Card:
         self._kept: dict[int, Worlds] = {}
         self._bytes: dict[Room, int] = {}
 
+    @property
+    def memory(self) -> int:
+        """Memory of the device [bytes]; 0 for warp's processor device."""
+        device = wp.get_device(self._device)
+        return device.total_memory if device.is_cuda else 0
+
     def run(self, job: Job) -> Predicted:
         """Run a job, again with larger buffers where they were too small.
 
@@ -47,7 +53,7 @@ class Card:
         """
         for last in (*DOUBLINGS * (False,), True):
             try:
-                values, completed, full = self.worlds(len(job.clip)).run(job)
+                values, completed, full = self.worlds(len(job.queue)).run(job)
             except RuntimeError as error:
                 raise SimulationError(f"mujoco-warp refused a rollout: {error}") from error
             if last or not full:
@@ -58,19 +64,18 @@ class Card:
 
     def at_once(self, record: int) -> int:
         """How many rollouts the device holds, each with a record of so many bytes."""
-        device = wp.get_device(self._device)
-        if not device.is_cuda:
+        if not self.memory:
             return WITHOUT_CARD
         if self.room not in self._bytes:
             self._bytes[self.room] = bytes_per_world(self.blueprint, self.room, self._device)
-        return max(1, int(MEMORY_SHARE * device.total_memory / (self._bytes[self.room] + record)))
+        return max(1, int(MEMORY_SHARE * self.memory / (self._bytes[self.room] + record)))
 
     def worlds(self, count: int) -> Worlds:
-        """Worlds for so many rollouts, of few different sizes, so that they are used again.
+        """Worlds for so many queues, of few different sizes, so that they are used again.
 
         Up to some thousand worlds a step takes as long as that of one.
         """
-        least = FEWEST if wp.get_device(self._device).is_cuda else 16
+        least = FEWEST if self.memory else 16
         grain = max(least, 2 ** (max(count - 1, 1).bit_length() - 6))
         size = -(-count // grain) * grain
         worlds = self._kept.pop(size, None)

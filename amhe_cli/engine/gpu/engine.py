@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from heapq import heapreplace
 
 import mujoco
 import numpy as np
@@ -22,6 +23,7 @@ from amhe_cli.engine.rollout import (
     predicted_in_parts,
     turns_of,
 )
+from amhe_cli.engine.step_cost import StepCost, step_cost
 from amhe_cli.system.edits import ModelEdits
 
 #: A card gets at least so many rollouts of a call that several cards share.
@@ -56,6 +58,15 @@ class GpuEngine:
         check_supported(self._blueprint, self._devices[0])
         self.cards = [Card(self._blueprint, device) for device in self._devices]
 
+    @property
+    def device_bytes(self) -> int:
+        """See `Engine.device_bytes`; numbers come together on the first card."""
+        return self.cards[0].memory
+
+    def load(self) -> None:
+        """Load the kernels, and those that were never compiled for this model compile."""
+        self.cards[0].worlds(1)
+
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
@@ -68,7 +79,8 @@ class GpuEngine:
         wanted = [Wanted("qpos", rows, tuple(range(model.nq))), Wanted("qvel", rows, tuple(range(model.nv)))]
         if self._blueprint.sensors:
             wanted.append(Wanted("sensordata", rows, tuple(range(model.nsensordata))))
-        done = self.cards[0].run(Job(theta, starts, each, each, qpos, qvel, np.zeros((count, 1)), wanted))
+        job = Job(theta, starts, each, each, each[:, None], qpos, qvel, np.zeros((count, 1)), wanted)
+        done = self.cards[0].run(job)
         values = [to_host(part) for part in done.values]
         return Rollouts(values[0], values[1], values[2] if self._blueprint.sensors else None, done.completed)
 
@@ -114,16 +126,47 @@ class GpuEngine:
         """All rollouts of a prediction, in the order (candidates, clips)."""
         model, count, clips = self._blueprint.model, len(theta), len(starts.lengths)
         qpos, qvel = starts.states(model, count, errors)
+        each = queues(starts.lengths, count, step_cost(model))
+        queue = np.where(each < 0, -1, clips * np.arange(count)[:, None, None] + each)
         return Job(
             theta=theta,
             starts=starts,
             candidate=np.repeat(np.arange(count), clips),
             clip=np.tile(np.arange(clips), count),
+            queue=queue.reshape(-1, each.shape[1]),
             qpos=qpos.reshape(-1, model.nq),
             qvel=qvel.reshape(-1, model.nv),
             delays=self._blueprint.edits.delays(theta) / model.opt.timestep,
             wanted=wanted,
         )
+
+
+def queues(lengths: IntArray, count: int, cost: StepCost) -> IntArray:
+    """Which clips the worlds of each candidate roll out, one after the other, -1 where there is no more.
+
+    All worlds step until the longest queue is done. With one clip each, most of them would wait for the
+    longest clip; with several, there are fewer worlds, of which a step takes longer for each.
+
+    Args:
+        lengths: Steps of c clips, shape (c,).
+        count: Number of candidates.
+        cost: What a step takes.
+
+    Returns:
+        Clips of m worlds, shape (m, l): the m of the least time.
+    """
+    clips, best, least = len(lengths), [], np.inf
+    for worlds in dict.fromkeys(-(-clips // each) for each in range(1, clips + 1)):
+        free = [(0, world) for world in range(worlds)]
+        dealt: list[list[int]] = [[] for _ in free]
+        for clip in np.argsort(-lengths, kind="stable"):  # the longest first, to the world that is free first
+            end, world = free[0]
+            dealt[world].append(int(clip))
+            heapreplace(free, (end + int(lengths[clip]), world))
+        if (time := max(free)[0] * cost.on_card(count * worlds)) < least:
+            best, least = dealt, time
+    longest = max(map(len, best))
+    return np.array([row + (longest - len(row)) * [-1] for row in best])
 
 
 def _in_order(done: Predicted, count: int) -> Predicted:

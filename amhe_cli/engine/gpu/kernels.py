@@ -1,23 +1,80 @@
 # type: ignore  (kernels are written in warp's own language)
 """What runs on the card beside mujoco-warp's own step: inputs in, wanted numbers out, divergence found.
 
-One clock counts the steps on the device, so that the launches of a step never change.
+A world computes rollouts of one candidate, one after the other: its queue. Where it is in its queue, and how
+many steps of that rollout are done, is known on the device, so that the launches of a step never change.
 """
 
 from __future__ import annotations
 
+import mujoco_warp as mjw
 import warp as wp
 
 #: MuJoCo's own bound (mjMAXVAL): a state beyond it has diverged.
 LARGEST = wp.constant(1.0e10)
+#: Buffers that were too small; the worlds are made again with larger ones.
+FULL = wp.constant(
+    int(
+        mjw.OverflowType.NEFC
+        | mjw.OverflowType.NJMAX_NNZ
+        | mjw.OverflowType.BROADPHASE
+        | mjw.OverflowType.NARROWPHASE
+        | mjw.OverflowType.CCD
+    )
+)
+
+
+@wp.kernel
+def take_next(
+    queue: wp.array2d[int],
+    place: wp.array[int],
+    clock: wp.array[int],
+    clip: wp.array[int],
+    takes: wp.array[int],
+    begins: wp.array[bool],
+):
+    """Mark the worlds whose rollout is over and that have another one, and go on to it. Thread (world,)."""
+    world = wp.tid()
+    begins[world] = False
+    at = place[world]
+    over = at < 0 or clock[world] >= takes[clip[queue[world, wp.max(at, 0)]]]
+    following = wp.min(at + 1, queue.shape[1] - 1)
+    if not over or following == at or queue[world, following] < 0:
+        return
+    place[world] = following
+    clock[world] = 0
+    begins[world] = True
+
+
+@wp.kernel
+def begin(
+    queue: wp.array2d[int],
+    place: wp.array[int],
+    begins: wp.array[bool],
+    first_qpos: wp.array2d[float],
+    first_qvel: wp.array2d[float],
+    qpos: wp.array2d[float],
+    qvel: wp.array2d[float],
+):
+    """First states of the worlds that begin a rollout. Thread (world,)."""
+    world = wp.tid()
+    if not begins[world]:
+        return
+    rollout = queue[world, place[world]]
+    for i in range(qpos.shape[1]):
+        qpos[world, i] = first_qpos[rollout, i]
+    for i in range(qvel.shape[1]):
+        qvel[world, i] = first_qvel[rollout, i]
 
 
 @wp.kernel
 def write_inputs(
+    queue: wp.array2d[int],
+    place: wp.array[int],
     clock: wp.array[int],
+    clip: wp.array[int],
     inputs: wp.array3d[float],
     candidate: wp.array[int],
-    clip: wp.array[int],
     whole: wp.array2d[int],
     fraction: wp.array2d[float],
     history: int,
@@ -26,12 +83,12 @@ def write_inputs(
 ):
     """Inputs of this step; the last is held for the sensors' extra step. Thread (world, column)."""
     world, column = wp.tid()
-    c = clip[world]
+    c = clip[queue[world, place[world]]]
     j = first + column
     last = inputs.shape[1] - 1
     p = candidate[world]
     part = fraction[p, j]
-    late = wp.min(history + clock[0], last) - whole[p, j]
+    late = wp.min(history + clock[world], last) - whole[p, j]
     value = inputs[c, wp.clamp(late, 0, last), j]
     if part > 0.0:
         value = (1.0 - part) * value + part * inputs[c, wp.clamp(late - 1, 0, last), j]
@@ -40,18 +97,30 @@ def write_inputs(
 
 @wp.kernel
 def watch(
+    queue: wp.array2d[int],
+    place: wp.array[int],
     clock: wp.array[int],
     clip: wp.array[int],
     lengths: wp.array[int],
+    overflow: wp.array[int],
     home: wp.array2d[float],
     qpos: wp.array2d[float],
     qvel: wp.array2d[float],
     act: wp.array2d[float],
     qacc_warmstart: wp.array2d[float],
     completed: wp.array[int],
+    full: wp.array[int],
 ):
-    """Mark a world that diverged and send it home, where it costs no time. Thread (world,)."""
+    """Count a step, mark rollouts without room, and those that diverge. Thread (world,).
+
+    Worlds that diverged go home, where they cost no time.
+    """
     world = wp.tid()
+    rollout = queue[world, place[world]]
+    step = clock[world]
+    clock[world] = step + 1
+    if overflow[world] & FULL != 0:
+        full[rollout] = 1
     bad = wp.int32(0)  # a plain 0 would be a constant, which no loop may change
     for i in range(qpos.shape[1]):
         bad += wp.where(wp.abs(qpos[world, i]) < LARGEST, 0, 1)  # 1 for NaN, too
@@ -60,8 +129,8 @@ def watch(
         bad += wp.where(wp.abs(qacc_warmstart[world, i]) < LARGEST, 0, 1)
     if bad == 0:
         return
-    if clock[0] < lengths[clip[world]]:
-        completed[world] = 0
+    if step < lengths[clip[rollout]]:
+        completed[rollout] = 0
     for i in range(qpos.shape[1]):
         qpos[world, i] = home[world % home.shape[0], i]
     for i in range(qvel.shape[1]):
@@ -73,26 +142,23 @@ def watch(
 
 @wp.kernel
 def record(
+    queue: wp.array2d[int],
+    place: wp.array[int],
     clock: wp.array[int],
+    clip: wp.array[int],
     lag: int,
     source: wp.array2d[float],
     columns: wp.array[int],
-    clip: wp.array[int],
     first: wp.array2d[int],
     order: wp.array2d[int],
     into: wp.array3d[wp.float64],
 ):
     """Copy the samples that lie at this instant, `lag` steps before the clock. Thread (world, column)."""
     world, column = wp.tid()
-    row = clock[0] - lag
+    row = clock[world] - lag
     if row < 0 or row + 1 >= first.shape[1]:
         return
-    c = clip[world]
+    rollout = queue[world, place[world]]
+    c = clip[rollout]
     for i in range(first[c, row], first[c, row + 1]):
-        into[world, order[c, i], column] = wp.float64(source[world, columns[column]])
-
-
-@wp.kernel
-def tick(clock: wp.array[int]):
-    """Count one step. One thread."""
-    clock[0] = clock[0] + 1
+        into[rollout, order[c, i], column] = wp.float64(source[world, columns[column]])

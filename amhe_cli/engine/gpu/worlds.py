@@ -27,14 +27,6 @@ INPUTS = (
     (mujoco.mjtState.mjSTATE_MOCAP_POS, "mocap_pos"),
     (mujoco.mjtState.mjSTATE_MOCAP_QUAT, "mocap_quat"),
 )
-#: Buffers that were too small; the worlds are made again with larger ones.
-FULL = (
-    mjw.OverflowType.NEFC
-    | mjw.OverflowType.NJMAX_NNZ
-    | mjw.OverflowType.BROADPHASE
-    | mjw.OverflowType.NARROWPHASE
-    | mjw.OverflowType.CCD
-)
 #: Held while a job is prepared: graphs are captured, and warp's default device is one for all threads.
 PREPARING = Lock()
 
@@ -47,6 +39,8 @@ class Job:
         theta: Parameters of p candidates in SI units, shape (p, d).
         starts: Inputs and lengths of c clips.
         candidate, clip: Candidate and clip of each rollout, shape (n,).
+        queue: Rollouts of each world, one after the other and all of one candidate; -1 where there is none,
+            but the first. Shape (w, l).
         qpos, qvel: First states, shape (n, nq) and (n, nv).
         delays: Delays of each candidate's inputs [steps], shape (p, nu), or (p, 1) where all are alike.
         wanted: The numbers to pick.
@@ -56,10 +50,22 @@ class Job:
     starts: Starts
     candidate: IntArray
     clip: IntArray
+    queue: IntArray
     qpos: FloatArray
     qvel: FloatArray
     delays: FloatArray
     wanted: Sequence[Wanted]
+
+    @property
+    def lag(self) -> int:
+        """Steps after a clip's last that its samples need: sensors describe the state before a step."""
+        return int(any(wanted.source == "sensordata" for wanted in self.wanted))
+
+    @property
+    def ends(self) -> IntArray:
+        """Steps after which each rollout of the queues is over, shape (w, l)."""
+        steps = np.where(self.queue < 0, 0, (self.starts.lengths + self.lag)[self.clip[self.queue]])
+        return steps.cumsum(axis=1)
 
 
 def captured(device: Any, launches: Callable[[], None]) -> Callable[[], None]:
@@ -84,8 +90,37 @@ class _Launch:
         self._arguments = list(arguments)
         self._command: Any = wp.launch(kernel, size, self._arguments, device=device, record_cmd=True)
 
-    def run(self) -> None:
+    def __call__(self) -> None:
         self._command.launch()
+
+
+@dataclass(frozen=True, eq=False)
+class Work:
+    """The launches of a job, recorded once for all steps.
+
+    Args:
+        ends: Steps after which each rollout of a queue is over, shape (w, l).
+        begin: Launches before the first step of rollouts.
+        step: Launches of every step.
+        record: Launches after it that pick the wanted numbers.
+        watch: The launch after it that counts it, and finds what diverged or had no room.
+        completed, full: 1 for a rollout that did not diverge, and for one without room; warp arrays (n,).
+    """
+
+    ends: IntArray
+    begin: Sequence[Callable[[], None]]
+    step: Sequence[Callable[[], None]]
+    record: Sequence[Callable[[], None]]
+    watch: Callable[[], None]
+    completed: Any
+    full: Any
+
+    def run(self) -> None:
+        """Launch everything; the device may still be at work afterwards."""
+        begins, each = {0, *np.unique(self.ends)}, (*self.step, *self.record, self.watch)
+        for step in range(int(self.ends.max())):
+            for launch in (*self.begin, *each) if step in begins else each:
+                launch()
 
 
 class Worlds:
@@ -108,88 +143,108 @@ class Worlds:
             model.opt.warn_overflow = 0
             # contacts in a fixed order cost nothing; sums in a fixed order cost forty times the step
             model.opt.deterministic = mjw.DeterminismType.CONTACTS | mjw.DeterminismType.CONSTRAINT
-            self._clock = wp.zeros(1, dtype=int)
-            self._completed = wp.zeros(count, dtype=int)
+            self._place, self.clock = (wp.zeros(count, dtype=int) for _ in range(2))
+            self._begins = wp.zeros(count, dtype=bool)
             self.step = captured(self._device, lambda: mjw.step(model, data))
-            self._reset = captured(self._device, lambda: mjw.reset_data(model, data))
+            self._reset = captured(self._device, lambda: mjw.reset_data(model, data, self._begins))
             if blueprint.edits.needs_set_const:
                 self._derive = captured(self._device, lambda: mjw.set_const(model, data, restore=False))
         self._model, self._data = model, data
         self._written = (np.empty((0, 0)), np.empty(0))
 
     def run(self, job: Job) -> tuple[list[AnyArray], BoolArray, bool]:
-        """Roll out a job of at most `count` rollouts.
+        """Roll out a job of at most `count` queues.
 
         Returns:
             The wanted numbers, each of shape (n, s, k), where the device has them; False where a rollout
             diverged, shape (n,); and whether a buffer was too small.
         """
-        n, steps = len(job.clip), int(job.starts.lengths.max())
+        n = len(job.clip)
         with PREPARING, self.stream():
-            into = [self._xp.zeros((self.count, w.rows.shape[1], len(w.columns))) for w in job.wanted]
-            before, after = self.prepare(job, into, steps)
-        for _ in range(steps + any(wanted.source == "sensordata" for wanted in job.wanted)):
-            for launch in before:
-                launch.run()
-            self.step()
-            for launch in after:
-                launch.run()
+            into = [self._xp.zeros((n, w.rows.shape[1], len(w.columns))) for w in job.wanted]
+            work = self.prepare(job, into)
+        work.run()
         wp.synchronize_device(self._device)
-        full = self._data.overflow.numpy()[:n] & int(FULL) != 0
-        completed = self._completed.numpy()[:n].astype(bool) & ~full
-        return [values[:n] for values in into], completed, bool(full.any())
+        full = work.full.numpy() != 0
+        completed = work.completed.numpy().astype(bool) & ~full
+        return into, completed, bool(full.any())
 
-    def prepare(self, job: Job, into: list[AnyArray], steps: int) -> tuple[list[_Launch], list[_Launch]]:
-        """Write parameters and first states; the launches before and after each step."""
-        n, data = len(job.clip), self._data
-        fill = np.minimum(np.arange(self.count), n - 1)  # worlds without a rollout repeat the last
-        candidate, clip = job.candidate[fill], job.clip[fill]
+    def prepare(self, job: Job, into: list[AnyArray]) -> Work:
+        """Write the parameters; the launches of a job."""
+        queue = job.queue[np.minimum(np.arange(self.count), len(job.queue) - 1)]  # the last fills the rest
+        candidate = job.candidate[queue[:, 0]]
         self._write(job.theta, candidate)
-        self._reset()
+        self._place.fill_(-1)
         good = np.all(np.abs(np.hstack((job.qpos, job.qvel))) < 1e10, axis=1)
-        self._view(data.qpos)[:] = self._up(
-            np.where(good[:, None], job.qpos, self._blueprint.model.qpos0)[fill]
+        completed, full = (self._array(flags, np.int32) for flags in (good, np.zeros(len(good))))
+        progress = self._array(queue, np.int32), self._place, self.clock, self._array(job.clip, np.int32)
+        first = (
+            self._array(np.where(good[:, None], values, home), np.float32)
+            for values, home in ((job.qpos, self._blueprint.model.qpos0), (job.qvel, 0.0))
         )
-        self._view(data.qvel)[:] = self._up(np.where(good[:, None], job.qvel, 0.0)[fill])
-        self._view(self._clock)[:] = 0
-        self._view(self._completed)[:] = self._xp.asarray(good[fill])
-        return self._launches(job, candidate, clip, into, steps)
+        lengths, data = job.starts.lengths, self._data
+        begin = [
+            self._recorded(
+                kernels.take_next,
+                self.count,
+                (*progress, self._array(lengths + job.lag, np.int32), self._begins),
+            ),
+            self._reset,
+            self._recorded(
+                kernels.begin,
+                self.count,
+                (*progress[:2], self._begins, *first, data.qpos, data.qvel),
+            ),
+        ]
+        state = (data.qpos, data.qvel, data.act, data.qacc_warmstart)
+        watched = (*progress, self._array(lengths, np.int32), data.overflow, self._model.qpos0, *state)
+        watch = self._recorded(kernels.watch, self.count, (*watched, completed, full))
+        return Work(
+            ends=job.ends,
+            begin=begin,
+            step=[*self._inputs(job, candidate, progress), self.step],
+            record=self._records(job, into, progress),
+            watch=watch,
+            completed=completed,
+            full=full,
+        )
 
-    def _launches(
-        self, job: Job, candidate: IntArray, clip: IntArray, into: list[AnyArray], steps: int
-    ) -> tuple[list[_Launch], list[_Launch]]:
-        """Launches before and after mujoco-warp's step, recorded once for all steps."""
-        data, clips = self._data, self._array(clip, np.int32)
-        before: list[_Launch] = []
-        if job.starts.inputs.shape[2]:
-            every = (len(job.delays), job.starts.inputs.shape[2])
-            whole, fraction = np.divmod(np.broadcast_to(job.delays, every), 1.0)
-            shared = (
-                self._clock,
-                self._array(job.starts.inputs[:, : job.starts.history + steps], np.float32),
-                self._array(candidate, np.int32),
-                clips,
-                self._array(whole, np.int32),
-                self._array(fraction, np.float32),
-                job.starts.history,
-            )
-            first = 0
-            for bit, name in INPUTS:
-                width = mujoco.mj_stateSize(self._blueprint.model, int(bit))
-                if self._blueprint.input_spec & int(bit) and width:
-                    flat = _flat(getattr(data, name), (self.count, width))
-                    before.append(self._recorded(kernels.write_inputs, flat.shape, (*shared, first, flat)))
-                    first += width
-        after = [
+    def _inputs(self, job: Job, candidate: IntArray, progress: Sequence[Any]) -> list[_Launch]:
+        """Launches that write the inputs of a step."""
+        if not job.starts.inputs.shape[2]:
+            return []
+        whole, fraction = np.divmod(
+            np.broadcast_to(job.delays, (len(job.delays), job.starts.inputs.shape[2])), 1.0
+        )
+        shared = (
+            *progress,
+            self._array(job.starts.inputs[:, : job.starts.history + job.starts.lengths.max()], np.float32),
+            self._array(candidate, np.int32),
+            self._array(whole, np.int32),
+            self._array(fraction, np.float32),
+            job.starts.history,
+        )
+        launches, first = [], 0
+        for bit, name in INPUTS:
+            width = mujoco.mj_stateSize(self._blueprint.model, int(bit))
+            if self._blueprint.input_spec & int(bit) and width:
+                flat = _flat(getattr(self._data, name), (self.count, width))
+                launches.append(self._recorded(kernels.write_inputs, flat.shape, (*shared, first, flat)))
+                first += width
+        return launches
+
+    def _records(self, job: Job, into: list[AnyArray], progress: Sequence[Any]) -> list[_Launch]:
+        """Launches that pick the wanted numbers after a step, of the worlds that have a queue."""
+        steps = int(job.starts.lengths.max())
+        return [
             self._recorded(
                 kernels.record,
-                (self.count, len(wanted.columns)),
+                (len(job.queue), len(wanted.columns)),
                 (
-                    self._clock,
+                    *progress,
                     int(wanted.source == "sensordata"),
-                    getattr(data, wanted.source),
+                    getattr(self._data, wanted.source),
                     self._array(np.array(wanted.columns), np.int32),
-                    clips,
                     *(self._array(part, np.int32) for part in _by_row(wanted.rows, steps)),
                     self._warp(values, wp.float64),
                 ),
@@ -197,12 +252,6 @@ class Worlds:
             for wanted, values in zip(job.wanted, into, strict=True)
             if values.size
         ]
-        state = (data.qpos, data.qvel, data.act, data.qacc_warmstart, self._completed)
-        lengths = self._array(job.starts.lengths, np.int32)
-        watched = (self._clock, clips, lengths, self._model.qpos0, *state)
-        after.append(self._recorded(kernels.watch, self.count, watched))
-        after.append(self._recorded(kernels.tick, 1, (self._clock,)))
-        return before, after
 
     def _write(self, theta: FloatArray, candidate: IntArray) -> None:
         """Write each world's candidate, unless the worlds hold them already."""

@@ -37,8 +37,9 @@ from amhe_cli.matching.cost import MatchingCost, Residuals
 
 #: Steps to one side alone, in sd of the samples: what bends in them is less by this factor.
 SHORT = 0.01
-#: Clips whose arrays have more bytes than this take their turns, so that memory does not grow with the logs.
-TURN_BYTES = 32 * 2**20
+#: Clips whose arrays have more bytes than this take their turns, so that memory does not grow with the logs;
+#: on a device, where calls should be large, more than this share of its memory.
+TURN_BYTES, TURN_SHARE = 32 * 2**20, 1 / 32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +158,8 @@ def linearise(
         )
 
     residuals = sum(observed.mask.shape[1] * observed.width for observed in cost.clips.observed)
-    parts = turns(len(first.mean), 8 * len(candidates) * residuals)
+    most = int(TURN_SHARE * cost.engine.device_bytes)
+    parts = turns(len(first.mean), 8 * len(candidates) * residuals, most)
     if len(parts) == 1:
         return of_clips(cost, first)
     done = ((clips, of_clips(cost.of(clips), first.of(clips))) for clips in parts)
@@ -165,9 +167,9 @@ def linearise(
     return _joined(cost, first, done, np.float64 if moves is None else np.float32)
 
 
-def turns(count: int, each: int) -> list[IntArray]:
-    """The numbers of so many clips, each worth so many bytes, cut into parts of about `TURN_BYTES`."""
-    return cut(count, -(-count * each // TURN_BYTES))
+def turns(count: int, each: int, most: int = 0) -> list[IntArray]:
+    """The numbers of so many clips of so many bytes each, in parts of about `most`, at least `TURN_BYTES`."""
+    return cut(count, -(-count * each // max(TURN_BYTES, most)))
 
 
 def _joined(
