@@ -1,9 +1,10 @@
 """Matching cost on graphics cards: agreement with the CPU engine, and steps a second against worlds.
 
-    python benchmarks/gpu.py [--worlds 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
+    python benchmarks/gpu.py [--rollouts 1024,4096,8192,32768] [--problems go1_push,arm] [--device cuda:0]
 
 "bare" replays the captured step of mujoco-warp on the same worlds under the same inputs, with a clock,
-and nothing else. The CPU beside it evaluates the same cost of fewer candidates with all cores.
+and nothing else. The CPU beside it evaluates the same cost of fewer candidates with all cores. Steps that a
+world makes while it waits for others do not count.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import warp as wp
 from common import PROJECT, multisine, show, simulated
 from matching_cost import cube_toss, pendulum
 
+from amhe_cli.core.arrays import namespace_of, to_host
 from amhe_cli.core.log import Log
 from amhe_cli.engine.gpu.blueprint import bytes_per_world
 from amhe_cli.engine.gpu.card import Card
@@ -27,7 +29,8 @@ from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline import search
-from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
+from amhe_cli.estimation.offline.posterior import bootstrap, final_fit
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.logs import read_log
 from amhe_cli.matching.cost import MatchingCost
@@ -35,6 +38,8 @@ from amhe_cli.system.system import System
 
 CLIPS = 16
 JOINTS = 12
+#: Steps of a bootstrap refit.
+STEPS = 9
 
 
 def go1_push() -> tuple[System, list[Log]]:
@@ -134,34 +139,37 @@ def timed(call: Callable[[], object], repetitions: int = 3) -> float:
     return float(np.median(taken))
 
 
-def speed(name: str, worlds: int, device: str, cores: int) -> list[str]:
+@wp.kernel
+def tick(clock: wp.array[int]):
+    """Count a step: without a clock the inputs stand still, and so do most worlds."""
+    world = wp.tid()
+    clock[world] = clock[world] + 1  # pyright: ignore[reportIndexIssue]
+
+
+def speed(name: str, rollouts: int, device: str, cores: int) -> list[str]:
     """Steps a second of the cost on the card, of bare stepping, and of the cost on all cores."""
     system, logs = PROBLEMS[name]()
     engine = on_device(system, device)
     cost = matching(system, logs, engine)
     rng, d = np.random.default_rng(2), len(system.space)
-    z = 0.1 * rng.standard_normal((worlds // CLIPS, d))
+    z = 0.1 * rng.standard_normal((rollouts // CLIPS, d))
     lengths = cost.clips.starts.lengths
-    steps = int(lengths.max()) * len(z) * len(lengths)
+    steps = int(lengths.sum()) * len(z)
     first = time.perf_counter()
     cost.costs(z)
     first = time.perf_counter() - first
     full = timed(lambda: cost.costs(z))
     card: Card = engine.cards[0]
-    set_ = card.worlds(worlds)
-
     job = engine.job(cost.system.space.theta_of(z), cost.clips.starts, None, ())
+    set_ = card.worlds(len(job.queue))
 
     def bare() -> float:
         with set_.stream():
-            inputs, (*_, tick) = set_.prepare(job, [], int(lengths.max()))
+            work = set_.prepare(job, [])
+        count = lambda: wp.launch(tick, set_.count, [set_.clock], device=device)  # noqa: E731
         wp.synchronize_device(device)
         start = time.perf_counter()
-        for _ in range(int(lengths.max())):
-            for launch in inputs:
-                launch.run()
-            set_.step()
-            tick.run()  # without it the inputs stand still, and so do most worlds
+        replace(work, record=[], watch=count).run()
         wp.synchronize_device(device)
         return time.perf_counter() - start
 
@@ -170,17 +178,17 @@ def speed(name: str, worlds: int, device: str, cores: int) -> list[str]:
     beside = matching(system, logs, open_engine(system, threads=cores))
     few = z[: max(1, min(len(z), 1024 // CLIPS))]
     host = timed(lambda: beside.costs(few))
-    cpu = int(lengths.sum()) * len(few) / host
+    cpu = steps / len(z) * len(few) / host
     memory = bytes_per_world(card.blueprint, set_.room, device)
     return [
-        name, f"{worlds:,}", f"{steps / alone / 1e6:.2f} M", f"{steps / full / 1e6:.2f} M",
-        f"{alone / full:.2f}",
+        name, f"{rollouts:,}", f"{set_.count:,}",
+        f"{steps / alone / 1e6:.2f} M", f"{steps / full / 1e6:.2f} M", f"{alone / full:.2f}",
         f"{cpu / 1e6:.3f} M", f"{steps / full / cpu:.1f}x", f"{memory / 1024:.0f} KiB", f"{first:.1f} s",
         f"{set_.room.contacts}/{set_.room.rows}",
     ]  # fmt: skip
 
 
-def iteration(name: str, device: str, cores: int) -> list[str]:
+def iteration(name: str, cores: int) -> list[str]:
     """Seconds of one iteration of the search with 4096 candidates on 8 clips of a minute."""
     system, logs = PROBLEMS[name]()
     logs = logs * max(1, round(60.0 / sum(log.duration for log in logs)))
@@ -194,32 +202,87 @@ def iteration(name: str, device: str, cores: int) -> list[str]:
             }
         ),
     )
-    seconds = []
-    for engine, repetitions in ((on_device(system, device), 2), (open_engine(system, threads=cores), 1)):
+    seconds, begun = [], search.ROUGHLY  # the iterations before take fewer clips
+    for kind, repetitions in (("gpu", 3), ("auto", 3), ("cpu", 1)):
+        engine = open_engine(system, kind=kind, threads=cores)
         pool = ClipPool(system, [whole(log) for log in logs], system.settings.clips)
-        problem = Problem(system, pool, engine, 0)
-        state = search.start(problem)
+        problem = Problem(system, pool, engine, 0, threads=cores)
+        state = replace(search.start(problem), number=begun)
         _ = problem.rough, problem.reach
         for _ in range(repetitions):  # the first on a card captures its graphs
             start = time.perf_counter()
-            state = search.advance(problem, replace(state, stage="explore", first=None))
-            seconds.append(time.perf_counter() - start)
-    _, card, host = seconds
-    return [name, f"{card:.2f} s", f"{host:.1f} s", f"{host / card:.1f}x"]
+            search.advance(problem, replace(state, stage="explore"))
+            last = time.perf_counter() - start
+        seconds.append(last)
+    *cards, host = seconds
+    return [name, *(f"{card:.2f} s" for card in cards), f"{host:.1f} s", f"{host / min(cards):.1f}x"]
+
+
+def refits(count: int, cores: int) -> list[list[str]]:
+    """Refits of the demo to clips that are drawn anew, with repetition, all at once under the true cost.
+
+    Each steps by the slopes at the estimate and the residuals where it stands; its last steps are averaged,
+    as those of a search are.
+    """
+    system, logs = go1_push()
+    parts, _ = split_held_out(logs, system.settings.clips.held_out)
+    start = time.perf_counter()
+    engine = open_engine(system, kind="auto", threads=cores)
+    problem = Problem(system, ClipPool(system, parts, system.settings.clips), engine, 0, threads=cores)
+    state = search.start(problem)
+    while not state.done:
+        state = search.advance(problem, state)
+    fit = final_fit(problem, state)
+    searched = time.perf_counter()
+    found, gain, prior, d = fit.found, fit.slopes.gain, system.space.prior_precision, len(fit.z)
+    clips = len(fit.weight)
+    linear = bootstrap(fit.z, found, fit.weight, prior, count, np.random.default_rng(0))
+    drawn = np.random.default_rng(0).multinomial(clips, np.full(clips, 1.0 / clips), size=count)  # the same
+    weight = fit.weight * drawn
+    hessian = np.einsum("bc,cij->bij", weight, found.matrix) + prior
+    cross = np.einsum("cdr,cr,cxr->cdx", gain[:, :d], found.weight, gain[:, d:])
+    z, trail = system.space.clip(fit.z + linear), []
+    for _ in range(STEPS):
+        first = found.first(z - fit.z)
+        values = fit.slopes.cost.residuals(z, first).stacked
+        xp = namespace_of(values)
+        weighted = values * xp.asarray(found.weight)
+        pull = to_host(xp.einsum("bcr,cgr->bcg", weighted, xp.asarray(gain), optimize=True))
+        absorbed = np.linalg.solve(found.nuisance_precision, (pull[..., d:] + first)[..., None])[..., 0]
+        score = np.einsum("bc,bcd->bd", weight, pull[..., :d] - np.einsum("cdx,bcx->bcd", cross, absorbed))
+        step = np.linalg.solve(hessian, (score + z @ prior)[..., None])[..., 0]
+        z = system.space.clip(z - step)
+        trail.append(z)
+    refitted = np.mean(trail[STEPS // 3 :], axis=0)
+    print(f"search {searched - start:.1f} s, {count} refits {time.perf_counter() - searched:.1f} s")
+    sd = fit.posterior.sd
+    return [
+        [
+            name, f"{linear[:, i].std() / sd[i]:.2f}", f"{refitted[:, i].std() / sd[i]:.2f}",
+            f"{np.median(refitted[:, i] - fit.z[i]) / sd[i]:+.2f}",
+            f"{np.corrcoef(linear[:, i], refitted[:, i])[0, 1]:.2f}",
+        ]
+        for i, name in enumerate(system.space.names)
+    ]  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--worlds", default="1024,4096,8192,32768")
+    parser.add_argument("--rollouts", default="1024,4096,8192,32768")
     parser.add_argument("--problems", default=",".join(PROBLEMS))
     parser.add_argument("--device", default="cuda:0")
     parser.add_argument("--cores", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--no-agreement", action="store_true")
     parser.add_argument("--iteration", help="problems of which to time one iteration of the search instead")
+    parser.add_argument("--refits", type=int, help="refit the demo so many times instead")
     asked = parser.parse_args()
+    if asked.refits:
+        names = ("parameter", "linearised [sd]", "refitted [sd]", "median moves [sd]", "correlation")
+        show(f"{asked.refits} bootstrap refits of the demo", names, refits(asked.refits, asked.cores))
+        return
     if asked.iteration:
-        lines = [iteration(name, asked.device, asked.cores) for name in asked.iteration.split(",")]
-        show("One iteration, 4096 candidates on 8 clips", ("system", "card", "cores", "faster"), lines)
+        lines = [iteration(name, asked.cores) for name in asked.iteration.split(",")]
+        show("One iteration, 4096 candidates on 8 clips", ("system", "gpu", "auto", "cores", "faster"), lines)
         return
     names = asked.problems.split(",")
     if not asked.no_agreement:
@@ -230,14 +293,14 @@ def main() -> None:
         )
     lines = []
     for name in names:
-        for worlds in map(int, asked.worlds.split(",")):
-            lines.append(speed(name, worlds, asked.device, asked.cores))
+        for rollouts in map(int, asked.rollouts.split(",")):
+            lines.append(speed(name, rollouts, asked.device, asked.cores))
             print(*lines[-1], flush=True)
     show(
         f"Matching cost on {wp.get_device(asked.device).name}, {asked.cores} CPU cores beside it",
         (
-            "system", "worlds", "bare steps/s", "cost steps/s", "bare/cost", "CPU cost", "faster", "a world",
-            "first", "room",
+            "system", "rollouts", "worlds", "bare steps/s", "cost steps/s", "cost/bare", "CPU cost", "faster",
+            "a world", "first", "room",
         ),
         lines,
     )  # fmt: skip
