@@ -60,7 +60,7 @@ class AutoEngine:
 
     @property
     def fewest(self) -> float:
-        """Number of rollouts at once from which the cards are quicker; inf if they never are."""
+        """Number of rollouts of one length from which the cards are quicker; inf if they never are."""
         each = self._line.core / self._threads - self._line.world
         return self._line.card / each if each > 0.0 else np.inf
 
@@ -68,13 +68,15 @@ class AutoEngine:
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
         """See `Engine.rollout`."""
-        return self._quicker(len(lengths), int(lengths.max())).rollout(theta, qpos, qvel, inputs, lengths)
+        engine = self._quicker(len(lengths), int(lengths.sum()), int(lengths.max()))
+        return engine.rollout(theta, qpos, qvel, inputs, lengths)
 
     def predict(
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
     ) -> Predicted:
         """See `Engine.predict`."""
-        engine = self._quicker(len(theta) * len(starts.lengths), int(starts.lengths.max()))
+        count, lengths = len(theta), starts.lengths
+        engine = self._quicker(count * len(lengths), count * int(lengths.sum()), int(lengths.max()))
         return engine.predict(theta, starts, errors, wanted)
 
     def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> AutoEngine:
@@ -82,10 +84,10 @@ class AutoEngine:
         cpu, cards = self._cpu.upon(model, edits), lambda: self._opened().upon(model, edits)
         return AutoEngine(cpu, self._begin, cards, model, self._threads)
 
-    def _quicker(self, count: int, steps: int) -> Engine:
-        """The engine for a call of so many rollouts of so many steps."""
-        here, there = steps * count * self._line.core / self._threads, steps * self._line.on_card(count)
-        if count < self.fewest:
+    def _quicker(self, count: int, steps: int, longest: int) -> Engine:
+        """The engine for a call of so many rollouts, of so many steps together and in the longest of them."""
+        here, there = steps * self._line.core / self._threads, longest * self._line.on_card(count)
+        if here <= there:
             self._left = None if self._left is None else self._left - here
             return self._cpu
         if self._cards is None:

@@ -55,6 +55,12 @@ def cards(monkeypatch: pytest.MonkeyPatch) -> list[Cards]:
     return opened
 
 
+def alike(count: int) -> Any:
+    """So many rollouts of the same length."""
+    theta, qpos, qvel, inputs, _ = some(count)
+    return theta, qpos, qvel, inputs, np.full(count, 40)
+
+
 def auto() -> AutoEngine:
     engine = open_engine(PENDULUM, kind="auto")
     assert isinstance(engine, AutoEngine)
@@ -76,12 +82,13 @@ def test_small_calls_go_to_the_processor_and_large_ones_to_the_cards(cards, capl
     engine = auto()
     assert f"calls of {engine.fewest:.0f} rollouts or more" in caplog.text
     few = int(engine.fewest)
-    engine.rollout(*some(few))
+    engine.rollout(*alike(few))
+    engine.rollout(*some(few + 10))  # most of them would wait for the longest
     assert not cards, "the libraries of the cards are not even loaded"
-    engine.rollout(*some(few + 1))
+    engine.rollout(*alike(few + 1))
     assert cards[0].calls == [few + 1]
     starts, wanted = clips(PENDULUM, 10)
-    theta = some(few // 10 + 1)[0]
+    theta = some(few // 5)[0]
     done, alone = (each.predict(theta, starts, None, wanted) for each in (engine, open_engine(PENDULUM)))
     assert cards[0].calls[1:] == [10 * len(theta)]
     np.testing.assert_array_equal(done.values[0], alone.values[0])
@@ -89,8 +96,7 @@ def test_small_calls_go_to_the_processor_and_large_ones_to_the_cards(cards, capl
 
 def test_cards_open_once_that_is_worth_it_while_the_processor_computes_on(cards, monkeypatch) -> None:
     engine = auto()
-    theta, qpos, qvel, inputs, _ = some(int(2.0 * engine.fewest))
-    large = theta, qpos, qvel, inputs, np.full(len(theta), 40)  # takes 1 on the cards, 2 on the processor
+    large = alike(int(2.0 * engine.fewest))  # takes 1 on the cards, 2 on the processor
     each = 40 * step_cost(PENDULUM.model).card
     monkeypatch.setattr("amhe_cli.engine.auto.START", 13.5 * each)
     for _ in range(3):
@@ -104,8 +110,8 @@ def test_cards_open_once_that_is_worth_it_while_the_processor_computes_on(cards,
 def test_variants_of_a_model_share_the_cards(cards) -> None:
     engine = auto()
     variant = engine.upon(PENDULUM.model)
-    variant.rollout(*some(int(engine.fewest) + 1))
-    variant.upon(PENDULUM.model).rollout(*some(int(engine.fewest) + 1))
+    variant.rollout(*alike(int(engine.fewest) + 1))
+    variant.upon(PENDULUM.model).rollout(*alike(int(engine.fewest) + 1))
     assert len(cards) == 1
 
 
@@ -117,7 +123,7 @@ def test_a_model_that_the_cards_refuse_stays_on_the_processor(cards, monkeypatch
     caplog.set_level(logging.INFO, "amhe_cli")
     engine = auto()
     for _ in range(2):
-        engine.rollout(*some(int(engine.fewest) + 1))
+        engine.rollout(*alike(int(engine.fewest) + 1))
     assert caplog.messages[1:] == [
         "the CPU computes all rollouts: mujoco-warp cannot simulate this model: PGS"
     ]
@@ -132,7 +138,7 @@ def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> N
     engine = auto()
     engine.rollout(*some(2))
     assert len(caplog.messages) == 1, "only where the card is quicker"
-    engine.rollout(*some(int(engine.fewest) + 1))
+    engine.rollout(*alike(int(engine.fewest) + 1))
     assert "which is not installed: pip install 'amhe[gpu]'" in caplog.messages[1]
 
 
