@@ -100,6 +100,12 @@ def values_on(log: Log, model: ParameterSpace, space: ParameterSpace, theta: Flo
     return values
 
 
+def averaged(log: Log, model: ParameterSpace, space: ParameterSpace) -> dict[str, list[int]]:
+    """Parameters whose value on a log is a mean of several unknowns -> their columns; see `values_on`."""
+    pairs = zip(model.names, _columns(log, model, space), strict=True)
+    return {name: columns for name, columns in pairs if len(columns) > 1}
+
+
 def acting(log: Log, model: ParameterSpace, space: ParameterSpace) -> BoolArray:
     """Which unknowns of a search have an effect on one log, shape (k,); see `values_on`."""
     acts = np.zeros(len(space), dtype=bool)

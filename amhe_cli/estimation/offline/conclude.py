@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import belief_of
 from amhe_cli.core.statistics import correlation
@@ -25,7 +26,7 @@ from amhe_cli.estimation.offline.checks import (
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.combinations import combinations
 from amhe_cli.estimation.offline.fits import fits, profiles
-from amhe_cli.estimation.offline.held_out import judge, validate
+from amhe_cli.estimation.offline.held_out import judge, validate, with_own_values
 from amhe_cli.estimation.offline.horizon import HORIZONS, STARTS, horizon_errors
 from amhe_cli.estimation.offline.minima import SHARE, second_minimum
 from amhe_cli.estimation.offline.posterior import (
@@ -80,6 +81,9 @@ def conclude(
     system = problem.system
     watch.enter("covariance")
     fit = final_fit(problem, finding, watch)
+    validation, own = with_own_values(problem, validation, fit.z, fit.shape, fit.scale)
+    for text in own:
+        logger.log(NOTE, text)
     held_out, against = validate(problem, validation, finding), left_out(fit)
     shown = unexplained(system, fit)
     if held_out and watch.allows("held-out clips from fitted first states", problem.linearisation):

@@ -7,12 +7,13 @@ leaves noise.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, to_host
+from amhe_cli.core.each_log import averaged, values_on
 from amhe_cli.core.log import Window
 from amhe_cli.estimation.core.information import Information, channel_times, information
 from amhe_cli.estimation.core.linearise import FirstStates
@@ -26,6 +27,8 @@ from amhe_cli.estimation.offline.verdicts import SURPRISE
 from amhe_cli.matching.cost import MatchingCost, Residuals, measures
 from amhe_cli.matching.windows import Observed
 
+#: Steps at most to the values that a held-out log has of its own, and the last of them, in sd.
+OWN_STEPS, OWN_SETTLED = 8, 0.3
 #: Shares of the step to the best first states that are tried on each clip.
 LINE = np.array([1.0, 0.5, 0.0])
 #: Ends of the spans over which errors are averaged [s], the clip's end being the last; shares of it where
@@ -72,7 +75,7 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
         z: The values.
         shape: Shape of the samples of z, (d, d).
     """
-    nx = 0 if problem.settings.identify.first_state == "never" else cost.nx
+    nx = _errors(problem, cost)
     first = FirstStates.recorded(len(cost.clips.windows), nx)
     slopes = problem.linearised(cost, z, first, shape, problem.rng(5), straight=not problem.touches)
     found = information(slopes)
@@ -89,6 +92,63 @@ def scored(problem: Problem, cost: MatchingCost, z: FloatArray, shape: FloatArra
     kept = tuple(to_host(values)[best][None] for values in residuals.values)
     own = [np.where(done, one[best], np.inf) for one in losses]
     return Scored(Residuals(kept, done[None]), own, times, errors[best], found)
+
+
+def with_own_values(
+    problem: Problem, windows: Sequence[Window], z: FloatArray, shape: FloatArray, scale: Mapping[str, float]
+) -> tuple[list[Window], list[str]]:
+    """Held-out clips whose logs know the values that they have of their own, and these values in words.
+
+    No fitted log has them: they are fitted as first states are, around the mean of the fitted logs' values,
+    with the parameter's prior sd.
+
+    Args:
+        problem: The problem.
+        windows: The clips.
+        z: Values of the fitted logs, shape (d,).
+        shape: Shape of the samples of z, (d, d).
+        scale: Channel -> residual sd over declared noise sd.
+    """
+    space, model, logs, notes = problem.system.space, problem.system.edits.space, {}, []
+    for log in {id(window.log): window.log for window in windows}.values():
+        logs[id(log)] = log
+        if not (own := averaged(log, model, space)):
+            continue
+        cost = problem.cost([window for window in windows if window.log is log], scale)
+        first = FirstStates.recorded(len(cost.clips.windows), _errors(problem, cost))
+        along, away = np.zeros((len(z), len(own))), np.zeros(len(own))
+        for column, members in enumerate(own.values()):
+            along[members, column] = 1.0  # all of them move their mean
+        for _ in range(OWN_STEPS):
+            at = space.clip(z + along @ away)
+            found = information(
+                problem.linearised(cost, at, first, shape, problem.rng(5), straight=not problem.touches)
+            )
+            known = along.T @ found.matrix.sum(axis=0) @ along + np.eye(len(own))
+            step = np.linalg.solve(known, along.T @ found.score.sum(axis=0) + away)
+            away = away - step
+            if step @ known @ step < OWN_SETTLED**2:
+                break
+        places = space.theta_of(space.clip(np.stack((z + along @ away, z))))
+        fitted, mean = (
+            dict(zip(model.names, map(float, row), strict=True))
+            for row in values_on(log, model, space, places)
+        )
+        logs[id(log)] = log.with_(
+            known=dict(log.known) | {name: fitted[name] for name in own},
+            own={name: owner for name, owner in log.own.items() if name not in own},
+        )
+        notes += [
+            f"{log.source}: is held out and has its own {name}: predicted with {fitted[name]:.3g}, fitted to "
+            f"it as its first states are; the mean of the fitted logs is {mean[name]:.3g}"
+            for name in own
+        ]
+    return [replace(window, log=logs[id(window.log)]) for window in windows], notes
+
+
+def _errors(problem: Problem, cost: MatchingCost) -> int:
+    """Number of first-state errors that are fitted."""
+    return 0 if problem.settings.identify.first_state == "never" else cost.nx
 
 
 def validate(problem: Problem, windows: Sequence[Window], finding: Finding) -> HeldOut | None:

@@ -19,7 +19,7 @@ from amhe_cli.estimation.offline.checkpoint import Checkpoint
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, split_held_out, whole
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.conclude import PARTS, RESERVE, conclude
-from amhe_cli.estimation.offline.held_out import fitted_costs, validate
+from amhe_cli.estimation.offline.held_out import fitted_costs, validate, with_own_values
 from amhe_cli.estimation.offline.posterior import Finding
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Identification
@@ -218,6 +218,7 @@ def _needs_rescue(problem: Problem, finding: SearchState, validation: list[Windo
     A search that begins at the truth cannot gain. From recorded first states, whose noise is in the cost, a
     right model may look bad: where it does, the first states are fitted.
     """
+    validation, _ = with_own_values(problem, validation, finding.z, finding.shape, finding.scale)
     found = validate(problem, validation, finding)
     if found is None or not _bad(found.initial_cost, found.cost):
         return False

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from amhe_cli.api.identify import identify
+from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Log
 from amhe_cli.estimation.offline.shared import SPREADS, grouped
 from amhe_cli.system.system import System
@@ -55,6 +57,25 @@ def test_spreads_cover_the_truth() -> None:
         inside += abs(group.mean[-1] - 0.3) < 1.645 * sd, group.spread[0] < 0.3 < group.spread[2]
     assert (inside >= 82).all(), inside
     assert (SPREADS[0], SPREADS[-1]) == pytest.approx((1e-3, 4.0))
+
+
+def test_a_held_out_log_is_predicted_with_the_value_that_is_its_own(
+    swing: Callable[..., Log], pendulum: System, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Under the mean of the others it would fit worse than under the prior, and speak against every value."""
+    caplog.set_level(NOTE, "amhe_cli")
+    logs = [
+        swing(2.0, seed=i, theta=np.array([0.55, 0.03, f, 0.006])).with_(own=["friction_loss"])
+        for i, f in enumerate((0.012, 0.02, 0.06))
+    ]
+    found = identify(pendulum, logs[:2], held_out=logs[2], threads=1)
+    values = {p.name: p for p in found.found.parameters}
+    assert not [name for name, p in values.items() if p.verdict == "model-sensitive"]
+    assert values["load_mass"].verdict == "identified"
+    (note,) = (text for text in caplog.messages if "has its own friction_loss" in text)
+    shown = re.search(r"predicted with (\S+), .* fitted logs is (\S+)", note)
+    assert shown is not None
+    assert [float(number) for number in shown.groups()] == pytest.approx([0.06, 0.0155], rel=0.2)
 
 
 @pytest.mark.slow
