@@ -25,11 +25,13 @@ from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.offline import identification
 from amhe_cli.estimation.offline.result import Fit, Identification, Iteration, ParameterResult
 from amhe_cli.logs.truth import truth_in_metadata
-from amhe_cli.system.provenance import provenance
+from amhe_cli.system.provenance import hashes, provenance
 from amhe_cli.system.system import System
 
 if TYPE_CHECKING:
     import mujoco  # noqa: TID251 -- for a type
+
+logger = logging.getLogger(__name__)
 
 #: Width of a table in characters.
 _WIDTH = 110
@@ -268,6 +270,8 @@ def identify(
     )
     begun = time.monotonic()
     with collected_warnings() as warnings:
+        if start is not None:
+            _warn_of_same_logs(start, fitted)
         found = identification.identify(
             system, fitted, validation, options, progress or (lambda iteration, total: None)
         )
@@ -285,6 +289,17 @@ def _logs(system: System, given: Log | Sequence[Log], argument: str) -> tuple[Lo
             what = f"has no {missing[0]}" if missing else steps
             raise LogError(f"{log.source}: was not read for the system {system.name!r}: it {what}")
     return logs
+
+
+def _warn_of_same_logs(belief: Belief, fitted: Sequence[Log]) -> None:
+    """Warn of logs that the belief knows already: what they say would count twice."""
+    known = belief.provenance.get("logs")
+    before = set(known.values()) if isinstance(known, dict) else set()
+    if again := [name for name, digest in (hashes(fitted) if before else {}).items() if digest in before]:
+        logger.warning(
+            f"the belief was made from {', '.join(again)} already: what the same part of a log says counts "
+            f"twice, and the intervals are too narrow; leave out one of the two"
+        )
 
 
 def _same_data(one: Log, other: Log) -> bool:

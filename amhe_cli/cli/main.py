@@ -90,7 +90,8 @@ def run(arguments: Sequence[str]) -> int:
         except (click.Abort, KeyboardInterrupt):  # click makes an Abort of Ctrl-C
             command = amhe.commands.get(session.command.split()[-1])
             writes = command is None or any(option.name == "out" for option in command.params)
-            session.say("", "interrupted; nothing was written" if writes else "interrupted")
+            lost = f"; the results are in {session.folder}" if session.written else "; nothing was written"
+            session.say("", f"interrupted{lost if writes else ''}")
             return TERMINATED if session.terminated else INTERRUPTED
         except Exception as error:
             return _failed(session, error)

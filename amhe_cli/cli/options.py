@@ -327,7 +327,11 @@ class Output:
         """The folder to write to; it is refused before any work is done if it cannot be written."""
         from amhe_cli.report.folder import reserve
 
-        return reserve(self.folder, command, self.force)
+        session = click.get_current_context().find_object(Session)
+        folder = reserve(self.folder, command, self.force)
+        if session is not None:
+            session.folder = folder
+        return folder
 
 
 out = bundled(

@@ -17,6 +17,7 @@ from amhe_cli.core.text import printable
 
 if TYPE_CHECKING:
     from logging import Handler
+    from pathlib import Path
 
     from rich.console import Console
 
@@ -44,6 +45,7 @@ class Session:
         interrupted: The command was stopped before it was through, and kept what it had.
         terminated: By SIGTERM or SIGHUP, not by Ctrl-C.
         failed: The command did its work, and its outcome is a failure.
+        folder: Where it writes its results; None: nowhere, or not yet known.
     """
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:
@@ -54,6 +56,7 @@ class Session:
         self.interrupted = False
         self.terminated = False
         self.failed = False
+        self.folder: Path | None = None
         self.strict = False
         self.json = False
         self.quiet = False
@@ -74,6 +77,12 @@ class Session:
     def seconds(self) -> float:
         """Time since the command began."""
         return time.monotonic() - self.started
+
+    @property
+    def written(self) -> bool:
+        """Whether its results are in its folder."""
+        result = None if self.folder is None else self.folder / "result.json"
+        return result is not None and result.exists() and time.time() - result.stat().st_mtime < self.seconds
 
     @property
     def exit_code(self) -> int:

@@ -47,8 +47,8 @@ def provenance(
         "versions": versions(),
         "system_folder": _own_folder(system),
         "system_files": system_files(system),
-        "logs": _hashes(logs),
-        "held_out_logs": _hashes(held_out),
+        "logs": hashes(logs),
+        "held_out_logs": hashes(held_out),
     }
 
 
@@ -132,9 +132,9 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def _hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
+def hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
     """Hash of each log, by its path or name; a folder contributes every file in it."""
-    hashes: dict[str, str] = {}
+    found: dict[str, str] = {}
     files: dict[Path, None] = {}
     for log in logs:
         if isinstance(log, Path):
@@ -142,9 +142,9 @@ def _hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
         elif log.file is not None and log.file.exists():
             files |= dict.fromkeys(_log_files(log.file))
         else:
-            again = sum(name.partition(" #")[0] == log.source for name in hashes)
-            hashes[f"{log.source} #{again + 1}" if again else log.source] = log.digest()
-    return hashes | {str(file): sha256(file) for file in files}
+            again = sum(name.partition(" #")[0] == log.source for name in found)
+            found[f"{log.source} #{again + 1}" if again else log.source] = log.digest()
+    return found | {str(file): sha256(file) for file in files}
 
 
 def _log_files(path: Path) -> list[Path]:

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -137,6 +138,20 @@ def test_save_writes_what_the_command_writes(result: amhe.Result, tmp_path: Path
     with pytest.raises(ConfigError, match="is not empty"):
         result.save(tmp_path / "out")
     result.save(tmp_path / "out", force=True)
+
+
+def test_a_belief_that_was_made_from_the_same_log_counts_it_twice(
+    result: amhe.Result, system: amhe.System, log: amhe.Log, tmp_path: Path
+) -> None:
+    folder = result.save(tmp_path / "first")
+    few = {"fix": {"damping": 0.035, "friction_loss": 0.03, "armature": 0.006}, "max_time": 1e-3}
+    again = amhe.identify(system, log, prior=folder / "belief.yaml", **few)
+    (text,) = (text for text in again.warnings if "counts twice" in text)
+    assert "pendulum.mcap already" in text
+    other = replace(log, series=dict(log.series), file=None, source="another")
+    assert not any(
+        "twice" in text for text in amhe.identify(system, other, prior=again.belief, **few).warnings
+    )
 
 
 def test_system_and_logs_without_files_are_saved_as_well(

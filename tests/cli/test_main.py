@@ -97,6 +97,28 @@ def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, 
     assert capsys.readouterr().err.strip() == f"amhe trial: {said}"
 
 
+def test_an_interruption_after_results_were_written_says_where_they_are(
+    monkeypatch, capsys, tmp_path
+) -> None:
+    (tmp_path / "result.json").write_text("{}")
+    os.utime(tmp_path / "result.json", (0, 0))  # of an earlier command
+
+    @click.command(cls=options.Command)
+    @click.option("--late", is_flag=True)
+    @options.out
+    @options.common
+    def trial(out: options.Output, late: bool) -> None:
+        folder = out.reserve("trial")
+        if late:
+            (folder / "result.json").write_text("{}")
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(entry.amhe.commands, "trial", trial)
+    for more, lost in (([], "nothing was written"), (["--late"], f"the results are in {tmp_path}")):
+        assert entry.run(["trial", "-o", str(tmp_path), "--force", *more]) == 130
+        assert capsys.readouterr().err.strip() == f"amhe trial: interrupted; {lost}"
+
+
 def test_a_signal_as_of_a_closed_terminal_silences_no_open_one(monkeypatch) -> None:
     keys, terminal = os.openpty()
     with os.fdopen(keys, "rb", 0) as screen, os.fdopen(terminal, "w") as stderr:

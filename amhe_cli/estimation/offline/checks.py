@@ -29,6 +29,7 @@ from amhe_cli.estimation.offline.posterior import (
     posterior,
 )
 from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.runs import names_of
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.verdicts import NOTED, SURPRISE, share, size
 from amhe_cli.matching.cost import Residuals
@@ -72,7 +73,9 @@ def disagreements(
         earlier, later = (posterior(finding.z, fit.found, fit.weight * side, prior) for side in (~logs, logs))
         found = disagreement(later, earlier)
         on_both = _acting(problem, ~logs) & _acting(problem, logs)
-        compared["the earlier and the later logs"] = replace(found, value=found.value * on_both)
+        pair = list(names_of(dict.fromkeys(clip.log for clip in problem.clips)).values())
+        key = " and ".join(pair) if len(pair) == 2 else "the earlier and the later logs"
+        compared[key] = replace(found, value=found.value * on_both)
     return compared
 
 

@@ -7,7 +7,7 @@ spread between runs widens the interval, which then holds the value of any run.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from itertools import combinations
 from pathlib import Path
 
@@ -50,7 +50,7 @@ def runs_that_differ(problem: Problem, alone: Mapping[Log, Posterior]) -> dict[s
     if len(alone) < 3:  # two of them are compared as the earlier and the later logs
         return found
     space, model = problem.system.space, problem.system.edits.space
-    names = _names(list(alone))
+    names = names_of(alone)
     differences = [disagreement(alone[other], alone[one]) for one, other in pairs]
     both = np.array([acting(one, model, space) & acting(other, model, space) for one, other in pairs])
     sizes = np.abs([difference.value for difference in differences]) * both
@@ -88,7 +88,7 @@ def estimates(
     space: ParameterSpace, z: FloatArray, alone: Mapping[Log, Posterior]
 ) -> tuple[RunEstimate, ...]:
     """Value and sd of each parameter from each run alone, without those that the run hardly knows."""
-    names, found = _names(list(alone)), []
+    names, found = names_of(alone), []
     for log, one in alone.items():
         values = space.theta_of(space.clip(z + one.step))
         sd = one.sd * space.prior_sd * np.where(space.log, values, 1.0)
@@ -101,7 +101,7 @@ def _logs(problem: Problem) -> list[Log]:
     return list(dict.fromkeys(clip.log for clip in problem.clips))
 
 
-def _names(logs: list[Log]) -> dict[Log, str]:
+def names_of(logs: Collection[Log]) -> dict[Log, str]:
     """Names of the logs' files, with what leads to them where some are alike."""
     short = [Path(log.source).name for log in logs]
     unique = len(set(short)) == len(short)

@@ -33,6 +33,8 @@ EXPLAINS = 0.1
 SMALL = 0.05
 #: Factor on the sd of a first velocity that was differentiated, where rulers are judged.
 BLIND = 10.0
+#: Share of the misfit that one ruler explains from which another explains it as well.
+AS_WELL = 0.5
 #: Weight of a ruler in a combination from which it is named.
 JOINED = 0.4
 #: States of the rollouts that are examined for what acts in them, about.
@@ -159,18 +161,47 @@ def _rulers(problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) ->
     towards = way * halved.z if problem.rough else moves @ spread[0] / np.sqrt(spread[0, 0])
     assumed = not problem.rough and abs(mean[0]) <= SURPRISE * np.sqrt(known[0, 0])
     yield _step(problem, halved, about.beyond_sd(towards), assumed)
-    known, mean, moves, left = known[1:, 1:], mean[1:], moves[:, 1:], _without_first(spread)
-    for ruler, wanted, sd, along in zip(rulers, mean, np.sqrt(known.diagonal()), moves.T, strict=True):
-        if abs(wanted) > SURPRISE * sd and about.beyond_sd(wanted * along).any():
-            logger.warning(
-                f"the logs speak against {ruler.name}: they want {wanted:+.1f} times {ruler.change} "
-                f"of change ({abs(wanted) / sd:.0f} sd); measure it, or make it a parameter"
-            )
+    surprising = np.abs(mean) > SURPRISE * np.sqrt(known.diagonal())
+    wrong = [i for i in range(1, len(mean)) if surprising[i] and about.beyond_sd(mean[i] * moves[:, i]).any()]
+    for text in _against(rulers, known, mean, [i - 1 for i in wrong]):
+        logger.warning(text)
+    moves, left = moves[:, 1:], _without_first(spread)
     values, vectors = np.linalg.eigh(left)
     for value, vector in zip(values, vectors.T, strict=True):
         move = np.sqrt(max(value, 0.0)) * (moves @ vector)
         together = [i for i in np.argsort(-np.abs(vector)) if abs(vector[i]) > JOINED]
         yield Shift(_rests([rulers[i] for i in together]), move, about.beyond_sd(move), assumed=True)
+
+
+def _against(
+    rulers: Sequence[Ruler], known: FloatArray, mean: FloatArray, wrong: Sequence[int]
+) -> Iterator[str]:
+    """What the logs speak against, and by how much it alone would be wrong, with what explains them as well.
+
+    Args:
+        rulers: The rulers.
+        known, mean: Covariance (K, K) and mean (K,) of the step and the rulers.
+        wrong: Which of the rulers the logs speak against.
+    """
+    precision = np.linalg.inv(known)
+    score, own = (precision @ mean)[1:], precision.diagonal()[1:]
+    worth = score**2 / own  # of the misfit, by each alone
+    wanted = score / np.maximum(own - 1.0, 1e-9)  # what the logs want, whatever the data sheet
+    named: set[int] = set()
+    for i in sorted(wrong, key=lambda i: -worth[i]):
+        if i in named:
+            continue
+        others = [j for j in np.argsort(-worth) if j != i and worth[j] > AS_WELL * worth[i]]
+        named |= {i, *others}
+        rivals = "".join(
+            f", or {wanted[j]:+.1f} times {rulers[j].change} of {rulers[j].name}" for j in others
+        )
+        whose, one = ("them", "one of them") if others else ("it", "it")
+        yield (
+            f"the logs speak against {rulers[i].name}: they want {wanted[i]:+.1f} times {rulers[i].change} "
+            f"of change ({np.sqrt(worth[i]):.0f} sd){rivals}; measure {whose}, or make {one} a parameter; "
+            f"something else that the model lacks, such as the zero of an encoder, may act alike"
+        )
 
 
 def _step(problem: Problem, halved: _Move, spread: FloatArray, assumed: bool) -> Shift:

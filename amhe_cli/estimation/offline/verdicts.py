@@ -15,8 +15,9 @@ from amhe_cli.estimation.offline.result import ParameterResult
 
 #: Shrinkage below which the data say nothing, and from which they determine.
 NOTHING, DETERMINED = 0.3, 0.8
-#: Prior sd from its prior at which a value that the logs hardly determine has gone astray; one is common.
-ASTRAY = 2.0
+#: Prior sd from its prior at which a value that the logs hardly determine has gone astray (one is common),
+#: and up to which it is called the prior.
+ASTRAY, PRIOR = 2.0, 0.3
 #: Shrinkage that what the model assumes must leave.
 HALVED = 0.5
 #: Ratio of the sd to that at a doubled step that a linearisation may show.
@@ -198,7 +199,7 @@ def _open(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
     if evidence.shrinkage[i] >= NOTHING:
         return ()
     away = abs(evidence.z[i])
-    value = "the value is your prior" if away <= 1.0 else f"it is {away:.1f} prior sd from your prior"
+    value = "the value is your prior" if away <= PRIOR else f"it is {away:.1f} prior sd from your prior"
     return _wider(evidence, i) or (f"the logs hardly narrow it down: {value}",)
 
 
@@ -293,7 +294,7 @@ def _contradictions(
     space: ParameterSpace, evidence: Evidence, i: int, least: float, most: float
 ) -> tuple[str, ...]:
     """Differences beyond chance between parts of the data, or models, of a size in [least, most)."""
-    found = []
+    found = []  # with NOTED, of models all that widen
     sd = float(np.sqrt(evidence.covariance[i, i]))
     for name, difference in evidence.disagreements.items():
         value, repeated = difference.value[i], difference.share > 0.5
@@ -308,7 +309,7 @@ def _contradictions(
         for shift in evidence.shifts
         if not shift.assumed
         and abs(shift.spread[i]) > COUNTS * sd
-        and least <= share(space, i, shift.z[i]) < most
+        and (0.0 if least == NOTED else least) <= share(space, i, shift.z[i]) < most
     ]
     return tuple(found)
 

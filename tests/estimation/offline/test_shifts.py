@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.core.arrays import sealed
 from amhe_cli.core.each_log import searched
 from amhe_cli.core.log import Log
 from amhe_cli.core.settings import RulerSettings
@@ -20,9 +21,10 @@ from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.posterior import final_fit
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Identification, ParameterResult
-from amhe_cli.estimation.offline.shifts import shifts_of
+from amhe_cli.estimation.offline.shifts import _against, shifts_of
 from amhe_cli.estimation.offline.verdicts import Shift
 from amhe_cli.system.load import find_system
+from amhe_cli.system.rulers import Ruler
 from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP, NOISE, TRUTH, as_trajectory
 
@@ -377,3 +379,26 @@ def test_unknown_gains_rest_on_the_masses_of_what_moves(light: float, share: flo
     assert (gain.lower <= 1.0 <= gain.upper) == bool(share), "not of the base, which does not move"
     assert (links in " ".join(gain.reasons)) == bool(share)
     assert (links in result.exact) != bool(share)
+
+
+def ruler(name: str) -> Ruler:
+    return Ruler(name, None, (), "scale", 0.1, "10%")
+
+
+def test_what_explains_the_logs_as_well_is_named_with_the_change_that_it_alone_would_need() -> None:
+    """The logs want gain - mass = 4 sd, and know nothing of the sum; of the limit they want nothing."""
+    data = np.diag([0.0, 100.0, 100.0, 100.0])
+    data[1, 2] = data[2, 1] = -100.0
+    known = sealed(np.linalg.inv(data + np.eye(4)))
+    mean = known @ np.array([0.0, 400.0, -400.0, 0.0])
+    assert mean == pytest.approx([0.0, 2.0, -2.0, 0.0], abs=0.02), "as a posterior they share it"
+    rulers = [ruler("the gain"), ruler("the masses"), ruler("the limit")]
+    (text,) = _against(rulers, known, mean, [0, 1])
+    assert (
+        "against the gain: they want +4.0 times 10% of change (40 sd), or -4.0 times 10% of the masses;"
+        in text
+    )
+    assert "make one of them a parameter" in text and "limit" not in text
+    alone = sealed(np.linalg.inv(np.diag([1.0, 101.0, 1.0, 1.0])))
+    (text,) = _against(rulers, alone, alone @ np.array([0.0, 400.0, 0.0, 0.0]), [0])
+    assert "they want +4.0 times 10% of change (40 sd); measure it, or make it a parameter" in text

@@ -94,9 +94,9 @@ def test_what_no_measurement_depends_on_is_the_prior() -> None:
 
 
 def test_a_value_far_from_its_prior_that_the_logs_hardly_determine_is_model_sensitive() -> None:
-    near, away, far = (mass(evidence(0.8, z=np.array([z, 0.0, 0.0]))) for z in (0.9, 1.6, -2.1))
+    near, away, far = (mass(evidence(0.8, z=np.array([z, 0.0, 0.0]))) for z in (0.2, 0.9, -2.1))
     assert near.verdict == "prior" and "hardly narrow it down: the value is your prior" in near.reasons[0]
-    assert away.verdict == "prior" and "it is 1.6 prior sd from your prior" in away.reasons[0]
+    assert away.verdict == "prior" and "it is 0.9 prior sd from your prior" in away.reasons[0]
     assert far.verdict == "model-sensitive" and "2.1 prior sd from its prior" in far.reasons[0]
 
 
@@ -131,6 +131,13 @@ def test_an_assumed_number_widens_and_is_named_but_leaves_the_logs_their_say() -
     assert mass(evidence(covariance=wide)).verdict == "weak", "not assumed, but open"
     much = Shift(rests.text, np.full(3, 0.6), np.full(3, 0.6), assumed=True)
     assert mass(evidence(covariance=0.61**2 * np.eye(3), shifts=[much])).verdict == "weak"
+
+
+def test_what_widens_is_named_however_little_it_moves() -> None:
+    step = Shift("at 1 ms it would move by {}", np.full(3, 0.05), np.full(3, 0.09))
+    result = mass(evidence(0.1, shifts=[step]))
+    assert result.verdict == "identified"
+    assert result.reasons == ("at 1 ms it would move by +3%, which the sd allows for",)
 
 
 @pytest.mark.parametrize(
