@@ -23,7 +23,7 @@ def test_system_and_log_are_one_line() -> None:
 
 
 def test_logs_of_one_name_are_distinguished_in_the_provenance() -> None:
-    from amhe_cli.system.provenance import _hashes
+    from amhe_cli.system.provenance import hashes
 
     system = amhe.System.load("pendulum")
     times = np.arange(0.0, 1.0, 0.01)
@@ -32,6 +32,6 @@ def test_logs_of_one_name_are_distinguished_in_the_provenance() -> None:
         wave = scale * np.sin(times)[:, None]
         arrays = {"joints": {"time": times, "position": wave, "velocity": wave}}
         logs.append(amhe.Log.from_arrays(arrays | {"command": {"time": times, "position": wave}}, system))
-    hashes = _hashes(logs)
-    assert list(hashes) == ["arrays", "arrays #2", "arrays #3"]
-    assert len(set(hashes.values())) == 3
+    found = hashes(logs)
+    assert list(found) == ["arrays", "arrays #2", "arrays #3"]
+    assert len(set(found.values())) == 3

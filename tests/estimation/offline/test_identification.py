@@ -318,7 +318,10 @@ def test_another_search_is_for_bad_fits(monkeypatch, initial: float, found: floa
     from amhe_cli.estimation.offline import identification
 
     recorded = SimpleNamespace(cost=found, initial_cost=initial)
+    search: Any = SimpleNamespace(z=None, shape=None, scale=1.0)
+    monkeypatch.setattr(identification, "with_own_values", lambda _, clips, *__: (clips, None))
     monkeypatch.setattr(identification, "validate", lambda *_: recorded)
     for fitted, rescued in (((initial, found), bad), ((1.0, 1.0), False)):
         monkeypatch.setattr(identification, "fitted_costs", lambda *_, fitted=fitted: fitted)
-        assert identification._needs_rescue(*(Any,) * 3) is rescued, "bad from fitted first states, too"  # pyright: ignore[reportArgumentType]
+        rescue = identification._needs_rescue(Any, search, [])  # pyright: ignore[reportArgumentType]
+        assert rescue is rescued, "bad from fitted first states, too"
