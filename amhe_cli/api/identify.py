@@ -293,8 +293,7 @@ def _logs(system: System, given: Log | Sequence[Log], argument: str) -> tuple[Lo
 
 def _warn_of_same_logs(belief: Belief, fitted: Sequence[Log]) -> None:
     """Warn of logs that the belief knows already: what they say would count twice."""
-    known = belief.provenance.get("logs")
-    before = set(known.values()) if isinstance(known, dict) else set()
+    before = set(belief.logs.values())
     if again := [name for name, digest in (hashes(fitted) if before else {}).items() if digest in before]:
         logger.warning(
             f"the belief was made from {', '.join(again)} already: what the same part of a log says counts "

@@ -80,23 +80,17 @@ def pool(
     z, covariance = pooled(means, covariances, np.zeros(len(space)), space.prior_precision)
     origin: dict[str, object] = {"created": now(), "pooled": list(names), "versions": versions()}
     origin |= {key: read[0].provenance[key] for key in ("system_folder",) if key in read[0].provenance}
-    origin["logs"] = {log: digest for one in read for log, digest in _logs(one).items()}
+    origin["logs"] = {log: digest for one in read for log, digest in one.logs.items()}
     return Pooled(belief_of(opened, z, covariance, origin), names, tuple(known), found, differences)
-
-
-def _logs(belief: Belief) -> dict[str, str]:
-    """Hash of each log that a belief was made of, by its path."""
-    logs = belief.provenance.get("logs")
-    return {str(log): str(digest) for log, digest in logs.items()} if isinstance(logs, dict) else {}
 
 
 def _refuse_shared(names: Sequence[str], beliefs: Sequence[Belief]) -> None:
     """Refuse beliefs of the same log, whose information would count twice."""
     seen: dict[str, str] = {}
     for name, belief in zip(names, beliefs, strict=True):
-        for log, digest in _logs(belief).items():
+        for log, digest in belief.logs.items():
             if digest in seen:
                 raise ConfigError(
                     f"`beliefs`: {seen[digest]} and {name} were both made of {log}: pool other runs"
                 )
-        seen |= dict.fromkeys(_logs(belief).values(), name)
+        seen |= dict.fromkeys(belief.logs.values(), name)

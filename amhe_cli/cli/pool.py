@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from amhe_cli.cli import options, prior_options
+from amhe_cli.cli.fresh_file import fresh_file
 from amhe_cli.cli.session import Session
 
 
@@ -14,7 +15,7 @@ from amhe_cli.cli.session import Session
 @click.argument("beliefs", nargs=-1, required=True, type=options.EXISTING_FILE, metavar="BELIEF...")
 @options.system_or("that of the first belief")
 @prior_options.belief_anyway
-@options.new_file("-o", "--out", use="File for the pooled belief.  [default: none; the table alone]")
+@fresh_file("out", "-o", "--out", use="File for the pooled belief.  [default: none; the table alone]")
 @options.common
 @click.pass_obj
 def pool(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -139,18 +140,27 @@ def system_of_result(belief: Path) -> System | None:
         The system; None where the file is not belief.yaml of such a folder, or the system comes with amhe.
 
     Raises:
-        ConfigError: The system or the settings are not where they were.
+        ConfigError: The folder's result cannot be read, or its system or settings are not where they were.
     """
     from amhe_cli.cli.identify import identify
     from amhe_cli.core.parameters import Belief
 
-    if belief.name != "belief.yaml" or not belief.with_name("result.json").is_file():
+    result = belief.with_name("result.json")
+    if belief.name != "belief.yaml" or not result.is_file():
         return None
     origin, none = Belief.load(belief).provenance, Inputs(None, {}, None, None, None)
-    _, inputs, overrides = _as_then(identify, origin, none, Overrides({}, {}), needed=("config",))
+    try:
+        record = json.loads(result.read_text(encoding="utf-8"))
+        if (record["schema_version"], record["command"]) != (1, "identify"):
+            return None
+        given, inputs, overrides = _as_then(identify, origin, none, Overrides({}, {}), needed=("config",))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        text = f"{belief.parent}: is no result of amhe identify; give the belief's system with --system DIR"
+        raise ConfigError(text) from None
     if inputs.system is None:
         return None
-    logger.log(NOTE, "opens system %s", inputs.system)
+    also = [f"settings {given['config']}"] if given.get("config") else []
+    logger.log(NOTE, "opens %s", ", ".join([f"system {inputs.system}", *also]))
     return inputs.open((), overrides)
 
 
@@ -173,7 +183,9 @@ def _replayed(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides
     origin = record.get("provenance") or {"system_folder": record["system"]}  # earlier versions wrote none
     _, then, overrides = _as_then(mhe_replay, dict(origin), inputs, overrides)
     whole = replace(then, start=inputs.start, end=inputs.end)  # estimates of a part stand in all of the log
-    estimates, first = folder / "estimates.mcap", {p["name"]: p["start"] for p in record["parameters"]}
+    estimates, first = folder / "estimates.mcap", {p["name"]: float(p["start"]) for p in record["parameters"]}
+    if not all(map(math.isfinite, first.values())):
+        raise ValueError
     return Viewed(
         (Path(record["log"]),), whole, overrides, fixed=record["fixed"], recorded=estimates, first=first
     )

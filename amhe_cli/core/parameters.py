@@ -257,6 +257,12 @@ class Belief(Displayed):
 
         write_whole(Path(path), belief_text(self))
 
+    @property
+    def logs(self) -> dict[str, str]:
+        """Hash of each log that the belief was made of, by its path; {} where that is not known."""
+        logs = self.provenance.get("logs")
+        return {str(log): str(digest) for log, digest in logs.items()} if isinstance(logs, dict) else {}
+
     def sample(self, n: int, rng: np.random.Generator | int = 0) -> FloatArray:
         """Draw parameters from the belief.
 

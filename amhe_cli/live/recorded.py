@@ -76,8 +76,8 @@ def first_belief(path: Path) -> dict[str, float]:
 
 def _believed(fields: Fields) -> dict[str, float]:
     """The values in one message of /amhe/params."""
-    places = _places(fields, "name[{}]")
-    return {str(fields[one]): float(fields[one.replace("name", "position")]) for one in places}
+    pairs = ((one, one.replace("name", "position")) for one in _places(fields, "name[{}]"))
+    return {str(fields[one]): float(fields[other]) for one, other in pairs if other in fields}
 
 
 def _places(fields: Fields, place: str) -> Iterator[str]:

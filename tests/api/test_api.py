@@ -148,7 +148,8 @@ def test_a_belief_that_was_made_from_the_same_log_counts_it_twice(
     again = amhe.identify(system, log, prior=folder / "belief.yaml", **few)
     (text,) = (text for text in again.warnings if "counts twice" in text)
     assert "pendulum.mcap already" in text
-    other = replace(log, series=dict(log.series), file=None, source="another")
+    (tmp_path / "another.mcap").write_bytes(b"another run")
+    other = replace(log, series=dict(log.series), file=tmp_path / "another.mcap", source="another.mcap")
     assert not any(
         "twice" in text for text in amhe.identify(system, other, prior=again.belief, **few).warnings
     )

@@ -127,6 +127,33 @@ def test_a_result_folder_names_the_system_of_its_belief(
     assert run([*export, str(belief), "--system", str(tmp_path / "moved")]) == 0
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "result"),
+    [
+        ("command", "amhe identify 'x", '{"schema_version": 1, "command": "identify"}'),
+        ("system_folder", 5, '{"schema_version": 1, "command": "identify"}'),
+        ("system_folder", ["a"], '{"schema_version": 1, "command": "identify"}'),
+        ("system_folder", "elsewhere", "no JSON"),
+        ("system_folder", "elsewhere", "[]"),
+    ],
+)
+def test_a_result_folder_that_was_tampered_with_is_one_line(
+    key: str, value: object, result: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    system = amhe.System.load("pendulum")
+    belief_of(system, np.zeros(4), COVARIANCE, {key: value}).save(tmp_path / "belief.yaml")
+    (tmp_path / "result.json").write_text(result)
+    for command in (["export", "--to", "mjcf", "-o", str(tmp_path / "out")], ["pool"]):
+        assert run([*command, str(tmp_path / "belief.yaml")]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "is no result of amhe identify" in line
+
+
+def test_a_pooled_belief_is_not_written_over(belief: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["pool", str(belief), str(belief), "-o", str(belief)]) == 2
+    assert "--force" in capsys.readouterr().err
+
+
 def test_wrong_arguments_are_one_line(belief: Path, tmp_path: Path) -> None:
     with pytest.raises(amhe.AmheError, match="did you mean 'mjcf'"):
         amhe.export(belief, "mjfc", tmp_path / "out")

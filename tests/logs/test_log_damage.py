@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from mmap import mmap
 from pathlib import Path
 
 import numpy as np
@@ -144,6 +145,16 @@ def test_the_index_behind_a_chunk_is_used_but_not_believed(
     assert sum(believed) == (
         len(believed) - 1 if wrong is None else 0
     )  # the first one holds declarations too
+
+
+def test_an_index_behind_a_chunk_is_not_read_beyond_what_the_chunk_can_hold() -> None:
+    empty = mcap_index.RECORD.pack(Opcode.MESSAGE_INDEX, 6) + bytes(6)
+    one = mcap_index.RECORD.pack(Opcode.MESSAGE_INDEX, 22) + bytes(22)
+    with mmap(-1, 10**6) as data:
+        data[: len(one + 1000 * empty + one)] = one + 1000 * empty + one
+        chunk = mcap_index.Piece(0, 0, True)
+        assert len(mcap_index.indexed(data, chunk, 31 * 2000)) == 2
+        assert len(mcap_index.indexed(data, chunk, 31 * 100)) == 1
 
 
 @pytest.mark.parametrize("kind", ["ZSTD", "LZ4", "NONE"])

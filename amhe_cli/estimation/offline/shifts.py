@@ -234,7 +234,9 @@ class _Nuisances:
         self._fit, self._d, self._step = about.fit, len(about.fit.z), step[:, None]
         self._rulers, self._count = len(rulers), 1 + len(rulers)
         # the errors of these velocities have a common cause, and would pass for one of a ruler
-        self._loose = np.where(differentiated(problem.system, problem.clips[0].log), BLIND, 1.0)
+        logs = {id(clip.log): clip.log for clip in problem.clips}.values()
+        blind = np.any([differentiated(problem.system, log) for log in logs], axis=0)
+        self._loose = np.where(blind, BLIND, 1.0)
         self._loose = self._loose[: about.fit.slopes.first.mean.shape[1]]
         system = with_rulers(problem.system, rulers)
         self._cost = about.fit.slopes.cost.upon(problem.engine.upon(system.model, system.edits), system)

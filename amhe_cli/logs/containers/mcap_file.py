@@ -74,7 +74,7 @@ class McapFile:
             if not piece.is_chunk:
                 yield from self._records(self._data, piece.start, piece.stop, topics)
             elif (data := self._unfold(piece, unfolder)) is not None:
-                yield from self._chunk(data, indexed(self._data, piece), topics)
+                yield from self._chunk(data, indexed(self._data, piece, len(data)), topics)
         if found.cut is not None and (data := self._unfold_start(found.cut)):
             yield from self._records(data, 0, len(data), topics)
         self._note_metadata(found)

@@ -154,15 +154,17 @@ def unfolded_start(data: mmap, position: int) -> bytes:
     return records[:at]
 
 
-def indexed(data: mmap, chunk: Piece) -> NDArray[np.uint64]:
+def indexed(data: mmap, chunk: Piece, size: int) -> NDArray[np.uint64]:
     """Where the messages of a chunk begin in its records, in their order, as the index behind it says.
 
-    Nothing of it is certain: see `is_chain`.
+    Nothing of it is certain: see `is_chain`. An index with more entries than there can be messages in
+    `size` bytes is not read on.
     """
-    found = [np.empty(0, dtype=np.uint64)]
+    found, left = [np.empty(0, dtype=np.uint64)], size // (RECORD.size + _STAMPED)
     try:
         for opcode, start, stop in _split(data, chunk.stop, len(data)):
-            if opcode != Opcode.MESSAGE_INDEX:
+            left -= max(1, (stop - start) // 16)
+            if opcode != Opcode.MESSAGE_INDEX or left < 0:
                 break
             numbers = np.frombuffer(data, "<u8", max(stop - start - _INDEXED, 0) // 8, start + _INDEXED)
             found.append(numbers[1::2])  # each stands behind the message's stamp
