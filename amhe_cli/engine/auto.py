@@ -23,6 +23,37 @@ START = 4.5
 FOLLOWING = 10
 
 
+class Opening:
+    """How far the cards are opened: one for an engine and all its variants.
+
+    Args:
+        begin: Begins to open the cards, in the background.
+    """
+
+    def __init__(self, begin: Callable[[], object]) -> None:
+        self._begin = begin
+        #: What calls would have saved on the cards, and until these are open, once that has begun [s].
+        self._saved, self._left = 0.0, None
+        #: Whether a call has been computed there.
+        self.done = False
+
+    def takes(self, here: float, there: float) -> bool:
+        """Whether the cards compute a call that takes so long on the processor, and on open cards [s]."""
+        if here > there:
+            if self._left is None:
+                self._saved += here - there
+                if self._saved + FOLLOWING * (here - there) < START:
+                    return False
+                self._begin()
+                self._left = START
+            if self.done or here >= self._left + there:
+                self.done = True
+                return True
+        if self._left is not None:
+            self._left -= here
+        return False
+
+
 class AutoEngine:
     """The processor's engine, and that of the cards for calls that are large enough.
 
@@ -32,7 +63,7 @@ class AutoEngine:
 
     Args:
         cpu: The engine of the processor.
-        begin: Begins to open the cards, in the background.
+        opening: How far the cards are opened.
         cards: The engine of the cards, once they are open.
         model: Model of both.
         threads: Threads of the processor's engine.
@@ -43,20 +74,18 @@ class AutoEngine:
     def __init__(
         self,
         cpu: CpuEngine,
-        begin: Callable[[], object],
+        opening: Opening,
         cards: Callable[[], Engine],
         model: mujoco.MjModel,
         threads: int,
     ) -> None:
-        self._cpu, self._begin, self._open, self._threads = cpu, begin, cards, threads
+        self._cpu, self._opening, self._open, self._threads = cpu, opening, cards, threads
         self._line, self._cards = step_cost(model), None
-        #: What calls would have saved on the cards, and until these are open, once that has begun [s].
-        self._saved, self._left = 0.0, None
 
     @property
     def device_bytes(self) -> int:
         """See `Engine.device_bytes`."""
-        return 0 if self._cards is None else self._cards.device_bytes
+        return self._opened().device_bytes if self._opening.done else 0
 
     @property
     def fewest(self) -> float:
@@ -82,25 +111,12 @@ class AutoEngine:
     def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> AutoEngine:
         """See `Engine.upon`."""
         cpu, cards = self._cpu.upon(model, edits), lambda: self._opened().upon(model, edits)
-        return AutoEngine(cpu, self._begin, cards, model, self._threads)
+        return AutoEngine(cpu, self._opening, cards, model, self._threads)
 
     def _quicker(self, count: int, steps: int, longest: int) -> Engine:
         """The engine for a call of so many rollouts, of so many steps together and in the longest of them."""
         here, there = steps * self._line.core / self._threads, longest * self._line.on_card(count)
-        if here <= there:
-            self._left = None if self._left is None else self._left - here
-            return self._cpu
-        if self._cards is None:
-            if self._left is None:
-                self._saved += here - there
-                if self._saved + FOLLOWING * (here - there) < START:
-                    return self._cpu
-                self._begin()
-                self._left = START
-            if here < self._left + there:
-                self._left -= here
-                return self._cpu
-        return self._opened()
+        return self._opened() if self._opening.takes(here, there) else self._cpu
 
     def _opened(self) -> Engine:
         if self._cards is None:

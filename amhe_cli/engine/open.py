@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import NOTE, ConfigError
-from amhe_cli.engine.auto import AutoEngine
+from amhe_cli.core.executors import in_background
+from amhe_cli.engine.auto import AutoEngine, Opening
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
@@ -71,9 +72,9 @@ def open_engine(
 
     @cache
     def begin() -> Future[Engine]:
-        return ThreadPoolExecutor(1).submit(lambda: _loaded(_gpu_engine(None, *about, senses)))
+        return in_background(lambda: _loaded(_gpu_engine(None, *about, senses)))
 
-    engine = AutoEngine(cpu, begin, lambda: begin().result(), about[0], threads)
+    engine = AutoEngine(cpu, Opening(begin), lambda: begin().result(), about[0], threads)
     logger.log(
         NOTE, "the graphics card%s, where it is quicker: calls of %.0f rollouts or more; else the CPU",
         "s" * (len(cards) > 1), engine.fewest,

@@ -83,8 +83,9 @@ def test_clips_in_one_queue_are_those_of_worlds_of_their_own(
     wanted.append(replace(wanted[0], source="sensordata", columns=(0,)))
     theta = system.space.theta_of(np.random.default_rng(4).normal(0.0, 0.3, (3, len(system.space))))
     found = []
-    for world in (0.0, 1.0):  # so many seconds that a step takes for each world
-        monkeypatch.setattr(gpu, "step_cost", lambda model, w=world: StepCost(True, 1, 1.0, 1.0 - w, w))
+    each = np.arange(5)
+    for dealt in (each[:, None], each[None, :]):
+        monkeypatch.setattr(gpu, "queues", lambda *arguments, dealt=dealt: dealt)
         found.append(engine.predict(theta, starts, None, wanted))
     apart, queued = found
     assert queued.completed.tolist() == apart.completed.tolist() == 3 * [[True, True, True, False, True]]
@@ -94,12 +95,22 @@ def test_clips_in_one_queue_are_those_of_worlds_of_their_own(
 
 
 def test_queues_take_the_least_time() -> None:
-    lengths, each = np.array([50, 10, 30, 20]), np.arange(4)[:, None]
+    lengths, each, many = np.array([50, 10, 30, 20]), np.arange(4)[:, None], card.FEWEST
     free, dear = StepCost(True, 1, 1.0, 1.0, 0.0), StepCost(True, 1, 1.0, 0.0, 1.0)
-    assert sorted(gpu.queues(lengths, 9, free).tolist()) == each.tolist(), "worlds cost nothing"
-    assert sorted(gpu.queues(lengths, 9, dear)[0].tolist()) == [0, 1, 2, 3], "steps of a world, and no wait"
-    assert gpu.queues(lengths, 9, StepCost(True, 1, 1.0, 9.0, 0.5)).tolist() == [[0, 1], [2, 3]]
-    assert gpu.queues(lengths[:3], 9, StepCost(True, 1, 1.0, 9.0, 0.5)).tolist() == [[0, -1], [2, 1]]
+    assert sorted(gpu.queues(lengths, many, free).tolist()) == each.tolist(), "worlds cost nothing"
+    assert sorted(gpu.queues(lengths, many, dear)[0].tolist()) == [0, 1, 2, 3], (
+        "steps of a world, and no wait"
+    )
+    between = StepCost(True, 1, 1.0, 2.0, 1.0 / many)
+    assert gpu.queues(lengths, many, between).tolist() == [[0, 1], [2, 3]]
+    assert gpu.queues(lengths[:3], many, between).tolist() == [[0, -1], [2, 1]]
+
+
+def test_no_clip_waits_to_save_worlds_that_a_card_steps_anyway() -> None:
+    lengths, dear = np.array([50, 10, 30, 20]), StepCost(True, 1, 1.0, 0.0, 1.0)
+    few = card.FEWEST // 4
+    assert len(gpu.queues(lengths, few, dear)) == 4, "all at once"
+    assert gpu.queues(lengths[:3], few, dear).tolist() == [[0, -1], [2, 1]], "no longer than the longest"
 
 
 def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> None:
