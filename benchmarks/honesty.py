@@ -6,8 +6,9 @@ Results are kept on disk: a run that was cut short goes on where it was, and the
 results that another machine has made (`--seeds 10:20` is the second half).
 
 Each problem of `plants.py` is identified three times for each seed: as a twin, whose plant is the model at
-other parameters; exact, the same with the word of the user that gains, limits and centres of mass were
-measured; and wrong, where the plant has what the model lacks. Every parameter is one that the twin's logs
+other parameters; exact, the same with the word of the user that gains, limits, centres of mass, masses of
+links, biases of force sensors and delays were measured; and wrong, where the plant has what the model lacks.
+Every parameter is one that the twin's logs
 determine. Of the parameters called identified in the wrong ones, at most 12 % may lie outside their 90 %
 interval; in the twins at least 90 % must be called identified; where the model is known to be exact, 86 to
 94 % of the intervals must hold.

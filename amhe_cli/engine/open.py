@@ -46,7 +46,7 @@ def open_engine(
         threads: Number of CPU threads; results do not depend on it.
         executor: Executor whose workers compute the rollouts, instead of threads of this process; it must
             stay open.
-        kind: One of `KINDS`; 'auto' decides for each call, by its number of rollouts.
+        kind: One of `KINDS`; 'auto' decides for each call, by its rollouts and their lengths.
         sensors: Whether rollouts record sensors; None: if the system needs them.
         model: Roll out this model of the same layout; None: the system's own.
 
@@ -76,8 +76,8 @@ def open_engine(
 
     engine = AutoEngine(cpu, Opening(begin), lambda: begin().result(), about[0], threads)
     logger.log(
-        NOTE, "the graphics card%s, where it is quicker: calls of %.0f rollouts or more; else the CPU",
-        "s" * (len(cards) > 1), engine.fewest,
+        NOTE, "the graphics card%s, where it is quicker: calls of %.0f equally long rollouts or more; "
+        "else the CPU", "s" * (len(cards) > 1), engine.fewest,
     )  # fmt: skip
     return engine
 

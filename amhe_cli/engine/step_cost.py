@@ -1,4 +1,4 @@
-"""What a step of a model takes on a core and on a card, by a table of what was measured (docs/gpu.md)."""
+"""What a step of a model takes on a core and on a card, by a table older than that of docs/gpu.md."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ class StepCost:
         contacts: Whether it can collide.
         dofs: Its degrees of freedom.
         core: Time of one step on one core [s].
-        card: Time of one step of up to a thousand worlds on a card [s].
-        world: Time that each world more takes there [s].
+        card: Time of one step on a card, however few the worlds are [s].
+        world: Time that each world adds to it, the first one too [s].
     """
 
     contacts: bool

@@ -183,7 +183,7 @@ def _sections(
         yield Section(
             "Cost along each parameter",
             text="The other parameters are held at the estimate. Band: 90 % interval; blue: estimate; "
-            "dashed: prior. A flat line means that the logs contain no information about the parameter.",
+            "dashed: prior. A flat line means that the logs hardly narrow the parameter down.",
             figure=profiles,
         )
     if len(result.parameters) > 1:

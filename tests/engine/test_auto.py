@@ -81,7 +81,7 @@ def test_without_a_card_it_is_the_engine_of_the_processor_and_says_so(monkeypatc
 def test_small_calls_go_to_the_processor_and_large_ones_to_the_cards(cards, caplog) -> None:
     caplog.set_level(NOTE, "amhe_cli")
     engine = auto()
-    assert f"calls of {engine.fewest:.0f} rollouts or more" in caplog.text
+    assert f"calls of {engine.fewest:.0f} equally long rollouts or more" in caplog.text
     few = int(engine.fewest)
     engine.rollout(*alike(few))
     engine.rollout(*some(few + 10))  # most of them would wait for the longest

@@ -47,7 +47,7 @@ def runs_that_differ(problem: Problem, alone: Mapping[Log, Posterior]) -> dict[s
     """Of three runs or more, the pair that differs most in each parameter where that is no chance."""
     found: dict[str, Disagreement] = {}
     pairs = list(combinations(alone, 2))
-    if len(alone) < 3:  # two of them are compared as the earlier and the later logs
+    if len(alone) < 3:  # the checks compare two of them as a pair
         return found
     space, model = problem.system.space, problem.system.edits.space
     names = names_of(alone)

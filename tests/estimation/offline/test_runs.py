@@ -76,7 +76,7 @@ def test_a_run_that_knows_nothing_has_no_share_in_the_spread() -> None:
     np.testing.assert_allclose(spread_between(alone, NAMED), [0.0, np.sqrt(0.25 - 100.0 / 101.0**2), 0.0])
 
 
-def test_two_runs_are_left_to_the_earlier_and_the_later(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_runs_are_left_to_the_checks(monkeypatch: pytest.MonkeyPatch) -> None:
     assert differing(monkeypatch, np.array([[0.0, 0.0, 0.0], [5.0, 5.0, 5.0]])) == {}
 
 
