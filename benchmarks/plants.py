@@ -495,7 +495,7 @@ PROBLEMS: dict[str, Problem] = {
     "servo_off": Problem("a servo without torque for a third of the log", swing),
     "encoder": Problem("an encoder 0.05 rad off", arm),
     "frame": Problem("a body's frame 2 cm off", push),
-    "mount": Problem("a base that rocks at 35 Hz", arm),
+    "mount": Problem("a base that rocks on a soft mount", arm),
     "payload": Problem("a payload with its centre of mass 3 cm farther out", arm),
     "force": Problem("a force sensor with a bias of 0.4 N and a band of 20 Hz", cart),
     "untouched": Problem("frames 0.4 m apart, so that nothing touches", push),
