@@ -6,7 +6,8 @@ import json
 import logging
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -103,15 +104,12 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     """
     if not (source / "result.json").is_file():
         return Viewed((source,), inputs, overrides)
-    try:
-        record = json.loads((source / "result.json").read_text(encoding="utf-8"))
+    with _result_in(source, "view the log itself") as record:
         version, command = record["schema_version"], record["command"]
         if version != 1 or command not in _VIEWED:
             other = f"of version {version}" if version != 1 else f"of `amhe {command}`"
             raise ConfigError(f"{source}: is a result {other}, which cannot be viewed; view its log itself")
         found = _VIEWED[command](source, record, inputs, overrides)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        raise ConfigError(f"{source / 'result.json'}: is no result of amhe; view the log itself") from None
     for path in (*found.logs, *found.apart):
         try:
             log_path.LOG.convert(path, None, None)
@@ -145,23 +143,28 @@ def system_of_result(belief: Path) -> System | None:
     from amhe_cli.cli.identify import identify
     from amhe_cli.core.parameters import Belief
 
-    result = belief.with_name("result.json")
-    if belief.name != "belief.yaml" or not result.is_file():
+    if belief.name != "belief.yaml" or not belief.with_name("result.json").is_file():
         return None
     origin, none = Belief.load(belief).provenance, Inputs(None, {}, None, None, None)
-    try:
-        record = json.loads(result.read_text(encoding="utf-8"))
+    with _result_in(belief.parent, "give the belief's system with --system DIR") as record:
         if (record["schema_version"], record["command"]) != (1, "identify"):
             return None
         given, inputs, overrides = _as_then(identify, origin, none, Overrides({}, {}), needed=("config",))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        text = f"{belief.parent}: is no result of amhe identify; give the belief's system with --system DIR"
-        raise ConfigError(text) from None
     if inputs.system is None:
         return None
     also = [f"settings {given['config']}"] if given.get("config") else []
     logger.log(NOTE, "opens %s", ", ".join([f"system {inputs.system}", *also]))
     return inputs.open((), overrides)
+
+
+@contextmanager
+def _result_in(folder: Path, instead: str) -> Iterator[dict[str, Any]]:
+    """The content of a folder's result.json, and one line for whatever is wrong with it in the block."""
+    path = folder / "result.json"
+    try:
+        yield json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        raise ConfigError(f"{path}: is no result of amhe; {instead}") from None
 
 
 def _identified(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.errors import NOTE, ConfigError
+from amhe_cli.core.errors import NOTE, SimulationError
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine, Predicted, Rollouts, Starts, Wanted
 from amhe_cli.engine.step_cost import step_cost
@@ -90,8 +90,7 @@ class AutoEngine:
     @property
     def fewest(self) -> float:
         """Number of rollouts of one length from which the cards are quicker; inf if they never are."""
-        each = self._line.core / self._threads - self._line.world
-        return self._line.card / each if each > 0.0 else np.inf
+        return self._line.fewest(self._threads)
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
@@ -122,7 +121,7 @@ class AutoEngine:
         if self._cards is None:
             try:
                 self._cards = self._open()
-            except ConfigError as error:
+            except SimulationError as error:
                 logger.log(NOTE, "the CPU computes all rollouts: %s", error)
                 self._cards = self._cpu
         return self._cards

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import mujoco
 import numpy as np
 
-from amhe_cli.core.errors import NOTE, ConfigError
+from amhe_cli.core.errors import NOTE, ConfigError, SimulationError
 from amhe_cli.core.executors import in_background
 from amhe_cli.engine.auto import AutoEngine, Opening
 from amhe_cli.engine.cpu import CpuEngine
@@ -51,7 +51,8 @@ def open_engine(
         model: Roll out this model of the same layout; None: the system's own.
 
     Raises:
-        ConfigError: There is no such kind of engine, or this computer or the model has no use for it.
+        ConfigError: There is no such kind of engine, or it cannot use workers.
+        SimulationError: This computer has no card or lacks its libraries, or the model does not suit.
     """
     check_kind(kind)
     senses = system.senses if sensors is None else sensors
@@ -66,7 +67,7 @@ def open_engine(
         return cpu
     try:
         cards = _cards()
-    except ConfigError as error:
+    except SimulationError as error:
         logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
         return cpu
 
@@ -98,7 +99,8 @@ def _gpu_engine(
     """The engine on all cards of this computer.
 
     Raises:
-        ConfigError: mujoco-warp or a card is missing, or workers were requested.
+        ConfigError: Workers were requested.
+        SimulationError: mujoco-warp or a card is missing, or it cannot simulate the model.
     """
     if executor is not None:
         raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
@@ -120,7 +122,7 @@ def _cards() -> list[str]:
     """Warp's names of the cards of this computer; mujoco-warp takes seconds to load, and is not needed.
 
     Raises:
-        ConfigError: Warp or a card is missing.
+        SimulationError: Warp or a card is missing.
     """
     try:
         from amhe_cli.engine.gpu import visible_cards
@@ -129,9 +131,9 @@ def _cards() -> list[str]:
     return visible_cards()
 
 
-def _missing(error: ImportError) -> ConfigError:
+def _missing(error: ImportError) -> SimulationError:
     """The refusal of an engine without the libraries of the cards."""
-    return ConfigError(
+    return SimulationError(
         f"the engine 'gpu' needs {error.name}, which is not installed: pip install 'amhe[gpu]'"
     )
 

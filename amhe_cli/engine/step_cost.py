@@ -9,6 +9,9 @@ import numpy as np
 
 from amhe_cli.engine.states import collides
 
+#: A card has at least so many worlds; fewer would be no quicker.
+FEWEST = 1024
+
 
 @dataclass(frozen=True, slots=True)
 class StepCost:
@@ -19,7 +22,7 @@ class StepCost:
         dofs: Its degrees of freedom.
         core: Time of one step on one core [s].
         card: Time of one step on a card, however few the worlds are [s].
-        world: Time that each world adds to it, the first one too [s].
+        world: Time that each world adds to it, of which there are `FEWEST` at least [s].
     """
 
     contacts: bool
@@ -30,7 +33,14 @@ class StepCost:
 
     def on_card(self, worlds: int) -> float:
         """Time of one step of so many worlds on a card [s]."""
-        return self.card + self.world * worlds
+        return self.card + self.world * max(worlds, FEWEST)
+
+    def fewest(self, threads: int) -> float:
+        """Number of rollouts of one length from which a card is quicker than so many cores; inf if never."""
+        each = self.core / threads
+        if (few := self.on_card(1) / each) <= FEWEST:
+            return few
+        return self.card / (each - self.world) if each > self.world else np.inf
 
 
 #: pendulum, 12 joints, cube_toss, go1_push.

@@ -146,7 +146,7 @@ def test_a_result_folder_that_was_tampered_with_is_one_line(
     for command in (["export", "--to", "mjcf", "-o", str(tmp_path / "out")], ["pool"]):
         assert run([*command, str(tmp_path / "belief.yaml")]) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert "is no result of amhe identify" in line
+        assert "is no result of amhe; give the belief" in line
 
 
 def test_a_pooled_belief_is_not_written_over(belief: Path, capsys: pytest.CaptureFixture[str]) -> None:

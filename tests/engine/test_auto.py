@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amhe_cli.core.errors import NOTE, ConfigError
+from amhe_cli.core.errors import NOTE, SimulationError
 from amhe_cli.engine import open as opening
 from amhe_cli.engine.auto import START, AutoEngine
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.open import open_engine
-from amhe_cli.engine.step_cost import TABLE, step_cost
+from amhe_cli.engine.step_cost import FEWEST, TABLE, StepCost, step_cost
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
 
 
@@ -70,7 +70,7 @@ def auto() -> AutoEngine:
 
 def test_without_a_card_it_is_the_engine_of_the_processor_and_says_so(monkeypatch, caplog) -> None:
     def none() -> list[str]:
-        raise ConfigError("no graphics card that CUDA can use; take the engine 'cpu'")
+        raise SimulationError("no graphics card that CUDA can use; take the engine 'cpu'")
 
     monkeypatch.setattr(opening, "_cards", none)
     caplog.set_level(NOTE, "amhe_cli")
@@ -98,7 +98,7 @@ def test_small_calls_go_to_the_processor_and_large_ones_to_the_cards(cards, capl
 def test_cards_open_once_that_is_worth_it_while_the_processor_computes_on(cards, monkeypatch) -> None:
     engine = auto()
     large = alike(int(2.0 * engine.fewest))  # takes 1 on the cards, 2 on the processor
-    each = 40 * step_cost(PENDULUM.model).card
+    each = 40 * step_cost(PENDULUM.model).on_card(1)
     monkeypatch.setattr("amhe_cli.engine.auto.START", 13.5 * each)
     for _ in range(3):
         engine.rollout(*large)  # these calls and ten that are expected gain 13
@@ -161,7 +161,7 @@ begun.wait()
 
 def test_a_model_that_the_cards_refuse_stays_on_the_processor(cards, monkeypatch, caplog) -> None:
     def refuses(*about: object) -> None:
-        raise ConfigError("mujoco-warp cannot simulate this model: PGS")
+        raise SimulationError("mujoco-warp cannot simulate this model: PGS")
 
     monkeypatch.setattr(opening, "_gpu_engine", refuses)
     caplog.set_level(logging.INFO, "amhe_cli")
@@ -189,3 +189,14 @@ def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> N
 def test_the_table_is_read_by_contacts_and_size() -> None:
     assert step_cost(PENDULUM.model) is TABLE[0]
     assert step_cost(CUBE.model) is TABLE[2]
+
+
+def test_a_card_is_quicker_from_where_its_step_is_cheaper() -> None:
+    few, many = StepCost(True, 1, 1.0, 1.0, 1.0 / FEWEST), StepCost(True, 1, 1.0, 3.0 * FEWEST, 0.5)
+    assert few.fewest(1) == 2.0, "a step takes 2, whether of 1 world or of 1,024"
+    assert few.fewest(8) == 16.0
+    assert many.fewest(1) == 6.0 * FEWEST
+    assert many.fewest(2) == np.inf, "two cores step a world in the time of a card"
+    for line, threads in ((few, 1), (few, 8), (many, 1)):
+        count = round(line.fewest(threads))
+        assert line.on_card(count) == pytest.approx(count * line.core / threads)

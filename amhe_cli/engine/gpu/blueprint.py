@@ -12,7 +12,7 @@ import mujoco_warp as mjw
 import numpy as np
 import warp as wp
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.states import first_activations
 from amhe_cli.system.edits import ModelEdits
 
@@ -73,17 +73,19 @@ def check_supported(blueprint: Blueprint, device: str) -> None:
     """Refuse a model that mujoco-warp cannot simulate, before any work is done.
 
     Raises:
-        ConfigError: It cannot; the text says what it lacks.
+        SimulationError: It cannot; the text says what it lacks.
     """
     try:
         with wp.ScopedDevice(device):
             mjw.put_model(blueprint.nominal)
     except (NotImplementedError, ValueError) as error:
         lacks = str(error).rstrip(".")
-        raise ConfigError(f"mujoco-warp cannot simulate this model: {lacks}; take the engine 'cpu'") from None
+        raise SimulationError(
+            f"mujoco-warp cannot simulate this model: {lacks}; take the engine 'cpu'"
+        ) from None
     model = blueprint.nominal
     if first_activations(model, np.ones((1, model.nq)), np.ones((1, model.nu))).any():
-        raise ConfigError("filters and slews of actuators start at rest on a card; take the engine 'cpu'")
+        raise SimulationError("filters and slews of actuators start at rest on a card; take the engine 'cpu'")
 
 
 def first_room(model: mujoco.MjModel) -> Room:

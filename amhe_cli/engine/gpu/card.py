@@ -8,6 +8,7 @@ from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room, bytes_per_world, first_room
 from amhe_cli.engine.gpu.worlds import Job, Worlds
 from amhe_cli.engine.rollout import Predicted
+from amhe_cli.engine.step_cost import FEWEST
 
 #: Share of the memory of a card that one set of worlds and its records may take.
 MEMORY_SHARE = 0.25
@@ -15,8 +16,6 @@ MEMORY_SHARE = 0.25
 DOUBLINGS = 4
 #: Sets of worlds that are kept, of different size.
 KEPT = 3
-#: A card has at least so many worlds; fewer would be no quicker.
-FEWEST = 1024
 #: Rollouts at once on warp's own processor device, which is for tests.
 WITHOUT_CARD = 4096
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
 from amhe_cli.engine.gpu.blueprint import Blueprint, check_supported
-from amhe_cli.engine.gpu.card import FEWEST, Card
+from amhe_cli.engine.gpu.card import Card
 from amhe_cli.engine.gpu.worlds import Job
 from amhe_cli.engine.rollout import (
     Call,
@@ -41,7 +41,7 @@ class GpuEngine:
         devices: Warp's names of the devices; 'cpu' is for tests.
 
     Raises:
-        ConfigError: mujoco-warp cannot simulate the model.
+        SimulationError: mujoco-warp cannot simulate the model.
     """
 
     precision = float(np.finfo(np.float32).eps)
@@ -153,7 +153,7 @@ def queues(lengths: IntArray, count: int, cost: StepCost) -> IntArray:
         cost: What a step takes.
 
     Returns:
-        Clips of m worlds, shape (m, l): the least m of the least time; a card steps `FEWEST` in any case.
+        Clips of m worlds, shape (m, l): the least m of the least time.
     """
     clips, best, least = len(lengths), [], np.inf
     for worlds in dict.fromkeys(-(-clips // each) for each in range(1, clips + 1)):
@@ -163,7 +163,7 @@ def queues(lengths: IntArray, count: int, cost: StepCost) -> IntArray:
             end, world = free[0]
             dealt[world].append(int(clip))
             heapreplace(free, (end + int(lengths[clip]), world))
-        if (time := max(free)[0] * cost.on_card(max(FEWEST, count * worlds))) <= least:
+        if (time := max(free)[0] * cost.on_card(count * worlds)) <= least:
             best, least = dealt, time
     longest = max(map(len, best))
     return np.array([row + (longest - len(row)) * [-1] for row in best])
