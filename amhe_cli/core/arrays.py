@@ -38,8 +38,8 @@ def to_host(array: AnyArray) -> FloatArray:
 def sealed(values: ArrayLike) -> FloatArray:
     """Return `values` as a read-only float64 array: freezing a dataclass does not freeze its arrays.
 
-    It is a copy, unless nobody can write to the array any more: who hands over an array of his own makes it
-    read-only first.
+    It is a copy, unless nobody can write to the array any more: whoever hands over an array and needs no
+    copy makes it read-only first.
     """
     return _sealed(values, np.float64)
 

@@ -1,4 +1,4 @@
-"""What signals say of their own samples, on a log's clock: when they count, and how far they are smoothed."""
+"""Corrections that signals define for their samples, on a log's clock: when they count, and smoothing."""
 
 from __future__ import annotations
 

@@ -123,7 +123,7 @@ class Log(Displayed):
         own: Iterable[str] | Mapping[str, str] | None = None,
         held_out: bool | None = None,
     ) -> Log:
-        """The same log with more said about it; what is not given stays.
+        """A copy of the log with some of these replaced; what is not given stays.
 
         Args:
             known: Parameter -> its value [SI] in this log, where that is known.

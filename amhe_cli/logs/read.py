@@ -191,7 +191,7 @@ def read_signals(
         series: dict[str, Series] = {}
         for track in tracks:
             found = _series(path, track, grid, start_ns, settings)
-            _tell_gaps(path, track.signal, found, dt)
+            _warn_of_gaps(path, track.signal, found, dt)
             series |= found
     begun = 0.0 if start is None else dt * np.ceil(start / dt - 1e-6)
     return Log(dt, corrected(series, signals, dt, begun), str(path), start_ns, log.metadata, path)
@@ -220,7 +220,7 @@ def _series(
     return series
 
 
-def _tell_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: float) -> None:
+def _warn_of_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: float) -> None:
     """Warn where a signal is missing for more than a small part of the log."""
     missing = ~np.all([one.valid for one in series.values()], axis=0)
     if missing.mean() <= _LOSS:

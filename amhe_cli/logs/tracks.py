@@ -144,7 +144,7 @@ def on_one_clock(path: Path, tracks: list[SignalTrack], settings: LogSettings) -
     lags = {t.signal.topic: t.times.lag for t in tracks if t.times.clock == "header"}
     shifts = offsets(lags) if settings.align else {}
     middle = float(np.median(list(lags.values()))) if lags else 0.0
-    _tell_offsets(path, tracks, settings.align)
+    _log_offsets(path, tracks, settings.align)
     moved = []
     for track in tracks:
         topic = track.signal.topic
@@ -159,7 +159,7 @@ def on_one_clock(path: Path, tracks: list[SignalTrack], settings: LogSettings) -
     return moved
 
 
-def _tell_offsets(path: Path, tracks: Sequence[SignalTrack], align: bool) -> None:
+def _log_offsets(path: Path, tracks: Sequence[SignalTrack], align: bool) -> None:
     """Log the offsets between header clocks; warn of those that transport cannot explain, unless corrected.
 
     An offset that the system states counts as corrected.

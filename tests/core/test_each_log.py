@@ -23,8 +23,8 @@ MODEL = ParameterSpace(
 )
 
 
-def log(name: str = "run", **said: Any) -> Log:
-    return Log(0.01, {}, name).with_(**said)
+def log(name: str = "run", **stated: Any) -> Log:
+    return Log(0.01, {}, name).with_(**stated)
 
 
 def test_logs_that_say_nothing_change_nothing() -> None:
@@ -97,7 +97,7 @@ def test_a_log_keeps_what_is_said_of_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "text"),
+    ("stated", "text"),
     [
         ({"known": {"gian": 1.0}}, "run: `known`: no parameter 'gian' (did you mean 'gain'?)"),
         ({"known": {"gain": 99.0}}, "run: `known`: gain is 99; between 0.1 and 10 would be valid"),
@@ -105,9 +105,9 @@ def test_a_log_keeps_what_is_said_of_it() -> None:
         ({"own": ["gain"], "known": {"gain": 1.0}}, "run: `own`: gain is known in this log"),
     ],
 )
-def test_what_the_system_does_not_have_is_refused(said: dict[str, Any], text: str) -> None:
+def test_what_the_system_does_not_have_is_refused(stated: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError) as raised:
-        check_logs([log(**said)], [], MODEL)
+        check_logs([log(**stated)], [], MODEL)
     assert text in str(raised.value)
 
 

@@ -281,7 +281,7 @@ class Problem:
                     " near its nominal value, but at its bounds one does: give a nominal value of the right "
                     "size, or a wider prior"
                 )
-            if pairs := needed_contacts(model, cells.get(name.partition("[")[0], ())):
+            if pairs := needed_contacts(model, cells.get(owner_free(name), ())):
                 gap, pair = nearest(model, qpos[rows], inputs[rows], self.system.input_spec, pairs)
                 if gap > _TOUCH:
                     one, other = (geom_name(model, geom) for geom in pair)

@@ -20,7 +20,7 @@ from amhe_cli.estimation.offline.result import Identification, Iteration, OwnSpr
 from amhe_cli.estimation.offline.verdicts import DETERMINED, NOTHING
 
 #: Spreads that are tried, in prior sd; their prior is half a normal distribution with the parameter's prior
-#: sd: nobody expects logs to differ by more than he would have bet on the value itself.
+#: sd: logs are not expected to differ by more than the value itself was uncertain before.
 SPREADS = np.geomspace(1e-3, 4.0, 161)
 
 

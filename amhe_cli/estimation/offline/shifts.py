@@ -205,7 +205,7 @@ def _against(
 
 
 def _step(problem: Problem, halved: _Move, spread: FloatArray, assumed: bool) -> Shift:
-    """The shift on the way to a step of zero, and a warning where half the step explains what is missed."""
+    """The shift on the way to a step of zero, and a warning where half the step lowers the misfit."""
     step = 1000.0 * problem.system.model.opt.timestep
     half = f"{0.5 * step:g} ms"
     if halved.rise < -EXPLAINS:

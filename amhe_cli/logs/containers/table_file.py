@@ -42,7 +42,7 @@ class NumberTable:
         name: Name of the table; its topic.
         columns: Columns of the table, in order.
         rows: Yields its rows in order, shape (n, numbers in a row); takes the list of problems to add to.
-        comments: What the file says of itself.
+        comments: Comments in the file; one may hold the log's metadata.
         notes: What is damaged in its file, in words.
     """
 

@@ -80,9 +80,9 @@ def _npz(path: Path) -> list[NumberTable]:
             check_growth(path, sum(part.file_size for part in packed.infolist()))
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
-        said = arrays.pop("amhe", None)
+        metadata = arrays.pop("amhe", None)
         table = in_memory(path, _stem(path), arrays)
-        return [table if said is None else replace(table, comments=(f"amhe: {said}",))]
+        return [table if metadata is None else replace(table, comments=(f"amhe: {metadata}",))]
     except (ValueError, OSError, KeyError, BadZipFile) as error:
         raise LogError(f"{path}: a .zip file that is no .npz of numbers ({error})") from None
 

@@ -53,11 +53,11 @@ def write_csv(path: Path, table: Columns, metadata: Mapping[str, str], start_ns:
     Args:
         path: The file; it appears whole.
         table: Its columns.
-        metadata: What the log says of itself: a comment in the first line.
+        metadata: Metadata of the log: a comment in the first line.
         start_ns: The stamp that its times count from.
     """
     head = io.StringIO()
-    if text := _said(metadata, start_ns):
+    if text := _metadata_text(metadata, start_ns):
         head.write(f"# amhe: {text}\n")
     csv.writer(head, lineterminator="\n").writerow([_TIME, *map(_in_si, table.names)])
     with whole(path) as file:
@@ -75,7 +75,7 @@ def write_npz(path: Path, table: Columns, metadata: Mapping[str, str], start_ns:
     """Write an .npz file of an array for each column; see `write_csv`."""
     arrays = {_TIME: (table.stamps_ns - start_ns) / 1e9}
     arrays |= {_in_si(name): column for name, column in zip(table.names, table.values.T, strict=True)}
-    if text := _said(metadata, start_ns):
+    if text := _metadata_text(metadata, start_ns):
         arrays["amhe"] = np.array(text)
     with whole(path) as file, ZipFile(file, "w") as archive:  # np.savez allows no array called "file"
         for name, array in arrays.items():
@@ -83,9 +83,10 @@ def write_npz(path: Path, table: Columns, metadata: Mapping[str, str], start_ns:
                 np.lib.format.write_array(entry, array, allow_pickle=False)
 
 
-def _said(metadata: Mapping[str, str], start_ns: int) -> str:
-    said = dict(metadata) | ({START: str(start_ns)} if start_ns else {})
-    return json.dumps(said) if said else ""
+def _metadata_text(metadata: Mapping[str, str], start_ns: int) -> str:
+    """Metadata with the stamp of time 0, as JSON; '' where there is nothing."""
+    content = dict(metadata) | ({START: str(start_ns)} if start_ns else {})
+    return json.dumps(content) if content else ""
 
 
 def _in_si(name: str) -> str:

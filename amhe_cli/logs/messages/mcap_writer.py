@@ -24,7 +24,7 @@ class McapWriter:
 
     Args:
         path: The .mcap file to write.
-        metadata: What the log says of itself.
+        metadata: Metadata of the log.
     """
 
     def __init__(self, path: str | Path, metadata: Mapping[str, str] | None = None) -> None:

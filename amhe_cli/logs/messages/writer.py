@@ -26,7 +26,7 @@ class LogWriter(McapWriter):
 
     Args:
         path: The .mcap file to write; an existing one is replaced at the end.
-        metadata: What the log says of itself. `system` is the name of the system that commands then take;
+        metadata: Metadata of the log. `system` is the name of the system that commands then take;
             `truth`, `seed` and any other text is shown and kept.
     """
 

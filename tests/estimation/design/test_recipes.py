@@ -169,5 +169,5 @@ def test_what_no_measurement_depends_on_is_expected_to_stay_as_unknown() -> None
     offset = {"nominal": 0.0, "bounds": [-0.3, 0.3], "scale": "linear", "prior_sd": 0.05, "targets": [zero]}
     system = arm(upright, {"offset": offset})
     for row in amhe.probe(system, recipe="chirp", seconds=4.0, speed=1.0, threads=1)["parameters"]:
-        told = [row["expected_sd"] / row["prior_sd"], row["achieved_sd"] / row["prior_sd"]]
-        assert told == pytest.approx([1.0, 1.0]) if row["name"] == "offset" else max(told) < 0.5
+        narrowed = [row["expected_sd"] / row["prior_sd"], row["achieved_sd"] / row["prior_sd"]]
+        assert narrowed == pytest.approx([1.0, 1.0]) if row["name"] == "offset" else max(narrowed) < 0.5

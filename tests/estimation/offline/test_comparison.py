@@ -35,12 +35,12 @@ def test_pairing_sees_what_scatter_hides() -> None:
 
 
 def test_models_alike_are_told_apart_as_often_as_promised() -> None:
-    told = 0
+    decided = 0
     for seed in range(200):
         noise = np.exp(np.random.default_rng([seed, 1]).normal(0.0, 0.3, (2, 15)))
         found = compared(clips(seed) * noise[0], clips(seed) * noise[1], seed=seed)
-        told += found.better(0, 1) or found.better(1, 0)
-    assert told / 200 < 0.2  # 5 % were wanted; a bootstrap over 15 uneven clips is somewhat narrow
+        decided += found.better(0, 1) or found.better(1, 0)
+    assert decided / 200 < 0.2  # 5 % were wanted; a bootstrap over 15 uneven clips is somewhat narrow
 
 
 def test_few_clips_cannot_tell() -> None:
