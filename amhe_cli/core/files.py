@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import json
 import math
 import os
@@ -46,9 +47,9 @@ def whole(path: Path, keep: bool = False) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
         scratch.replace(path)
     except OSError as error:
-        if keep:
+        if keep and scratch.exists():
             scratch.replace(path)
-        if error.errno and not error.filename:  # that of a write names no file
+        if error.errno and str(error.filename or scratch) == str(scratch):  # that of a write names no file
             error.filename = str(path)
         raise
     finally:
@@ -97,7 +98,9 @@ def _move(scratch: Path, folder: Path) -> None:
 
 def abandoned(folder: Path) -> list[Path]:
     """Scratch folders of `filling(folder)` whose process was killed; what it wrote is in them."""
-    found = [*folder.parent.glob(f".{folder.name}.*.partial"), *folder.glob(f".{folder.name}.*.partial")]
+    folder = Path(os.path.abspath(folder))  # noqa: PTH100 -- as in `filling`
+    pattern = f".{glob.escape(folder.name)}.*.partial"
+    found = [*folder.parent.glob(pattern), *folder.glob(pattern)]
     return [path for path in sorted(found) if not _lives(path.name.split(".")[-2].split("-")[0])]
 
 

@@ -73,7 +73,10 @@ def _stamps(given: Any, signal: Signal, name: str) -> np.ndarray:
     if times.ndim != 1 or times.size < (1 if signal.is_input else 2):
         raise LogError(f"{where}: time has the shape {times.shape}; it must be (n,), of two samples or more")
     check_times(times, where)
-    return np.round((times + signal.offset) * 1e9).astype(np.int64)
+    stamps_ns = np.round((times + signal.offset) * 1e9)
+    if np.abs(stamps_ns).max() >= 2.0**63:
+        raise LogError(f"{where}: time reaches {np.abs(times).max():.3g} s: time must be in seconds")
+    return stamps_ns.astype(np.int64)
 
 
 def check_times(times: FloatArray, where: str) -> None:

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike
 
-from amhe_cli.core.arrays import FloatArray, sealed
+from amhe_cli.core.arrays import FloatArray, sealed, sealed_mask
 from amhe_cli.core.shown import Displayed
 
 
@@ -73,7 +73,7 @@ class ParameterSpace:
     @cached_property
     def log(self) -> np.ndarray:
         """Which columns are log-scaled, shape (d,)."""
-        return np.array([p.log for p in self.parameters], dtype=bool)
+        return sealed_mask([p.log for p in self.parameters])
 
     @cached_property
     def prior_sd(self) -> FloatArray:
@@ -88,7 +88,7 @@ class ParameterSpace:
     @cached_property
     def prior_covariance(self) -> FloatArray:
         """Prior covariance of z, shape (d, d): ones on the diagonal."""
-        return np.eye(len(self)) if self.prior_correlation is None else sealed(self.prior_correlation)
+        return sealed(np.eye(len(self)) if self.prior_correlation is None else self.prior_correlation)
 
     @cached_property
     def prior_precision(self) -> FloatArray:

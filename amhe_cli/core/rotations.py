@@ -94,7 +94,8 @@ def to_rpy(q: FloatArray) -> FloatArray:
     pitch = np.arcsin(np.clip(2.0 * (w * y - x * z), -1.0, 1.0))
     roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
     level = np.abs(np.sin(pitch)) < 1.0 - 1e-12  # else only roll and yaw together are known
-    yaw = np.where(level, yaw_of(q), 2.0 * np.arctan2(z, w))
+    together = np.arctan2(2.0 * (w * z - x * y), w * w - x * x + y * y - z * z)
+    yaw = np.where(level, yaw_of(q), together)
     return np.stack((np.where(level, roll, 0.0), pitch, yaw), axis=-1)
 
 

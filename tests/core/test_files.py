@@ -1,3 +1,4 @@
+import errno
 import os
 from pathlib import Path
 
@@ -30,3 +31,16 @@ def test_a_file_is_readable_by_whom_the_user_lets_read(tmp_path: Path) -> None:
 def test_plain_values_have_no_number_that_json_lacks() -> None:
     value = {"a": np.array([1.0, np.nan]), 2: (np.float64(np.inf), np.int64(3)), "b": {"c": np.bool_(True)}}
     assert plain(value) == {"a": [1.0, None], "2": [None, 3], "b": {"c": True}}
+
+
+def test_a_file_that_cannot_be_opened_is_named_and_why(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, mode: str) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)
+    for keep in (False, True):
+        with pytest.raises(PermissionError) as error, whole(tmp_path / "log.mcap", keep):
+            pass
+        assert error.value.filename == str(tmp_path / "log.mcap")

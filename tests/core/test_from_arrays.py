@@ -93,6 +93,10 @@ def joints(**changes: Any) -> dict[str, Any]:
         (joints(time=TIME[:, None]), "signal 'joints': time has the shape (200, 1); it must be (n,)"),
         (joints(time=TIME[::-1]), "time must increase; at row 1 it goes from 1.99 to 1.98 s"),
         (joints(time=np.where(TIME == 0.5, np.nan, TIME)), "time is not finite at row 50"),
+        (
+            joints(time=1.7e18 + 1e9 * TIME),
+            "signal 'joints': time reaches 1.7e+18 s: time must be in seconds",
+        ),
         (joints(time=["a"] * 200), "signal 'joints': time is no array of numbers"),
         (
             joints(position=np.zeros((200, 2))),

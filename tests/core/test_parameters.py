@@ -33,3 +33,9 @@ def test_a_belief_becomes_the_prior_of_what_it_knows():
     space = SPACE.with_prior(belief)
     assert space.nominal == pytest.approx(belief.estimate)
     assert space.prior_sd == pytest.approx([0.5 * 0.2, 0.2 * 0.5])
+
+
+def test_nobody_can_change_what_a_space_keeps():
+    for kept in (SPACE.log, SPACE.prior_covariance):
+        with pytest.raises(ValueError, match="read-only"):
+            kept[0] = 0

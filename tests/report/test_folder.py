@@ -4,7 +4,7 @@ from pathlib import Path
 import pytest
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.core.files import filling
+from amhe_cli.core.files import abandoned, filling
 from amhe_cli.report.folder import reserve
 
 
@@ -77,11 +77,14 @@ def test_files_do_not_leave_the_file_system_of_an_existing_folder(tmp_path: Path
     assert list((tmp_path / "out").iterdir()) == []
 
 
-def test_what_a_killed_command_left_is_named(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
-    out, left = tmp_path / "out", tmp_path / ".out.99999999-0123abcd.partial"
+@pytest.mark.parametrize("name", ["out", "out [1]"])
+def test_what_a_killed_command_left_is_named(
+    name: str, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    out, left = tmp_path / name, tmp_path / f".{name}.99999999-0123abcd.partial"
     left.mkdir()
     (left / ".log.mcap.99999999.partial").touch()
-    (tmp_path / f".out.{os.getppid()}-0123abcd.partial").mkdir()  # of one that runs
+    (tmp_path / f".{name}.{os.getppid()}-0123abcd.partial").mkdir()  # of one that runs
     (tmp_path / ".other.99999999-0123abcd.partial").mkdir()
     reserve(out, "run", force=False)
     (warning,) = caplog.messages
@@ -100,3 +103,12 @@ def test_a_folder_that_is_cut_off_by_a_full_disk_is_kept_where_that_is_wanted(tm
         assert out.exists() == keep
     assert [path.name for path in tmp_path.iterdir()] == ["True"]
     assert raised.value.filename == str(out / "log")
+
+
+def test_what_was_left_in_the_current_folder_is_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    left = tmp_path / f".{tmp_path.name}.99999999-0123abcd.partial"
+    left.mkdir()
+    assert abandoned(Path()) == [left]
