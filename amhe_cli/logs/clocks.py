@@ -86,7 +86,9 @@ def timeline(samples: SignalSamples, forced: Stamp = "auto") -> Timeline:
     if notes:
         notes.append(f"{best.clock} stamps are used")
     if abs(best.lag) > _DISAGREE:
-        notes.append(f"its header stamps are {_words(best.lag, 'behind', 'ahead of')} the recorder's clock")
+        notes.append(
+            f"its {best.clock} stamps are {_words(best.lag, 'behind', 'ahead of')} the recorder's clock"
+        )
     return Timeline(best.clock, best.stamps_ns, best.kept, best.lag, (*notes, *best.notes))
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 import zstandard
+from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from rosbags.highlevel import AnyReader
@@ -19,7 +20,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.limits import limit
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter, read_metadata, read_signals, survey
-from amhe_cli.logs.containers import compression
+from amhe_cli.logs.containers import compression, mcap_file
 from tests.logs.log_makers import (
     DT,
     JOINTS,
@@ -204,6 +205,16 @@ def test_an_active_bag_is_read_and_reindexing_named(tmp_path: Path, caplog: pyte
     trajectory = read(path)
     assert trajectory.steps == N and not any(wrong_samples(trajectory).values())
     assert "rosbag reindex" in caplog.text
+
+
+def test_a_chunk_without_messages_is_passed_over(tmp_path: Path) -> None:
+    path = write_mcap(tmp_path / "a.mcap", motion(ROS2, N), finish=False)
+    content = path.read_bytes()
+    header = len(mcap_file.MAGIC) + 9 + struct.unpack_from("<Q", content, len(mcap_file.MAGIC) + 1)[0]
+    empty = struct.pack("<BQ", Opcode.CHUNK, 40) + bytes(40)
+    path.write_bytes(content[:header] + empty + content[header:])
+    complete = write_mcap(tmp_path / "b.mcap", motion(ROS2, N), finish=False)
+    assert read(path).steps == read(complete).steps > 0
 
 
 # -- hostile files ----------------------------------------------------------------------------------------

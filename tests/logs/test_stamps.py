@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from amhe_cli.logs.clocks import _longest_run, increasing
+from amhe_cli.logs.clocks import _longest_run, increasing, timeline
+from amhe_cli.logs.messages.decode import SignalSamples
 
 
 def test_one_stamp_out_of_order_is_looked_for_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -20,3 +21,10 @@ def test_one_stamp_out_of_order_is_looked_for_where_it_is(monkeypatch: pytest.Mo
     stamps[500] += 25
     assert not increasing(stamps)[500] and increasing(stamps).sum() == 999
     assert max(looked) < 5
+
+
+def test_the_clock_that_is_off_is_the_one_that_is_named() -> None:
+    log_ns = 10**18 + 10**7 * np.arange(20)
+    zero = np.zeros_like(log_ns)
+    samples = SignalSamples(log_ns, log_ns - 20 * 10**9, zero, zero, {}, {}, has_header=False)
+    assert timeline(samples).notes == ("its publish stamps are 20 s behind the recorder's clock",)

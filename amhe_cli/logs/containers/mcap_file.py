@@ -186,6 +186,8 @@ class McapFile:
         self, buffer: NDArray[np.uint8], starts: IntArray, topics: Collection[str] | None
     ) -> Iterator[Batch]:
         starts = starts[starts + _MESSAGE.itemsize <= buffer.size]
+        if not starts.size:  # perhaps fewer bytes than a message has
+            return
         rows = np.lib.stride_tricks.sliding_window_view(buffer, _MESSAGE.itemsize)[starts]
         heads = rows.view(_MESSAGE)[:, 0]
         sound = heads["size"] >= _MESSAGE.itemsize - 9
