@@ -71,7 +71,7 @@ class ClipPool:
     motionless: int = 0
     across_gaps: int = 0
     _usable: dict[int, BoolArray] = field(default_factory=dict)
-    _noise: dict[str, float] = field(default_factory=dict)
+    _noise: dict[tuple[int, str], float] = field(default_factory=dict)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -140,10 +140,11 @@ class ClipPool:
         return True
 
     def _noise_of(self, key: str, log: Log) -> float:
-        if key not in self._noise:
+        place = id(log), key  # each log has sensors of its own
+        if place not in self._noise:
             series = log[key]
-            self._noise[key] = white_noise_sd(series.values[series.sampled & series.valid])
-        return self._noise[key]
+            self._noise[place] = white_noise_sd(series.values[series.sampled & series.valid])
+        return self._noise[place]
 
 
 def _steps(seconds: float, part: Window) -> int:

@@ -78,28 +78,29 @@ def at_horizon(
     """
     by_name = [{(one.channel, one.column, one.unit): one.errors[0] for one in each} for each in found]
     common = [key for key in by_name[0] if all(key in each for each in by_name)]
-    errors = np.array([[each[key] for key in common] for each in by_name])  # (m, k, c)
+    errors = np.array([[each[key] for key in common] for each in by_name])
+    errors = errors.reshape(len(found), len(common), -1 if common else 0)  # (m, k, c)
     known = ~np.isnan(errors).any(axis=(0, 1))
     errors = errors[:, :, known]
-    usual = np.sqrt(
-        np.nanmean(np.where(np.isfinite(errors), errors, np.nan) ** 2, axis=(0, 2), keepdims=True)
-    )
-    squares = np.mean(np.minimum(errors / np.maximum(usual, 1e-300), _DIVERGED) ** 2, axis=1)  # (m, c)
+    finite = np.isfinite(errors)
+    total = np.sum(np.where(finite, errors, 0.0) ** 2, axis=(0, 2), keepdims=True)
+    usual = np.sqrt(total / np.maximum(finite.sum(axis=(0, 2), keepdims=True), 1))
+    squares = np.minimum(errors / np.maximum(usual, 1e-300), _DIVERGED) ** 2
+    squares = squares.sum(axis=1) / max(len(common), 1)  # (m, c)
     clips = squares.shape[1]
     picks = rng.integers(0, max(clips, 1), (RESAMPLES, clips))
-    means = squares[:, picks].mean(axis=-1)  # (m, resamples)
-    ratios = np.sqrt(means[:, None] / means[None])
+    with np.errstate(invalid="ignore"):  # without clips all is NaN
+        means = squares[:, picks].sum(axis=-1) / clips  # (m, resamples)
+        ratios = np.sqrt(means[:, None] / means[None])
+        whole = squares.sum(axis=1) / clips
+        rms = np.sqrt((errors**2).sum(axis=-1) / clips)  # (m, k)
     ends = np.percentile(ratios, ENDS, axis=-1)
     ends[:] = np.nan if clips < FEWEST else ends
-    whole = squares.mean(axis=1)
     return AtHorizon(
         horizon=horizon,
         to_end=to_end,
         clips=clips,
-        errors={
-            (column or channel, unit): np.sqrt(np.mean(errors[:, i] ** 2, axis=-1))
-            for i, (channel, column, unit) in enumerate(common)
-        },
+        errors={(column or channel, unit): rms[:, i] for i, (channel, column, unit) in enumerate(common)},
         ratios=np.sqrt(whole[:, None] / whole[None]),
         lower=ends[0],
         upper=ends[1],
@@ -108,7 +109,9 @@ def at_horizon(
 
 def best_of(found: Sequence[AtHorizon]) -> int:
     """The system whose errors are smallest, in the mean of their logarithms over the horizons."""
-    telling = [one for one in found if one.clips >= FEWEST] or list(found)
+    telling = (
+        [one for one in found if one.clips >= FEWEST] or [one for one in found if one.clips] or list(found)
+    )
     return int(np.mean([np.log(one.ratios).mean(axis=1) for one in telling], axis=0).argmin())
 
 

@@ -74,3 +74,16 @@ def test_only_what_all_models_predict_counts() -> None:
     found = at_horizon(0.5, False, both, np.random.default_rng(0))
     assert list(found.errors) == [("hip", "rad")]
     assert found.ratios[1, 0] == pytest.approx(0.5)
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_all_models_lose_and_what_nobody_measured_decides_nothing() -> None:
+    hard = clips(0)
+    lost = np.full(hard.size, np.inf)
+    both = [[errors(hard), errors(lost, "knee")], [errors(0.5 * hard), errors(lost, "knee")]]
+    found = at_horizon(2.0, False, both, np.random.default_rng(0))
+    assert best_of([found]) == 1 and found.ratios[0, 1] > 1.0
+    unmeasured = compared(np.full(15, np.nan), hard)
+    assert unmeasured.clips == 0 and best_of([unmeasured, compared(hard[:2], 0.5 * hard[:2])]) == 1
+    nothing = at_horizon(0.5, False, [[errors(hard)], [errors(hard, "knee")]], np.random.default_rng(0))
+    assert not nothing.errors

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.estimation.offline.clips import ClipPool, whole
 
 MODEL = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="hinge" axis="0 1 0"/>
   <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/></body></worldbody></mujoco>"""
@@ -57,3 +58,13 @@ def test_the_log_has_gaps_everywhere(model) -> None:
 def test_nothing_moves(model) -> None:
     text = refused(system(model, position=0.001), TIMES, np.zeros_like(TIMES))
     assert "record more than 3 s in which the system moves" in text
+
+
+def test_a_noisy_log_does_not_make_another_one_motionless(model) -> None:
+    own, noise = system(model, position=0.001), np.random.default_rng(0).normal(0.0, 0.1, TIMES.size)
+    logs = [
+        amhe.Log.from_arrays({"joints": {"time": TIMES, "position": position}}, own, name=name)
+        for name, position in (("noisy", noise), ("moving", 0.2 * np.sin(TIMES)))
+    ]
+    pool = ClipPool(own, [whole(log) for log in logs], own.settings.clips)
+    assert {clip.log.source for clip in pool.cut(1.0)} == {"moving"}
