@@ -19,7 +19,7 @@ def rounded(value: float, resolution: float) -> str:
     if decimals > 8 or abs(value) >= 1e6:
         digits = 1 + max(0, math.floor(math.log10(abs(value) or resolution)) + decimals)
         return f"{value:.{min(digits, 6)}g}"
-    return f"{round(value, decimals):.{max(decimals, 0)}f}"
+    return f"{round(value, decimals) + 0.0:.{max(decimals, 0)}f}"  # no '-0.0'
 
 
 def with_sd(estimate: float, sd: float) -> str:

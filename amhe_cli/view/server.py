@@ -114,4 +114,4 @@ def _own(named: str, host: str) -> bool:
     """Whether the name that a browser was given is one of this computer."""
     if host != LOOPBACK:
         return True
-    return named.rpartition(":")[0] in (LOOPBACK, "localhost")
+    return named.partition(":")[0] in (LOOPBACK, "localhost")  # without a port where it is 80

@@ -16,6 +16,7 @@ from amhe_cli.report import numbers
         (1234.5, 456.0, "1230 ± 460"),
         (3.2e-9, 1.0e-10, "3.2e-09 ± 1e-10"),
         (1.0, float("nan"), "1 ± –"),
+        (-0.001, 0.25, "0.00 ± 0.25"),
     ],
 )
 def test_an_estimate_has_the_digits_that_its_sd_leaves(estimate, sd, text) -> None:
