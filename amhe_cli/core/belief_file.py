@@ -15,9 +15,9 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from amhe_cli.core.described import Described
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.core.parameters import Belief, Described
-from amhe_cli.core.statistics import Z90
+from amhe_cli.core.parameters import Belief
 from amhe_cli.core.yaml_file import Place, YamlFile
 
 logger = logging.getLogger(__name__)
@@ -58,12 +58,11 @@ class _File(BaseModel):
 
 def belief_text(belief: Belief) -> str:
     """The content of a belief file."""
-    sd = np.sqrt(np.diag(belief.covariance))
     document = {
         "schema_version": SCHEMA_VERSION,
         "system": belief.system,
         "model": dict(belief.model),
-        "parameters": [_entry(belief, i, float(sd[i])) for i in range(len(belief.names))],
+        "parameters": [_entry(belief, i) for i in range(len(belief.names))],
         "covariance": belief.covariance.tolist(),
         "fixed": dict(belief.fixed),
         "provenance": belief.provenance,
@@ -71,18 +70,17 @@ def belief_text(belief: Belief) -> str:
     return _HEADER + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=110)
 
 
-def _entry(belief: Belief, i: int, sd: float) -> dict[str, object]:
-    estimate = float(belief.estimate[i])
-    factor = float(np.exp(Z90 * sd))
+def _entry(belief: Belief, i: int) -> dict[str, object]:
+    lower, upper = belief.interval
     return {
         "name": belief.names[i],
         "unit": belief.units[i],
         "scale": "log" if belief.log[i] else "linear",
         "sets": belief.sets.get(belief.names[i]),
-        "estimate": estimate,
-        "sd": estimate * sd if belief.log[i] else sd,
-        "lower": estimate / factor if belief.log[i] else estimate - Z90 * sd,
-        "upper": estimate * factor if belief.log[i] else estimate + Z90 * sd,
+        "estimate": float(belief.estimate[i]),
+        "sd": float(belief.sd[i]),
+        "lower": float(lower[i]),
+        "upper": float(upper[i]),
     }
 
 

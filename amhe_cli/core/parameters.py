@@ -11,13 +11,17 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import FloatArray, sealed, sealed_mask
 from amhe_cli.core.shown import Displayed
+from amhe_cli.core.statistics import Z90
+
+if TYPE_CHECKING:
+    from amhe_cli.core.described import Described
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +47,17 @@ class Parameter:
     log: bool
     prior_sd: float
     drift: float = 0.05
+
+
+def _phi(log: ArrayLike, theta: FloatArray) -> FloatArray:
+    """Scaled values: log(theta) where log-scaled, else theta; shape (..., d)."""
+    with np.errstate(divide="ignore"):
+        return np.where(log, np.log(np.where(log, theta, 1.0)), theta)
+
+
+def _theta(log: ArrayLike, phi: FloatArray) -> FloatArray:
+    """The inverse of `_phi`."""
+    return np.where(log, np.exp(np.where(log, phi, 0.0)), phi)
 
 
 @dataclass(frozen=True)
@@ -104,9 +119,7 @@ class ParameterSpace:
 
     def phi_of(self, theta: FloatArray) -> FloatArray:
         """Scaled value: log(theta) where log-scaled, else theta."""
-        theta = np.asarray(theta, dtype=np.float64)
-        with np.errstate(divide="ignore"):
-            return np.where(self.log, np.log(np.where(self.log, theta, 1.0)), theta)
+        return _phi(self.log, np.asarray(theta, dtype=np.float64))
 
     def z_of(self, theta: FloatArray) -> FloatArray:
         """Search coordinates of theta."""
@@ -114,8 +127,7 @@ class ParameterSpace:
 
     def theta_of(self, z: FloatArray) -> FloatArray:
         """Parameters in SI units of search coordinates z."""
-        phi = self.phi_of(self.nominal) + np.asarray(z) * self.prior_sd
-        return np.where(self.log, np.exp(np.where(self.log, phi, 0.0)), phi)
+        return _theta(self.log, self.phi_of(self.nominal) + np.asarray(z) * self.prior_sd)
 
     def in_z(self, share: ArrayLike) -> FloatArray:
         """A share of each parameter's value, or of a linear one's prior sd, in z, shape (d,)."""
@@ -168,35 +180,6 @@ class ParameterSpace:
             ),
             tuple(tuple(float(c) for c in row) for row in correlation),
         )
-
-
-class Described(Protocol):
-    """What a belief can be about: a system."""
-
-    @property
-    def name(self) -> str:
-        """Name of the system."""
-        ...
-
-    @property
-    def space(self) -> ParameterSpace:
-        """Parameters of the system that are free."""
-        ...
-
-    @property
-    def fixed(self) -> Mapping[str, float]:
-        """Values of the parameters that are fixed, by name."""
-        ...
-
-    @property
-    def parts(self) -> Mapping[str, str]:
-        """Hash of each part of the model."""
-        ...
-
-    @property
-    def sets(self) -> Mapping[str, str]:
-        """What each parameter, free or fixed, sets in the model, in words."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -263,6 +246,18 @@ class Belief(Displayed):
         logs = self.provenance.get("logs")
         return {str(log): str(digest) for log, digest in logs.items()} if isinstance(logs, dict) else {}
 
+    @property
+    def sd(self) -> FloatArray:
+        """Standard deviation of each parameter in its own unit, shape (d,)."""
+        return np.sqrt(np.diag(self.covariance)) * np.where(self.log, self.estimate, 1.0)
+
+    @property
+    def interval(self) -> tuple[FloatArray, FloatArray]:
+        """Lower and upper end of each parameter's central 90 % interval, shape (d,) each."""
+        far = Z90 * np.sqrt(np.diag(self.covariance))
+        factor, away = np.exp(np.where(self.log, far, 0.0)), np.where(self.log, 0.0, far)
+        return self.estimate / factor - away, self.estimate * factor + away
+
     def sample(self, n: int, rng: np.random.Generator | int = 0) -> FloatArray:
         """Draw parameters from the belief.
 
@@ -274,9 +269,9 @@ class Belief(Displayed):
             Parameters in their units, shape (n, d), columns in the order of `names`. Bounds of the search
             do not limit them.
         """
-        log, middle = np.array(self.log), self._phi(self.estimate)
+        middle = _phi(self.log, self.estimate)
         phi = np.random.default_rng(rng).multivariate_normal(middle, self.covariance, n, method="cholesky")
-        return np.where(log, np.exp(np.where(log, phi, 0.0)), phi)
+        return _theta(self.log, phi)
 
     def about(self, names: Iterable[str]) -> Belief:
         """The belief about those of these parameters that it knows, in their order."""
@@ -304,7 +299,7 @@ class Belief(Displayed):
         if not f:
             return self
         theta = np.array([values.get(n, own) for n, own in zip(self.names, self.estimate, strict=True)])
-        away = self._phi(theta)[f] - self._phi(self.estimate)[f]
+        away = (_phi(self.log, theta) - _phi(self.log, self.estimate))[f]
         gain = np.linalg.solve(self.covariance[np.ix_(f, f)], self.covariance[np.ix_(f, o)]).T
         log, step, own = np.array(self.log)[o], gain @ away, self.estimate[o]
         return replace(
@@ -313,11 +308,6 @@ class Belief(Displayed):
             covariance=self.covariance[np.ix_(o, o)] - gain @ self.covariance[np.ix_(f, o)],
             fixed={**self.fixed, **{self.names[i]: values[self.names[i]] for i in f}},
         )
-
-    def _phi(self, theta: FloatArray) -> FloatArray:
-        """log(theta) where log-scaled, else theta."""
-        log = np.array(self.log)
-        return np.where(log, np.log(np.where(log, theta, 1.0)), theta)
 
 
 def belief_of(

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.pooling import Agreement
@@ -72,7 +70,7 @@ def pool_record(
             "chance": found.chance,
             "parameters": [
                 {"name": name, "estimate": estimate, "sd": sd}
-                for name, estimate, sd in zip(pooled.names, pooled.estimate, _sds(pooled), strict=True)
+                for name, estimate, sd in zip(pooled.names, pooled.estimate, pooled.sd, strict=True)
             ],
             "differences": [
                 {"name": name, "between": [one, other], "sd": size} for name, one, other, size in differences
@@ -81,16 +79,11 @@ def pool_record(
     )
 
 
-def _sds(belief: Belief) -> np.ndarray:
-    """Sd of each parameter in its own unit, shape (d,)."""
-    return np.sqrt(np.diag(belief.covariance)) * np.where(belief.log, belief.estimate, 1.0)
-
-
 def _with_sd(belief: Belief, name: str) -> str:
     if name not in belief.names:
         return numbers.MISSING
     row = belief.names.index(name)
-    return numbers.with_sd(float(belief.estimate[row]), float(_sds(belief)[row]))
+    return numbers.with_sd(float(belief.estimate[row]), float(belief.sd[row]))
 
 
 def _short(source: str) -> str:

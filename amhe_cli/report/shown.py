@@ -13,7 +13,7 @@ from amhe_cli.core.log import Log, Series
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.shown import Displayed, SavedView
 from amhe_cli.core.signals import QUANTITIES
-from amhe_cli.core.statistics import Z90
+from amhe_cli.core.statistics import Z90, correlation
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Section, template
 from amhe_cli.report.tables import NUMBER, STRONG, Table
@@ -94,24 +94,18 @@ def _of_system(system: System) -> Iterator[Section]:
 
 @sections_of.register
 def _of_belief(belief: Belief) -> Iterator[Section]:
-    sd = np.sqrt(np.diag(belief.covariance))
-    rows = []
-    for i, name in enumerate(belief.names):
-        own, unit = float(belief.estimate[i]), numbers.unit_of(belief.units[i])
-        far = Z90 * sd[i]
-        low, high = (own * np.exp(-far), own * np.exp(far)) if belief.log[i] else (own - far, own + far)
-        spread = abs(own) * sd[i] if belief.log[i] else sd[i]
-        rows.append(
-            (name, numbers.with_sd(own, float(spread)), unit, numbers.interval(float(low), float(high)))
-        )
+    values = zip(belief.estimate, belief.sd, *belief.interval, strict=True)
+    rows = [
+        (name, numbers.with_sd(value, spread), numbers.unit_of(unit), numbers.interval(lower, upper))
+        for name, unit, (value, spread, lower, upper) in zip(belief.names, belief.units, values, strict=True)
+    ]
     fixed = f"It rests on {numbers.named(belief.fixed)}, taken as known." if belief.fixed else ""
     table = Table(
         ("parameter", "estimate ± sd", "unit", "90 % interval"), ("name", STRONG, "unit", NUMBER), rows
     )
     yield Section(f"Belief about {belief.system}", table=table, note=fixed)
-    if len(belief.names) > 1 and (sd > 0.0).all():
-        correlations = belief.covariance / np.outer(sd, sd)
-        figure = figures.correlation_figure(belief.names, correlations)
+    if len(belief.names) > 1 and (belief.sd > 0.0).all():
+        figure = figures.correlation_figure(belief.names, correlation(belief.covariance))
         yield Section("Correlations", figure=figure, natural=True)
 
 

@@ -20,7 +20,6 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import Belief, ParameterSpace
-from amhe_cli.core.statistics import Z90
 from amhe_cli.core.text import printable
 from amhe_cli.view.ghosts import Plotted, Recording, Take, Track, Viewing
 from amhe_cli.view.scene import Scene
@@ -154,13 +153,8 @@ def parameter_rows(
         row: dict[str, Any] = {"name": p.name, "unit": _unit(p.unit), "first": first[p.name]}
         if belief is not None and p.name in belief.names:
             i = belief.names.index(p.name)
-            value, sd = float(belief.estimate[i]), float(np.sqrt(belief.covariance[i, i]))
-            low, high = (
-                (value * np.exp(-Z90 * sd), value * np.exp(Z90 * sd))
-                if belief.log[i]
-                else (value - Z90 * sd, value + Z90 * sd)
-            )
-            row |= {"estimate": value, "lower": float(low), "upper": float(high)}
+            lower, upper = (float(end[i]) for end in belief.interval)
+            row |= {"estimate": float(belief.estimate[i]), "lower": lower, "upper": upper}
         rows.append(row)
     return rows
 

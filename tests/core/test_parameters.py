@@ -39,3 +39,11 @@ def test_nobody_can_change_what_a_space_keeps():
     for kept in (SPACE.log, SPACE.prior_covariance):
         with pytest.raises(ValueError, match="read-only"):
             kept[0] = 0
+
+
+def test_a_belief_has_sd_and_interval_in_units():
+    belief = belief_of(BOX, np.zeros(2), np.diag([0.04, 0.25]))
+    assert belief.sd == pytest.approx([0.4, 0.1])
+    lower, upper = belief.interval
+    assert lower == pytest.approx([4.0 * np.exp(-0.16448536), 0.1 - 0.16448536])
+    assert upper == pytest.approx([4.0 * np.exp(0.16448536), 0.1 + 0.16448536])
