@@ -23,6 +23,8 @@ from amhe_cli.core.yaml_file import Place, YamlFile
 logger = logging.getLogger(__name__)
 
 SCHEMA_VERSION = 1
+#: An estimate may end on a bound, and rounding may leave it beyond by this share of the range.
+_ROUNDING = 1e-9
 
 _HEADER = """\
 # What is believed of the parameters of a system: an estimate, and how sure it is.
@@ -173,7 +175,7 @@ def _problems(belief: Belief, system: Described, belief_anyway: bool) -> Iterato
             continue
         if log != p.log:
             yield ("parameters", i, "scale"), f"the scale of {name} is {'log' if p.log else 'linear'}"
-        elif not p.lower < value < p.upper:
+        elif not -_ROUNDING <= (value - p.lower) / (p.upper - p.lower) <= 1.0 + _ROUNDING:
             between = f"between {p.lower:g} and {p.upper:g} would be valid"
             yield ("parameters", i, "estimate"), f"{name} is {value:g}; {between}"
 

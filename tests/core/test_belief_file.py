@@ -64,6 +64,7 @@ def changed(file: Path, **changes: object) -> Path:
         ({"parameters__0__name": "damping"}, "here twice"),
         ({"parameters__0__scale": "linear"}, "scale of load_mass is log"),
         ({"parameters__0__estimate": 99.0}, "between 0.0001 and 10 would be valid"),
+        ({"parameters__0__estimate": 9e-5}, "between 0.0001 and 10 would be valid"),
         ({"parameters__0__estimate": "heavy"}, "parameters.0.estimate"),
         ({"covariance": [[1.0]]}, "4 x 4"),
         ({"covariance": np.diag([1.0, 1.0, 1.0, -1.0]).tolist()}, "positive definite"),
@@ -78,6 +79,11 @@ def test_a_mistake_is_named_with_its_place(file: Path, changes, message) -> None
         read_belief(changed(file, **changes), SYSTEM)
     assert message in str(error.value)
     assert str(error.value).startswith(f"{file}:")
+
+
+@pytest.mark.parametrize("estimate", [1e-4, 10.0, float(np.exp(np.log(10.0)))])
+def test_an_estimate_may_have_ended_on_a_bound(file: Path, estimate: float) -> None:
+    assert read_belief(changed(file, parameters__0__estimate=estimate), SYSTEM).estimate[0] == estimate
 
 
 @pytest.mark.parametrize("text", ["", "[1, 2", "!!python/object/apply:os.getcwd []", "just words", "\x00"])

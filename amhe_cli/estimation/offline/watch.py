@@ -38,8 +38,11 @@ class Watch:
         self.interrupted = False
 
     def keep(self, rollouts: int) -> None:
-        """Keep the time of so many rollouts from the search, for the conclusion."""
-        self._reserve = rollouts
+        """Keep the time of so many rollouts for the conclusion; the search begins now.
+
+        What came before, such as the choice of clips, takes time and says nothing of the pace.
+        """
+        self._reserve, self._last = rollouts, time.monotonic()
 
     def saw(self, iteration: Iteration, total: int) -> None:
         """Take note of an iteration of the search."""

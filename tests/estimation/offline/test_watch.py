@@ -10,7 +10,7 @@ from amhe_cli.estimation.offline.watch import Watch
 
 
 class Clock:
-    """Seconds that pass when they are told to."""
+    """A clock that the test moves."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -56,6 +56,15 @@ def test_an_iteration_that_would_take_the_time_of_the_conclusion_is_not_begun(cl
     clock.now += 4.5
     again.saw(iteration(1), 16)
     assert again.stopped, "4.5 s for the next, and 13.5 s for the conclusion, do not fit into 15.5 s"
+
+
+def test_what_comes_before_the_search_says_nothing_of_its_pace(clock) -> None:
+    watch = Watch(lambda *_: None, 40.0, 6)
+    clock.now += 10.0  # the clips are chosen
+    watch.keep(600)
+    clock.now += 1.0
+    watch.saw(iteration(1), 16)
+    assert not watch.stopped, "4 s are wanted, and 29 s are left"
 
 
 def test_checks_that_take_too_long_are_left_out_and_named(clock, caplog) -> None:
