@@ -76,7 +76,7 @@ def twist_looks_global(times: FloatArray, values: Mapping[str, FloatArray], turn
     times, position, turned = times[known], values["position"][known], turned[known]
     if times.size < 10:
         return False
-    half = int(np.ceil(_TWIST_SPAN / np.median(np.diff(times))))
+    half = min(int(np.ceil(_TWIST_SPAN / np.median(np.diff(times)))), (times.size - 1) // 2)
     early, middle, late = (slice(i, times.size - 2 * half + i) for i in (0, half, 2 * half))
     moved = (position[late] - position[early]) / (times[late] - times[early])[:, None]
     as_ros_says = _median_length(moved - turned[middle])
