@@ -64,7 +64,7 @@ class Checkpoint:
             state = _restore(saved["kind"], saved["state"])
             if saved["problem"] == self._key and not _whole(state, self._problem):
                 raise ValueError("its content is no search's")
-        except (ValueError, KeyError, TypeError, AttributeError, OSError, RecursionError) as error:
+        except (ValueError, LookupError, TypeError, AttributeError, OSError, RecursionError) as error:
             raise ConfigError(
                 f"{self._path}: not a checkpoint of this version ({error}); delete it to start anew"
             ) from None

@@ -25,8 +25,8 @@ def whole(log: Log) -> Window:
 def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Window], list[Window]]:
     """Divide logs into parts to fit and parts to validate on.
 
-    With many logs every n-th is held out whole; with few, and where logs have values of their own, which no
-    other log knows, the last part of each.
+    With many logs every n-th is held out whole; with few, or fewer than n, and where logs have values of
+    their own, which no other log knows, the last part of each.
 
     Args:
         logs: The logs.
@@ -34,8 +34,8 @@ def split_held_out(logs: Sequence[Log], share: float) -> tuple[list[Window], lis
     """
     if share <= 0.0:
         return [whole(log) for log in logs], []
-    if len(logs) >= WHOLE_LOGS and not any(log.own for log in logs):
-        every = max(2, round(1.0 / share))
+    every = max(2, round(1.0 / share))
+    if len(logs) >= max(WHOLE_LOGS, every) and not any(log.own for log in logs):
         held = [i % every == every - 1 for i in range(len(logs))]
         return (
             [whole(log) for log, out in zip(logs, held, strict=True) if not out],

@@ -25,27 +25,31 @@ def combinations(
     what the data determine, the blunt one what they leave open.
     """
     matrix = correlation(covariance)
-    phi = covariance * np.outer(space.prior_sd, space.prior_sd)
+    scale = np.outer(space.prior_sd, space.prior_sd)
+    phi, prior = covariance * scale, space.prior_covariance * scale
     found = []
     for i in range(len(space)):
         for j in range(i + 1, len(space)):
             together = active[i] and active[j] and abs(matrix[i, j]) > TOGETHER
             if together and space.log[i] and space.log[j]:
-                found += _pair(space, phi, (i, j))
+                found += _pair(space, phi, prior, (i, j))
     return tuple(found)
 
 
-def _pair(space: ParameterSpace, phi: FloatArray, pair: tuple[int, int]) -> list[Combination]:
-    block = phi[np.ix_(pair, pair)]
-    values, vectors = np.linalg.eigh(block)
+def _pair(
+    space: ParameterSpace, phi: FloatArray, prior: FloatArray, pair: tuple[int, int]
+) -> list[Combination]:
+    """Combinations of two parameters, from posterior and prior covariance of all in log(theta), (d, d)."""
+    block = np.ix_(pair, pair)
+    values, vectors = np.linalg.eigh(phi[block])
     result = []
     for value, vector in zip(values, vectors.T, strict=True):
         powers = vector / vector[np.argmax(np.abs(vector))]
-        prior = np.sqrt(((powers * space.prior_sd[list(pair)]) ** 2).sum())
+        before = float(np.sqrt(powers @ prior[block] @ powers))
         sd = float(np.sqrt(value) * np.linalg.norm(powers))
         if np.abs(powers).min() >= EXPONENT:
             text = _product([space.names[i] for i in pair], powers)
-            result.append(Combination(text, sd, 1.0 - sd / float(prior)))
+            result.append(Combination(text, sd, 1.0 - sd / before))
     return result
 
 

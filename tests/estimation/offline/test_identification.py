@@ -115,7 +115,8 @@ def test_a_checkpoint_of_another_problem_is_refused(pendulum, swing, tmp_path):
             identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
     nan = {"array": [float("nan")] * 2, "shape": [2]}
     changes = [{"z": []}, {"z": "x"}, {"z": nan}, {"record": []}, {"stage": "x"}, {"scale": {"a": "x"}}]
-    for change in (*changes, {"number": -1}, {"shape": {"array": [1.0], "shape": [1, 1]}}, {"first": 3}):
+    changes += [{"number": -1}, {"shape": {"array": [1.0], "shape": [1, 1]}}, {"first": 3}]
+    for change in (*changes, {"trail": {"array": [1.0], "shape": [1]}}):
         state = json.loads(saved)["state"] | change  # its checksum fits
         file.write_text(json.dumps(json.loads(saved) | {"state": state, "sum": _sum(state)}))
         with pytest.raises(ConfigError, match="delete it"):

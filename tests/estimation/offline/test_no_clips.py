@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
-from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
 
 MODEL = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="hinge" axis="0 1 0"/>
   <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/></body></worldbody></mujoco>"""
@@ -68,3 +68,12 @@ def test_a_noisy_log_does_not_make_another_one_motionless(model) -> None:
     ]
     pool = ClipPool(own, [whole(log) for log in logs], own.settings.clips)
     assert {clip.log.source for clip in pool.cut(1.0)} == {"moving"}
+
+
+@pytest.mark.parametrize("count", [1, 5, 12])
+@pytest.mark.parametrize("share", [0.1, 0.25])
+def test_about_the_wanted_share_is_held_out(model, count: int, share: float) -> None:
+    own = system(model, position=0.001)
+    log = amhe.Log.from_arrays({"joints": {"time": TIMES, "position": np.sin(TIMES)}}, own)
+    fitted, held = (sum(part.length for part in parts) for parts in split_held_out([log] * count, share))
+    assert held / (fitted + held) == pytest.approx(share, abs=0.06)

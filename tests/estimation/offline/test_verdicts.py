@@ -213,6 +213,14 @@ def test_parameters_that_are_known_only_together_name_each_other_and_their_produ
     assert combinations(SPACE, covariance, np.array([True, False, True])) == ()
 
 
+def test_a_combination_shrinks_from_what_the_prior_knows_of_it() -> None:
+    """A belief that is a prior may know two parameters together; logs that add nothing narrow nothing."""
+    together = ((1.0, -0.98, 0.0), (-0.98, 1.0, 0.0), (0.0, 0.0, 1.0))
+    prior = ParameterSpace(SPACE.parameters, together)
+    found = combinations(prior, np.array(together), np.ones(3, dtype=bool))
+    assert [one.shrinkage for one in found] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
 def test_a_combination_names_no_factor_with_an_exponent_of_zero() -> None:
     unequal = np.array([[0.5**2, 0.95 * 0.5 * 0.01, 0.0], [0.95 * 0.5 * 0.01, 0.01**2, 0.0], [0.0, 0.0, 1.0]])
     assert combinations(SPACE, unequal, np.ones(3, dtype=bool)) == ()
