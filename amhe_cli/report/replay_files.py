@@ -104,7 +104,7 @@ def _together(replay: Replay) -> list[Combination]:
     """Products that the last estimate knows more precisely than any of their factors, best first."""
     space, last = replay.system.space, replay.estimates[-1]
     in_z = last.belief.covariance / np.outer(space.prior_sd, space.prior_sd)
-    relative = dict(zip(space.names, last.sd / np.abs(last.theta), strict=True))
+    relative = dict(zip(space.names, np.sqrt(np.diag(last.belief.covariance)), strict=True))  # of logarithms
     every = np.ones(len(space), dtype=bool)
     return sharper(combinations(space, in_z, every), relative)[:MAX_COMBINATIONS]
 

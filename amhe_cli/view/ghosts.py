@@ -155,8 +155,8 @@ def viewing(
     columns = tuple(columns_of(system, logs[0]))
     frame = 14 * len(scene.bodies) + 2 * len(columns) + 12 * _TOUCHING * collides(system.model)
     seconds = (1 + len(candidates)) * sum(w.duration for w, _ in kept)
-    rate = min(RATE, _CLIPS * _BYTES / (frame * max(seconds, 1e-9)))
-    coarse = min(RATE, (1.0 - _CLIPS) * _BYTES / (frame * max(sum(log.duration for log in logs), 1e-9)))
+    rate = min(RATE, _CLIPS * _BYTES / max(frame * seconds, 1e-9))
+    coarse = min(RATE, (1.0 - _CLIPS) * _BYTES / max(frame * sum(log.duration for log in logs), 1e-9))
     z = np.stack(list(candidates.values()))
     recordings, takes = [], []
     for number, log in enumerate(logs):

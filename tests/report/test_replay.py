@@ -1,10 +1,14 @@
 """Lines about a replay."""
 
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
+from amhe_cli.core.parameters import Parameter, ParameterSpace, belief_of
 from amhe_cli.report.replay import windows_line
+from amhe_cli.report.replay_files import _together
 
 
 @pytest.mark.parametrize(
@@ -23,3 +27,18 @@ from amhe_cli.report.replay import windows_line
 def test_used_and_skipped_windows_are_counted(counts: tuple[int, ...], line: str) -> None:
     record: dict[str, Any] = dict(zip(("updated", "jumps", "still", "gaps", "lost"), counts, strict=True))
     assert windows_line(record) == line
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_bias_of_zero_is_no_fault() -> None:
+    parameters = (
+        Parameter("mass", "kg", 4.0, 0.4, 40.0, log=True, prior_sd=0.5),
+        Parameter("friction", "-", 0.5, 0.05, 5.0, log=True, prior_sd=0.5),
+        Parameter("bias", "m", 0.0, -1.0, 1.0, log=False, prior_sd=0.2),
+    )
+    system: Any = SimpleNamespace(name="", space=ParameterSpace(parameters), fixed={}, parts={}, sets={})
+    z_covariance = 0.01 * np.array([[1.0, -0.98, 0.0], [-0.98, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    belief = belief_of(system, np.zeros(3), z_covariance)
+    last = SimpleNamespace(belief=belief, theta=belief.estimate, sd=belief.sd)
+    done: Any = SimpleNamespace(system=system, estimates=[last])
+    assert [one.text for one in _together(done)] == ["mass * friction"]

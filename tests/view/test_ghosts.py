@@ -134,6 +134,20 @@ def test_the_best_ghost_has_the_forces_under_its_parameters() -> None:
         assert heavy.forces[-1, 0, :2] == pytest.approx(heavy.poses[-1, 0, :2], abs=0.1)
 
 
+def test_a_model_without_shapes_of_which_nothing_is_compared_has_a_page() -> None:
+    model = """<mujoco><worldbody><body><joint name="a"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
+      </body></worldbody></mujoco>"""
+    system = amhe.System.from_model(
+        mujoco.MjSpec.from_string(model),
+        parameters={"damping": {"nominal": 0.1, "targets": [{"joint": "a", "set": "damping"}]}},
+        signals={"joints": {"joints": ["a"]}},
+        warn=False,
+    )
+    time = np.arange(0.0, 1.0, 0.01)
+    log = amhe.Log.from_arrays({"joints": {"time": time, "position": np.sin(time)}}, system)
+    assert "<html" in amhe.show(system, [log]).html
+
+
 def test_a_body_whose_joint_has_no_signal_is_unmeasured() -> None:
     model = """<mujoco><worldbody><body name="one"><joint name="a" axis="0 1 0"/><geom size="0.1" mass="1"/>
       <body name="two"><joint name="b" axis="0 1 0"/><geom size="0.1" mass="1" pos="0 0 1"/></body></body>
