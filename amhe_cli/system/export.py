@@ -139,8 +139,20 @@ def portable(spec: mujoco.MjSpec, folder: Path) -> tuple[str, dict[str, Path]]:
         source = (folder / folders.get(_FILES[element.tag], "") / inner).resolve()
         names.setdefault(source, _free_name(PurePosixPath(inner).name, set(names.values())))
         element.attrib[attribute] = names[source]
+    _drop_inputs(root)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n", {name: path for path, name in names.items()}
+
+
+def _drop_inputs(root: ElementTree.Element) -> None:
+    """Leave out which quantity a servo's control is: MuJoCo 3 refuses this, and no motion depends on it.
+
+    The controls of a PID or DC motor, which MuJoCo 3 does not know anyway, are counted by it.
+    """
+    actuators = list(root.iter("general"))
+    if not any(actuator.get("gaintype") in ("pid", "dcmotor") for actuator in actuators):
+        for actuator in actuators:
+            actuator.attrib.pop("input", None)
 
 
 def _file_attributes(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, str]]:

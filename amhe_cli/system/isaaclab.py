@@ -19,8 +19,9 @@ from amhe_cli.system.randomisation import (
 )
 from amhe_cli.system.system import System
 
-#: The version that the file was checked against.
-ISAACLAB = "3.0.0"
+#: The versions that the file was checked against.
+ISAACLAB = "2.3.2 and 3.0.0"
+_CHECKED = f"Functions and arguments were checked against the source of Isaac Lab {ISAACLAB}; none was run."
 
 
 def isaaclab_text(system: System, belief: Belief) -> str:
@@ -39,7 +40,7 @@ def isaaclab_text(system: System, belief: Belief) -> str:
         for term in terms
     )
     use = "class EventCfg(IdentifiedEventsCfg): ...  # or copy the terms into your own"
-    opening = head(system, belief, f"Isaac Lab {ISAACLAB}", found, use)
+    opening = head(system, belief, f"Isaac Lab {ISAACLAB}", _CHECKED, found, use)
     imports = "import isaaclab.envs.mdp as mdp\nfrom isaaclab.managers import EventTermCfg, SceneEntityCfg\n"
     imports += (
         "from isaaclab.utils import configclass\n" + "from isaaclab.utils.math import sample_uniform\n" * own
@@ -61,7 +62,9 @@ def randomize_joint_friction(env, env_ids, asset_cfg, dry, viscous):
     rows = env.scene.num_envs if env_ids is None or isinstance(env_ids, slice) else len(env_ids)
     columns = asset.num_joints if isinstance(asset_cfg.joint_ids, slice) else len(asset_cfg.joint_ids)
     coulomb = sample_uniform(*dry, (rows, columns), asset.device)
-    asset.write_joint_friction_coefficient_to_sim_index(
+    write = getattr(asset, "write_joint_friction_coefficient_to_sim_index", None)
+    write = write or asset.write_joint_friction_coefficient_to_sim  # its name before Isaac Lab 3
+    write(
         joint_friction_coeff=coulomb,
         joint_dynamic_friction_coeff=coulomb,
         joint_viscous_friction_coeff=sample_uniform(*viscous, (rows, columns), asset.device),

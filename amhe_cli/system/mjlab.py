@@ -23,8 +23,9 @@ from amhe_cli.system.randomisation import (
 )
 from amhe_cli.system.system import System
 
-#: The version that the file was checked against.
+#: The version that the file was run with (`benchmarks/mjlab_events.py`).
 MJLAB = "1.6.0"
+_CHECKED = f"Files of this kind, with all its kinds of terms, were run with mjlab {MJLAB}."
 #: Fields of a joint: what mjlab randomises them with.
 _MJLAB_JOINT = {
     "dof_damping": "joint_damping",
@@ -41,9 +42,10 @@ def mjlab_text(system: System, belief: Belief) -> str:
     """Python file with a function that returns the events of mjlab (`mjlab.managers.EventTermCfg`)."""
     found = drawn(system, belief)
     terms = [*_mjlab_joints(found), *_mjlab_bodies(found), *_mjlab_contacts(found), *_mjlab_actuators(found)]
+    own = any(term.function == _ACTUATOR for term in terms)
     body = "\n".join(
         f'        "{term.name}": EventTermCfg(\n'
-        f"            func=dr.{term.function},\n"
+        f"            func={term.function},\n"
         f'            mode="startup",\n'
         f"            params={{\n"
         f'                "asset_cfg": SceneEntityCfg(entity, {selected(term, tuple)}),\n'
@@ -52,11 +54,13 @@ def mjlab_text(system: System, belief: Belief) -> str:
         for term in terms
     )
     use = "env_cfg.events |= identified_events()"
-    return f'''{head(system, belief, f"mjlab {MJLAB}", found, use)}
+    more = ", requires_model_fields" * own
+    return f'''{head(system, belief, f"mjlab {MJLAB}", _CHECKED, found, use)}
+{"import torch" * own}
 from mjlab.envs.mdp import dr
-from mjlab.managers.event_manager import EventTermCfg
+from mjlab.managers.event_manager import EventTermCfg{more}
 from mjlab.managers.scene_entity_config import SceneEntityCfg
-
+{_ACTUATOR_TEXT * own}
 
 def identified_events(entity: str = "robot") -> dict[str, EventTermCfg]:
     """Events that draw the identified numbers of an entity once for each environment."""
@@ -66,19 +70,45 @@ def identified_events(entity: str = "robot") -> dict[str, EventTermCfg]:
 '''
 
 
+_ACTUATOR = "randomize_actuator"
+_ACTUATOR_TEXT = '''
+
+@requires_model_fields("actuator_gainprm", "actuator_biasprm", "actuator_forcerange")
+def randomize_actuator(env, env_ids, asset_cfg, kp=None, kd=None, limit=None):
+    """Gains and force limit of one servo of the MJCF.
+
+    mjlab's own terms, dr.pd_gains and dr.effort_limits, draw for groups of actuators, not for one.
+    """
+    ids = env.scene[asset_cfg.name].indexing.ctrl_ids[asset_cfg.actuator_ids]
+    envs = torch.arange(env.num_envs, device=env.device) if env_ids is None else env_ids.long()
+    model, rows = env.sim.model, envs[:, None]
+
+    def drawn(ends):
+        return ends[0] + (ends[1] - ends[0]) * torch.rand((len(envs), 1), device=env.device)
+
+    if kp is not None:
+        gain = drawn(kp)
+        model.actuator_gainprm[rows, ids, 0], model.actuator_biasprm[rows, ids, 1] = gain, -gain
+        model.actuator_biasprm[rows, ids, 2] = -drawn(kd)
+    if limit is not None:
+        force = drawn(limit)
+        model.actuator_forcerange[rows, ids, 0], model.actuator_forcerange[rows, ids, 1] = -force, force
+'''
+
+
 def _mjlab_joints(found: Drawn) -> Iterator[Term]:
     for name, function in _MJLAB_JOINT.items():
         for rows in found.tied(name, found.rows(name)):
             joints = [joint_of(found.model, name, row) for row in rows]
             ranges = found.range(name, rows)
             values = {"ranges": ranges, "operation": "abs", "shared_random": len(rows) > 1}
-            yield Term(term_name(joints, function), function, ("joint_names", joints), values)
+            yield Term(term_name(joints, function), f"dr.{function}", ("joint_names", joints), values)
     for row in found.rows("qpos0"):
         joint = found.model.joint(int(np.flatnonzero(found.model.jnt_qposadr == row)[0])).name
         own = found.system.edits.own(found.model).qpos0[row]
         found.used |= {("qpos0", row), ("qpos_spring", row), ("jnt_range", found.model.joint(joint).id)}
         values = {"bias_range": ends(found.arrays["qpos0"][:, row] - own)}
-        yield Term(term_name([joint], "encoder_bias"), "encoder_bias", ("joint_names", [joint]), values)
+        yield Term(term_name([joint], "encoder_bias"), "dr.encoder_bias", ("joint_names", [joint]), values)
 
 
 def _mjlab_bodies(found: Drawn) -> Iterator[Term]:
@@ -87,11 +117,13 @@ def _mjlab_bodies(found: Drawn) -> Iterator[Term]:
         selector, own = ("body_names", [body]), {name for name in _INERTIAL if row in found.rows(name)}
         if own == {"body_mass"}:
             values: dict[str, object] = {"ranges": found.range("body_mass", [row]), "operation": "abs"}
-            yield Term(term_name([body], "mass"), "body_mass", selector, values)
+            yield Term(term_name([body], "mass"), "dr.body_mass", selector, values)
         elif own == {"body_ipos"}:
             columns = sorted(found.columns("body_ipos", row))
             values = {"ranges": {column: found.range("body_ipos", [row], column) for column in columns}}
-            yield Term(term_name([body], "com"), "body_com_offset", selector, values | {"operation": "abs"})
+            yield Term(
+                term_name([body], "com"), "dr.body_com_offset", selector, values | {"operation": "abs"}
+            )
         elif (stretch := _stretch(found, row)) is not None:
             found.used |= {(name, row) for name in own}
             values = {
@@ -99,7 +131,7 @@ def _mjlab_bodies(found: Drawn) -> Iterator[Term]:
                 for name, numbers in zip(PSEUDO_NAMES, stretch.T, strict=True)
                 if np.abs(numbers).max() > _ROUNDING
             }
-            yield Term(term_name([body], "inertia"), "pseudo_inertia", selector, values)
+            yield Term(term_name([body], "inertia"), "dr.pseudo_inertia", selector, values)
 
 
 def _stretch(found: Drawn, row: int) -> FloatArray | None:
@@ -136,15 +168,17 @@ def _mjlab_contacts(found: Drawn) -> Iterator[Term]:
                 ranges = found.range(name, group, column)
                 values: dict[str, object] = {"ranges": ranges, "operation": "abs", "axes": [column]}
                 values |= {"shared_random": len(group) > 1} | ({"isotropic": True} if kind == "pair" else {})
-                yield Term(term_name(names, f"friction_{column}"), name, (f"{kind}_names", names), values)
+                yield Term(
+                    term_name(names, f"friction_{column}"), f"dr.{name}", (f"{kind}_names", names), values
+                )
 
 
 def _mjlab_actuators(found: Drawn) -> Iterator[Term]:
     for row, kp, kd in servos(found):
         name = found.model.actuator(row).name
-        values: dict[str, object] = {"kp_range": kp, "kd_range": kd, "operation": "abs"}
-        yield Term(term_name([name], "gains"), "pd_gains", ("actuator_names", [name]), values)
+        values: dict[str, object] = {"kp": kp, "kd": kd}
+        yield Term(term_name([name], "gains"), _ACTUATOR, ("actuator_names", [name]), values)
     for row in found.rows("actuator_forcerange"):
         name = found.model.actuator(row).name
-        values = {"effort_limit_range": found.range("actuator_forcerange", [row], 1), "operation": "abs"}
-        yield Term(term_name([name], "effort"), "effort_limits", ("actuator_names", [name]), values)
+        values = {"limit": found.range("actuator_forcerange", [row], 1)}
+        yield Term(term_name([name], "effort"), _ACTUATOR, ("actuator_names", [name]), values)

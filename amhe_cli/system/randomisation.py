@@ -70,8 +70,9 @@ class Drawn:
         return ends(sign * values)
 
     def rows(self, *names: str) -> list[int]:
-        """Rows of some fields that parameters set."""
-        return sorted({c.row for c in self.system.edits.cells if c.field in names})
+        """Rows of some fields that parameters move; a fixed parameter moves none."""
+        rows = {(c.field, c.row) for c in self.system.edits.cells if c.field in names}
+        return sorted({row for name, row in rows if np.ptp(self.arrays[name][:, row], axis=0).any()})
 
     def columns(self, name: str, row: int) -> set[int]:
         """Columns of a row that parameters set."""
@@ -116,7 +117,7 @@ def servos(found: Drawn) -> Iterator[tuple[int, tuple[float, float], tuple[float
             yield row, found.range("actuator_gainprm", [row], 0), kd
 
 
-def head(system: System, belief: Belief, tool: str, found: Drawn, use: str) -> str:
+def head(system: System, belief: Belief, tool: str, checked: str, found: Drawn, use: str) -> str:
     """Docstring of the file, and comments on what is not in it."""
     left = "".join(f"# {line}\n" for line in _left_out(system, belief, found))
     missing = f"#\n# Identified, but not in these terms:\n{left}" if left else ""
@@ -124,8 +125,9 @@ def head(system: System, belief: Belief, tool: str, found: Drawn, use: str) -> s
 
     {use}
 
-Functions and arguments were checked against the source of {tool}. Each range is the 90 % interval of one
-number of the model, drawn uniformly; the model to train with is the identified one beside this file.
+{checked}
+Each range is the 90 % interval of one number of the model, drawn uniformly; the model to train with is the
+identified one beside this file.
 Ranges lose correlations: {_correlations(belief)}
 Where that matters, use draws of the whole belief: `amhe export --to samples` keeps them.
 """

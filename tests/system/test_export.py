@@ -98,3 +98,18 @@ def test_meshes_travel_with_the_file(written: Write, tmp_path: Path) -> None:
         shutil.copy(source, out / name)
     assert sorted(path.name for path in (out / "assets").iterdir()) == ["2_part.obj", "part.obj"]
     assert_same_numbers(system, theta, mujoco.MjModel.from_xml_path(str(out / "identified.xml")))
+
+
+@pytest.mark.parametrize("default", ["", '<default><position kp="20" kv="1"/></default>'])
+def test_servos_are_written_so_that_mujoco_3_reads_them(default: str, written: Write) -> None:
+    model = f"""<mujoco>{default}<worldbody><body name="arm">
+      <joint name="hip" damping="0.1"/><geom name="arm" size="0.1"/></body></worldbody>
+      <actuator><position name="servo" joint="hip" kp="20" kv="1"/>
+      <velocity name="speed" joint="hip" kv="2"/></actuator></mujoco>"""
+    parameters = "  p: {nominal: 0.2, bounds: [0.1, 1], targets: [{joint: hip, set: damping}]}\n"
+    system = System.load(written(parameters, model=model, more=""))
+    text = identified_xml(system, np.array([0.3]))
+    assert "input=" not in text  # MuJoCo 3.11: "XML Error: invalid keyword: 'pos'"
+    found, own = mujoco.MjModel.from_xml_string(text), system.model
+    for field in ("actuator_gainprm", "actuator_biasprm", "actuator_ctrlnum"):
+        np.testing.assert_array_equal(getattr(found, field), getattr(own, field))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -36,8 +37,6 @@ MJLAB = {
     "body_com_offset": _FIELD,
     "pseudo_inertia": _U | {"distribution", "asset_cfg"},
     "encoder_bias": {"bias_range", "asset_cfg"},
-    "pd_gains": {"kp_range", "kd_range", "asset_cfg", "distribution", "operation"},
-    "effort_limits": {"effort_limit_range", "asset_cfg", "distribution", "operation"},
 }
 #: Those of Isaac Lab 3.0.0's terms.
 ISAAC = {
@@ -68,10 +67,15 @@ def loaded(text: str, monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
         return {"entity": entity, **names}
 
     dr = SimpleNamespace(**{name: name for name in MJLAB})
-    for package in ("mjlab", "mjlab.envs", "mjlab.managers", "isaaclab"):
+    for package in ("mjlab", "mjlab.envs", "mjlab.managers", "isaaclab", "torch"):
         module(monkeypatch, package)
     module(monkeypatch, "mjlab.envs.mdp", dr=dr)
-    module(monkeypatch, "mjlab.managers.event_manager", EventTermCfg=term)
+    module(
+        monkeypatch,
+        "mjlab.managers.event_manager",
+        EventTermCfg=term,
+        requires_model_fields=lambda *fields: lambda function: function,
+    )
     module(monkeypatch, "mjlab.managers.scene_entity_config", SceneEntityCfg=scene)
     mdp = module(monkeypatch, "isaaclab.envs.mdp", **{name: name for name in ISAAC})
     module(monkeypatch, "isaaclab.envs", mdp=mdp)
@@ -93,9 +97,9 @@ TARGETS = {
     "{pair: slide, set: sliding_friction}": "pair_friction",
     "{body: hand, set: mass, carry_inertia: false}": "body_mass",
     "{body: hand, set: center_of_mass, axis: x}": "body_com_offset",
-    "{actuator: hip_servo, set: gain}": "pd_gains",
-    "{actuator: hip_servo, set: actuator_damping}": "pd_gains",
-    "{actuator: hip_servo, set: force_limit}": "effort_limits",
+    "{actuator: hip_servo, set: gain}": "randomize_actuator",
+    "{actuator: hip_servo, set: actuator_damping}": "randomize_actuator",
+    "{actuator: hip_servo, set: force_limit}": "randomize_actuator",
 }
 
 
@@ -105,8 +109,10 @@ def test_mjlab_takes_every_target(target: str, with_target: Write, monkeypatch: 
     belief = belief_of(system, np.zeros(1), np.eye(1))
     events = loaded(mjlab_text(system, belief), monkeypatch)["identified_events"]("robot")
     (event,) = events.values()
-    assert event.func == TARGETS[target]
-    assert set(event.params) <= MJLAB[event.func]
+    name = getattr(event.func, "__name__", event.func)  # mjlab's by its name, the file's own as it is
+    assert name == TARGETS[target]
+    arguments = MJLAB.get(name) or set(inspect.signature(event.func).parameters) - {"env", "env_ids"}
+    assert set(event.params) <= arguments
     interval = 0.7 * np.exp(np.array([-1, 1]) * Z90 * 0.2)
     given = [
         bounds
@@ -186,17 +192,15 @@ def test_isaac_lab_takes_every_term(written: Write, monkeypatch: pytest.MonkeyPa
     assert "that of damping and armature is 0.90" in text
 
 
+@pytest.mark.parametrize("version", ["_index", ""])  # of Isaac Lab 3, and of those before
 def test_isaac_labs_own_term_for_friction_writes_both(
-    written: Write, monkeypatch: pytest.MonkeyPatch
+    version: str, written: Write, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     system = System.load(written(BOTH, COMMANDED))
     names = loaded(isaaclab_text(system, belief_of(system, np.zeros(7), 0.01 * np.eye(7))), monkeypatch)
     written_values: dict[str, Any] = {}
-    asset = SimpleNamespace(
-        device="cpu",
-        num_joints=2,
-        write_joint_friction_coefficient_to_sim_index=lambda **values: written_values.update(values),
-    )
+    asset = SimpleNamespace(device="cpu", num_joints=2)
+    setattr(asset, f"write_joint_friction_coefficient_to_sim{version}", written_values.update)
 
     class Scene(dict):
         num_envs = 4
@@ -217,3 +221,41 @@ def test_an_encoders_zero_is_a_bias_of_mjlab(written: Write, monkeypatch: pytest
     assert event.func == "encoder_bias"
     np.testing.assert_allclose(event.params["bias_range"], 0.02 + np.array([-1, 1]) * Z90 * 0.01, atol=1e-3)
     assert "not in these terms" not in made
+
+
+class Draws:
+    """In place of torch: draws are the middle of their ranges."""
+
+    @staticmethod
+    def rand(shape: tuple[int, int], device: str) -> np.ndarray:
+        return np.full(shape, 0.5)
+
+    @staticmethod
+    def arange(count: int, device: str) -> np.ndarray:
+        return np.arange(count)
+
+
+def test_one_servo_is_drawn_alone(written: Write, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = """  kp: {nominal: 20, bounds: [1, 100], targets: [{actuator: hip_servo, set: gain}]}
+  limit: {nominal: 5, bounds: [1, 100], targets: [{actuator: hip_servo, set: force_limit}]}
+  speed: {nominal: 2, bounds: [1, 3], prior_sd: 0, targets: [{actuator: knee_speed, set: gain}]}
+  fixed: {nominal: 0.5, bounds: [0.1, 3], prior_sd: 0, targets: [{joint: knee, set: damping}]}
+"""
+    system = System.load(written(text, COMMANDED))
+    names = loaded(mjlab_text(system, belief_of(system, np.zeros(2), 0.01 * np.eye(2))), monkeypatch)
+    events = names["identified_events"]("robot")
+    assert set(events) == {"hip_servo_gains", "hip_servo_effort"}  # what is fixed is not drawn
+    names["torch"] = Draws
+    fields = {"actuator_gainprm": 10, "actuator_biasprm": 10, "actuator_forcerange": 2}
+    model = SimpleNamespace(**{name: np.zeros((4, 3, width)) for name, width in fields.items()})
+    robot = SimpleNamespace(indexing=SimpleNamespace(ctrl_ids=np.arange(3)))
+    sim = SimpleNamespace(model=model)
+    env = SimpleNamespace(scene={"robot": robot}, sim=sim, num_envs=4, device="cpu")
+    for event in events.values():
+        config = SimpleNamespace(name="robot", actuator_ids=[1])
+        names["randomize_actuator"](env, None, **event.params | {"asset_cfg": config})
+    np.testing.assert_allclose(model.actuator_gainprm[:, 1, 0], 20.0, rtol=0.02)
+    np.testing.assert_allclose(model.actuator_biasprm[:, 1, 1], -model.actuator_gainprm[:, 1, 0])
+    np.testing.assert_allclose(model.actuator_biasprm[:, 1, 2], -1.0)
+    np.testing.assert_allclose(model.actuator_forcerange[:, 1], 4 * [[-5.0, 5.0]], rtol=0.02)
+    assert not any(getattr(model, name)[:, [0, 2]].any() for name in fields)
