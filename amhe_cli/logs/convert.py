@@ -94,15 +94,7 @@ def convert(
     start_ns = min(int(part.stamps_ns[0]) for group in parts.values() for part in group)
     out.parent.mkdir(parents=True, exist_ok=True)
     if not out.suffix:
-        files: dict[str, str] = {}
-        for name in parts:
-            if (other := files.setdefault(table_name(name), name)) != name:
-                raise ConfigError(
-                    f"{out}: topics {other!r} and {name!r} would share a file; write .mcap or .csv"
-                )
-        with filling(out) as folder:
-            for name, group in parts.items():
-                write_csv(folder / f"{table_name(name)}.csv", joined(group), metadata, start_ns)
+        _to_folder(out, parts, metadata, start_ns)
         return
     as_it_was = only_tables and len(tables) == 1
     named = [
@@ -112,6 +104,19 @@ def convert(
     ]
     write = write_npz if out.suffix == ".npz" else write_csv
     write(out, joined(named), metadata, start_ns)
+
+
+def _to_folder(
+    out: Path, parts: Mapping[str, Sequence[Columns]], metadata: Mapping[str, str], start_ns: int
+) -> None:
+    """Write a CSV file for each topic or signal."""
+    files: dict[str, str] = {}
+    for name in parts:
+        if (other := files.setdefault(table_name(name), name)) != name:
+            raise ConfigError(f"{out}: topics {other!r} and {name!r} would share a file; write .mcap or .csv")
+    with filling(out) as folder:
+        for name, group in parts.items():
+            write_csv(folder / f"{table_name(name)}.csv", joined(group), metadata, start_ns)
 
 
 def check_out(out: Path, force: bool) -> None:

@@ -26,8 +26,8 @@ _NUMBERS: Mapping[int, tuple[int, str]] = {
 _STRING, _MESSAGE, _ZIGZAG = 9, 11, (17, 18)
 _REPEATED = 3
 #: Names of the parts of a time -> those of ROS 2.
-_TIMES = {"nsec": "nanosec", "nsecs": "nanosec", "nanos": "nanosec", "secs": "sec", "seconds": "sec"}
-_TIME_PARTS = {*_TIMES, "sec", "nanosec"}
+TIMES = {"nsec": "nanosec", "nsecs": "nanosec", "nanos": "nanosec", "secs": "sec", "seconds": "sec"}
+_TIME_PARTS = {*TIMES, "sec", "nanosec"}
 _DEEPEST, _MOST_FIELDS = 30, 100_000
 
 
@@ -128,7 +128,7 @@ def _message(
     if fields and all(field.name in _TIME_PARTS for field in fields.values()):
         # A time that is absent is a stamp that was not set.
         fields = {
-            number: Field(_TIMES.get(f.name, f.name), f.wire, f.dtype, f.zigzag, "", False, f.repeated, 0.0)
+            number: Field(TIMES.get(f.name, f.name), f.wire, f.dtype, f.zigzag, "", False, f.repeated, 0.0)
             for number, f in fields.items()
         }
     types[name] = fields

@@ -19,11 +19,9 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.logs.containers.raw import Batch, Connection, batch_of
 from amhe_cli.logs.containers.table_file import clock_of
 from amhe_cli.logs.containers.text_dialect import Column
-from amhe_cli.logs.messages.descriptors import MalformedMessageError
+from amhe_cli.logs.messages.descriptors import TIMES, MalformedMessageError
 from amhe_cli.logs.messages.layout import KEPT, Layout, Leaf
 
-#: Names of the parts of a time -> those of ROS 2.
-_TIMES = {"nsec": "nanosec", "nsecs": "nanosec", "nanos": "nanosec", "secs": "sec", "seconds": "sec"}
 #: A message nests no deeper, and holds no more numbers.
 _DEEPEST, _MOST_NUMBERS = 30, 100_000
 
@@ -67,7 +65,7 @@ class _Found:
         if depth > _DEEPEST or len(self.numbers) > _MOST_NUMBERS:
             raise MalformedMessageError("it nests too deep, or holds too many numbers")
         for key, value in content.items():
-            name = "stamp" if key == "timestamp" else _TIMES.get(key, key)
+            name = "stamp" if key == "timestamp" else TIMES.get(key, key)
             self.value(f"{path}.{name}" if path else name, value, depth + 1)
 
     def value(self, path: str, value: Any, depth: int) -> None:
