@@ -40,7 +40,7 @@ from amhe_cli.estimation.offline.posterior import (
     final_fit,
 )
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.result import ClipCount, Identification, Sampled
+from amhe_cli.estimation.offline.result import ClipCount, HeldOut, Identification, Sampled
 from amhe_cli.estimation.offline.runs import each_run, estimates, runs_that_differ, spread_between
 from amhe_cli.estimation.offline.sampled import ENOUGH, USUAL, SampledPosterior, sampled_posterior
 from amhe_cli.estimation.offline.shifts import shifts_of
@@ -84,18 +84,8 @@ def conclude(
     validation, own = with_own_values(problem, validation, fit.z, fit.shape, fit.scale)
     for text in own:
         logger.log(NOTE, text)
-    held_out, against = validate(problem, validation, finding), left_out(fit)
+    held_out, against = _validated(problem, finding, fit, validation, watch)
     shown = unexplained(system, fit)
-    if held_out and watch.allows("held-out clips from fitted first states", problem.linearisation):
-        judged = judge(problem, validation, fit)
-        against = (*against, *judged.against)
-        held_out = replace(
-            held_out,
-            fitted_cost=judged.cost,
-            initial_fitted_cost=judged.initial_cost,
-            noise_scale=judged.noise_scale,
-            errors=judged.errors,
-        )
     if finding.done:
         advice = "; compare measured with predicted in the report, and free what the model may lack"
         report_misfit(system, fit)
@@ -137,6 +127,24 @@ def conclude(
         runs=estimates(system.space, finding.z, each_run(problem, finding.z, fit)),
         sampled=drawn,
     )
+
+
+def _validated(
+    problem: Problem, finding: Finding, fit: FinalFit, validation: Sequence[Window], watch: Watch
+) -> tuple[HeldOut | None, tuple[str, ...]]:
+    """Costs and errors on held-out clips, and what speaks against every value, in words."""
+    held_out, against = validate(problem, validation, finding), left_out(fit)
+    if not held_out or not watch.allows("held-out clips from fitted first states", problem.linearisation):
+        return held_out, against
+    judged = judge(problem, validation, fit)
+    held_out = replace(
+        held_out,
+        fitted_cost=judged.cost,
+        initial_fitted_cost=judged.initial_cost,
+        noise_scale=judged.noise_scale,
+        errors=judged.errors,
+    )
+    return held_out, (*against, *judged.against)
 
 
 def _predictions(problem: Problem, validation: Sequence[Window]) -> int:
@@ -198,14 +206,8 @@ def _evidence(
         covariance, causes = covariance + away, causes | {"another minimum explains the logs": np.diag(away)}
     draws, beside = None, None
     if drawn is not None:
-        draws = drawn.spread(problem, fit, covariance)
-        sds = np.sqrt(np.diag(covariance))
-        linearised = {name: interval(space, finding.z, sds[i], i) for i, name in enumerate(space.names)}
-        beside = Sampled(space.theta_of(draws), drawn.effective, drawn.rollouts, linearised)
+        draws, beside = _spread(problem, fit, drawn, covariance)
         covariance = (draws - finding.z).T @ (draws - finding.z) / len(draws)
-    points = setting.profile_points
-    unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
-    rollouts = points * int(unknowns) * min(len(problem.clips), PROFILED)
     evidence = Evidence(
         z=finding.z,
         covariance=covariance,
@@ -218,14 +220,7 @@ def _evidence(
         bootstrap=resampled.std(axis=0),
         disagreements=compared | differing,
         shifts=shifts,
-        profiles=profiles(
-            space,
-            lambda rows, values: fit.costs_along(rows, values, problem.reach),
-            finding.z,
-            np.sqrt(np.diag(covariance)),
-            problem.active,
-            points if watch.allows("cost profiles", rollouts) else 0,
-        ),
+        profiles=_profiles(problem, fit, np.sqrt(np.diag(covariance)), watch),
         unexplained=against,
         rough=problem.rough,
         repeats=np.sqrt(1.0 + np.diag(again) / np.diag(own)),
@@ -235,6 +230,33 @@ def _evidence(
         exact=exact,
     )
     return evidence, beside
+
+
+def _spread(
+    problem: Problem, fit: FinalFit, drawn: SampledPosterior, covariance: FloatArray
+) -> tuple[FloatArray, Sampled]:
+    """Draws of z with a covariance (d, d), shape (n, d), and what a report shows of them."""
+    space, sds = problem.system.space, np.sqrt(np.diag(covariance))
+    draws = drawn.spread(problem, fit, covariance)
+    linearised = {name: interval(space, fit.z, sds[i], i) for i, name in enumerate(space.names)}
+    return draws, Sampled(space.theta_of(draws), drawn.effective, drawn.rollouts, linearised)
+
+
+def _profiles(
+    problem: Problem, fit: FinalFit, sd: FloatArray, watch: Watch
+) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Cost along each parameter, as far as its sd of z (d,) demands; none where there is no time."""
+    points = problem.settings.identify.profile_points
+    unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
+    rollouts = points * int(unknowns) * min(len(problem.clips), PROFILED)
+    return profiles(
+        problem.system.space,
+        lambda rows, values: fit.costs_along(rows, values, problem.reach),
+        fit.z,
+        sd,
+        problem.active,
+        points if watch.allows("cost profiles", rollouts) else 0,
+    )
 
 
 def _systematic(
