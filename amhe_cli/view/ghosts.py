@@ -171,9 +171,9 @@ def viewing(
 def columns_of(system: System, log: Log) -> Iterator[Plotted]:
     """What is plotted of a system's logs."""
     for channel in _shown(system):
-        turn = channel.kind == "rotation"
-        for name in ("x", "y", "z") if turn else log[channel.key].columns:
-            yield Plotted(channel.key, name, "rad" if turn else channel.unit, channel.noise or 0.0)
+        names = ("x", "y", "z") if channel.kind == "rotation" else log[channel.key].columns
+        for name in names:
+            yield Plotted(channel.key, name, channel.unit, channel.noise or 0.0)
 
 
 def _shown(system: System) -> list[Channel]:

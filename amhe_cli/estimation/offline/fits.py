@@ -48,7 +48,7 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
     return Fit(
         clip=clip_name(window),
         channel=observed.channel.key,
-        unit="rad" if observed.channel.kind == "rotation" else observed.channel.unit,
+        unit=observed.channel.unit,
         columns=tuple(columns),
         time=(observed.rows[i, keep] + 1) * window.log.dt,
         measured=measured,

@@ -318,7 +318,7 @@ def _spans(
             if inside.any():
                 yield SpanError(
                     channel=observed.channel.key,
-                    unit="rad" if observed.channel.kind == "rotation" else observed.channel.unit,
+                    unit=observed.channel.unit,
                     start=start,
                     end=end,
                     initial=float(before[inside].mean()),

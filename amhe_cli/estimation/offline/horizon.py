@@ -20,7 +20,7 @@ from amhe_cli.estimation.offline.result import HorizonError
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.windows import Observed
 from amhe_cli.system.channels import joint_of
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.system import System
 
 #: Horizons [s]; the last one is the end of the logs.
 HORIZONS = (0.1, 0.5, 2.0)
@@ -103,7 +103,7 @@ def errors_of(system: System, windows: Sequence[Window], engine: Engine, z: Floa
 def clip_errors(cost: MatchingCost, z: FloatArray) -> Iterator[ClipErrors]:
     """Errors of candidates z (p, d) at each clip's end: poses and joints, or all channels if none is one."""
     residuals = cost.residuals(z)
-    placed = [_unit(one.channel) in _LENGTHS for one in cost.clips.observed]
+    placed = [one.channel.unit in _LENGTHS for one in cost.clips.observed]
     lengths = np.array([window.length for window in cost.clips.windows])
     for observed, values, shown in zip(cost.clips.observed, residuals.values, placed, strict=True):
         if not shown and any(placed):
@@ -128,7 +128,7 @@ def _columns(cost: MatchingCost, observed: Observed) -> Iterator[tuple[str, str,
     """Name, unit and residuals of each joint; of a pose all together."""
     channel, width = observed.channel, observed.width
     if channel.kind == "rotation" or (channel.unit == "m" and width == 3):
-        yield "", _unit(channel), list(range(width))
+        yield "", channel.unit, list(range(width))
         return
     names = cost.clips.windows[0].log[channel.key].columns
     for i, name in enumerate(names):
@@ -137,10 +137,6 @@ def _columns(cost: MatchingCost, observed: Observed) -> Iterator[tuple[str, str,
             yield joint or str(name), unit, [i]
         else:
             yield (str(name) if width > 1 else ""), channel.unit, [i]
-
-
-def _unit(channel: Channel) -> str:
-    return "rad" if channel.kind == "rotation" else channel.unit
 
 
 def _rms_of(size: FloatArray, inside: BoolArray) -> FloatArray:
