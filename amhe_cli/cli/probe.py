@@ -96,11 +96,11 @@ def probe(
 ) -> None:
     """Find the most informative motion, predict the accuracy of the parameters, and record the motion.
 
-    Writes plan.json, probe.mcap (probe.csv where the system reads tables) and result.json; the log goes into
-    `amhe identify` as it is. With --chirp, --multisine, --steps or --sweep the commands of your own robot are
-    written too: they are the recipe with the most information among those that, simulated under draws of the
-    prior, reach no limit of joints, speed or force, and touch nothing. On a real Go1 (--target go1: read
-    docs/go1.md first) it is all planned before anything is sent.
+    Writes plan.json, probe.mcap (probe.csv where the system reads tables), result.json and report.html; the
+    log goes into `amhe identify` as it is. With --chirp, --multisine, --steps or --sweep the commands of your
+    own robot are written too: they are the recipe with the most information among those that, simulated under
+    draws of the prior, reach no limit of joints, speed or force, and touch nothing. On a real Go1 (--target
+    go1: read docs/go1.md first) it is all planned before anything is sent.
     """
     from amhe_cli.cli.progress import progress
     from amhe_cli.cli.stopping import stopping
@@ -108,7 +108,7 @@ def probe(
     from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.files import log_name
     from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
-    from amhe_cli.report.probe import print_achieved, print_plan
+    from amhe_cli.report.probe import print_achieved, print_plan, write_probe_page
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.folders import bundled_systems, find_system
     from amhe_cli.system.provenance import provenance
@@ -162,11 +162,14 @@ def probe(
             record = plain(session.record(**about, **(plan_record(plan) | known_record(known)), **link))
             record |= {"interrupted": session.interrupted, "error": None if error is None else str(error)}
             _write(scratch / "result.json", record)
+    recorded = not plan_only and (folder / log).exists()
+    if recorded:
+        write_probe_page(folder, log, opened.system, record)
     if session.json:
         session.print_json(record)
-    elif (folder / log).exists():
+    elif recorded:
         own = "" if opened.system.folder in bundled_systems().values() else f" --system {system}"
-        print_achieved(record, f"amhe identify {folder / log}{own}", session.console())
+        print_achieved(record, f"amhe identify {folder / log}{own}", folder, session.console())
     session.failed = at_the_robot.is_trip(error)
     if error and not session.failed:
         raise error

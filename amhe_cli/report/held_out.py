@@ -45,7 +45,7 @@ def held_out_sections(held_out: HeldOut) -> Iterator[Section]:
     yield Section("Validation on clips that were not fitted", table=_validation_table(held_out))
     if held_out.horizons:
         yield Section(
-            "Error against horizon, on logs that were not fitted",
+            "Error against horizon, on data that was not fitted",
             text="Predictions start from a recorded state and follow the recorded commands. Each cell is the "
             "rms error after so much time, before identification → after it; the last column goes to the end "
             "of the held-out parts, and beside the name stands how far the measured value moved by then.",

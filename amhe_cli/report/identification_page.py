@@ -165,8 +165,8 @@ def _sections(
     if pictures:
         yield Section(
             "At three instants",
-            text="A clip one and two thirds of its time after its first state, and its end. Where a colour "
-            "is not seen, that prediction is where the body was measured.",
+            text="A clip after one third and after two thirds of its time, and at its end. Where a colour "
+            "cannot be seen, that prediction lies on the measured body.",
             legend=(
                 Key("predicted with the nominal parameters", figures.INITIAL, "patch"),
                 Key("predicted with the identified parameters", figures.IDENTIFIED, "patch"),

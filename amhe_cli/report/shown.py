@@ -14,6 +14,7 @@ from amhe_cli.core.parameters import Belief
 from amhe_cli.core.shown import Displayed, SavedView
 from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.core.statistics import Z90, correlation
+from amhe_cli.logs.truth import truth_in_metadata
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Section, template
 from amhe_cli.report.tables import NUMBER, STRONG, Table
@@ -47,7 +48,9 @@ def sections_of(value: Displayed) -> Iterator[Section]:
 @sections_of.register
 def _of_log(log: Log) -> Iterator[Section]:
     about = [f"{log.duration:.4g} s in steps of {log.dt:g} s"]
-    about += [f"{key} {text}" for key, text in log.metadata.items() if key in ("system", "truth", "seed")]
+    about += [f"{key} {text}" for key, text in log.metadata.items() if key in ("system", "seed")]
+    truth = truth_in_metadata([log])
+    about += [f"true values: {numbers.named(truth)}"] if truth else []
     about += [f"known: {numbers.named(log.known)}"] if log.known else []
     about += ["only validates"] if log.held_out else []
     rows = [
@@ -56,7 +59,7 @@ def _of_log(log: Log) -> Iterator[Section]:
             _rate(log, one),
             numbers.percent(float(one.valid.mean()) if one.valid.size else 0.0),
             _range(one),
-            _unit(key),
+            _unit(key, one),
             ", ".join(one.columns),
         )
         for key, one in log.series.items()
@@ -124,7 +127,7 @@ def log_figure(log: Log) -> Markup | str:
                 label = one.columns[column] if column < len(one.columns) else str(column)
                 color = _COLORS[column % len(_COLORS)]
                 axes.plot(*figures.thinned(time, values), color=color, linewidth=1.1, label=label)
-            unit = _unit(key)
+            unit = _unit(key, one)
             axes.set_title(f"{key} [{unit}]" if unit else key)
             axes.set_xlabel("time [s]")
             if 1 < one.values.shape[1] <= 4:
@@ -139,8 +142,10 @@ def _rate(log: Log, one: Series) -> str:
     return f"{(rows.size - 1) / np.ptp(rows) / log.dt:.4g} Hz" if rows.size > 1 else numbers.MISSING
 
 
-def _unit(key: str) -> str:
+def _unit(key: str, one: Series) -> str:
     unit = QUANTITIES.get(key.rpartition(".")[2], "any")
+    if one.columns == ("x", "y", "z"):  # of a body, not of joints
+        unit = unit.partition(" or ")[0]
     return "" if unit in ("-", "any") else unit
 
 

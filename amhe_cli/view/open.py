@@ -101,7 +101,7 @@ def strips(
     rows = sorted({0, len(found.takes) // 2}) if found.takes else ()
     for kind, row in zip(("worst", "median"), rows, strict=False):
         take = found.takes[row]
-        costs = " -> ".join(f"{cost:.3g}" for cost in take.costs)
+        costs = " → ".join(f"{cost:.3g}" for cost in take.costs)
         name = found.recordings[take.recording].name
         yield f"{kind}: {name} {take.start:.2f}-{take.stop:.2f} s, cost {costs}", strip(found, take)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from amhe_cli.engine.bounds import Broken
 from amhe_cli.estimation.design.excitation import Waves
 from amhe_cli.estimation.design.probe import ActuatorProbe
 from amhe_cli.logs import read_metadata, survey
+from amhe_cli.report.numbers import percent
 from amhe_cli.robots.go1.probing.probe import PushProbe
 from tests.conftest import MODELS, PENDULUM_TRUTH
 
@@ -80,7 +82,7 @@ def test_a_plan_is_written_alone_and_expects_more_than_plain_motion_would_tell(c
 def test_the_probes_log_identifies_another_pendulum() -> None:
     plant = other_pendulum(Path("other.xml"))
     assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
-    assert names("probe") == ["plan.json", "probe.mcap", "result.json"]
+    assert names("probe") == ["plan.json", "probe.mcap", "report.html", "result.json"]
     assert "truth" not in read_metadata(Path("probe/probe.mcap"))
     drawn = {t.name: t.count for t in survey(Path("probe/probe.mcap")).topics if t.name.startswith("/amhe")}
     assert drawn["/amhe/scene"] == 1 and 140 <= drawn["/amhe/frames"] <= 151, "50 in each of three seconds"
@@ -90,6 +92,11 @@ def test_the_probes_log_identifies_another_pendulum() -> None:
     for name, truth in PENDULUM_TRUTH.items():
         assert found[name]["estimate"] == pytest.approx(truth, rel=0.1)
     achieved = {r["name"]: r for r in json.loads(Path("probe/result.json").read_text())["parameters"]}
+    page = re.sub(r"<[^>]*>", "", Path("probe/report.html").read_text())
+    assert "Probe of 3 s: multisine" in page and "sd of 4 of 4 parameters" in page
+    for row in achieved.values():
+        assert percent(row["expected_sd"]) in page and percent(row["achieved_sd"]) in page
+    assert "joints.position [m or rad]" in page, "what was recorded"
     for name, row in found.items():
         assert 0.4 < achieved[name]["achieved_sd"] / (row["sd"] / row["estimate"]) < 2.5, "as identify has it"
 
@@ -124,7 +131,7 @@ def test_a_recipe_writes_commands_for_a_robots_own_program(capsys) -> None:
     recipe = [*PENDULUM, "--steps", "--speed", "6", "--set", "probe.pairs=0", "--set", "probe.candidates=1"]
     assert run([*recipe, "-o", "steps"]) == 0
     files = [f"excitation.{kind}" for kind in ("csv", "mcap", "npz")]
-    assert names("steps") == [*files, "plan.json", "probe.mcap", "result.json"]
+    assert names("steps") == [*files, "plan.json", "probe.mcap", "report.html", "result.json"]
     (commands,) = survey(Path("steps/excitation.mcap")).topics
     assert commands.name == "/joint_commands" and commands.count == 300
     assert "steps 1" in capsys.readouterr().out
@@ -206,7 +213,7 @@ def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
     monkeypatch.setattr(PushProbe, "run", falls)
     assert run(["probe", "--for", "2", "--box", "5", "0.5", "-o", "probe", *QUICK]) == 1
     assert "the robot fell" in capsys.readouterr().err
-    assert names("probe") == ["plan.json", "probe.mcap", "result.json"]
+    assert names("probe") == ["plan.json", "probe.mcap", "report.html", "result.json"]
     assert json.loads(Path("probe/result.json").read_text())["error"].startswith("the robot fell")
     truth = json.loads(read_metadata(Path("probe/probe.mcap"))["truth"])
     assert (truth["box_mass"], truth["floor_friction"]) == pytest.approx((5.0, 0.5)), "that of --box"

@@ -53,6 +53,24 @@ def test_a_log_shows_each_series_with_its_numbers(log: amhe.Log, tmp_path: Path)
     assert log.plot().save(tmp_path / "log.html").read_text().startswith("<!doctype html>")
 
 
+def test_a_bodys_position_is_in_metres_and_true_values_are_words() -> None:
+    time = np.arange(0.0, 1.0, 0.01)
+    go1 = amhe.System.load("go1_push")
+    data = {
+        "joints": {"time": time, "position": np.zeros((100, 12)), "velocity": np.zeros((100, 12))},
+        "command": {"time": time, "position": np.zeros((100, 12))},
+    }
+    for body in ("trunk", "box"):
+        turn = np.tile([1.0, 0.0, 0.0, 0.0], (100, 1))
+        data[body] = {"time": time, "position": np.ones((100, 3)), "orientation": turn}
+    log = replace(amhe.Log.from_arrays(data, go1), metadata={"truth": '{"box_mass": 4.0}'})
+    shown = page(log)
+    cells = texts(shown)
+    assert cells[cells.index("box.position") + 4] == "m" and "box.position [m]" in shown
+    assert cells[cells.index("joints.position") + 4] == "m or rad"
+    assert "true values: box_mass 4" in shown
+
+
 def test_a_gap_stays_open(log: amhe.Log) -> None:
     key = "joints.position"
     one = log[key]

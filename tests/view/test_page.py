@@ -96,6 +96,14 @@ def test_scrubbing_changes_time_picture_and_numbers(opened: Browser) -> None:
     assert opened.run("document.getElementById('clock').textContent") != clock
 
 
+def test_an_axis_has_at_least_two_numbers_and_never_too_many(opened: Browser) -> None:
+    counts = opened.run(
+        "(() => { const found = []; for (let high = 1; high < 100; high *= 1.01) "
+        "for (const low of [0, 0.37 * high]) found.push(ticks(low, high, 3).length); return found; })()"
+    )
+    assert min(counts) == 2 and max(counts) <= 6
+
+
 def test_numbers_beside_a_plot_have_the_colours_of_its_legend(opened: Browser) -> None:
     seek(opened, 0.5)
     key = opened.run(

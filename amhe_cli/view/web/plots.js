@@ -51,7 +51,7 @@ class Plots {
       paper.beginPath(); paper.moveTo(EDGE, y(tick.value)); paper.lineTo(width - 4, y(tick.value)); paper.stroke();
       paper.textAlign = "right"; paper.fillText(tick.text, EDGE - 4, y(tick.value) + 3);
     }
-    const times = ticks(this.from, this.to, 5);
+    const times = ticks(this.from, this.to, 3);
     times.forEach((tick, i) => { const last = i === times.length - 1; paper.textAlign = "center"; paper.fillText(tick.text + (last ? " s" : ""), Math.min(x(tick.value), width - 12), height - 3); });
     paper.save(); paper.beginPath(); paper.rect(EDGE, 0, width - EDGE - 4, height - 15); paper.clip();
     for (const line of lines) this.curve(paper, line, x, y);
@@ -107,7 +107,7 @@ function near({ times, values }, time) {
 }
 function ticks(low, high, count) {
   const raw = (high - low) / count, power = 10 ** Math.floor(Math.log10(raw || 1));
-  const step = [1, 2, 5, 10].map((s) => s * power).find((s) => s >= raw) || 1, out = [];
+  const step = [1, 2, 5, 10].map((s) => s * power).find((s) => s >= raw / 1.7) || 1, out = [];  // two of them fit always
   const digits = Math.max(0, Math.min(6, -Math.floor(Math.log10(step) + 1e-9)));
   for (let value = Math.ceil(low / step) * step; value <= high; value += step) out.push({ value, text: digits > 4 ? value.toExponential(0) : value.toFixed(digits) });
   return out;
