@@ -56,13 +56,13 @@ def evenly(clips: Sequence[Window], most: int) -> list[Window]:
 
 @dataclass
 class ClipPool:
-    """Source of clips from some parts of logs; counts the clips that it had to drop.
+    """Source of clips from some parts of logs; counts the clips side by side that it had to drop.
 
     Args:
         system: The system, which defines the series that a clip needs.
         parts: Parts of logs in which clips may lie.
         settings: Lengths of clips, and when a clip is motionless.
-        motionless, across_gaps: Number of clips dropped for either reason.
+        motionless, across_gaps: Number of clips that `cut` has dropped for either reason.
     """
 
     system: System
@@ -91,7 +91,7 @@ class ClipPool:
             length = _steps(rng.uniform(*self.settings.length), part)
             start = int(rng.integers(part.start, part.stop - length + 1))
             clip = Window(part.log, start, length)
-            if self._accepts(clip):
+            if not self._crosses_gap(clip) and not self._is_still(clip):
                 clips.append(clip)
         return clips
 
@@ -108,24 +108,19 @@ class ClipPool:
             stop = min(part.stop, part.start + length) if first_only else part.stop
             for start in range(part.start, stop - length + 1, length) if length else ():
                 clip = Window(part.log, start, length)
-                if self._accepts(clip):
+                if self._crosses_gap(clip):
+                    self.across_gaps += 1
+                elif self._is_still(clip):
+                    self.motionless += 1
+                else:
                     clips.append(clip)
         return clips
 
-    def _accepts(self, clip: Window) -> bool:
-        """Whether a clip can be used; it is counted if not."""
-        if not self._usable_rows(clip.log)[clip.start : clip.stop + 1].all():
-            self.across_gaps += 1
-            return False
-        if self._is_still(clip):
-            self.motionless += 1
-            return False
-        return True
-
-    def _usable_rows(self, log: Log) -> BoolArray:
+    def _crosses_gap(self, clip: Window) -> bool:
+        log = clip.log
         if id(log) not in self._usable:
             self._usable[id(log)] = log.usable(self.keys)
-        return self._usable[id(log)]
+        return not self._usable[id(log)][clip.start : clip.stop + 1].all()
 
     def _is_still(self, clip: Window) -> bool:
         """Whether no compared position moves by more than a few noise sd."""

@@ -77,3 +77,14 @@ def test_about_the_wanted_share_is_held_out(model, count: int, share: float) -> 
     log = amhe.Log.from_arrays({"joints": {"time": TIMES, "position": np.sin(TIMES)}}, own)
     fitted, held = (sum(part.length for part in parts) for parts in split_held_out([log] * count, share))
     assert held / (fitted + held) == pytest.approx(share, abs=0.06)
+
+
+def test_random_clips_are_not_counted_among_those_that_a_log_lacks(model) -> None:
+    own = system(model, position=0.001)
+    position = np.where(TIMES < 1.6, 0.0, np.sin(3.0 * TIMES))
+    log = amhe.Log.from_arrays({"joints": {"time": TIMES, "position": position}}, own)
+    pool = ClipPool(own, [whole(log)], own.settings.clips)
+    assert len(pool.draw(np.random.default_rng(0), 20)) == 20
+    assert (pool.motionless, pool.across_gaps) == (0, 0)
+    pool.cut(0.5)
+    assert (pool.motionless, pool.across_gaps) == (3, 0)
