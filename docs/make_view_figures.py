@@ -32,17 +32,17 @@ CHANNEL = "document.getElementById('channel').value = '{}'; player.panels(); pla
 PICTURES = {
     "push": ("run", 1280, 900, False, "player.seek(7.4)"),
     "push-dark": ("t1", 1280, 900, True, f"{CLIP.format(0, 0.9)}; {CHANNEL.format('box.position')}"),
-    "result": ("found", 1280, 860, False, CLIP.format(0, 0.7)),
-    "result-dark": ("found", 1280, 860, True, CLIP.format(2, 0.5)),
+    "result": ("found", 1280, 900, False, CLIP.format(0, 0.7)),
+    "result-dark": ("found", 1280, 900, True, CLIP.format(2, 0.5)),
     "distance": (
         "t1",
         1280,
-        760,
+        900,
         False,
         f"{CLIP.format(0, 0.9)}; document.getElementById('distance').click()",
     ),
     "whole": ("replay", 1280, 900, False, "player.next(); player.next()"),
-    "tool": ("pusher", 1280, 800, False, CLIP.format(0, 0.8)),
+    "tool": ("pusher", 1280, 880, False, CLIP.format(0, 0.8)),
     "result-narrow": ("found", 390, 844, False, CLIP.format(0, 0.7)),
     "result-narrow-dark": ("found", 390, 844, True, f"{CLIP.format(0, 0.7)}; scrollTo(0, 9999)"),
 }

@@ -161,7 +161,8 @@ class Result:
 
     def _repr_html_(self) -> str:
         """The table and the fits, for a notebook."""
-        table = self._rendered().export_html(inline_styles=True, code_format="<pre>{code}</pre>")
+        scrolled = '<pre style="overflow-x: auto">{code}</pre>'
+        table = self._rendered().export_html(inline_styles=True, code_format=scrolled)
         return table + (self.plot()._repr_html_() if self.fits else "")
 
     def plot(self) -> SavedView:

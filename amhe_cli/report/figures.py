@@ -23,6 +23,7 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.text import printable
 from amhe_cli.estimation.offline.result import Fit, Iteration, ParameterResult
+from amhe_cli.report import numbers
 from amhe_cli.report.page import Key
 
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its notes on its font cache are of no use to users
@@ -252,11 +253,13 @@ def _draw_profile(axes: Axes, parameter: ParameterResult, values: FloatArray, co
     if values.min() <= parameter.prior <= values.max():
         axes.axvline(parameter.prior, color=INITIAL, linewidth=1.0, linestyle="--")
     axes.plot(values, costs, "o-", color=INK, markersize=2.5, linewidth=1.0)
-    axes.set_xlim(values.min(), values.max())
+    edge = 0.03 * float(np.ptp(values))  # so that the last dots are seen whole
+    axes.set_xlim(values.min() - edge, values.max() + edge)
     low, high = (np.nanmin(costs), np.nanmax(costs)) if np.isfinite(costs).any() else (0.0, 1.0)
     if high - low < 0.02 * abs(high):  # flat: show it flat, not its rounding errors
         axes.set_ylim(low - 0.5 * abs(high) - 1e-9, high + 0.5 * abs(high) + 1e-9)
-    axes.set_title(f"{parameter.name} [{parameter.unit}]")
+    unit = numbers.unit_of(parameter.unit)
+    axes.set_title(f"{parameter.name} [{unit}]" if unit else parameter.name)
     axes.locator_params(nbins=5)
 
 

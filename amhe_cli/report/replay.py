@@ -112,7 +112,11 @@ def replay_page(
         headline=headline(record),
         statements=statements(record),
         sections=list(_sections(replay, fits, record)),
-        settings={f"mhe.{name}": value for name, value in settings.items() if value},
+        settings={
+            f"mhe.{name}": numbers.named(value) if isinstance(value, Mapping) else value
+            for name, value in settings.items()
+            if value
+        },
     )
 
 

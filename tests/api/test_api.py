@@ -114,8 +114,9 @@ def test_a_result_has_what_the_command_prints(result: amhe.Result) -> None:
         assert name in result.table
     assert "held-out: " in result.table and "report:" not in result.table
     assert "\x1b" not in result.table
-    assert result._repr_html_().startswith("<pre>") and "load_mass" in result._repr_html_()
-    assert "<iframe" in result._repr_html_()
+    shown = result._repr_html_()
+    assert shown.startswith('<pre style="overflow-x: auto">') and "load_mass" in shown, "a wide table scrolls"
+    assert "<iframe" in shown
     drawn = result.plot()
     assert drawn.html.count("<svg") == len({fit.clip for fit in result.fits})
     assert "joints.position" in drawn.html and "<iframe" in drawn._repr_html_()

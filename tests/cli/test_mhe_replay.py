@@ -149,6 +149,7 @@ def test_the_report_is_one_page_that_needs_no_network(pushed: Path) -> None:
     for loading in ("<script src", "fetch(", "<link", "url(http", "@import"):
         assert loading not in page
     assert len(page) < 1_000_000
+    assert "box_inertia_scale 30</td>" in page, "settings by name are words"
 
 
 # -- options --------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ from rich.console import Console
 
 from amhe_cli.core.files import plain
 from amhe_cli.estimation.offline.result import HeldOut, HorizonError, Identification
+from amhe_cli.report.figures import profile_figure
 from amhe_cli.report.folder import PageError
 from amhe_cli.report.identification import (
     held_out_line,
@@ -126,6 +127,17 @@ def test_the_page_is_well_formed(html: str) -> None:
 
 def test_the_same_result_gives_the_same_page() -> None:
     assert page(identification()) == page(identification())
+
+
+def test_a_profile_is_seen_to_its_ends_and_a_share_has_no_unit() -> None:
+    known = parameter(0)
+    assert known.profile is not None
+    figure = str(profile_figure([known, replace(known, name="scale", unit="-")]))
+    assert f"{known.name} [kg]" in figure and ">scale<" in figure and "[-]" not in figure
+    places = re.search("data-axes='([^']*)'", figure)
+    assert places
+    low, high, _ = json.loads(places[1])[0]["x"]
+    assert low < known.profile[0].min() and high > known.profile[0].max()
 
 
 def test_the_poorest_result_still_has_a_page() -> None:

@@ -96,6 +96,14 @@ def test_scrubbing_changes_time_picture_and_numbers(opened: Browser) -> None:
     assert opened.run("document.getElementById('clock').textContent") != clock
 
 
+def test_a_lone_plot_is_as_wide_as_its_part_of_the_page(opened: Browser) -> None:
+    widths = opened.run(
+        "[document.querySelectorAll('#panels canvas').length, document.getElementById('panels').clientWidth, "
+        "document.querySelector('#panels canvas').clientWidth]"
+    )
+    assert widths[0] == 1 and widths[1] == widths[2] > 600
+
+
 def test_an_axis_has_at_least_two_numbers_and_never_too_many(opened: Browser) -> None:
     counts = opened.run(
         "(() => { const found = []; for (let high = 1; high < 100; high *= 1.01) "
