@@ -90,7 +90,7 @@ def total(problem: Problem, state: CmaState) -> int:
 def advance(problem: Problem, state: CmaState) -> CmaState:
     """One generation: draw clips, sample candidates, and update the optimizer by their costs."""
     rng = problem.rng(1, state.start, state.generation)
-    windows = problem.pool.draw(rng, problem.clip_count)
+    windows = problem.drawn(rng, problem.clip_count)
     cost = problem.cost(windows, state.scale)
     optimizer = _restored(problem, state, rng)
     free = np.flatnonzero(problem.active)

@@ -119,6 +119,10 @@ class Problem:
             found.append(marginalised(slopes.residual, gz, gx, weight, first.mean).matrix)
         return np.concatenate(found)
 
+    def drawn(self, rng: np.random.Generator, count: int) -> Sequence[Window]:
+        """Random clips; those side by side where hardly any place of the logs holds one."""
+        return self.pool.draw(rng, count) or evenly(self.clips, count)
+
     @property
     def thinned(self) -> int:
         """Usable clips that are left out because there are many."""

@@ -122,7 +122,7 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     far = state.number < ROUGHLY and problem.whole is None
     few = far and not problem.touches and not any(part.log.own for part in problem.pool.parts)
     if exploring:
-        windows = problem.pool.draw(rng, min(problem.clip_count, FEW) if few else problem.clip_count)
+        windows = problem.drawn(rng, min(problem.clip_count, FEW) if few else problem.clip_count)
     else:
         windows = problem.clips[:: max(1, len(problem.clips) // FEW)] if few else problem.clips
     cost = problem.cost(windows, state.scale)

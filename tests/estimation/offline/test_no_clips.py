@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
+from amhe_cli.estimation.offline.problem import Problem
 
 MODEL = """<mujoco><option timestep="0.005"/><worldbody><body><joint name="hinge" axis="0 1 0"/>
   <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="1"/></body></worldbody></mujoco>"""
@@ -88,3 +90,13 @@ def test_random_clips_are_not_counted_among_those_that_a_log_lacks(model) -> Non
     assert (pool.motionless, pool.across_gaps) == (0, 0)
     pool.cut(0.5)
     assert (pool.motionless, pool.across_gaps) == (3, 0)
+
+
+def test_where_hardly_any_place_holds_a_clip_those_side_by_side_are_taken(model) -> None:
+    own, times = system(model, position=0.001), np.arange(0.0, 230.0, 0.005)
+    position = np.where((times < 23.0) | (times > 24.3), np.nan, np.sin(times))
+    log = amhe.Log.from_arrays({"joints": {"time": times, "position": position}}, own)
+    problem = Problem(own, ClipPool(own, [whole(log)], own.settings.clips), open_engine(own), 0)
+    assert problem.pool.draw(np.random.default_rng(0), 4) == []
+    assert tuple(problem.drawn(np.random.default_rng(0), 4)) == problem.clips
+    assert len(problem.clips) == 1
