@@ -108,7 +108,7 @@ def probe(
     from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.files import log_name
     from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
-    from amhe_cli.report.probe import print_achieved, print_plan, write_probe_page
+    from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.folders import bundled_systems, find_system
     from amhe_cli.system.provenance import provenance
@@ -164,6 +164,8 @@ def probe(
             _write(scratch / "result.json", record)
     recorded = not plan_only and (folder / log).exists()
     if recorded:
+        from amhe_cli.report.probe_page import write_probe_page  # figures load after the robot is let down
+
         write_probe_page(folder, log, opened.system, record)
     if session.json:
         session.print_json(record)

@@ -45,7 +45,7 @@ def mjlab_text(system: System, belief: Belief) -> str:
     own = any(term.function == _ACTUATOR for term in terms)
     body = "\n".join(
         f'        "{term.name}": EventTermCfg(\n'
-        f"            func={term.function},\n"
+        f"            func={_called(term)},\n"
         f'            mode="startup",\n'
         f"            params={{\n"
         f'                "asset_cfg": SceneEntityCfg(entity, {selected(term, tuple)}),\n'
@@ -96,19 +96,24 @@ def randomize_actuator(env, env_ids, asset_cfg, kp=None, kd=None, limit=None):
 '''
 
 
+def _called(term: Term) -> str:
+    """The function of a term as the file names it: its own, or one of mjlab."""
+    return term.function if term.function == _ACTUATOR else f"dr.{term.function}"
+
+
 def _mjlab_joints(found: Drawn) -> Iterator[Term]:
     for name, function in _MJLAB_JOINT.items():
         for rows in found.tied(name, found.rows(name)):
             joints = [joint_of(found.model, name, row) for row in rows]
             ranges = found.range(name, rows)
             values = {"ranges": ranges, "operation": "abs", "shared_random": len(rows) > 1}
-            yield Term(term_name(joints, function), f"dr.{function}", ("joint_names", joints), values)
+            yield Term(term_name(joints, function), function, ("joint_names", joints), values)
     for row in found.rows("qpos0"):
         joint = found.model.joint(int(np.flatnonzero(found.model.jnt_qposadr == row)[0])).name
         own = found.system.edits.own(found.model).qpos0[row]
         found.used |= {("qpos0", row), ("qpos_spring", row), ("jnt_range", found.model.joint(joint).id)}
         values = {"bias_range": ends(found.arrays["qpos0"][:, row] - own)}
-        yield Term(term_name([joint], "encoder_bias"), "dr.encoder_bias", ("joint_names", [joint]), values)
+        yield Term(term_name([joint], "encoder_bias"), "encoder_bias", ("joint_names", [joint]), values)
 
 
 def _mjlab_bodies(found: Drawn) -> Iterator[Term]:
@@ -117,13 +122,11 @@ def _mjlab_bodies(found: Drawn) -> Iterator[Term]:
         selector, own = ("body_names", [body]), {name for name in _INERTIAL if row in found.rows(name)}
         if own == {"body_mass"}:
             values: dict[str, object] = {"ranges": found.range("body_mass", [row]), "operation": "abs"}
-            yield Term(term_name([body], "mass"), "dr.body_mass", selector, values)
+            yield Term(term_name([body], "mass"), "body_mass", selector, values)
         elif own == {"body_ipos"}:
             columns = sorted(found.columns("body_ipos", row))
             values = {"ranges": {column: found.range("body_ipos", [row], column) for column in columns}}
-            yield Term(
-                term_name([body], "com"), "dr.body_com_offset", selector, values | {"operation": "abs"}
-            )
+            yield Term(term_name([body], "com"), "body_com_offset", selector, values | {"operation": "abs"})
         elif (stretch := _stretch(found, row)) is not None:
             found.used |= {(name, row) for name in own}
             values = {
@@ -131,7 +134,7 @@ def _mjlab_bodies(found: Drawn) -> Iterator[Term]:
                 for name, numbers in zip(PSEUDO_NAMES, stretch.T, strict=True)
                 if np.abs(numbers).max() > _ROUNDING
             }
-            yield Term(term_name([body], "inertia"), "dr.pseudo_inertia", selector, values)
+            yield Term(term_name([body], "inertia"), "pseudo_inertia", selector, values)
 
 
 def _stretch(found: Drawn, row: int) -> FloatArray | None:
@@ -168,9 +171,7 @@ def _mjlab_contacts(found: Drawn) -> Iterator[Term]:
                 ranges = found.range(name, group, column)
                 values: dict[str, object] = {"ranges": ranges, "operation": "abs", "axes": [column]}
                 values |= {"shared_random": len(group) > 1} | ({"isotropic": True} if kind == "pair" else {})
-                yield Term(
-                    term_name(names, f"friction_{column}"), f"dr.{name}", (f"{kind}_names", names), values
-                )
+                yield Term(term_name(names, f"friction_{column}"), name, (f"{kind}_names", names), values)
 
 
 def _mjlab_actuators(found: Drawn) -> Iterator[Term]:

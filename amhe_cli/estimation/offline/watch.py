@@ -40,7 +40,7 @@ class Watch:
     def keep(self, rollouts: int) -> None:
         """Keep the time of so many rollouts for the conclusion; the search begins now.
 
-        What came before, such as the choice of clips, takes time and says nothing of the pace.
+        The time before it, as for the choice of clips, is no measure of its iterations.
         """
         self._reserve, self._last = rollouts, time.monotonic()
 
