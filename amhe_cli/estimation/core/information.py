@@ -237,9 +237,24 @@ def fitted_noise_scale(
 ) -> dict[str, float]:
     """Noise scale of each channel after the first states were fitted; see `noise_scale` for `before`."""
     keep = clip_weights(slopes, found) > 0.0
-    total = max(float(slopes.cost.clips.counts[keep].sum()), 1.0)
-    hidden = float((found.nuisance[keep] ** 2).sum()) / total  # misfit that the first states absorb
-    squares = mean_squares(slopes.cost, found.residual, keep)
+    return remaining_noise_scale(slopes.cost, found.residual, found.nuisance, keep, before)
+
+
+def remaining_noise_scale(
+    cost: MatchingCost, residual: FloatArray, first: FloatArray, keep: BoolArray, before: Mapping[str, float]
+) -> dict[str, float]:
+    """Noise scale of each channel that residuals and first-state errors show; see `noise_scale` for `before`.
+
+    Args:
+        cost: The matching cost on c clips.
+        residual: Residuals, shape (c, R).
+        first: First-state errors, shape (c, nx): they absorb a part of the misfit.
+        keep: Clips that count, shape (c,).
+        before: Channel -> factor on the declared noise sd.
+    """
+    total = max(float(cost.clips.counts[keep].sum()), 1.0)
+    hidden = float((first[keep] ** 2).sum()) / total
+    squares = mean_squares(cost, residual, keep)
     return noise_scale({key: square + hidden for key, square in squares.items()}, before)
 
 

@@ -31,6 +31,8 @@ Finding = SearchState | CmaState
 #: Clips that the model's own noise counts for against the scatter of the clips' scores, which is itself
 #: uncertain where there are few clips.
 NOISE_WORTH = 10.0
+#: Mean square of the bend, in noise variances, below which samples hardly bend.
+HARDLY = 0.1
 #: Most linearisations until the shape of the samples is that of the posterior.
 TURNS = 4
 #: Information of data, over that of the prior, below which they know hardly anything.
@@ -83,9 +85,10 @@ class Posterior:
 def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: FloatArray) -> Posterior:
     """Combine the clips' information with the prior of z.
 
-    The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip
-    as the independent unit), corrected for the d directions that the fit has flattened, and shrunk towards
-    the latter where there are few clips.
+    The scatter of the clips' scores replaces what white noise would give (Huber's sandwich with the clip as
+    the independent unit), shrunk towards the latter where there are few clips. At the estimate, scores are
+    smaller than at the truth, since the fit has followed each clip a little: their mean square is
+    M_c - M_c H^-1 M_c and not M_c (Bell and McCaffrey 2002). What is missing of it is added.
 
     Args:
         z: Where the clips were linearised, shape (d,); the prior's mean is 0.
@@ -98,8 +101,8 @@ def posterior(z: FloatArray, found: Information, weight: FloatArray, prior: Floa
     score = found.score + np.einsum("cij,j->ci", found.matrix, step)
     count = int((weight > 0.0).sum())
     centred = score - (weight[:, None] * score).sum(axis=0) / max(weight.sum(), 1e-300)
-    leverage = count / max(count - min(z.size, count / 2.0), 1.0)
-    scatter = np.einsum("c,ci,cj->ij", weight, centred, centred) * leverage
+    followed = found.matrix @ np.linalg.solve(hessian, found.matrix)
+    scatter = np.einsum("c,ci,cj->ij", weight, centred, centred) + np.einsum("c,cij->ij", weight, followed)
     blended = (count * scatter + NOISE_WORTH * matrix) / (count + NOISE_WORTH)
     return Posterior(step, hessian, blended, prior)
 
@@ -254,8 +257,6 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
     scale, first = finding.scale, finding.first if searched else None
     # the last steps of the search have sampled in this shape and fitted the first states
     known = searched and first is not None and (problem.rough or finding.settled)
-    # slopes from samples that hardly bend are those of wider ones, too
-    straight = searched and finding.straight
     for turn in range(TURNS):
         slopes = _linearised(problem, finding, scale, shape, first, turn)
         found = information(slopes)
@@ -265,6 +266,8 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
         )
         covariance = within(fit.posterior.covariance, problem.alike)
         wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
+        # slopes from samples that hardly bend are those of wider ones, too
+        straight = not problem.touches and float(slopes.bend.mean()) < HARDLY
         if known and (straight or not changed(sampling_sd(shape), sampling_sd(wanted))):
             break
         if watch is not None:

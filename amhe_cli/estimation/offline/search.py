@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.arrays import FloatArray, to_host
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import IdentifySettings
 from amhe_cli.estimation.core.information import (
@@ -19,6 +19,7 @@ from amhe_cli.estimation.core.information import (
     gauss_newton_step,
     information,
     objective,
+    remaining_noise_scale,
 )
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
 from amhe_cli.estimation.core.shape import (
@@ -32,20 +33,24 @@ from amhe_cli.estimation.core.shape import (
 )
 from amhe_cli.estimation.offline.problem import Problem, spread_floor
 from amhe_cli.estimation.offline.result import Iteration
-from amhe_cli.matching.cost import quadratic_prior
+from amhe_cli.matching.cost import Residuals, quadratic_prior
 
 Stage = Literal["explore", "polish", "done"]
 
 #: A step shorter than this, in posterior sd, has settled.
 SETTLED = 0.3
-#: Samples whose bend has a smaller mean square than this, in noise variances, are straight.
-STRAIGHT = 0.1
+#: Samples are straight where the mean square of their bend is below this share of that of the residuals: what
+#: they miss of a straight line is less than what is left to explain.
+STRAIGHT = 1.0
 #: A step may leave the middle of the samples by this many of their sd.
 REACH = 3.0
 #: First iterations where nothing touches, and the clips that are enough to get near.
 ROUGHLY, FEW = 2, 4
 #: Multiples of the Gauss-Newton step that are tried, which on rough costs is often too timid; 0 stays.
 LINE = np.array([4.0, 2.0, 1.0, 0.5, 0.2, 0.0])
+#: Where nothing touches, the whole step is tried first, and the others only where the cost falls by another
+#: amount than its slopes predict, by more than this share of it.
+WHOLE, OTHERS, AS_PREDICTED = np.array([1.0, 0.0]), np.array([4.0, 2.0, 0.5, 0.2]), 0.25
 #: Near its minimum a rough cost cannot distinguish a good step from none: the longest that completes is
 #: taken.
 BLIND_LINE = np.array([1.0, 0.5, 0.2])
@@ -136,10 +141,9 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     trail = state.trail
     if problem.rough and not exploring:
         trail = np.append(trail.reshape(-1, taken.z.size), taken.z[None], axis=0)
-    scale = fitted_noise_scale(slopes, found, state.scale)
     still = taken.moved < SETTLED and not changed(sampling_sd(state.shape), sampling_sd(shape))
     # a step is short, too, where the misfit of an iteration before passes for noise
-    settled = still and not few and (problem.touches or not _quieter(state.scale, scale))
+    settled = still and not few and (problem.touches or not _quieter(state.scale, taken.scale))
     stage = _next_stage(state, number, settled, setting)
     z = _averaged(trail) if stage == "done" and len(trail) else taken.z
     return replace(
@@ -150,11 +154,12 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
         trail=trail,
         settled=settled,
         shape=shape,
-        scale=scale,
+        scale=taken.scale,
         record=(*state.record, _entry(problem, state, taken, slopes)),
         # these clips are the same next time; random ones, and few, are not
         first=None if exploring or few else problem.first_states(found, z - state.z),
-        straight=not (problem.touches or taken.far) and float(slopes.bend.mean()) < STRAIGHT,
+        straight=not (problem.touches or taken.far)
+        and float(slopes.bend.mean()) < STRAIGHT * float((found.residual**2).mean()),
     )
 
 
@@ -167,6 +172,8 @@ class LineStep:
         moved: Length of the step, in posterior sd.
         far: The full step left the region that was sampled, and was shortened, or did not help.
         cost: Cost at the new estimate, in units of the declared noise.
+        rollouts, diverged: Number of rollouts, and how many of them diverged.
+        scale: Channel -> residual sd over declared noise sd.
     """
 
     z: FloatArray
@@ -175,6 +182,7 @@ class LineStep:
     cost: float
     rollouts: int
     diverged: int
+    scale: Mapping[str, float]
 
 
 def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, found: Information) -> LineStep:
@@ -188,26 +196,55 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
     # slopes of a smooth cost are good beyond the samples: there, the true cost alone decides how far
     width = state.shape if problem.touches else diagonal(WIDEST, problem.active)
     reach = np.abs(coordinates(width, step[None])).max() / REACH
-    blind = problem.rough and state.stage == "polish"
-    line = BLIND_LINE if blind else LINE
-    tried = problem.system.space.clip(state.z + line[:, None] * step / max(1.0, reach))
-    first = found.first(tried - state.z)
-    residuals = cost.residuals(tried, first if first.shape[2] else None)
     times = channel_times(cost, found.residual, slopes.completed)
-    values = objective(cost, residuals, first, times, weight)
-    values = values + quadratic_prior(tried, np.zeros_like(state.z), prior)
-    best = int(np.argmax(np.isfinite(values)) if blind else np.argmin(values))
+
+    def along(line: FloatArray) -> _Tried:
+        z = problem.system.space.clip(state.z + line[:, None] * step / max(1.0, reach))
+        first = found.first(z - state.z)
+        residuals = cost.residuals(z, first if first.shape[2] else None)
+        values = objective(cost, residuals, first, times, weight)
+        return _Tried(line, z, first, residuals, values + quadratic_prior(z, np.zeros_like(state.z), prior))
+
+    blind = problem.rough and state.stage == "polish"
+    tried = [along(BLIND_LINE if blind else LINE if problem.touches else WHOLE)]
+    if not problem.touches and not _as_predicted(tried[0], float(step @ hessian @ step)):
+        tried.append(along(OTHERS))
+    one = min(tried, key=lambda one: one.values.min())
+    best = int(np.argmax(np.isfinite(one.values)) if blind else np.argmin(one.values))
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
-    moved = tried[best] - state.z if problem.touches else step
+    moved = one.z[best] - state.z if problem.touches else step
     length = float(np.sqrt(moved @ hessian @ moved))
+    scale = fitted_noise_scale(slopes, found, state.scale)
+    if not problem.touches and np.isfinite(one.values[best]):
+        # nothing jitters, so that one rollout shows the misfit that is left after the step
+        left = to_host(one.residuals.stacked[best])
+        scale = remaining_noise_scale(cost, left, one.first[best], weight > 0.0, state.scale)
     return LineStep(
-        z=tried[best],
+        z=one.z[best],
         moved=length,
-        far=bool(reach > 1.0) or (line[best] == 0.0 and length > SETTLED),
-        cost=float(cost.rescaled(residuals, declared)[best]),
-        rollouts=residuals.completed.size,
-        diverged=int((~residuals.completed).sum()),
+        far=bool(reach > 1.0) or (one.line[best] == 0.0 and length > SETTLED),
+        cost=float(cost.rescaled(one.residuals, declared)[best]),
+        rollouts=sum(each.residuals.completed.size for each in tried),
+        diverged=sum(int((~each.residuals.completed).sum()) for each in tried),
+        scale=scale,
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tried:
+    """Multiples of a step (p,), where they lead, z (p, d) and first states (p, c, nx), and the costs (p,)."""
+
+    line: FloatArray
+    z: FloatArray
+    first: FloatArray
+    residuals: Residuals
+    values: FloatArray
+
+
+def _as_predicted(tried: _Tried, predicted: float) -> bool:
+    """Whether the whole step lowers the cost as its slopes predict; a settled one may differ."""
+    whole, stay = map(float, tried.values)
+    return abs(stay - whole - predicted) < AS_PREDICTED * max(predicted, SETTLED**2)
 
 
 def _reshaped(

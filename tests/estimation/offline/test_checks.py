@@ -50,7 +50,8 @@ def shifted(noise: float, executor: Executor | None = None) -> list[Shift]:
 
 
 def test_a_sharp_log_that_rules_soft_contacts_out_is_not_widened_by_them() -> None:
-    sharp, blunt = shifted(1e-4), shifted(2e-2)
+    # of a blunt log, jitter decides which of the contacts explains it no worse
+    sharp, blunt = shifted(1e-4), [*shifted(1e-2), *shifted(2e-2)]
     sharp, blunt = ([s.text for s in found if "contacts" in s.text] for found in (sharp, blunt))
     assert all("as far as the log allows" in text for text in sharp)
     assert any("as far as the log allows" not in text for text in blunt)

@@ -82,7 +82,7 @@ def test_a_held_out_log_is_predicted_with_the_value_that_is_its_own(
 def test_each_logs_own_friction_is_found(swing: Callable[..., Log], pendulum: System) -> None:
     friction = 0.035 * np.exp([0.5, -0.6, 0.1, -0.1])
     logs = [
-        swing(3.0, seed=i, theta=np.array([0.55, 0.03, f, 0.006])).with_(own=["friction_loss"])
+        swing(4.0, seed=i, theta=np.array([0.55, 0.03, f, 0.006])).with_(own=["friction_loss"])
         for i, f in enumerate(friction)
     ]
     result = identify(pendulum, logs, threads=1)
