@@ -77,7 +77,7 @@ def pool(
             f"(chi-square of all: {found.chi_square:.3g} of {found.freedom}); identify from all logs "
             f"together, where runs that differ widen the intervals"
         )
-    z, covariance = pooled(means, covariances, np.zeros(len(space)), space.prior_precision)
+    z, covariance = pooled(means, covariances, np.zeros(len(space)), space.prior_precision, space.bounds)
     origin: dict[str, object] = {"created": now(), "pooled": list(names), "versions": versions()}
     origin |= {key: read[0].provenance[key] for key in ("system_folder",) if key in read[0].provenance}
     origin["logs"] = {log: digest for one in read for log, digest in one.logs.items()}

@@ -45,7 +45,7 @@ def pool(
     console.print(rich_table(pool_table(found.sources, found.beliefs, found.belief, found.differences)))
     console.print(
         f"\nthe runs agree: chi-square {agreed.chi_square:.3g} of {agreed.freedom}, which noise exceeds in "
-        f"{100.0 * agreed.chance:.2g} % of cases"
+        f"{agreed.chance:.1%} of cases"
     )
     if out is not None:
         print(f"wrote {out}")

@@ -80,16 +80,37 @@ def agreement(means: FloatArray, covariances: FloatArray, prior: FloatArray) -> 
 
 
 def pooled(
-    means: FloatArray, covariances: FloatArray, prior_mean: FloatArray, prior: FloatArray
+    means: FloatArray,
+    covariances: FloatArray,
+    prior_mean: FloatArray,
+    prior: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Mean (d,) and covariance (d, d) of independent beliefs together; arguments as in `agreement`."""
+    """Most probable z within the bounds (d,), and covariance (d, d), of independent beliefs together.
+
+    Args:
+        means, covariances, prior: As in `agreement`.
+        prior_mean: Mean of the prior, shape (d,).
+        bounds: Lower and upper bounds of z, shape (d,) each.
+    """
     precisions = np.linalg.inv(covariances)
     again = (len(means) - 1) * prior
     values, vectors = np.linalg.eigh(precisions.sum(axis=0) - again)
     # a belief may be wider than its prior, where its run was not explained: then the prior is what remains
     covariance = (vectors / np.maximum(values, np.linalg.eigvalsh(prior).min())) @ vectors.T
     score = np.einsum("kij,kj->i", precisions, means) - again @ prior_mean
-    return covariance @ score, covariance
+    return within(covariance @ score, covariance, bounds), covariance
+
+
+def within(mean: FloatArray, covariance: FloatArray, bounds: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """A Gaussian's mean (d,), given that what lies outside of its bounds lies on them."""
+    held, found = np.zeros(len(mean), dtype=bool), mean
+    while (outside := ~held & (found != np.clip(found, *bounds))).any():
+        held |= outside
+        far = (np.clip(found, *bounds) - mean)[held]
+        found = mean + covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], far)
+        found[held] = np.clip(found, *bounds)[held]
+    return found
 
 
 def exceeded(chi_square: float, freedom: int) -> float:

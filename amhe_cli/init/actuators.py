@@ -65,6 +65,14 @@ def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -
     return groups
 
 
+def ungrouped(parameters: Sequence[Guess], signals: Sequence[Guess]) -> list[str]:
+    """A sentence where no two drives are equal, so that no parameter is shared."""
+    of_joints = [guess for guess in parameters if "joint" in guess.entry["targets"][0]]
+    if any(len(guess.entry["targets"]) > 1 for guess in of_joints):
+        return []
+    return ["--group: no two drives are alike (same class or name but for the side, and same numbers)"]
+
+
 def floating(model: mujoco.MjModel, signals: Sequence[Guess]) -> list[str]:
     """What to do where measured joints hang on a body that nothing holds."""
     loose = [name for name in measured_joints(model, signals) if floats(model, model.joint(name).id)]

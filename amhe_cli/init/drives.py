@@ -54,9 +54,11 @@ def joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[G
             parts = _by_value(group, values)
             if len(parts) > _OWN_PARAMETERS:  # each joint has a value of its own: one factor on all
                 parts = {0.0: parts.pop(0.0, []), np.nan: [n for part in parts.values() for n in part]}
+            # a part that holds all joints is named after all of them
+            alone = sum(map(bool, parts.values())) == 1
             for value, names in parts.items():
-                head = own if len(parts) == 1 else f"{names[0]}_" if names else ""
                 if names:
+                    head = own if alone else f"{names[0]}_"
                     scaled = len(parts) > 1 and value != 0.0
                     yield joint_parameter(model, f"{head}{kind}", names, kind, meaning, value, scaled)
 

@@ -13,10 +13,10 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.settings import LogSettings
-from amhe_cli.init.actuators import actuator_parameters, floating
+from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
 from amhe_cli.init.backlash import backlash_parameters
-from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf
-from amhe_cli.init.parameters import guess_parameters
+from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
+from amhe_cli.init.parameters import guess_parameters, guessed_masses, sharing
 from amhe_cli.init.signals import (
     NOISE,
     Guess,
@@ -94,9 +94,11 @@ def init_system(
     guesses = guess_signals(model, topics)
     if actuators:
         parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group)
-        notes += floating(model, guesses)
+        notes += floating(model, guesses) + (ungrouped(parameters, guesses) if group else [])
     else:
         parameters = guess_parameters(model, guesses, guessed_gains=added)
+        notes += sharing(parameters)
+    notes += overlaps(model)
     _refuse_nothing(model, topics, guesses, parameters)
     if backlash:
         rewrite, found = True, backlash_parameters(spec, model, guesses, parameters, backlash)
@@ -105,17 +107,18 @@ def init_system(
     for guess in guesses:
         with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
     skeletons = _skeletons(model, topics, guesses)
+    spare = guessed_masses(model, guesses) if actuators else []
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         folder = Path(scratch)
         name = copy_model(spec, model_path, folder, rewrite=rewrite)
         head = (name, model_path.name, [str(log) for log in logs])
-        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
+        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons, spare))
         while declared := _declare_units(folder, logs[0], guesses, msg_path):
             notes += declared
-            (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
+            (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons, spare))
         unread = _estimate_noise(folder, logs[0], guesses, topics, msg_path)
-        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons))
+        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons, spare))
         System.load(folder, warn=False)  # what is written is valid, or it is not written
         for file in sorted(path for path in folder.rglob("*") if path.is_file()):
             place = out / file.relative_to(folder)

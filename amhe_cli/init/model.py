@@ -25,6 +25,28 @@ _KINDS = {
 }
 #: Name of the floor that a free URDF gets.
 _FLOOR = "floor"
+#: Depth [m] from which parts that touch lie inside each other.
+_OVERLAP = 2e-3
+
+
+def overlaps(model: mujoco.MjModel) -> list[str]:
+    """Parts that lie inside each other where the model starts, a sentence for each pair of bodies."""
+    data = mujoco.MjData(model)
+    if model.nkey:
+        mujoco.mj_resetDataKeyframe(model, data, 0)
+    mujoco.mj_forward(model, data)
+    found: dict[tuple[str, ...], float] = {}
+    for contact in data.contact[: data.ncon]:
+        flat = model.geom_type[contact.geom] <= int(mujoco.mjtGeom.mjGEOM_HFIELD)  # a floor
+        if not flat.any() and contact.dist < -_OVERLAP:
+            pair = tuple(model.body(int(model.geom_bodyid[geom])).name or "a body" for geom in contact.geom)
+            found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
+    return [
+        f"{one} and {other} overlap by {1e3 * depth:.2g} mm where the model starts, and their contact "
+        f'hinders the joints between them: if the robot\'s do not touch, add <exclude body1="{one}" '
+        f'body2="{other}"/> to <contact> of the model'
+        for (one, other), depth in found.items()
+    ]
 
 
 def notes_on_urdf(spec: mujoco.MjSpec, model: mujoco.MjModel) -> list[str]:

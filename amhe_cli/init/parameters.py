@@ -51,6 +51,19 @@ def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_ga
     ]
 
 
+def guessed_masses(model: mujoco.MjModel, signals: Sequence[Guess]) -> list[Guess]:
+    """The masses that a log of some joints may determine, beside what else is unknown."""
+    return list(_masses(model, measured_joints(model, signals), signals))
+
+
+def sharing(parameters: Sequence[Guess]) -> list[str]:
+    """What to do where joints share parameters that are not theirs together."""
+    shared = [g.name for g in parameters if sum("joint" in target for target in g.entry["targets"]) > 1]
+    if not shared:
+        return []
+    return [f"joints share {', '.join(shared)}: --actuators gives each joint values of its own"]
+
+
 def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:
     """Masses of the free bodies that are measured, and of the last link of each actuated chain."""
     measured = {guess.entry.get("body") for guess in signals}

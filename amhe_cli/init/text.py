@@ -22,6 +22,7 @@ def system_text(
     parameters: Sequence[Guess],
     notes: Sequence[str],
     skeletons: Sequence[Sequence[str]] = (),
+    spare: Sequence[Guess] = (),
 ) -> str:
     """Text of a `system.yaml`.
 
@@ -33,6 +34,7 @@ def system_text(
         parameters: Guessed parameters, and
         notes: Sentences for the user.
         skeletons: Signals to complete by hand, as lines; written as comments.
+        spare: Parameters that are not free; written as comments.
     """
     names = ", ".join(Path(log).name for log in logs)
     lines = [
@@ -45,6 +47,8 @@ def system_text(
         "# standard deviation of log(value) with scale: log (0.5 is a factor of 1.65), else of the value.",
         "parameters:",
         *(line for guess in parameters for line in _parameter(guess)),
+        *("  # To make a mass unknown, too, uncomment it:" for _ in spare[:1]),
+        *(f"  # {line[2:]}" for guess in spare for line in _parameter(guess)),
         "",
         "# noise: standard deviation of the measurement [SI]; null: it sets the state and is not compared.",
         "signals:",

@@ -40,8 +40,8 @@ def reading_of(channel: Channel, reading: Reading | None, numbers: FloatArray, t
         if channel.kind == "rotation":
             return rotations.multiply(turn, true)
         true = rotations.rotate(turn, true - wide(frame[:, :3]) if reading.origin else true)
-    if reading.scale is not None:
-        true = wide(numbers[:, [reading.scale]]) * true
+    if reading.scale:
+        true = wide(numbers[:, list(reading.scale)]) * true
     if reading.sign != 1.0:
         true = reading.sign * true
     return true + wide(numbers[:, list(reading.bias)]) if reading.bias else true
@@ -52,8 +52,8 @@ def true_of(channel: Channel, reading: Reading, numbers: FloatArray, shown: Floa
     true = np.repeat(shown[None], len(numbers), axis=0)
     if reading.bias:
         true = true - numbers[:, None, list(reading.bias)]
-    if reading.scale is not None:
-        true = true / numbers[:, None, [reading.scale]]
+    if reading.scale:
+        true = true / numbers[:, None, list(reading.scale)]
     if not reading.frame:
         return true
     frame = numbers[:, None, list(reading.frame)]

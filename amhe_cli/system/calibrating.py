@@ -72,14 +72,12 @@ class CalibrationDraft:
         if word == "band":
             return [self._number(name, "band", "", 0)]
         quantity = self._quantity(name, word, target.quantity)
-        if word == "scale":
-            return [self._number(name, "scale", quantity, 0)]
         columns = self._columns(name, quantity)
         part = target.joint or target.axis
         if part is not None and part not in columns:
             raise ConfigError(one_of("joint or axis of this signal", part, columns))
         chosen = columns if part is None else [part]
-        return [self._number(name, "bias", quantity, columns.index(column)) for column in chosen]
+        return [self._number(name, word, quantity, columns.index(column)) for column in chosen]
 
     def unit_of(self, target: TargetEntry) -> str:
         """Unit of what a target sets."""
@@ -111,7 +109,10 @@ class CalibrationDraft:
         beside = {own: other for gap in gaps(self.model) for own, other in gap.ends}
         zeros |= {beside[joint]: row for joint, row in zeros.items() if joint in beside}
         driven = {
-            actuator: (self._row((name, "scale", quantity, 0)), self._row((name, "bias", quantity, column)))
+            actuator: (
+                self._row((name, "scale", quantity, column)),
+                self._row((name, "bias", quantity, column)),
+            )
             for (name, quantity), actuators in self.forces.items()
             if any(key[0] == name and key[2] == quantity for key in self._rows)
             for column, actuator in enumerate(actuators)
@@ -135,7 +136,9 @@ class CalibrationDraft:
             linear = [q for q in self._calibrated(name) if q != "orientation"] or [word]
             each = given if isinstance(given, Mapping) else dict.fromkeys(linear, given)
             for quantity, value in each.items():
-                self._number(name, "scale", self._quantity(name, word, quantity), 0, value)
+                known = self._quantity(name, word, quantity)
+                for column in range(len(self._columns(name, known))):
+                    self._number(name, "scale", known, column, value)
         else:
             for quantity, values in given.items():
                 columns = self._columns(name, self._quantity(name, word, quantity))
@@ -217,13 +220,17 @@ class CalibrationDraft:
         framed = (name, "frame", "", 0) in rows and not own_axes
         band = rows.get((name, "band", "", 0)) if linear else None
         biased = not self._is_encoder(name, quantity)
-        keys = [(name, "bias", quantity, i) for i in range(len(channel.columns))] if biased else []
-        bias = [self._row(key) for key in keys] if any(key in rows for key in keys) else []
+
+        def each(word: str) -> tuple[int, ...]:
+            """Rows of a number of each column, if any column has one."""
+            keys = [(name, word, quantity, i) for i in range(len(channel.columns))]
+            return tuple(self._row(key) for key in keys) if any(key in rows for key in keys) else ()
+
         memory = 0.0 if band is None else _CONSTANTS / (2.0 * np.pi * self._lowest.get(band, self._own[band]))
         turned = entry.reaction and quantity in ("force", "torque")
         return Reading(
-            scale=rows.get((name, "scale", quantity, 0)),
-            bias=tuple(bias),
+            scale=each("scale"),
+            bias=each("bias") if biased else (),
             frame=tuple(self._row((name, "frame", "", axis)) for axis in range(6)) if framed else (),
             origin=framed and quantity == "position",
             band=band,

@@ -37,7 +37,7 @@ class Reading:
     """Rows, among the calibration's numbers, of those of one channel; None and () where there is none.
 
     Args:
-        scale: Row of its scale.
+        scale: Rows of the scale of each column.
         bias: Rows of the bias of each column.
         frame: Rows of x, y, z, roll, pitch, yaw of the log's frame.
         origin: The frame's origin counts too, not its rotation alone.
@@ -46,7 +46,7 @@ class Reading:
         sign: -1 where the log has the force on the other side.
     """
 
-    scale: int | None = None
+    scale: tuple[int, ...] = ()
     bias: tuple[int, ...] = ()
     frame: tuple[int, ...] = ()
     origin: bool = False

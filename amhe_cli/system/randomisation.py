@@ -145,12 +145,14 @@ def _correlations(belief: Belief) -> str:
 def _left_out(system: System, belief: Belief, found: Drawn) -> Iterator[str]:
     """A line for each parameter that moves a number which no term covers, or none of the model's."""
     draws = belief.sample(DRAWS, SEED)
+    limits = {p.name: (p.lower, p.upper) for p in system.space.parameters}
     for column, name in enumerate(belief.names):
         moved = _moved(system, belief, column)
         if moved and moved <= found.used:
             continue
-        low, high = ends(draws[:, column])
-        yield f"{name}, {low:g} to {high:g}: {system.sets[name]}"
+        low, high = ends(np.clip(draws[:, column], *limits.get(name, (-np.inf, np.inf))))
+        what = "" if system.sets[name] == name else f": {system.sets[name]}"
+        yield f"{name}, {low:g} to {high:g}{what}"
 
 
 def _moved(system: System, belief: Belief, column: int) -> set[tuple[str, int]]:

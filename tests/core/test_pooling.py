@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from amhe_cli.core.pooling import agreement, exceeded, pooled
+from amhe_cli.core.pooling import agreement, exceeded, pooled, within
 
 
 def beliefs(seed: int, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -33,7 +33,9 @@ def beliefs(seed: int, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def test_pooling_is_the_fit_to_all_data() -> None:
     means, covariances, prior, information, score = beliefs(0, np.zeros((4, 3)))
-    mean, covariance = pooled(means, covariances, np.zeros(3), prior)
+    mean, covariance = pooled(
+        means, covariances, np.zeros(3), prior, (np.full(3, -np.inf), np.full(3, np.inf))
+    )
     np.testing.assert_allclose(covariance, np.linalg.inv(information + prior), atol=1e-9)
     np.testing.assert_allclose(mean, covariance @ score, atol=1e-9)
 
@@ -65,3 +67,13 @@ def test_the_run_that_differs_is_named() -> None:
 )
 def test_tail_of_chi_square(value: float, freedom: int, share: float) -> None:
     assert exceeded(value, freedom) == pytest.approx(share, abs=0.003)
+
+
+def test_a_mean_beyond_a_bound_stands_on_it_and_others_follow() -> None:
+    covariance = np.array([[4.0, 3.0], [3.0, 9.0]])
+    low, high = np.array([-1.0, -5.0]), np.array([1.0, 5.0])
+    found = within(np.array([2.0, 1.0]), covariance, (low, high))
+    np.testing.assert_allclose(found, [1.0, 1.0 - 3.0 / 4.0])
+    np.testing.assert_array_equal(within(np.zeros(2), covariance, (low, high)), 0.0)
+    # the second follows the first beyond its own bound, and is held there
+    np.testing.assert_allclose(within(np.array([9.0, -2.0]), covariance, (low, high)), [1.0, -5.0])

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import mujoco
 import pytest
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.init.folder import init_system
+from amhe_cli.init.model import overlaps
 from amhe_cli.system.folders import bundled_logs, bundled_models
 from amhe_cli.system.system import System
 
@@ -33,6 +35,7 @@ def robot(free: str = "", right: float = 0.2) -> str:
 def made(
     folder: Path, model: str, group: bool = False, backlash: Sequence[str] = ()
 ) -> tuple[System, list[str]]:
+    folder.mkdir(exist_ok=True)
     (folder / "robot.xml").write_text(model)
     names = [f"{kind}_{joint}" for kind in ("position", "command_position") for joint in JOINTS]
     rows = [",".join(["time", *names]), *(",".join([f"{0.01 * i:g}", *["0.1"] * 8]) for i in range(50))]
@@ -75,6 +78,38 @@ def test_equal_drives_share_all_but_the_zero_of_their_encoders(tmp_path: Path) -
 def test_drives_of_other_numbers_are_not_equal(tmp_path: Path) -> None:
     system, _ = made(tmp_path, robot(right=0.4), group=True)
     assert {"hip_damping", "left_knee_damping", "right_knee_damping"} <= set(system.space.names)
+
+
+def test_a_group_of_drives_that_differ_says_so(tmp_path: Path) -> None:
+    two = robot(right=0.4).replace(
+        'right_hip" axis="0 1 0" armature="0.02"', 'right_hip" axis="0 1 0" armature="0.03"'
+    )
+    system, notes = made(tmp_path, two, group=True)
+    assert "left_hip_damping" in system.space.names
+    assert any(note.startswith("--group: no two drives are alike") for note in notes)
+
+
+def test_a_mass_stands_ready_as_a_comment(tmp_path: Path) -> None:
+    system, _ = made(tmp_path, robot())
+    assert not any(name.endswith("mass") for name in system.space.names)
+    path = tmp_path / "out" / "system.yaml"
+    lines = path.read_text().splitlines()
+    at = lines.index("  # To make a mass unknown, too, uncomment it:")
+    end = next(i for i in range(at + 1, len(lines)) if not lines[i].startswith("  # "))
+    lines[at + 1 : end] = ["  " + line[4:] for line in lines[at + 1 : end]]
+    path.write_text("\n".join(lines) + "\n")
+    assert {"left_shank_mass", "right_shank_mass"} <= set(System.load(tmp_path / "out").space.names)
+
+
+@pytest.mark.parametrize(("height", "count"), [(0.15, 1), (0.3, 0)])
+def test_parts_inside_each_other_are_named(height: float, count: int) -> None:
+    arm = f"""<mujoco><worldbody><geom type="plane" size="1 1 1"/>
+      <body name="base" pos="0 0 0.05"><geom size="0.1"/>
+        <body name="turret" pos="0 0 {height}"><joint axis="0 0 1"/><geom size="0.1"/></body></body>
+    </worldbody></mujoco>"""
+    notes = overlaps(mujoco.MjModel.from_xml_string(arm))  # the base in the floor moves nothing
+    assert len(notes) == count
+    assert all("base and turret overlap by 50 mm" in note and "<exclude body1=" in note for note in notes)
 
 
 def test_a_base_that_floats_is_warned_of(tmp_path: Path) -> None:

@@ -424,7 +424,7 @@ def test_joints_keep_the_structure_of_the_models_values() -> None:
     assert all(entry["nominal"] == 1.0 and entry["unit"] == "-" for entry in scales.values())
     assert all(target["mode"] == "scale" for entry in scales.values() for target in entry["targets"])
     # five armatures of their own have one factor; no friction loss is one guess, as before
-    assert [t["joint"] for t in found["FL_hip_armature_scale"]["targets"]] == joints
+    assert [t["joint"] for t in found["armature_scale"]["targets"]] == joints
     assert found["friction_loss"]["prior_sd"] == 1.0 and len(found["friction_loss"]["targets"]) == 5
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.matching.readings import reading_of
 from amhe_cli.system.system import System
 
 Write = Callable[..., Path]
@@ -32,8 +33,19 @@ def test_numbers_are_those_of_the_file_until_a_parameter_sets_them(written: Writ
     reading = system.calibration.readings["s.effort"]
     numbers = system.calibration.numbers(np.array([[0.4], [0.7]]))
     np.testing.assert_array_equal(numbers[:, list(reading.bias)], [[0.3, 0.4], [0.3, 0.7]])
-    assert reading.scale is not None and (numbers[:, reading.scale] == 2.0).all()
+    np.testing.assert_array_equal(numbers[:, list(reading.scale)], 2.0)
     assert "s.position" not in system.calibration.readings
+
+
+def test_each_joint_may_have_a_torque_constant_of_its_own(written: Write) -> None:
+    knee = "  p: {targets: [{signal: s, set: scale, quantity: effort, joint: knee}]}\n"
+    system = System.load(written(knee, signals=f"signals:\n  s: {HIP}}}\n"), warn=False)
+    reading = system.calibration.readings["s.effort"]
+    numbers = system.calibration.numbers(np.array([[0.5]]))
+    np.testing.assert_array_equal(numbers[:, list(reading.scale)], [[1.0, 0.5]])
+    (channel,) = (c for c in system.channels if c.key == "s.effort")
+    shown = reading_of(channel, reading, numbers, np.array([[[3.0, 4.0]]]))
+    np.testing.assert_array_equal(shown, [[[3.0, 2.0]]])
 
 
 def test_the_zero_of_an_encoder_moves_stops_and_springs_along(written: Write) -> None:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray
-from amhe_cli.core.each_log import acting
+from amhe_cli.core.each_log import acting, owner_free
 from amhe_cli.core.log import Window
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import among
@@ -144,7 +144,7 @@ def report_misfit(system: System, fit: FinalFit) -> None:
     """Warn of channels that the model does not explain."""
     for key, (scale, white) in _misfits(fit).items():
         if scale > MISFIT:
-            missing = f"something is missing in it ({', '.join(suspects(system))}), or "
+            missing = f"something is missing in it ({', '.join(suspects(system, key))}), or "
             logger.warning(
                 f"the model misses {key} by {scale:.1f} times its declared noise: {missing * (not white)}"
                 f"the noise is declared too small"
@@ -163,10 +163,25 @@ def unexplained(system: System, fit: FinalFit) -> tuple[str, ...]:
             quantity = key.rsplit(".", 1)[1]
             found.append(
                 f"the model misses {key} by {scale:.0f} times its noise: free what it may lack "
-                f"({', '.join(suspects(system))}); if it cannot be better, declare what it misses, "
+                f"({', '.join(suspects(system, key))}); if it cannot be better, declare what it misses, "
                 f"noise: {{{quantity}: {scale * noise[key]:.2g}}}"
             )
     return tuple(found)
+
+
+def blamed(system: System, fit: FinalFit) -> dict[str, str]:
+    """Where the model misses the logs: parameters that several joints share, and what to do about each."""
+    missed = [(scale, key) for key, (scale, white) in _misfits(fit).items() if scale > MISFIT and not white]
+    if not missed:
+        return {}
+    scale, key = max(missed)
+    joints, named = shared_by_joints(system), [(name, owner_free(name)) for name in system.space.names]
+    return {
+        name: f"it is one value of {joints[own]} joints, and the model misses {key} by {scale:.1f} times its "
+        f"noise: give each joint its own"
+        for name, own in named
+        if own in joints
+    }
 
 
 def left_out(fit: FinalFit) -> tuple[str, ...]:
@@ -201,11 +216,22 @@ def _misfits(fit: FinalFit) -> dict[str, tuple[float, bool]]:
     return {key: (fit.scale.get(key, 1.0), time < WHITE) for key, time in zip(keys, fit.times, strict=True)}
 
 
-def suspects(system: System) -> list[str]:
-    """What a model that misses its log may lack, the likeliest first; nothing that is a parameter already."""
-    set_by = system.edits.by_parameter()
-    shared = [p.name for p, cells in set_by if len({c.row for c in cells if c.field.startswith("dof_")}) > 1]
+def shared_by_joints(system: System) -> dict[str, int]:
+    """Parameters that set a number of several joints -> of how many."""
+    rows = {
+        p.name: {c.row for c in cells if c.field.startswith("dof_")}
+        for p, cells in system.edits.by_parameter()
+    }
+    return {name: len(each) for name, each in rows.items() if len(each) > 1}
+
+
+def suspects(system: System, key: str) -> list[str]:
+    """What a model that misses a channel may lack, the likeliest first, without what is a parameter."""
+    set_by, shared = system.edits.by_parameter(), shared_by_joints(system)
     found = [f"values of their own for the joints that share {' and '.join(shared)}"] if shared else []
+    reading = system.calibration.readings.get(key)
+    if key.endswith(".effort") and not (reading and system.calibration.set_rows & set(reading.scale)):
+        found.append("a scale of the column, if it holds currents or another unit")
     if not system.edits.late:
         found.append("a delay")
     if all(c.field != "actuator_gainprm" for _, cells in set_by for c in cells):

@@ -16,6 +16,7 @@ from amhe_cli.core.statistics import correlation
 from amhe_cli.estimation.offline.bodies import body_numbers
 from amhe_cli.estimation.offline.checks import (
     REFITS,
+    blamed,
     disagreements,
     left_out,
     report_drift,
@@ -97,6 +98,7 @@ def conclude(
     if held_out and watch.allows("error against horizon", _predictions(problem, validation)):
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
     evidence, drawn = _evidence(problem, finding, fit, (*against, *shown), watch, sampled)
+    evidence = replace(evidence, blamed=blamed(system, fit) if finding.done else {})
     watch.report_skipped()
     watch.enter("figures")
     return Identification(

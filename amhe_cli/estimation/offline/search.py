@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, to_host
+from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import IdentifySettings
 from amhe_cli.estimation.core.information import (
@@ -136,6 +137,11 @@ def advance(problem: Problem, state: SearchState) -> SearchState:
     slopes = problem.linearised(cost, state.z, first, state.shape, rng, straight=state.straight)
     found = information(slopes)
     taken = gauss_newton(problem, state, slopes, found)
+    if np.isinf(taken.cost) and state.record and np.isinf(state.record[-1].cost):
+        raise EstimationError(
+            "simulations of these clips diverge: check the logs' units and the order of their joints "
+            "(`amhe inspect` shows what looks wrong), then the model's own values"
+        )
     shape = _reshaped(problem, state, taken, information(slopes, straight=True), windows)
     number = state.number + 1
     trail = state.trail

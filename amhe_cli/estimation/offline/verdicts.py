@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -88,7 +88,7 @@ class Evidence:
         shifts: What changes of the model would do to the estimate.
         profiles: Column -> (theta values (K,), costs (K,)).
         repeats: Factor by which residuals that repeat have widened the sd that noise alone gives.
-        unexplained: What speaks against every value, in words.
+        unexplained, blamed: What speaks against every value, and against some by their names, in words.
         rough: The response jitters, as behind contacts.
         causes: What widened the sd beyond noise, in words -> variance that it added.
         rival: A second minimum.
@@ -113,6 +113,7 @@ class Evidence:
     rival: Rival | None = None
     draws: FloatArray | None = None
     exact: tuple[str, ...] = ()
+    blamed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def shrinkage(self) -> FloatArray:
@@ -204,7 +205,7 @@ def _open(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
 
 
 def _unexplained(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
-    return tuple(evidence.unexplained)
+    return (*evidence.unexplained, *filter(None, [evidence.blamed.get(space.names[i])]))
 
 
 def _jagged(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:

@@ -14,7 +14,7 @@ from amhe_cli.core.log import Log, Series
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import search
-from amhe_cli.estimation.offline.checks import HALVES, left_out, report_drift, suspects
+from amhe_cli.estimation.offline.checks import HALVES, left_out, report_drift, shared_by_joints, suspects
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.conclude import PARTS, conclude
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
@@ -139,8 +139,9 @@ LEG = """
 
 
 def test_a_misfit_suspects_what_is_no_parameter_yet(pendulum, delayed) -> None:
-    assert suspects(pendulum) == ["a delay", "a gain", "play", "a contact"]
-    assert suspects(delayed) == ["a gain", "play", "a contact"]
+    assert suspects(pendulum, "joints.position") == ["a delay", "a gain", "play", "a contact"]
+    assert "if it holds currents" in suspects(pendulum, "joints.effort")[0]
+    assert suspects(delayed, "joints.position") == ["a gain", "play", "a contact"]
     pooled = {
         "unit": "N*m*s/rad", "nominal": 0.1, "bounds": [0.01, 1.0], "scale": "log", "prior_sd": 0.5,
         "targets": [{"joint": "hip", "set": "damping"}, {"joint": "knee", "set": "damping"}],
@@ -149,4 +150,5 @@ def test_a_misfit_suspects_what_is_no_parameter_yet(pendulum, delayed) -> None:
     leg = System.from_model(
         mujoco.MjSpec.from_string(LEG), parameters={"damping": pooled}, signals={"q": joints}
     )
-    assert suspects(leg)[0] == "values of their own for the joints that share damping"
+    assert suspects(leg, "joints.position")[0] == "values of their own for the joints that share damping"
+    assert shared_by_joints(leg) == {"damping": 2} and shared_by_joints(pendulum) == {}

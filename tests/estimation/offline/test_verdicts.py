@@ -116,6 +116,12 @@ def test_what_speaks_against_the_model_makes_every_number_model_sensitive() -> N
         assert (result.verdict, result.reasons) == ("model-sensitive", ("held-out clips fit worse",))
 
 
+def test_what_speaks_against_some_values_leaves_the_others() -> None:
+    found = verdicts(SPACE, evidence(blamed={SPACE.names[0]: "it is one value of 4 joints"}))
+    assert (found[0].verdict, found[0].reasons[0]) == ("model-sensitive", "it is one value of 4 joints")
+    assert [one.verdict for one in found[1:]] == [one.verdict for one in verdicts(SPACE, evidence())[1:]]
+
+
 def test_only_a_model_that_touches_hangs_on_contact() -> None:
     bent = np.array([0.5, 1.0, 1.0])
     assert "details of contact" in mass(evidence(step_ratio=bent, rough=True)).reasons[0]
