@@ -112,6 +112,8 @@ def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[G
         idle = "the actuators hold the control 0" if model.nactuator else "nothing drives the joints"
         notes += [f"no command topic was found: {idle}"] if measured else []
         notes += [_torques(guess, topics) for guess in guesses if "joints" in guess.entry]
+    else:
+        notes += [note for guess in guesses if (note := _efforts(guess, topics))]
     free = {guess.entry.get("body") for guess in guesses}
     notes += [
         f"no topic gives the pose of free body {body}" for body in free_bodies(model) if body not in free
@@ -119,6 +121,21 @@ def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[G
     used = {guess.entry["topic"] for guess in guesses}
     notes += _proposals(model, [topic for topic in topics if topic.name not in used], guesses)
     return notes + [f"not used: {_named(topic)}" for topic in topics if topic.name not in used]
+
+
+def _efforts(guess: Guess, topics: Sequence[Topic]) -> str:
+    """What to do with efforts of a table that are neither compared nor a command; empty: there are none."""
+    topic = next((t for t in topics if t.name == guess.entry["topic"]), None)
+    if topic is None or "joints" not in guess.entry or "effort" in guess.noise:
+        return ""
+    if not (columns := topic.columns.get("effort")):
+        return ""
+    return (
+        f"not compared: the efforts {', '.join(columns)}; to compare them, add effort: "
+        f"[{', '.join(columns)}] to columns of {guess.name}, and effort to its noise; where they are "
+        f"currents, a parameter with {{signal: {guess.name}, set: scale, quantity: effort, joint: NAME}} "
+        f"is a joint's torque constant"
+    )
 
 
 def _named(topic: Topic) -> str:

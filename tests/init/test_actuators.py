@@ -153,3 +153,14 @@ def test_gravity_shows_no_zero_of_a_joint_that_turns_about_the_vertical(tmp_path
     offsets = {text.partition(":")[0]: text for text in guessed if "_offset: zero" in text}
     assert "nothing shows it" in offsets["yaw_offset"]
     assert offsets["shoulder_offset"].endswith("gravity shows it")
+
+
+def test_efforts_that_are_not_compared_are_named(tmp_path: Path) -> None:
+    (tmp_path / "robot.xml").write_text(robot())
+    kinds = ("position", "command_position", "tau")
+    names = [f"{kind}_{joint}" for kind in kinds for joint in JOINTS]
+    rows = [",".join(["time", *names]), *(",".join([f"{0.01 * i:g}", *["0.1"] * 12]) for i in range(50))]
+    (tmp_path / "log.csv").write_text("\n".join(rows) + "\n")
+    notes = init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", actuators=True)
+    (note,) = [note for note in notes if note.startswith("not compared: the efforts tau_left_hip")]
+    assert "joint: NAME" in note
