@@ -70,7 +70,7 @@ def ungrouped(parameters: Sequence[Guess], signals: Sequence[Guess]) -> list[str
     of_joints = [guess for guess in parameters if "joint" in guess.entry["targets"][0]]
     if any(len(guess.entry["targets"]) > 1 for guess in of_joints):
         return []
-    return ["--group: no two drives are alike (same class or name but for the side, and same numbers)"]
+    return ["`group`: no two drives are alike (same class or name but for the side, and same numbers)"]
 
 
 def floating(model: mujoco.MjModel, signals: Sequence[Guess]) -> list[str]:

@@ -61,7 +61,7 @@ def sharing(parameters: Sequence[Guess]) -> list[str]:
     shared = [g.name for g in parameters if sum("joint" in target for target in g.entry["targets"]) > 1]
     if not shared:
         return []
-    return [f"joints share {', '.join(shared)}: --actuators gives each joint values of its own"]
+    return [f"joints share {', '.join(shared)}: `actuators` gives each joint values of its own"]
 
 
 def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:

@@ -86,7 +86,7 @@ def test_a_group_of_drives_that_differ_says_so(tmp_path: Path) -> None:
     )
     system, notes = made(tmp_path, two, group=True)
     assert "left_hip_damping" in system.space.names
-    assert any(note.startswith("--group: no two drives are alike") for note in notes)
+    assert any(note.startswith("`group`: no two drives are alike") for note in notes)
 
 
 def test_a_mass_stands_ready_as_a_comment(tmp_path: Path) -> None:

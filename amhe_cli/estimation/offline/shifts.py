@@ -8,6 +8,7 @@ far as the log allows it: to where the misfit would have risen by SURPRISE squar
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -193,15 +194,20 @@ def _against(
             continue
         others = [j for j in np.argsort(-worth) if j != i and worth[j] > AS_WELL * worth[i]]
         named |= {i, *others}
-        rivals = "".join(
-            f", or {wanted[j]:+.1f} times {rulers[j].change} of {rulers[j].name}" for j in others
-        )
+        rivals = "".join(f", or {_times(wanted[j], rulers[j].change)} of {rulers[j].name}" for j in others)
         whose, one = ("them", "one of them") if others else ("it", "it")
         yield (
-            f"the logs speak against {rulers[i].name}: they want {wanted[i]:+.1f} times {rulers[i].change} "
-            f"of change ({np.sqrt(worth[i]):.0f} sd){rivals}; measure {whose}, or make {one} a parameter; "
+            f"the logs speak against {rulers[i].name}: they want {_times(wanted[i], rulers[i].change)} "
+            f"({np.sqrt(worth[i]):.0f} sd){rivals}; measure {whose}, or make {one} a parameter; "
             f"something else that the model lacks, such as the zero of an encoder, may act alike"
         )
+
+
+def _times(factor: float, change: str) -> str:
+    """'+16%' is 1.6 times '10%'."""
+    digits = re.match(r"[\d.]+", change)
+    assert digits is not None, "a change begins with its size"
+    return f"{factor * float(digits[0]):+.2g}{change[digits.end() :]}"
 
 
 def _step(problem: Problem, halved: _Move, spread: FloatArray, assumed: bool) -> Shift:

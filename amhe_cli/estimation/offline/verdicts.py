@@ -251,13 +251,14 @@ RULES: tuple[tuple[str, Callable[[ParameterSpace, Evidence, int], tuple[str, ...
 
 def _remarks(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
     """What the sd allows for, and with what a parameter is known together."""
-    noted = _contradictions(space, evidence, i, NOTED, NOTABLE)
-    return (
-        *_rests(space, evidence, i),
-        *_partners(space, evidence, i),
-        *(f"{text}, which the sd allows for" for text in noted),
-        *_repeats(evidence, i),
-    )
+    noted = map(_allowed, _contradictions(space, evidence, i, NOTED, NOTABLE))
+    return (*_rests(space, evidence, i), *_partners(space, evidence, i), *noted, *_repeats(evidence, i))
+
+
+def _allowed(text: str) -> str:
+    """A remark on what is in the sd already; advice follows a semicolon."""
+    what, semicolon, advice = text.partition(";")
+    return f"{what}, which the sd allows for{semicolon}{advice}"
 
 
 def _wider(evidence: Evidence, i: int) -> tuple[str, ...]:
@@ -274,8 +275,8 @@ def _repeats(evidence: Evidence, i: int) -> tuple[str, ...]:
     if evidence.repeats[i] < REPEATED:
         return ()
     return (
-        f"residuals repeat from sample to sample, which noise does not: the sd is {evidence.repeats[i]:.1f} "
-        f"times that of noise, since more data of this kind averages no error of the model away",
+        f"residuals repeat from sample to sample, as errors of the model do: the sd is "
+        f"{evidence.repeats[i]:.1f} times that of noise, and more data of this kind will not narrow it",
     )
 
 
@@ -321,9 +322,7 @@ def _rests(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]
     found = [s for s in evidence.shifts if s.assumed and abs(s.spread[i]) > least]
     found.sort(key=lambda shift: -abs(shift.spread[i]))
     sizes = (size(space, i, s.spread[i]).lstrip("+-") for s in found)
-    return tuple(
-        f"{s.text.format(text)}, which the sd allows for" for s, text in zip(found, sizes, strict=True)
-    )
+    return tuple(_allowed(s.text.format(text)) for s, text in zip(found, sizes, strict=True))
 
 
 def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:

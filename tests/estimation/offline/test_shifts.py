@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -218,7 +219,7 @@ def test_commands_that_act_late_are_found_and_the_interval_holds(caplog: pytest.
     found = identify(system, [late], None, IdentifyOptions())
     assert held(found)
     (text,) = (line for line in caplog.messages if "speak against commands that act at once" in line)
-    assert "want +1." in text and "times 5 ms" in text
+    assert re.search(r"want \+[5-9](\.\d)? ms", text)
 
 
 @pytest.mark.parametrize(("late", "blamed"), [(0, False), (2, True)])  # 4 ms are two steps
@@ -394,11 +395,8 @@ def test_what_explains_the_logs_as_well_is_named_with_the_change_that_it_alone_w
     assert mean == pytest.approx([0.0, 2.0, -2.0, 0.0], abs=0.02), "as a posterior they share it"
     rulers = [ruler("the gain"), ruler("the masses"), ruler("the limit")]
     (text,) = _against(rulers, known, mean, [0, 1])
-    assert (
-        "against the gain: they want +4.0 times 10% of change (40 sd), or -4.0 times 10% of the masses;"
-        in text
-    )
+    assert "against the gain: they want +40% (40 sd), or -40% of the masses;" in text
     assert "make one of them a parameter" in text and "limit" not in text
     alone = sealed(np.linalg.inv(np.diag([1.0, 101.0, 1.0, 1.0])))
     (text,) = _against(rulers, alone, alone @ np.array([0.0, 400.0, 0.0, 0.0]), [0])
-    assert "they want +4.0 times 10% of change (40 sd); measure it, or make it a parameter" in text
+    assert "they want +40% (40 sd); measure it, or make it a parameter" in text
