@@ -98,7 +98,7 @@ def conclude(
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
     evidence, drawn = _evidence(problem, finding, fit, (*against, *shown), watch, sampled)
     watch.report_skipped()
-    watch.enter("figures")
+    watch.enter("predictions for the report")
     return Identification(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",
