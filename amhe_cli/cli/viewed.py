@@ -122,7 +122,7 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     how = found.inputs
     also = [f"messages of {how.msg_path}"] if how.msg_path else []
     system = f"system {how.system}" if how.system else "the system that the log names"
-    logger.log(NOTE, "opens %s", ", ".join([*map(str, (*found.logs, *found.apart)), system, *also]))
+    logger.log(NOTE, "shows %s", ", ".join([*map(str, (*found.logs, *found.apart)), system, *also]))
     return found
 
 
@@ -152,8 +152,8 @@ def system_of_result(belief: Path) -> System | None:
         given, inputs, overrides = _as_then(identify, origin, none, Overrides({}, {}), needed=("config",))
     if inputs.system is None:
         return None
-    also = [f"settings {given['config']}"] if given.get("config") else []
-    logger.log(NOTE, "opens %s", ", ".join([f"system {inputs.system}", *also]))
+    also = f", with settings {given['config']}" if given.get("config") else ""
+    logger.log(NOTE, "the belief is of system %s%s, says the result beside it", inputs.system, also)
     return inputs.open((), overrides)
 
 

@@ -9,6 +9,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.states import home
 from amhe_cli.system.contacts import geom_name
 from amhe_cli.system.rulers import acting
@@ -25,10 +26,12 @@ class Broken:
     Args:
         text: What happens, in words.
         joint: Row of the joint that breaks it; None: several do together.
+        advice: What helps where no smaller motion does.
     """
 
     text: str
     joint: int | None = None
+    advice: str = ""
 
 
 def joint_at_limit(model: mujoco.MjModel, qpos: FloatArray) -> Broken | None:
@@ -37,7 +40,25 @@ def joint_at_limit(model: mujoco.MjModel, qpos: FloatArray) -> Broken | None:
     values = qpos[:, model.jnt_qposadr[joints]]
     beyond = (values <= model.jnt_range[joints, 0]) | (values >= model.jnt_range[joints, 1])
     hit = joints[beyond.any(axis=0)]
-    return _by(model, int(hit[0]), "reaches its limit") if hit.size else None
+    advice = "widen its range in the model, or start elsewhere by a `keyframe:` in system.yaml"
+    return _by(model, int(hit[0]), "reaches its limit", advice) if hit.size else None
+
+
+def home_within(system: System) -> None:
+    """Check that a system's home position is within the ranges of its joints.
+
+    Raises:
+        ConfigError: It is not, so that nothing can begin there.
+    """
+    model = system.model
+    qpos, _ = home(model, system.keyframe, system.input_spec)
+    for joint in np.flatnonzero(model.jnt_limited & (model.jnt_type >= 2)):
+        value, (low, high) = qpos[model.jnt_qposadr[joint]], model.jnt_range[joint]
+        if not low <= value <= high:
+            raise ConfigError(
+                f"{system.name}: the home position, {model.joint(joint).name} = {value:.3g}, is outside its "
+                f"range {low:.3g} to {high:.3g} {_unit(model, int(joint))}: give a `keyframe:` in system.yaml"
+            )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,12 +89,15 @@ class Bounds:
         fastest = np.abs(qvel[:, model.jnt_dofadr[joints]]).max(axis=0)
         for joint, found, most in zip(joints, fastest, self.speed, strict=True):
             if found > most:
-                return _by(model, int(joint), f"is faster than {most:.3g}")
+                unit = f"{_unit(model, int(joint))}/s"
+                return _by(model, int(joint), f"is faster than {most:.3g} {unit}", "allow a larger `speed`")
         some = slice(None, None, max(1, round(_LOOK / self.system.dt)))
         acts = acting(model, self.system.input_spec, qpos[some], qvel[some], inputs[some])
         full = (acts.force[:, list(self.actuators)] | acts.joint_force[:, joints]).any(axis=0)
         if full.any():
-            return _by(model, int(joints[np.argmax(full)]), "needs more force than its actuator has")
+            advice = "give a smaller `speed`, or the actuator its real force limit in the model"
+            strained = int(joints[np.argmax(full)])
+            return _by(model, strained, "needs more force than its actuator has", advice)
         return self._touches(model, qpos[some], joints)
 
     def _touches(self, model: mujoco.MjModel, qpos: FloatArray, joints: Sequence[int]) -> Broken | None:
@@ -87,12 +111,20 @@ class Bounds:
             data.qpos[:] = state
             for pair in _contacts(model, data):
                 if pair not in before and links & {int(model.geom_bodyid[geom]) for geom in pair}:
-                    return Broken(" touches ".join(geom_name(model, geom) for geom in pair))
+                    text = " touches ".join(geom_name(model, geom) for geom in pair)
+                    advice = (
+                        "start elsewhere by a `keyframe:` in system.yaml, or exclude the pair in the model"
+                    )
+                    return Broken(text, advice=advice)
         return None
 
 
-def _by(model: mujoco.MjModel, joint: int, text: str) -> Broken:
-    return Broken(f"joint {model.joint(joint).name} {text}", joint)
+def _by(model: mujoco.MjModel, joint: int, text: str, advice: str) -> Broken:
+    return Broken(f"joint {model.joint(joint).name} {text}", joint, advice)
+
+
+def _unit(model: mujoco.MjModel, joint: int) -> str:
+    return "m" if model.jnt_type[joint] == 2 else "rad"  # mjJNT_SLIDE
 
 
 def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, int]]:

@@ -37,18 +37,22 @@ def ratio_table(names: Sequence[str], horizons: Sequence[AtHorizon], best: int) 
     rows = [
         (
             name,
-            *(
-                numbers.MISSING
-                if np.isnan(at.lower[i, best])
-                else f"{at.ratios[i, best]:.2f} ({at.lower[i, best]:.2f} to {at.upper[i, best]:.2f})"
-                for at in horizons
-            ),
+            *(_ratio(at, i, best) for at in horizons),
         )
         for i, name in enumerate(names)
         if i != best
     ]
     looks = ("name", *(NUMBER for _ in horizons))
     return Table((f"error over that of {names[best]}", *_heads(horizons)), looks, rows)
+
+
+def _ratio(at: AtHorizon, i: int, best: int) -> str:
+    """A ratio with its interval, or why there is none."""
+    if at.clips < FEWEST:
+        return f"too few clips ({at.clips})"
+    if np.isnan(at.lower[i, best]):
+        return numbers.MISSING
+    return f"{at.ratios[i, best]:.2f} ({at.lower[i, best]:.2f} to {at.upper[i, best]:.2f})"
 
 
 def comparison_record(compared: Compared) -> dict[str, Any]:
@@ -134,7 +138,7 @@ def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str
                 f"Against {names[best]}",
                 text="Ratios of errors on the same clips, with the 95 % interval of a bootstrap over clips; "
                 "each joint counts in units of its usual error. Above 1 the other model is worse; an "
-                f"interval that holds 1 cannot tell, and fewer than {FEWEST} clips cannot either (–).",
+                f"interval that holds 1 cannot tell, and fewer than {FEWEST} clips cannot either.",
                 table=ratio_table(names, horizons, best),
             ),
             *([Section("Each joint", table=_joint_table(names, horizons))] * (len(horizons[0].errors) > 1)),

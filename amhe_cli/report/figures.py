@@ -9,18 +9,17 @@ import re
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
 from markupsafe import Markup
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.colors import LinearSegmentedColormap, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.parameters import Belief
 from amhe_cli.core.text import printable
 from amhe_cli.estimation.offline.result import Fit, Iteration, ParameterResult
 from amhe_cli.report import numbers
@@ -33,6 +32,17 @@ IDENTIFIED, INITIAL, MEASURED = "#2563eb", "#d97706", "#475569"
 
 #: Colours as in report.css.
 FONTS = "Inter, 'Segoe UI', 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
+
+#: Colours of lines of one kind, and the shapes of those that use a colour again.
+SERIES = (
+    IDENTIFIED, INITIAL, "#15803d", "#7e22ce", "#b91c1c", "#0e7490", MEASURED, "#a16207",
+)  # fmt: skip
+_SHAPES: Sequence[Literal["solid", "dashed", "dotted"]] = ("solid", "dashed", "dotted")
+
+#: Colours of correlations from -1 to 1.
+_SIGNED = LinearSegmentedColormap.from_list(
+    "signed", ["#c2620a", "#fef3e2", "#ffffff", "#e0eafd", IDENTIFIED]
+)
 
 #: Width of the page's figures [inch].
 WIDTH = 10.4
@@ -177,11 +187,18 @@ def thinned(time: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArra
     return time[index], values[index]
 
 
-def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> Markup:
-    """Cost, sampling width and parameters over the iterations."""
+def convergence_figure(
+    iterations: Sequence[Iteration], parameters: Sequence[ParameterResult], log: Sequence[bool]
+) -> Markup:
+    """Cost, sampling width, and distances of the parameters from their final values over the iterations.
+
+    Args:
+        iterations: The iterations.
+        parameters: The parameters, as in their theta.
+        log: Whether the scale of each is logarithmic.
+    """
     number = np.arange(1, len(iterations) + 1)
     theta = np.array([i.theta for i in iterations])
-    final = np.where(belief.estimate == 0.0, 1.0, belief.estimate)
     grid = Grid(3, 3, height=2.6)
     with styled("convergence"):
         figure = grid.figure()
@@ -190,10 +207,10 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> Marku
         cost.set_title("cost")
         sigma.semilogy(number, [i.sigma for i in iterations], "o-", color=MEASURED, markersize=3)
         sigma.set_title("sampling sd, in prior sd")
-        for name, column in zip(belief.names, (theta / final).T, strict=True):
-            values.plot(number, column, "-", label=name, linewidth=1.2)
-        values.set_title("parameters / final value")
-        values.legend(fontsize=7.5, ncols=1 + len(belief.names) // 5, handlelength=1.2)
+        for i, (one, own) in enumerate(zip(parameters, log, strict=True)):
+            color, shape = _line_of(i)
+            values.plot(number, away(theta[:, i], one, own), color=color, linestyle=shape, linewidth=1.2)
+        values.set_title("away from final value, in prior sd")
         for axes in (cost, sigma):  # ticks that a range of less than a decade has too
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_major_formatter("{x:g}")
@@ -204,6 +221,23 @@ def convergence_figure(iterations: Sequence[Iteration], belief: Belief) -> Marku
         return svg(figure)
 
 
+def away(values: FloatArray, parameter: ParameterResult, log: bool) -> FloatArray:
+    """How far values (n,) of a parameter are from its estimate, in prior sd on its own scale."""
+    if log:
+        return np.log(values / parameter.estimate) * parameter.prior / parameter.prior_sd
+    return (values - parameter.estimate) / parameter.prior_sd
+
+
+def convergence_legend(names: Sequence[str]) -> tuple[Key, ...]:
+    """Legend of the parameters' lines in `convergence_figure`."""
+    return tuple(Key(name, *_line_of(i)) for i, name in enumerate(names))
+
+
+def _line_of(i: int) -> tuple[str, Literal["solid", "dashed", "dotted"]]:
+    """Colour and shape of line i: no two of the first 24 are alike."""
+    return SERIES[i % len(SERIES)], _SHAPES[i // len(SERIES) % len(_SHAPES)]
+
+
 def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup:
     """Heat map of the posterior correlations."""
     size = len(names)
@@ -212,14 +246,13 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup
     with styled("correlation", **{"axes.grid": False}):
         figure = Figure(figsize=(wide, high))
         axes = figure.add_axes((label / wide, 0.6 * label / high, 0.62 * size / wide, 0.5 * size / high))
-        colors = LinearSegmentedColormap.from_list(
-            "signed", ["#c2620a", "#fef3e2", "#ffffff", "#e0eafd", IDENTIFIED]
+        axes.pcolormesh(
+            correlations[::-1], cmap=_SIGNED, vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=2
         )
-        axes.pcolormesh(correlations[::-1], cmap=colors, vmin=-1.0, vmax=1.0, edgecolors="white", linewidth=2)
         for row in range(size):
             for column in range(size):
                 value = correlations[row, column]
-                color = "white" if abs(value) > 0.6 else INK
+                color = _readable_on(_SIGNED(0.5 + 0.5 * value))
                 text = f"{value:.2f}".replace("-0.00", "0.00")
                 axes.text(
                     column + 0.5, size - row - 0.5, text, ha="center", va="center", color=color, fontsize=8
@@ -231,6 +264,19 @@ def correlation_figure(names: Sequence[str], correlations: FloatArray) -> Markup
         for spine in axes.spines.values():
             spine.set_visible(False)
         return svg(figure)
+
+
+def _readable_on(tile: Sequence[float]) -> str:
+    """White or ink, whichever has more contrast with a colour (red, green, blue between 0 and 1)."""
+    back, ink = luminance(tile), luminance(to_rgb(INK))
+    return "white" if 1.05 / (back + 0.05) > (back + 0.05) / (ink + 0.05) else INK
+
+
+def luminance(color: Sequence[float]) -> float:
+    """Relative luminance of a colour in sRGB, between 0 and 1 (WCAG)."""
+    channels = np.array(color[:3])
+    linear = np.where(channels <= 0.04045, channels / 12.92, ((channels + 0.055) / 1.055) ** 2.4)
+    return float(linear @ (0.2126, 0.7152, 0.0722))
 
 
 def profile_figure(parameters: Sequence[ParameterResult]) -> Markup | None:

@@ -93,8 +93,13 @@ def horizon_table(errors: Sequence[HorizonError]) -> Table:
 
 
 def horizon_figure(errors: Sequence[HorizonError]) -> Markup:
-    """Both errors against the horizon, a panel for each joint or pose; those that were missed most."""
-    lines = sorted(_by_line(errors).items(), key=lambda item: -_missed(item[1][-1]))[: figures.MAX_PANELS]
+    """Both errors against the horizon, a panel for each joint or pose, in the order of `errors`.
+
+    Where there are too many panels, those that were missed most are shown.
+    """
+    every = list(_by_line(errors).items())
+    most = sorted(range(len(every)), key=lambda row: -_missed(every[row][1][-1]))[: figures.MAX_PANELS]
+    lines = [every[row] for row in sorted(most)]
     grid = figures.Grid(len(lines), min(3, len(lines)), height=2.2)
     with figures.styled("horizon"):
         figure = grid.figure()

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from markupsafe import Markup
 
-from amhe_cli.core.statistics import Z90
 from amhe_cli.estimation.offline.result import (
     VERDICTS,
+    Combination,
     Fit,
     Identification,
     ParameterResult,
@@ -21,14 +19,12 @@ from amhe_cli.report import figures, numbers
 from amhe_cli.report.bodies import body_table
 from amhe_cli.report.held_out import held_out_sections, held_out_statement
 from amhe_cli.report.page import Fold, Key, Section, Statement, Tone, cell, fixed_statement, result_page
+from amhe_cli.report.parameters import parameter_section
 from amhe_cli.report.sampled import sampled_sections, sampled_statements
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn, and how many of them are open at once.
 MAX_CLIPS, OPEN_CLIPS = 3, 2
-
-#: Half-width of the strip that shows prior and posterior side by side, in prior sd.
-STRIP = 2.5
 
 #: Residuals of more than this many times the declared noise are pointed out, and the bars' right end.
 LARGE_RESIDUAL, LARGEST_RESIDUAL = 2.0, 5.0
@@ -144,7 +140,7 @@ def _divergence(result: Identification) -> Iterator[Statement]:
 def _sections(
     result: Identification, truth: Mapping[str, float], pictures: Sequence[tuple[str, str]]
 ) -> Iterator[Section]:
-    yield Section("Parameters", table=_parameter_table(result, truth), note=_legend_of_verdicts())
+    yield parameter_section(result, truth)
     yield from sampled_sections(result)
     if result.bodies:
         yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies))
@@ -197,92 +193,34 @@ def _sections(
     if result.iterations:
         yield Section(
             "Convergence",
-            text=f"{len(result.iterations)} iterations of the method {result.method}.",
-            figure=figures.convergence_figure(result.iterations, result.belief),
+            text=f"{len(result.iterations)} iterations of the method {result.method}. To the right: how far "
+            "each parameter was from its final value, in sd of its prior.",
+            legend=figures.convergence_legend(result.belief.names),
+            figure=figures.convergence_figure(result.iterations, result.parameters, result.belief.log),
         )
     yield _data_section(result)
 
 
-def _parameter_table(result: Identification, truth: Mapping[str, float]) -> Table:
-    rows = [
-        (
-            p.name,
-            numbers.with_sd(p.estimate, p.sd),
-            numbers.unit_of(p.unit),
-            numbers.interval(p.lower, p.upper),
-            numbers.with_sd(p.prior, p.prior_sd),
-            _strip(p, log),
-            cell("bar", p.shrinkage, numbers.shrinkage(p.shrinkage)),
-            cell("verdict", p.verdict),
-        )
-        for p, log in zip(result.parameters, result.belief.log, strict=True)
-    ]
-    return Table(
-        (
-            "parameter", "estimate ± sd", "unit", "90 % interval", "prior", "prior and posterior",
-            "shrinkage", "verdict",
-        ),
-        ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", "spare", NUMBER, ""),
-        rows,
-        [_remark(p, truth) for p in result.parameters],
-    )  # fmt: skip
-
-
-def _strip(p: ParameterResult, log: bool) -> Markup:
-    """Prior, posterior and estimate between -STRIP and STRIP prior sd, on the parameter's own scale."""
-
-    def place(value: float) -> float:
-        """Percent of the strip's width."""
-        if log:
-            away = (np.log(max(value, 1e-300)) - np.log(p.prior)) / (p.prior_sd / p.prior)
-        else:
-            away = (value - p.prior) / p.prior_sd
-        return float(np.clip(50.0 + 50.0 * away / STRIP, 0.0, 100.0))
-
-    left, right, half = place(p.lower), place(p.upper), 50.0 * Z90 / STRIP
-    return cell("strip", (50.0 - half, 50.0 + half), (left, max(right, left + 0.8)), place(p.estimate))
-
-
-def _remark(p: ParameterResult, truth: Mapping[str, float]) -> str:
-    """Why the verdict is what it is, and other numbers of the parameter."""
-    parts = ["; ".join(p.reasons) or VERDICTS[p.verdict]]
-    if p.bootstrap_sd > 0.0:
-        spread = numbers.quantity(numbers.rounded(p.bootstrap_sd, p.bootstrap_sd), p.unit)
-        parts.append(f"sd over resampled clips {spread}")
-    if p.name in truth:
-        parts.append(f"true value in the log {numbers.quantity(f'{truth[p.name]:g}', p.unit)}")
-    if math.isfinite(p.step_ratio):
-        parts.append(f"step-doubling ratio {p.step_ratio:.2f}")
-    return " · ".join(parts)
-
-
-def _legend_of_verdicts() -> Markup:
-    meanings = Markup(" ").join(
-        Markup("{} {}.").format(cell("verdict", name), text) for name, text in VERDICTS.items()
-    )
-    return meanings + Markup(
-        " Shrinkage is how much narrower the posterior is than the prior; at 0 % the logs added nothing. "
-        "A step-doubling ratio far from 1 means that the sd itself is rough."
-    )
-
-
 def _combination_section(result: Identification) -> Section:
+    """Combinations that are known better than their parameters; the others are folded away."""
     known = known_together(result)
-    rows = [
-        (
-            c.text,
-            numbers.percent(c.sd),
-            numbers.shrinkage(c.shrinkage),
-            "well known" if c in known else "poorly known",
-        )
-        for c in result.combinations
-    ]
+    others = [c for c in result.combinations if c not in known]
+    count = f"{len(others)} combination{'s' * (len(others) > 1)}"
+    hidden = Fold(f"{count} known no better", cell("table", _combination_table(others)), open=False)
     return Section(
         "Combinations",
-        text="Where two parameters explain the same motion, one combination of them is known more precisely "
-        "than either, and another stays poorly known.",
-        table=Table(("combination", "sd", "shrinkage", ""), ("name", STRONG, NUMBER, "soft"), rows),
+        text="Where two parameters explain the same motion, the logs may know a product or quotient of them "
+        "better than either: predictions of such motion are good although each value is uncertain, and "
+        "whoever measures one of the two knows the other as well."
+        + ("" if known else " None is known better here."),
+        table=_combination_table(known) if known else None,
+        folds=[hidden] if others else [],
     )
+
+
+def _combination_table(combinations: Sequence[Combination]) -> Table:
+    rows = [(c.text, numbers.percent(c.sd), numbers.shrinkage(c.shrinkage)) for c in combinations]
+    return Table(("combination", "sd", "shrinkage"), ("name", STRONG, NUMBER), rows)
 
 
 def _run_table(result: Identification) -> Table:
@@ -338,11 +276,15 @@ def fit_section(fits: Sequence[Fit]) -> Section:
 
 def _data_section(result: Identification) -> Section:
     clips = result.clips
-    return Section(
-        "Data",
-        text=f"{clips.fitted_of} were fitted and {clips.held_out} held out. {clips.motionless} were "
-        f"dropped because nothing moves in them, and {clips.across_gaps} because they contain a gap. "
-        f"{result.diverged:,} of {result.rollouts:,} rollouts diverged.",
-        items=result.logs,
-        files=True,
-    )
+    dropped = [
+        f"{count} {reason}"
+        for count, reason in (
+            (clips.motionless, "because nothing moves in them"),
+            (clips.across_gaps, "because they contain a gap"),
+        )
+        if count
+    ]
+    parts = [f"{clips.fitted_of} were fitted" + f" and {clips.held_out} held out" * (clips.held_out > 0)]
+    parts += [f"{numbers.joined(dropped)} were dropped"] if dropped else []
+    parts += [f"{result.diverged:,} of {result.rollouts:,} rollouts diverged"] if result.diverged else []
+    return Section("Data", text="".join(f"{part}. " for part in parts), items=result.logs, files=True)

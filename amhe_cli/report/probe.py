@@ -35,6 +35,7 @@ def print_achieved(record: Mapping[str, Any], following: str, folder: Path, cons
     if has_achieved(record):
         columns = {"prior": "prior sd", "expected": "expected", "achieved": "achieved"}
         _print_known(record, columns, console)
+        console.print(AT_BEST, style="dim")
         console.print()
     console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
     console.print(Text(f"next: {following}", overflow="fold"), soft_wrap=True)

@@ -22,11 +22,6 @@ from amhe_cli.system.system import System
 
 #: Panels of a log's figure; the table has all series.
 MOST_PANELS = 12
-#: Colours of the columns of a series, used again where there are more.
-_COLORS = (
-    figures.IDENTIFIED, figures.INITIAL, "#15803d", "#7e22ce", "#b91c1c", "#0e7490", figures.MEASURED,
-    "#a16207",
-)  # fmt: skip
 
 
 def shown(value: Displayed) -> SavedView:
@@ -122,19 +117,32 @@ def log_figure(log: Log) -> Markup | str:
     with figures.styled(f"log {log.source}"):
         figure = grid.figure()
         for index, (key, one) in enumerate(drawn):
-            axes = grid.axes(figure, index)
+            labels = _labels(one)
+            across = max(
+                1,
+                int((figures.WIDTH / grid.across - 0.7) / (0.35 + 0.065 * max(map(len, labels), default=0))),
+            )
+            rows = -(-len(labels) // across)
+            axes = grid.axes(figure, index, top=0.26 + 0.17 * rows)
             for column, values in enumerate(np.where(one.valid[:, None], one.values, np.nan).T):
-                label = one.columns[column] if column < len(one.columns) else str(column)
-                color = _COLORS[column % len(_COLORS)]
+                label = labels[column] if labels else None
+                color = figures.SERIES[column % len(figures.SERIES)]
                 axes.plot(*figures.thinned(time, values), color=color, linewidth=1.1, label=label)
             unit = _unit(key, one)
-            axes.set_title(f"{key} [{unit}]" if unit else key)
+            axes.set_title(f"{key} [{unit}]" if unit else key, pad=6.0 + 12.0 * rows)
             axes.set_xlabel("time [s]")
-            if 1 < one.values.shape[1] <= 4:
+            if labels:  # between the title and the lines
+                place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderpad": 0.0}
                 axes.legend(
-                    fontsize=7.5, ncols=4, handlelength=1.2, loc="lower right", bbox_to_anchor=(1.0, 0.98)
+                    fontsize=7.5, ncols=across, handlelength=1.2, columnspacing=1.0, labelspacing=0.2, **place
                 )
         return figures.svg(figure)
+
+
+def _labels(one: Series) -> list[str]:
+    """Names of the lines of a series that has a legend; too many lines have none."""
+    count = one.values.shape[1]
+    return [*one.columns, *map(str, range(len(one.columns), count))] if 1 < count <= 8 else []
 
 
 def _rate(log: Log, one: Series) -> str:

@@ -123,3 +123,10 @@ def _arm(draft: WiringDraft, entry: SignalEntry) -> tuple[str, str | None]:
     if not poses:
         raise ConfigError(f"at: a moving point needs a signal of the body too: body: {entry.force_on}")
     return f"{point}.position", f"{poses[0]}.position"
+
+
+def driven_joint(model: mujoco.MjModel, actuator: int) -> str:
+    """Name of the joint that an actuator drives; that of the actuator where it drives something else."""
+    if model.actuator_trntype[actuator] <= 1:  # mjTRN_JOINT and mjTRN_JOINTINPARENT
+        return model.joint(int(model.actuator_trnid[actuator, 0])).name
+    return model.actuator(actuator).name

@@ -107,7 +107,7 @@ def test_a_result_folder_names_the_system_of_its_belief(
     belief = tmp_path / "mon" / "belief.yaml"
     export = ["export", "--to", "mjcf", "-o", str(out), "--force"]
     assert run([*export, str(belief)]) == 0
-    assert f"opens system {mine}" in capsys.readouterr().err
+    assert f"the belief is of system {mine}" in capsys.readouterr().err
     assert "load_mass" in (out / "identified.xml").read_text()
 
     shutil.copytree(tmp_path / "mon", tmp_path / "tue")

@@ -8,11 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from rich.console import Console
 
 from amhe_cli.core.files import plain
-from amhe_cli.estimation.offline.result import HeldOut, HorizonError, Identification
-from amhe_cli.report.figures import profile_figure
+from amhe_cli.estimation.offline.result import (
+    ClipCount,
+    HeldOut,
+    HorizonError,
+    Identification,
+    ParameterResult,
+)
+from amhe_cli.report.figures import _SIGNED, _readable_on, away, correlation_figure, luminance, profile_figure
 from amhe_cli.report.folder import PageError
 from amhe_cli.report.identification import (
     held_out_line,
@@ -178,10 +185,76 @@ def test_paper_holds_every_column_of_the_tables(html: str, tmp_path: Path) -> No
         "Math.max(...[...document.querySelectorAll('.wide')].map((one) => one.scrollWidth - one.clientWidth))"
     )
     with browser(tmp_path / "profile") as one:
+        one.open((tmp_path / "page.html").as_uri(), width=390)
+        assert one.run(beyond) > 0, "a narrow screen scrolls"
         one.open((tmp_path / "page.html").as_uri(), width=718)  # A4 with margins of 1 cm
-        assert one.run(beyond) > 0, "a screen of that width scrolls"
         one.ask("Emulation.setEmulatedMedia", media="print")
         assert one.run(beyond) <= 0
+
+
+@needs_chromium
+def test_a_usual_screen_shows_every_verdict_whole(tmp_path: Path) -> None:
+    """The last column was cut off, and with it the end of each verdict."""
+    found = replace(parameter(0), name="shoulder_friction_loss", verdict="model-sensitive")
+    changed = identification(parameters=(found, *(parameter(i) for i in range(1, 4))))
+    (tmp_path / "page.html").write_text(page(changed), encoding="utf-8")
+    cut = (
+        "Math.max(...[...document.querySelectorAll('.wide')].map((one) => one.scrollWidth - one.clientWidth))"
+    )
+    with browser(tmp_path / "profile") as one:
+        one.open((tmp_path / "page.html").as_uri(), width=1280)
+        assert one.run(cut) <= 0
+
+
+def test_a_reason_of_many_parameters_is_said_once() -> None:
+    def with_reasons(i: int, *reasons: str) -> ParameterResult:
+        return replace(parameter(i), reasons=reasons)
+
+    rests = [
+        f"it rests on the time step of 2 ms: a finer one leaves {share} open"
+        for share in ("8%", "22%", "11%")
+    ]
+    rows = (*(with_reasons(i, text) for i, text in enumerate(rests)), with_reasons(3, "it is alone"))
+    html = page(identification(parameters=rows))
+    assert html.count("it rests on the time step") == 1
+    assert (
+        "1: it rests on the time step of 2 ms: a finer one leaves 8 to 22% open: load_mass (8%), "
+        "damping (22%), friction_loss (11%)" in html
+    )
+    assert html.count("reason 1 below") == 3 and "it is alone" in html
+
+
+def test_convergence_of_a_value_near_zero_is_in_prior_sd() -> None:
+    offset = replace(parameter(0), estimate=1e-6, prior=0.0, prior_sd=0.05)
+    assert away(np.array([0.1]), offset, log=False) == pytest.approx([2.0], rel=1e-4)
+    scale = replace(parameter(0), estimate=2.0, prior=1.0, prior_sd=0.5)
+    assert away(np.array([2.0 * np.e]), scale, log=True) == pytest.approx([2.0])
+
+
+def test_digits_of_correlations_can_be_read() -> None:
+    """WCAG asks for a contrast of 4.5 for text; the palest tiles with white digits had 2."""
+    names, values = tuple("abcdefgh"), np.tile([-1.0, -0.86, -0.64, -0.3, 0.0, 0.58, 0.69, 1.0], (8, 1))
+    for value in values[0]:
+        tile, digits = luminance(_SIGNED(0.5 + 0.5 * value)), _readable_on(_SIGNED(0.5 + 0.5 * value))
+        low, high = sorted((tile, luminance(to_rgb(digits))))
+        assert (high + 0.05) / (low + 0.05) > 3.9
+    assert "0.58" in correlation_figure(names, values)
+
+
+def test_dropped_clips_are_named_only_where_there_are_any() -> None:
+    assert "2 because nothing moves in them and 1 because they contain a gap were dropped" in page(
+        identification()
+    )
+    none = page(identification(clips=ClipCount(18, 6, 0, 0), diverged=0))
+    assert "dropped" not in none and "rollouts diverged" not in none
+
+
+def test_poorly_known_combinations_are_folded_away(html: str) -> None:
+    section = html.split("<h2>Combinations</h2>")[1].split("</section>")[0]
+    table, fold = section.split("<details>")
+    assert (
+        "damping * friction_loss^0.07" in table and "damping^-0.07" not in table and "damping^-0.07" in fold
+    )
 
 
 @needs_chromium

@@ -65,6 +65,16 @@ def test_the_worst_and_the_median_clip_at_three_instants(pendulum_log: Path) -> 
         assert nominal != identified
 
 
+def test_all_bodies_are_inside_every_picture(pendulum_log: Path) -> None:
+    for _, shown in pictures(pendulum_log, 0.5):
+        for picture in shown:
+            parts = list(picture)  # what stands still may leave it, and is drawn before the ghosts
+            last = max(i for i, one in enumerate(parts) if one.tag == f"{SVG}g")
+            bodies = [one.get("points", "") for one in parts[last:] if one.tag == f"{SVG}polygon"]
+            places = np.array([pair.split(",") for text in bodies for pair in text.split()], dtype=float)
+            assert (places > 0.0).all() and (places < (360.0, 250.0)).all()
+
+
 def test_equal_parameters_give_equal_ghosts(pendulum_log: Path) -> None:
     for _, shown in pictures(pendulum_log, 0.0):
         for picture in shown:

@@ -27,20 +27,18 @@ class Excitation:
     Args:
         times: Evenly spaced times [s], shape (n,).
         targets: Commands at these times, each held until the next [SI], shape (n, k).
-        signals: The signals that command the robot; their joints, one after the other, are the columns.
+        signals: The signals that command the robot; what they command, one after the other, is the columns.
+        joints, actuators: Names of the joint and of the actuator of each column.
     """
 
     times: FloatArray
     targets: FloatArray
     signals: tuple[Signal, ...]
-
-    @property
-    def joints(self) -> tuple[str, ...]:
-        """Names of the joints."""
-        return tuple(name for signal in self.signals for name in signal.names or _names(signal))
+    joints: tuple[str, ...]
+    actuators: tuple[str, ...]
 
     def write(self, folder: Path) -> None:
-        """Write `excitation.csv`, `.npz` (times, joints, targets) and `.mcap` into a folder."""
+        """Write `excitation.csv`, `.npz` (times, joints, actuators, targets) and `.mcap` into a folder."""
         samples: Samples = {}
         for signal, first in zip(
             self.signals, np.cumsum([0, *map(len, map(_names, self.signals))]), strict=False
@@ -50,7 +48,11 @@ class Excitation:
         write_log(folder / "excitation.csv", self.signals, samples, {}, 0.0)
         write_log(folder / "excitation.mcap", self.signals, samples, {}, self.times[1])
         np.savez(
-            folder / "excitation.npz", times=self.times, joints=np.array(self.joints), targets=self.targets
+            folder / "excitation.npz",
+            times=self.times,
+            joints=np.array(self.joints),
+            actuators=np.array(self.actuators),
+            targets=self.targets,
         )
 
 

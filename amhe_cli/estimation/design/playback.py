@@ -69,7 +69,11 @@ class Playback:
             }
             for source in system.inputs:
                 series[source.key] = _sampled(inputs[i, 1:, list(source.columns)].T, commanded)
-            broken = None if rollouts.completed[i] else Broken("the simulation diverges")
+            broken = (
+                None
+                if rollouts.completed[i]
+                else Broken("the simulation diverges", advice="give the model a smaller time step")
+            )
             broken = broken or joint_at_limit(system.model, rollouts.qpos[i])
             if broken is None and self.bounds is not None:
                 broken = self.bounds.broken(theta[i], rollouts.qpos[i], rollouts.qvel[i], acting[i])

@@ -23,11 +23,16 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.core.parameters import Belief
 from amhe_cli.core.samples import sampled
 from amhe_cli.core.settings import Settings
-from amhe_cli.engine.bounds import Bounds, Broken
+from amhe_cli.engine.bounds import Bounds, Broken, home_within
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.states import home
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
-from amhe_cli.estimation.design.excitation import Waves, candidates, driven_controls, slow_sine
+from amhe_cli.estimation.design.excitation import (
+    Waves,
+    candidates,
+    driven_controls,
+    slow_sine,
+)
 from amhe_cli.estimation.design.files import Excitation, write_log
 from amhe_cli.estimation.design.information import (
     active_in,
@@ -36,11 +41,12 @@ from amhe_cli.estimation.design.information import (
     information_where_it_points,
 )
 from amhe_cli.estimation.design.playback import Playback
-from amhe_cli.estimation.design.recipes import Leeway, leeway_of, recipes
+from amhe_cli.estimation.design.recipes import Leeway, leeway_of, plain, recipes
 from amhe_cli.logs import read_log
 from amhe_cli.logs.messages.signal_writer import message_type
 from amhe_cli.logs.messages.writer import StateDrawing
 from amhe_cli.matching.starts import first_states
+from amhe_cli.system.driven import driven_joint
 from amhe_cli.system.edits import ModelEdits
 from amhe_cli.system.model_file import compiled
 from amhe_cli.system.system import System
@@ -177,6 +183,7 @@ class ActuatorProbe:
         truth = own.space.named(own.space.nominal) | self.system.fixed
         own = self.system
         self._controls = driven_controls(own)
+        home_within(own)
         for signal in own.signals:  # refuse what could not be logged before any work is done
             if not signal.columns:
                 message_type(signal)
@@ -200,27 +207,27 @@ class ActuatorProbe:
                 f"`seconds` {options.seconds:g}: too short; a probe takes {_SHORTEST:g} s or more"
             )
         draws = ensemble(space, self.system.settings.probe.pairs, options.rng(0))
-        tried, found, broken = list(self._motions), list[FloatArray | None](), Counter[str]()
+        tried, found, broken = list(self._motions), list[FloatArray | None](), Counter[Broken]()
         for number, one in enumerate(tried):
             say(f"trying {one.name}, {number + 1} of {len(tried)}")
             own = self._information(one, draws)
             while isinstance(own, Broken):
-                broken[own.text] += 1
+                broken[own] += 1
                 if (less := tried[number].smaller(own.joint)) is None:
                     break
                 tried[number], own = less, self._information(less, draws)
             found.append(None if isinstance(own, Broken) else own)
         values = [-np.inf if own is None else criterion(own, space.prior_precision) for own in found]
-        best = int(np.argmax(values))
-        chosen, plain = found[best], found[0]
+        first = 0 if self._leeway is None else 1  # whoever asks for a recipe gets no plain motion
+        best = first + int(np.argmax(values[first:]))
+        chosen, simple = found[best], found[0]
         if chosen is None:
-            usual = "; ".join(f"{text} ({count} times)" for text, count in broken.most_common(3))
-            raise ConfigError(f"{self.system.name}: every excitation that was tried breaks a bound: {usual}")
+            raise ConfigError(f"{self.system.name}: {nothing_left(broken)}")
         self._chosen = tried[best]
         return ProbePlan(
             parts_of([(self._chosen.name, self._chosen.title, options.seconds)]),
             accuracy(space, chosen),
-            None if plain is None else accuracy(space, plain),
+            None if simple is None else accuracy(space, simple),
             tried[0].name,
         )
 
@@ -229,7 +236,14 @@ class ActuatorProbe:
         times = self._model.times(self._options.seconds)
         driven = {one.key for one in self.system.inputs if one.delayed}
         signals = [s for s in self.system.signals if driven & {s.key(q) for q in s.quantities}]
-        return Excitation(times, self._chosen.at(times), tuple(signals))
+        model, rows = self.system.model, self._controls.actuators.tolist()
+        return Excitation(
+            times,
+            self._chosen.at(times),
+            tuple(signals),
+            joints=tuple(driven_joint(model, row) for row in rows),
+            actuators=tuple(model.actuator(row).name for row in rows),
+        )
 
     def run(
         self,
@@ -266,8 +280,7 @@ class ActuatorProbe:
         options, limits = self._options, (self._controls.rest, self._controls.lower, self._controls.upper)
         count = self.system.settings.probe.candidates
         if self._leeway is not None and options.recipe is not None:
-            plain = slow_sine(self._leeway.rest, self._leeway.lower, self._leeway.upper)
-            return [plain, *recipes(options.recipe, self._leeway, count, options.seed)]
+            return [plain(self._leeway), *recipes(options.recipe, self._leeway, count, options.seed)]
         return [slow_sine(*limits), *candidates(*limits, count, options.rng(1))]
 
     def _information(self, one: Waves, draws: FloatArray) -> FloatArray | Broken:
@@ -293,6 +306,15 @@ class ActuatorProbe:
         inputs[:, self._controls.columns] = swing
         everywhere = np.broadcast_to(inputs, (len(theta), *inputs.shape))
         return playback.play(theta, everywhere, self._options.rng(place))
+
+
+def nothing_left(broken: Counter[Broken]) -> str:
+    """Why no excitation is left, and what helps."""
+    usual = [
+        f"{one.text} ({'once' if count == 1 else f'{count} times'})" + f": {one.advice}" * bool(one.advice)
+        for one, count in broken.most_common(3)
+    ]
+    return f"every excitation that was tried breaks a bound: {'; '.join(usual)}"
 
 
 def _other_plant(options: ProbeOptions, own: System, plant: Path) -> Playback:

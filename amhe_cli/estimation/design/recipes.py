@@ -114,7 +114,10 @@ class Recipe:
         lead = max(FADE, float(np.max(2.0 * np.abs(away) / speed)))
         fade = (_smooth(times / lead) * _smooth((times[-1] - times) / lead))[:, None]
         wave = _WAVES[self.kind](times, size, speed, rng)
-        return _slewed(leeway.rest + fade * (away + wave), speed * (times[1] - times[0]))
+        most = speed * (times[1] - times[0])
+        slow = _slewed(leeway.rest + fade * (away + wave), most)
+        left = np.where(np.isfinite(most), most, 1e300) * np.arange(times.size - 1, -1, -1.0)[:, None]
+        return np.clip(slow, leeway.rest - left, leeway.rest + left)  # near enough to be at rest at the end
 
 
 def recipes(kind: str, leeway: Leeway, count: int, seed: int) -> list[Recipe]:
@@ -129,6 +132,11 @@ def recipes(kind: str, leeway: Leeway, count: int, seed: int) -> list[Recipe]:
         Recipe(f"{kind} {number + 1}", kind, leeway, np.ones(leeway.rest.size), (seed, number))
         for number in range(count)
     ]
+
+
+def plain(leeway: Leeway) -> Recipe:
+    """The motion that recipes are compared with: all commands up and down together every four seconds."""
+    return Recipe("slow sine", "slow sine", leeway, np.ones(leeway.rest.size), (0, 0))
 
 
 def _smooth(ratio: FloatArray) -> FloatArray:
@@ -180,11 +188,18 @@ def _sweep(times: FloatArray, size: FloatArray, speed: FloatArray, rng: np.rando
     return size * 2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * times[:, None] / period))
 
 
+def _sine(times: FloatArray, size: FloatArray, speed: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """One slow sine of all commands."""
+    rate = 2.0 * np.pi * 0.25
+    return np.minimum(size, speed / rate) * np.sin(rate * times[:, None])
+
+
 _WAVES: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray, np.random.Generator], FloatArray]] = {
     "chirp": _chirp,
     "multisine": _multisine,
     "steps": _steps,
     "sweep": _sweep,
+    "slow sine": _sine,
 }
-#: The kinds of recipes.
-RECIPES = tuple(_WAVES)
+#: The kinds of recipes that can be asked for.
+RECIPES = tuple(kind for kind in _WAVES if kind != "slow sine")

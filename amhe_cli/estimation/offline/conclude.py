@@ -100,7 +100,7 @@ def conclude(
     evidence, drawn = _evidence(problem, finding, fit, (*against, *shown), watch, sampled)
     evidence = replace(evidence, blamed=blamed(system, fit) if finding.done else {})
     watch.report_skipped()
-    watch.enter("figures")
+    watch.enter("predictions for the report")
     return Identification(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",

@@ -131,12 +131,13 @@ def _columns(cost: MatchingCost, observed: Observed) -> Iterator[tuple[str, str,
         yield "", channel.unit, list(range(width))
         return
     names = cost.clips.windows[0].log[channel.key].columns
-    for i, name in enumerate(names):
-        if channel.source == "qpos":
-            joint, unit = joint_of(cost.system.model, channel.columns[i])
-            yield joint or str(name), unit, [i]
-        else:
+    if channel.source != "qpos":
+        for i, name in enumerate(names):
             yield (str(name) if width > 1 else ""), channel.unit, [i]
+        return
+    for i in np.argsort(channel.columns[: len(names)], kind="stable").tolist():  # the model's order of joints
+        joint, unit = joint_of(cost.system.model, channel.columns[i])
+        yield joint or str(names[i]), unit, [i]
 
 
 def _rms_of(size: FloatArray, inside: BoolArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,9 +13,9 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.engine.bounds import Bounds
+from amhe_cli.engine.bounds import Bounds, Broken
 from amhe_cli.estimation.design.excitation import driven_controls
-from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions
+from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, nothing_left
 from amhe_cli.estimation.design.recipes import RECIPES, Leeway, leeway_of, recipes
 from amhe_cli.logs import read_log
 from amhe_cli.system.system import System
@@ -46,7 +47,7 @@ ARM = """
 </mujoco>"""
 
 
-def arm(model: str = ARM, more: Mapping[str, Any] | None = None) -> System:
+def arm(model: str = ARM, more: Mapping[str, Any] | None = None, servos: str = "") -> System:
     """An arm beside a wall, whose logs are tables."""
     damping = {"targets": [{"joint": "*", "set": "damping"}], "nominal": 0.1}
     late = {"targets": [{"set": "command_delay"}], "nominal": 0.01, "bounds": [0.0, 0.05], "prior_sd": 0.005}
@@ -56,7 +57,10 @@ def arm(model: str = ARM, more: Mapping[str, Any] | None = None) -> System:
             "columns": {"position": ["q1", "q2"]},
             "noise": {"position": 0.001},
         },
-        "command": {"actuators": ["shoulder", "elbow"], "columns": {"position": ["c1", "c2"]}},
+        "command": {
+            "actuators": [f"shoulder{servos}", f"elbow{servos}"],
+            "columns": {"position": ["c1", "c2"]},
+        },
     }
     settings = {"probe": {"candidates": 1, "pairs": 1}, "clips": {"length": [0.4, 0.8]}}
     return amhe.System.from_model(
@@ -73,10 +77,8 @@ def test_a_recipe_stays_in_its_leeway_and_comes_home(kind: str) -> None:
     for one in recipes(kind, LEEWAY, 4, seed=0):
         commands = one.at(TIMES)
         assert (commands > LEEWAY.lower).all() and (commands < LEEWAY.upper).all()
-        assert (np.abs(np.diff(commands, axis=0)) <= 0.01 * LEEWAY.speed).all()
-        assert commands[0] == pytest.approx(LEEWAY.rest) and commands[-1] == pytest.approx(
-            LEEWAY.rest, abs=0.05
-        )
+        assert (np.abs(np.diff(commands, axis=0)) <= 0.8 * 0.01 * LEEWAY.speed + 1e-9).all()
+        assert commands[0] == pytest.approx(LEEWAY.rest) and commands[-1] == pytest.approx(LEEWAY.rest)
         assert (np.ptp(commands, axis=0) > 0.05).all()
 
 
@@ -88,6 +90,34 @@ def test_a_joint_that_breaks_a_bound_moves_less_and_the_others_as_before() -> No
     assert after[1] < 0.8 * before[1] and after[[0, 2]] == pytest.approx(before[[0, 2]])
     everything = one.smaller(None)
     assert everything is not None and (np.ptp(everything.at(TIMES), axis=0) < before).all()
+
+
+@pytest.mark.parametrize("kind", RECIPES)
+def test_who_asks_for_a_recipe_gets_it_within_the_speed_and_ending_at_home(kind: str) -> None:
+    """A slow sine, with which the recipes are compared, may know more; it is never what is written."""
+    probe = ActuatorProbe(ProbeOptions(seconds=3.0, recipe=kind, speed=2.0), arm())
+    plan = probe.design(lambda _: None)
+    written = probe.excitation()
+    assert plan.parts[0].name == f"{kind} 1"
+    step = float(written.times[1])
+    assert np.abs(np.diff(written.targets, axis=0)).max() <= 0.8 * 2.0 * step + 1e-9
+    assert written.targets[-1] == pytest.approx(0.0)
+
+
+def test_a_home_outside_a_range_is_said_before_anything_is_tried() -> None:
+    outside = ARM.replace('range="-1 1"', 'range="0.5 1.9"')
+    with pytest.raises(
+        ConfigError, match=r"shoulder = 0, is outside its range 0\.5 to 1\.9 rad: give a `key"
+    ):
+        ActuatorProbe(ProbeOptions(recipe="chirp"), arm(outside))
+
+
+def test_a_probe_that_fails_says_how_often_and_what_helps() -> None:
+    once = Broken("joint elbow reaches its limit", 1, "widen its range")
+    text = nothing_left(Counter([once, *[Broken("a touches b")] * 3]))
+    assert text.endswith(
+        "bound: a touches b (3 times); joint elbow reaches its limit (once): widen its range"
+    )
 
 
 def test_an_unknown_recipe_is_refused() -> None:
@@ -106,7 +136,7 @@ def test_what_breaks_a_bound_is_named() -> None:
         return None if found is None else found.text
 
     assert broken() is None
-    assert broken(qvel=(0.0, -4.0)) == "joint elbow is faster than 3"
+    assert broken(qvel=(0.0, -4.0)) == "joint elbow is faster than 3 rad/s"
     assert broken(inputs=(0.9, 0.0)) == "joint shoulder needs more force than its actuator has"
     touched = broken(qpos=(-0.8, 0.0))
     assert touched is not None and "geom 'wall'" in touched
@@ -120,7 +150,8 @@ def test_the_leeway_of_a_servo_is_also_its_joints() -> None:
 
 
 def test_a_probe_writes_what_a_robot_can_play_and_its_log_is_read(tmp_path: Path) -> None:
-    system, folder = arm(), tmp_path / "excitation"
+    servos = ARM.replace('" joint="', ' servo" joint="')
+    system, folder = arm(servos, servos=" servo"), tmp_path / "excitation"
     record = amhe.probe(
         system, recipe="chirp", seconds=4.0, speed=2.0, rate=50.0, threads=1, excitation=folder,
         log=tmp_path / "log.csv",
@@ -131,6 +162,7 @@ def test_a_probe_writes_what_a_robot_can_play_and_its_log_is_read(tmp_path: Path
     with np.load(folder / "excitation.npz") as played:
         times, targets = played["times"], played["targets"]
         assert played["joints"].tolist() == ["shoulder", "elbow"]
+        assert played["actuators"].tolist() == ["shoulder servo", "elbow servo"]
     assert times[1] == pytest.approx(0.02) and targets.shape == (200, 2)
     assert np.abs(np.diff(targets, axis=0)).max() <= 2.0 * 0.02
     lines = (folder / "excitation.csv").read_text().splitlines()

@@ -1,0 +1,123 @@
+"""The table of an identification's parameters on its page, with the reasons of their verdicts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+from markupsafe import Markup
+
+from amhe_cli.core.statistics import Z90
+from amhe_cli.estimation.offline.result import VERDICTS, Identification, ParameterResult
+from amhe_cli.report import numbers
+from amhe_cli.report.page import Fold, Section, cell
+from amhe_cli.report.reasons import Shared, common_reasons, own_reasons
+from amhe_cli.report.tables import NUMBER, STRONG, Table
+
+#: Half-width of the strip that shows prior and posterior side by side, in prior sd.
+STRIP = 2.5
+
+
+def parameter_section(result: Identification, truth: Mapping[str, float]) -> Section:
+    """Each parameter with its verdict, and below them the reasons that many share.
+
+    Args:
+        result: The identification.
+        truth: True values that the logs contain, by name.
+    """
+    common = common_reasons(result.parameters)
+    return Section(
+        "Parameters",
+        table=_parameter_table(result, truth, common),
+        items=[f"{place}: {one.text}: {', '.join(one.owners)}" for place, one in enumerate(common, 1)],
+        folds=list(_checks_of_sds(result.parameters)),
+        note=_legend_of_verdicts(),
+    )
+
+
+def _parameter_table(result: Identification, truth: Mapping[str, float], common: Sequence[Shared]) -> Table:
+    rows = [
+        (
+            p.name,
+            numbers.with_sd(p.estimate, p.sd),
+            numbers.unit_of(p.unit),
+            numbers.interval(p.lower, p.upper),
+            numbers.with_sd(p.prior, p.prior_sd),
+            _strip(p, log),
+            cell("bar", p.shrinkage, numbers.shrinkage(p.shrinkage)),
+            cell("verdict", p.verdict),
+        )
+        for p, log in zip(result.parameters, result.belief.log, strict=True)
+    ]
+    return Table(
+        (
+            "parameter", "estimate ± sd", "unit", "90 % interval", "prior", "prior and posterior",
+            "shrinkage", "verdict",
+        ),
+        ("name", STRONG, "unit", NUMBER, f"{NUMBER} soft", "spare", NUMBER, ""),
+        rows,
+        [_remark(p, truth, common) for p in result.parameters],
+    )  # fmt: skip
+
+
+def _strip(p: ParameterResult, log: bool) -> Markup:
+    """Prior, posterior and estimate between -STRIP and STRIP prior sd, on the parameter's own scale."""
+
+    def place(value: float) -> float:
+        """Percent of the strip's width."""
+        if log:
+            away = (np.log(max(value, 1e-300)) - np.log(p.prior)) / (p.prior_sd / p.prior)
+        else:
+            away = (value - p.prior) / p.prior_sd
+        return float(np.clip(50.0 + 50.0 * away / STRIP, 0.0, 100.0))
+
+    left, right, half = place(p.lower), place(p.upper), 50.0 * Z90 / STRIP
+    return cell("strip", (50.0 - half, 50.0 + half), (left, max(right, left + 0.8)), place(p.estimate))
+
+
+def _remark(p: ParameterResult, truth: Mapping[str, float], common: Sequence[Shared]) -> str:
+    """Why the verdict is what it is; where other parameters share the reason, its number below the table."""
+    alone, places = own_reasons(p, common)
+    parts = ["; ".join(alone)] if alone else []
+    if places:
+        parts.append(f"reason{'s' * (len(places) > 1)} {numbers.joined([str(n) for n in places])} below")
+    if p.name in truth:
+        parts.append(f"true value in the log {numbers.quantity(f'{truth[p.name]:g}', p.unit)}")
+    return " · ".join(parts)
+
+
+def _checks_of_sds(parameters: Sequence[ParameterResult]) -> Iterator[Fold]:
+    """The sd of each parameter beside two others, closed; no fold where neither was computed."""
+    rows = [
+        (
+            p.name,
+            numbers.rounded(p.sd, p.sd),
+            numbers.rounded(p.bootstrap_sd, p.bootstrap_sd),
+            numbers.unit_of(p.unit),
+            f"{p.step_ratio:.2f}" if math.isfinite(p.step_ratio) else numbers.MISSING,
+        )
+        for p in parameters
+        if p.bootstrap_sd > 0.0 or math.isfinite(p.step_ratio)
+    ]
+    if not rows:
+        return
+    head = ("parameter", "sd", "scatter of the estimate", "unit", "sd over that at twice the step")
+    table = Table(head, ("name", STRONG, NUMBER, "unit", NUMBER), rows)
+    text = Markup(
+        "<p>Scatter of the estimate: how much it changes when the clips are drawn anew. Far below the sd, "
+        "the sd is not that of noise but of what the model may miss. The last column compares the sd with "
+        "one computed from wider samples: far from 1 (below 0.7, above 1.4), the sd itself is rough.</p>"
+    )
+    rough = sum(not math.isnan(p.step_ratio) and not 0.7 <= p.step_ratio <= 1.4 for p in parameters)
+    remark = f"{rough} of them rough" if rough else ""
+    yield Fold("How each sd was checked", text + cell("table", table), remark, open=False)
+
+
+def _legend_of_verdicts() -> Markup:
+    meanings = Markup(" ").join(
+        Markup("{} {}.").format(cell("verdict", name), text) for name, text in VERDICTS.items()
+    )
+    return meanings + Markup(
+        " Shrinkage is how much narrower the posterior is than the prior; at 0 % the logs added nothing."
+    )
