@@ -30,6 +30,7 @@ from amhe_cli.estimation.offline.fits import fits, profiles
 from amhe_cli.estimation.offline.held_out import judge, validate, with_own_values
 from amhe_cli.estimation.offline.horizon import HORIZONS, STARTS, horizon_errors
 from amhe_cli.estimation.offline.minima import SHARE, second_minimum
+from amhe_cli.estimation.offline.mount import report_mount
 from amhe_cli.estimation.offline.posterior import (
     PROFILED,
     TURNS,
@@ -60,7 +61,7 @@ from amhe_cli.estimation.offline.widening import (
 logger = logging.getLogger(__name__)
 
 #: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
-PARTS, RESERVE = 9, 3
+PARTS, RESERVE = 10, 3
 #: Clips from which a bootstrap widens.
 FEWEST_RESAMPLED = 10
 
@@ -97,6 +98,8 @@ def conclude(
         logger.warning(f"{text}: no value is called identified{advice}")
     if held_out and watch.allows("error against horizon", _predictions(problem, validation)):
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
+    if finding.done and watch.allows("residuals of a mount", len(problem.clips)):
+        report_mount(problem, fit)
     evidence, drawn = _evidence(problem, finding, fit, (*against, *shown), watch, sampled)
     evidence = replace(evidence, blamed=blamed(system, fit) if finding.done else {})
     watch.report_skipped()
