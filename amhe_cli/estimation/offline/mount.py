@@ -39,6 +39,8 @@ RINGING, SHARP, DULL, NEAR, DAMPED = 0.12, 0.05, 0.22, 2, 0.7
 #: Share of the misfit that ringing explains beyond all else, t of the clips' gains, share of clips that gain,
 #: and frequencies that are no neighbours.
 EXPLAINS, STUDENT, MOSTLY, APART = 0.15, 3.0, 0.7, 1.35
+#: Frequencies whose responses are in memory together.
+AT_ONCE = 8
 #: Folds in which clips are predicted, and the ridge of that regression.
 FOLDS, RIDGE = 5, 1e-3
 
@@ -123,7 +125,10 @@ def _misfits(
     mode: Mode, measured: _Measured, hertz: FloatArray, damping: float, stiff: FloatArray
 ) -> FloatArray:
     """Misfit of each clip with a mount of each frequency, and a stiff one, shape (f, c)."""
-    return np.array([measured.misfit([one, stiff]) for one in mode.responses(hertz, damping)])
+    turns = np.array_split(hertz, -(-len(hertz) // AT_ONCE))
+    return np.array(
+        [measured.misfit([one, stiff]) for some in turns for one in mode.responses(some, damping)]
+    )
 
 
 # -- what was measured ---------------------------------------------------------------------------------------

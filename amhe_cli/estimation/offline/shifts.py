@@ -187,7 +187,7 @@ def _against(
     precision = np.linalg.inv(known)
     score, own = (precision @ mean)[1:], precision.diagonal()[1:]
     worth = score**2 / own  # of the misfit, by each alone
-    wanted = score / np.maximum(own - 1.0, 1e-9)  # what the logs want, whatever the data sheet
+    wanted = (score / np.maximum(own - 1.0, 1e-9)).tolist()  # what the logs want, whatever the data sheet
     named: set[int] = set()
     for i in sorted(wrong, key=lambda i: -worth[i]):
         if i in named:
