@@ -228,7 +228,7 @@ def own_result(pendulum_log: Path, tmp_path_factory: pytest.TempPathFactory) -> 
 
 def test_a_replay_of_an_own_system_needs_no_option_again(own_result: Path, tmp_path: Path, capsys) -> None:
     assert run(["view", str(own_result / "out"), "--save", str(tmp_path / "page.html")]) == 0
-    (note,) = [line for line in capsys.readouterr().err.splitlines() if "note: opens" in line]
+    (note,) = [line for line in capsys.readouterr().err.splitlines() if "note: shows" in line]
     assert "pendulum" in note and str(own_result / "mine") in note
     data = data_of(tmp_path / "page.html")
     assert {row["name"]: row["first"] for row in data["parameters"]}["load_mass"] == 0.7
