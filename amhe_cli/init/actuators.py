@@ -65,7 +65,7 @@ def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -
     return groups
 
 
-def ungrouped(parameters: Sequence[Guess], signals: Sequence[Guess]) -> list[str]:
+def ungrouped(parameters: Sequence[Guess]) -> list[str]:
     """A sentence where no two drives are equal, so that no parameter is shared."""
     of_joints = [guess for guess in parameters if "joint" in guess.entry["targets"][0]]
     if any(len(guess.entry["targets"]) > 1 for guess in of_joints):

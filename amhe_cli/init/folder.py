@@ -94,7 +94,7 @@ def init_system(
     guesses = guess_signals(model, topics)
     if actuators:
         parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group)
-        notes += floating(model, guesses) + (ungrouped(parameters, guesses) if group else [])
+        notes += floating(model, guesses) + (ungrouped(parameters) if group else [])
     else:
         parameters = guess_parameters(model, guesses, guessed_gains=added)
         notes += sharing(parameters)
@@ -113,12 +113,17 @@ def init_system(
         folder = Path(scratch)
         name = copy_model(spec, model_path, folder, rewrite=rewrite)
         head = (name, model_path.name, [str(log) for log in logs])
-        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons, spare))
+
+        def write() -> None:
+            text = system_text(*head, guesses, parameters, notes, skeletons, spare)
+            (folder / FILE_NAME).write_text(text)
+
+        write()
         while declared := _declare_units(folder, logs[0], guesses, msg_path):
             notes += declared
-            (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons, spare))
+            write()
         unread = _estimate_noise(folder, logs[0], guesses, topics, msg_path)
-        (folder / FILE_NAME).write_text(system_text(*head, guesses, parameters, notes, skeletons, spare))
+        write()
         System.load(folder, warn=False)  # what is written is valid, or it is not written
         for file in sorted(path for path in folder.rglob("*") if path.is_file()):
             place = out / file.relative_to(folder)

@@ -12,7 +12,7 @@ import mujoco
 from amhe_cli.init.names import is_command, matched, names_the_same, words
 from amhe_cli.init.paths import in_motor_order, joint_paths
 from amhe_cli.system.coupled import followers
-from amhe_cli.system.driven import commanded
+from amhe_cli.system.driven import commanded, driven_joint
 from amhe_cli.system.targets import names_of
 
 #: Default noise sd [SI]; an estimate from the log replaces it where there is one.
@@ -216,11 +216,7 @@ def free_bodies(model: mujoco.MjModel) -> list[str]:
 
 def joint_of(model: mujoco.MjModel, actuator: str) -> str | None:
     """The joint that an actuator drives."""
-    row = model.actuator(actuator).id
-    at_joint = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
-    if int(model.actuator_trntype[row]) not in at_joint:
-        return None
-    return model.joint(int(model.actuator_trnid[row, 0])).name or None
+    return driven_joint(model, model.actuator(actuator).id)
 
 
 def _joint_states(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:

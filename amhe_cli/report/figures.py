@@ -209,7 +209,8 @@ def convergence_figure(
         sigma.set_title("sampling sd, in prior sd")
         for i, (one, own) in enumerate(zip(parameters, log, strict=True)):
             color, shape = _line_of(i)
-            values.plot(number, away(theta[:, i], one, own), color=color, linestyle=shape, linewidth=1.2)
+            apart = away(theta[:, i], one.estimate, one, own)
+            values.plot(number, apart, color=color, linestyle=shape, linewidth=1.2)
         values.set_title("away from final value, in prior sd")
         for axes in (cost, sigma):  # ticks that a range of less than a decade has too
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
@@ -221,11 +222,11 @@ def convergence_figure(
         return svg(figure)
 
 
-def away(values: FloatArray, parameter: ParameterResult, log: bool) -> FloatArray:
-    """How far values (n,) of a parameter are from its estimate, in prior sd on its own scale."""
+def away(values: FloatArray, origin: float, parameter: ParameterResult, log: bool) -> FloatArray:
+    """How far values (n,) of a parameter are from another one, in prior sd on its own scale."""
     if log:
-        return np.log(values / parameter.estimate) * parameter.prior / parameter.prior_sd
-    return (values - parameter.estimate) / parameter.prior_sd
+        return np.log(values / origin) * parameter.prior / parameter.prior_sd
+    return (values - origin) / parameter.prior_sd
 
 
 def convergence_legend(names: Sequence[str]) -> tuple[Key, ...]:

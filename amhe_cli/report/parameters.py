@@ -10,7 +10,8 @@ from markupsafe import Markup
 
 from amhe_cli.core.statistics import Z90
 from amhe_cli.estimation.offline.result import VERDICTS, Identification, ParameterResult
-from amhe_cli.report import numbers
+from amhe_cli.estimation.offline.verdicts import LINEAR
+from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Fold, Section, cell
 from amhe_cli.report.reasons import Shared, common_reasons, own_reasons
 from amhe_cli.report.tables import NUMBER, STRONG, Table
@@ -66,11 +67,8 @@ def _strip(p: ParameterResult, log: bool) -> Markup:
 
     def place(value: float) -> float:
         """Percent of the strip's width."""
-        if log:
-            away = (np.log(max(value, 1e-300)) - np.log(p.prior)) / (p.prior_sd / p.prior)
-        else:
-            away = (value - p.prior) / p.prior_sd
-        return float(np.clip(50.0 + 50.0 * away / STRIP, 0.0, 100.0))
+        apart = figures.away(np.array(max(value, 1e-300) if log else value), p.prior, p, log)
+        return float(np.clip(50.0 + 50.0 * apart / STRIP, 0.0, 100.0))
 
     left, right, half = place(p.lower), place(p.upper), 50.0 * Z90 / STRIP
     return cell("strip", (50.0 - half, 50.0 + half), (left, max(right, left + 0.8)), place(p.estimate))
@@ -104,12 +102,13 @@ def _checks_of_sds(parameters: Sequence[ParameterResult]) -> Iterator[Fold]:
         return
     head = ("parameter", "sd", "scatter of the estimate", "unit", "sd over that at twice the step")
     table = Table(head, ("name", STRONG, NUMBER, "unit", NUMBER), rows)
+    low, high = LINEAR
     text = Markup(
         "<p>Scatter of the estimate: how much it changes when the clips are drawn anew. Far below the sd, "
         "the sd is not that of noise but of what the model may miss. The last column compares the sd with "
-        "one computed from wider samples: far from 1 (below 0.7, above 1.4), the sd itself is rough.</p>"
-    )
-    rough = sum(not math.isnan(p.step_ratio) and not 0.7 <= p.step_ratio <= 1.4 for p in parameters)
+        "one computed from wider samples: far from 1 (below {}, above {}), the sd itself is rough.</p>"
+    ).format(low, high)
+    rough = sum(not math.isnan(p.step_ratio) and not low <= p.step_ratio <= high for p in parameters)
     remark = f"{rough} of them rough" if rough else ""
     yield Fold("How each sd was checked", text + cell("table", table), remark, open=False)
 

@@ -160,11 +160,9 @@ class CalibrationDraft:
                 raise ConfigError("give the signal a band of its own, such as band: 100, to start from")
         row = self._row((name, word, quantity, column), value)
         label = ".".join(part for part in (name, quantity) if part)
-        which = (
-            f" of {self._columns(name, quantity)[column]}"
-            if word == "bias"
-            else f"[{column}]" * (word == "frame")
-        )
+        which = f"[{column}]" if word == "frame" else ""
+        if word in ("bias", "scale"):
+            which = f" of {self._columns(name, quantity)[column]}"
         return CalibrationNumber("calibration", row, own=self._own[row], name=f"{word}{which} in {label}")
 
     def _row(self, key: _Key, value: float | None = None) -> int:

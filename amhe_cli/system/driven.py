@@ -125,8 +125,9 @@ def _arm(draft: WiringDraft, entry: SignalEntry) -> tuple[str, str | None]:
     return f"{point}.position", f"{poses[0]}.position"
 
 
-def driven_joint(model: mujoco.MjModel, actuator: int) -> str:
-    """Name of the joint that an actuator drives; that of the actuator where it drives something else."""
-    if model.actuator_trntype[actuator] <= 1:  # mjTRN_JOINT and mjTRN_JOINTINPARENT
-        return model.joint(int(model.actuator_trnid[actuator, 0])).name
-    return model.actuator(actuator).name
+def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
+    """Name of the joint that an actuator drives; None where it drives something else, or a nameless one."""
+    at_joint = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+    if int(model.actuator_trntype[actuator]) not in at_joint:
+        return None
+    return model.joint(int(model.actuator_trnid[actuator, 0])).name or None

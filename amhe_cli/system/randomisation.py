@@ -51,12 +51,14 @@ class Drawn:
     Args:
         system: The system.
         model: Its model under the belief's estimate.
+        theta: The draws within the bounds, shape (n, d).
         arrays: Field of the model -> draws (n, ...).
         used: Fields and rows that terms were made of.
     """
 
     system: System
     model: mujoco.MjModel
+    theta: FloatArray
     arrays: Mapping[str, FloatArray]
     used: set[tuple[str, int]] = field(default_factory=set)
 
@@ -99,7 +101,7 @@ def drawn(system: System, belief: Belief) -> Drawn:
         for name in system.edits.fields
     }
     system.edits.write(arrays, theta)
-    return Drawn(system, system.edits.apply(system.model, space.nominal), arrays)
+    return Drawn(system, system.edits.apply(system.model, space.nominal), theta, arrays)
 
 
 def ends(values: FloatArray) -> tuple[float, float]:
@@ -144,13 +146,11 @@ def _correlations(belief: Belief) -> str:
 
 def _left_out(system: System, belief: Belief, found: Drawn) -> Iterator[str]:
     """A line for each parameter that moves a number which no term covers, or none of the model's."""
-    draws = belief.sample(DRAWS, SEED)
-    limits = {p.name: (p.lower, p.upper) for p in system.space.parameters}
     for column, name in enumerate(belief.names):
         moved = _moved(system, belief, column)
         if moved and moved <= found.used:
             continue
-        low, high = ends(np.clip(draws[:, column], *limits.get(name, (-np.inf, np.inf))))
+        low, high = ends(found.theta[:, column])
         what = "" if system.sets[name] == name else f": {system.sets[name]}"
         yield f"{name}, {low:g} to {high:g}{what}"
 

@@ -27,12 +27,7 @@ from amhe_cli.engine.bounds import Bounds, Broken, home_within
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.states import home
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
-from amhe_cli.estimation.design.excitation import (
-    Waves,
-    candidates,
-    driven_controls,
-    slow_sine,
-)
+from amhe_cli.estimation.design.excitation import Waves, candidates, driven_controls, slow_sine
 from amhe_cli.estimation.design.files import Excitation, write_log
 from amhe_cli.estimation.design.information import (
     active_in,
@@ -241,7 +236,7 @@ class ActuatorProbe:
             times,
             self._chosen.at(times),
             tuple(signals),
-            joints=tuple(driven_joint(model, row) for row in rows),
+            joints=tuple(driven_joint(model, row) or model.actuator(row).name for row in rows),
             actuators=tuple(model.actuator(row).name for row in rows),
         )
 

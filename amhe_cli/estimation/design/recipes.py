@@ -201,5 +201,5 @@ _WAVES: Mapping[str, Callable[[FloatArray, FloatArray, FloatArray, np.random.Gen
     "sweep": _sweep,
     "slow sine": _sine,
 }
-#: The kinds of recipes that can be asked for.
+#: The kinds of recipes that can be requested.
 RECIPES = tuple(kind for kind in _WAVES if kind != "slow sine")

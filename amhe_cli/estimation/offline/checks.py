@@ -169,7 +169,7 @@ def unexplained(system: System, fit: FinalFit) -> tuple[str, ...]:
     return tuple(found)
 
 
-def blamed(system: System, fit: FinalFit) -> dict[str, str]:
+def blamed(system: System, fit: FinalFit) -> dict[str, tuple[str, ...]]:
     """Where the model misses the logs: parameters that several joints share, and what to do about each."""
     missed = [(scale, key) for key, (scale, white) in _misfits(fit).items() if scale > MISFIT and not white]
     if not missed:
@@ -177,8 +177,10 @@ def blamed(system: System, fit: FinalFit) -> dict[str, str]:
     scale, key = max(missed)
     joints, named = shared_by_joints(system), [(name, owner_free(name)) for name in system.space.names]
     return {
-        name: f"it is one value of {joints[own]} joints, and the model misses {key} by {scale:.1f} times its "
-        f"noise: give each joint its own"
+        name: (
+            f"it is one value of {joints[own]} joints, and the model misses {key} by {scale:.1f} times its "
+            f"noise: give each joint its own",
+        )
         for name, own in named
         if own in joints
     }

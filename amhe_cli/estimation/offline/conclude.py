@@ -101,7 +101,6 @@ def conclude(
     if finding.done and watch.allows("residuals of a mount", len(problem.clips)):
         report_mount(problem, fit)
     evidence, drawn = _evidence(problem, finding, fit, (*against, *shown), watch, sampled)
-    evidence = replace(evidence, blamed=blamed(system, fit) if finding.done else {})
     watch.report_skipped()
     watch.enter("predictions for the report")
     return Identification(
@@ -233,6 +232,7 @@ def _evidence(
         rival=rival,
         draws=draws,
         exact=exact,
+        blamed=blamed(problem.system, fit) if finding.done else {},
     )
     return evidence, beside
 

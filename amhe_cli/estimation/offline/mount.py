@@ -24,6 +24,7 @@ from amhe_cli.estimation.offline.checks import WHITE
 from amhe_cli.estimation.offline.posterior import FinalFit
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.rocking import Mode, mode_of
+from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.windows import Observed
 
 logger = logging.getLogger(__name__)
@@ -58,11 +59,11 @@ def report_mount(problem: Problem, fit: FinalFit) -> None:
 
 def rocking(problem: Problem, fit: FinalFit) -> tuple[float, str] | None:
     """Frequency of the mount [Hz] and the channels that ring; None where nothing speaks of one."""
-    cost, model = fit.slopes.cost, problem.system.model
+    cost, model, times = fit.slopes.cost, problem.system.model, fit.times
     channels = [
         k
         for k, observed in enumerate(cost.clips.observed)
-        if observed.channel.source == "qpos" and fit.times[k] >= WHITE
+        if observed.channel.source == "qpos" and times[k] >= WHITE
     ]
     clips = np.flatnonzero((fit.weight > 0.0) & fit.slopes.completed)
     clips = clips[np.linspace(0, len(clips) - 1, min(MOST, len(clips))).round().astype(np.int64)]
@@ -72,11 +73,9 @@ def rocking(problem: Problem, fit: FinalFit) -> tuple[float, str] | None:
     parts = list(cost.rolled_out(fit.z, first if first.shape[1] else None))
     if len(parts) != 1 or not parts[0].rollouts.completed.all():  # logs with values of their own
         return None
-    mode = mode_of(problem, cost.clips.windows, parts[0])
-    measured = _measured(fit, clips, channels)
     apart = [
         np.concatenate([np.diff(rows[mask]) for rows, mask in zip(one.rows, one.mask, strict=True)])
-        for one in measured.observed
+        for one in (cost.clips.observed[k] for k in channels)
     ]
     if not all(gaps.size for gaps in apart):
         return None
@@ -88,7 +87,8 @@ def rocking(problem: Problem, fit: FinalFit) -> tuple[float, str] | None:
     hertz = np.asarray(
         low * RATIO ** np.arange(int(np.log(high / low) / np.log(RATIO)) + 1), dtype=np.float64
     )
-    frequency = _named(mode, measured, hertz)
+    measured = _measured(fit, cost, clips, channels)
+    frequency = _named(mode_of(problem, cost.clips.windows, parts[0]), measured, hertz)
     return None if frequency is None else (frequency, ", ".join(o.channel.key for o in measured.observed))
 
 
@@ -189,9 +189,9 @@ class _Measured:
         return left.T @ left
 
 
-def _measured(fit: FinalFit, clips: IntArray, channels: list[int]) -> _Measured:
-    """Residuals of some channels on some clips."""
-    d, cost = len(fit.z), fit.slopes.cost.of(clips)
+def _measured(fit: FinalFit, cost: MatchingCost, clips: IntArray, channels: list[int]) -> _Measured:
+    """Residuals of some channels on some clips, with the cost on these clips."""
+    d = len(fit.z)
     observed = [cost.clips.observed[k] for k in channels]
     rows = [fit.found.residual[clips], *fit.slopes.gain[clips].swapaxes(0, 1)]
     parts = [split(cost, np.asarray(row, dtype=np.float64)) for row in rows]

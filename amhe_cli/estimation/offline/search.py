@@ -220,9 +220,9 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
     declared = [state.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
     moved = one.z[best] - state.z if problem.touches else step
     length = float(np.sqrt(moved @ hessian @ moved))
-    scale = fitted_noise_scale(slopes, found, state.scale)
-    if not problem.touches and np.isfinite(one.values[best]):
-        # nothing jitters, so that one rollout shows the misfit that is left after the step
+    if problem.touches or not np.isfinite(one.values[best]):
+        scale = fitted_noise_scale(slopes, found, state.scale)
+    else:  # nothing jitters, so that one rollout shows the misfit that is left after the step
         left = to_host(one.residuals.stacked[best])
         scale = remaining_noise_scale(cost, left, one.first[best], weight > 0.0, state.scale)
     return LineStep(

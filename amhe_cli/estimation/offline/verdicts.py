@@ -113,7 +113,7 @@ class Evidence:
     rival: Rival | None = None
     draws: FloatArray | None = None
     exact: tuple[str, ...] = ()
-    blamed: Mapping[str, str] = field(default_factory=dict)
+    blamed: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def shrinkage(self) -> FloatArray:
@@ -205,7 +205,7 @@ def _open(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
 
 
 def _unexplained(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:
-    return (*evidence.unexplained, *filter(None, [evidence.blamed.get(space.names[i])]))
+    return (*evidence.unexplained, *evidence.blamed.get(space.names[i], ()))
 
 
 def _jagged(space: ParameterSpace, evidence: Evidence, i: int) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""A robot on a mount that rocks is told so, at the mount's frequency; one on a rigid base is not."""
+"""A robot on a mount that rocks is reported, at the mount's frequency; one on a rigid base is not."""
 
 from __future__ import annotations
 
@@ -101,7 +101,7 @@ def identified(xml: str, seconds: float = 15.0) -> amhe.Result:
     return amhe.identify(system, [log], seed=1, threads=1)
 
 
-def told(result: amhe.Result) -> list[float]:
+def reported(result: amhe.Result) -> list[float]:
     """Frequencies of mounts in the warnings."""
     found = (re.search(r"a mount that rocks at about ([\d.]+) Hz", text) for text in result.warnings)
     return [float(one[1]) for one in found if one]
@@ -110,15 +110,15 @@ def told(result: amhe.Result) -> list[float]:
 @pytest.mark.parametrize("stiffness", [2500.0, 5500.0])
 def test_a_mount_that_rocks_is_told_at_its_frequency(stiffness: float) -> None:
     xml = arm(0.8, stiffness)
-    (found,) = told(identified(xml))
+    (found,) = reported(identified(xml))
     assert found == pytest.approx(frequency(xml), rel=0.1)
 
 
 def test_a_rigid_base_is_no_mount(caplog) -> None:
     with caplog.at_level(logging.WARNING):
-        assert not told(identified(arm(0.8)))
+        assert not reported(identified(arm(0.8)))
 
 
 def test_another_lack_of_the_model_is_no_mount() -> None:
     """Servos that are a third weaker than modelled leave residuals that repeat, and do not ring."""
-    assert not told(identified(arm(0.8).replace('kp="120"', 'kp="80"')))
+    assert not reported(identified(arm(0.8).replace('kp="120"', 'kp="80"')))

@@ -117,7 +117,7 @@ def test_what_speaks_against_the_model_makes_every_number_model_sensitive() -> N
 
 
 def test_what_speaks_against_some_values_leaves_the_others() -> None:
-    found = verdicts(SPACE, evidence(blamed={SPACE.names[0]: "it is one value of 4 joints"}))
+    found = verdicts(SPACE, evidence(blamed={SPACE.names[0]: ("it is one value of 4 joints",)}))
     assert (found[0].verdict, found[0].reasons[0]) == ("model-sensitive", "it is one value of 4 joints")
     assert [one.verdict for one in found[1:]] == [one.verdict for one in verdicts(SPACE, evidence())[1:]]
 
