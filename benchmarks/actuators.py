@@ -1,6 +1,7 @@
 """Every drive of a whole robot from one excitation: error, coverage and time, `mujoco.sysid` beside it.
 
     python benchmarks/actuators.py [--seeds 20] [--seconds 20] [--noise-free] [--sysid] [--jobs 2] [--quick]
+    python benchmarks/actuators.py --seeds 50 --any-step   # as if the plant's time step were not known
     python benchmarks/actuators.py --quick --minutes 30    # of a long log: time, memory, and what was fitted
 
 Results are kept on disk, those of the two searches apart: a run that was cut short goes on where it was, and
@@ -58,8 +59,12 @@ MEMORY = 2.0
 # -- the problem -------------------------------------------------------------------------------------------
 
 
-def system_of(settings: dict[str, Any] | None = None) -> amhe.System:
-    """The Go1 whose trunk is fixed to the world, with 4 n + 1 unknowns."""
+def system_of(settings: dict[str, Any] | None = None, step: float = 0.0) -> amhe.System:
+    """The Go1 whose trunk is fixed to the world, with 4 n + 1 unknowns.
+
+    The plant is this model, so that its rulers are exact. Of a plant whose time step is not known to be the
+    model's, `step` is 1, the default of `identify.rulers.time_step`.
+    """
     spec = mujoco.MjSpec.from_file(str(PROJECT / "models" / "go1_push" / "go1.xml"))
     spec.delete(spec.joint("trunk"))
     spec.option.timestep, spec.option.integrator = STEP, mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -86,8 +91,8 @@ def system_of(settings: dict[str, Any] | None = None) -> amhe.System:
             "quantity": "position",
         },
     }
-    exact = dict.fromkeys(("gain", "force_limit", "ctrl_limit", "joint_limit", "mass"), 0)
-    given = {"identify": {"rulers": exact}}
+    exact = dict.fromkeys(("gain", "force_limit", "ctrl_limit", "joint_limit", "mass"), 0.0)
+    given = {"identify": {"rulers": exact | {"time_step": step}}}
     return amhe.System.from_model(
         spec, parameters=parameters, signals=signals, settings=given | (settings or {}), keyframe="home",
         name="go1_in_the_air", warn=False,
@@ -152,10 +157,10 @@ class Case:
     held_out: amhe.Log
 
 
-def case_of(seed: int, seconds: float, noise: float) -> Case:
+def case_of(seed: int, seconds: float, noise: float, step: float = 0.0) -> Case:
     """The problem of one seed."""
     rng = np.random.default_rng([seed, 19])
-    system = system_of()
+    system = system_of(step=step)
     theta = truth_of(system, rng)
     fitted, held_out = (log_of(system, theta, s, rng, noise) for s in (seconds, 0.25 * seconds))
     return Case(system, theta, fitted, held_out)
@@ -233,9 +238,9 @@ def on_held_out(case: Case, path: Path) -> list[float]:
     return [float(cost) for cost in open_loop(case.system, case.held_out).costs(np.stack(path.z))]
 
 
-def trial(seconds: float, noise: float, seed: int) -> dict[str, Any]:
+def trial(seconds: float, noise: float, step: float, seed: int) -> dict[str, Any]:
     """Our search on the log of one seed; errors in z."""
-    case = case_of(seed, seconds, noise)
+    case = case_of(seed, seconds, noise, step)
     space, truth = case.system.space, case.system.space.z_of(case.theta)
     found, path, warnings = with_amhe(case, seed)
     return {
@@ -358,6 +363,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--minutes", type=float, help="of a long log instead: time and memory")
     parser.add_argument("--noise-free", action="store_true")
+    parser.add_argument("--any-step", action="store_true", help="the plant's time step is not known")
     parser.add_argument("--sysid", action="store_true", help="mujoco.sysid on the same logs")
     parser.add_argument("--budget", type=float, default=600.0, help="CPU seconds of each search of sysid")
     parser.add_argument("--jobs", type=int, default=1, help="processes")
@@ -369,7 +375,9 @@ def main() -> None:
         name = f"actuators-{given.minutes:g}min"
         return show_long(given.minutes, over_seeds(name, one, seeds, given.jobs))
     name = f"actuators-{given.seconds:g}s-{'exact' if given.noise_free else 'noisy'}"
-    results = over_seeds(name, functools.partial(trial, given.seconds, noise), seeds, given.jobs)
+    ours = f"{name}-any-step" if given.any_step else name
+    one = functools.partial(trial, given.seconds, noise, float(given.any_step))
+    results = over_seeds(ours, one, seeds, given.jobs)
     names = system_of().space.names
     low, high = COVERAGE
     show(

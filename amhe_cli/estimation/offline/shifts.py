@@ -49,7 +49,9 @@ def shifts_of(problem: Problem, fit: FinalFit) -> tuple[list[Shift], tuple[str, 
     """
     about, rulers = _Neighbourhood(fit, problem.system.space.prior_precision), _acting_rulers(problem, fit)
     open_ones = [ruler for ruler in rulers if ruler.sd > 0.0]
-    exact = (ruler.name.partition(" along ")[0] for ruler in rulers if ruler.sd == 0.0)
+    exact = [ruler.name.partition(" along ")[0] for ruler in rulers if ruler.sd == 0.0]
+    if problem.settings.identify.rulers.time_step == 0.0:
+        exact.append("the time step")
     found = [*_contacts(problem, about), *_solver(problem, about), *_rulers(problem, about, open_ones)]
     return found, tuple(dict.fromkeys(exact))
 
@@ -114,6 +116,10 @@ class _Neighbourhood:
         slope = np.where(done[:, None], there.flat[0] - here.flat[0] - along, 0.0)
         return _Move(share * z, share, (most - least) / least, slope)
 
+    def still(self) -> _Move:
+        """The move under no change."""
+        return _Move(np.zeros_like(self.fit.z), 1.0, 0.0, np.zeros_like(self.fit.slopes.residual))
+
     def beyond_sd(self, move: FloatArray) -> FloatArray:
         """The move (d,), or none where it stays within the sd of every parameter."""
         return move if (np.abs(move) > self.fit.posterior.sd).any() else np.zeros_like(move)
@@ -146,12 +152,14 @@ def _rulers(problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) ->
     As nuisances r ~ N(0, 1) beside z they have slopes, a posterior N(m, S) and a gain A: the estimate moves
     by A r. It was found at r = 0 and stays there, so that A (S + m m') A' is what they add to its covariance.
     The first of them is the way to a time step of zero: the world has no step, and a log that another program
-    simulated may have the model's. Of the others, each eigenvector of what S + m m' has besides is a shift:
+    simulated may have the model's, which the settings can say. Of the others, each eigenvector of what
+    S + m m' has besides is a shift:
     of rulers that the log knows only together, one.
     """
     half, order = finer_step(problem.engine, problem.system.unedited)
-    halved = about.moved(about.fit.slopes.cost.at_half_steps(half))
-    way = 1.0 / (1.0 - 0.5**order)  # to a step of zero: an error of order n falls to 2^-n of itself
+    # to a step of zero: an error of order n falls to 2^-n of itself
+    way = problem.settings.identify.rulers.time_step / (1.0 - 0.5**order)
+    halved = about.moved(about.fit.slopes.cost.at_half_steps(half)) if way else about.still()
     nuisances = _Nuisances(problem, about, rulers, way * halved.slope)
     found = nuisances.joint(nuisances.slopes(None))
     # samples that leave the ridge along which z follows a ruler would bend, and pass for information
@@ -161,7 +169,8 @@ def _rulers(problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) ->
     # where contacts jitter, a finer step is another draw of the jitter, of which the log says nothing
     towards = way * halved.z if problem.rough else moves @ spread[0] / np.sqrt(spread[0, 0])
     assumed = not problem.rough and abs(mean[0]) <= SURPRISE * np.sqrt(known[0, 0])
-    yield _step(problem, halved, about.beyond_sd(towards), assumed)
+    if way:
+        yield _step(problem, halved, about.beyond_sd(towards), assumed)
     surprising = np.abs(mean) > SURPRISE * np.sqrt(known.diagonal())
     wrong = [i for i in range(1, len(mean)) if surprising[i] and about.beyond_sd(mean[i] * moves[:, i]).any()]
     for text in _against(rulers, known, mean, [i - 1 for i in wrong]):

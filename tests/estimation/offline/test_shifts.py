@@ -142,6 +142,10 @@ def test_only_rulers_that_act_move_anything() -> None:
             ),
         ),
         ({"gain": 0.1, "command_delay": 0.005, "mass": 0.1}, ("the centre of mass of load",)),
+        (
+            {"gain": 0.1, "center_of_mass": 0.01, "command_delay": 0.005, "mass": 0.1, "time_step": 0.0},
+            ("the time step",),
+        ),
     ],
 )
 def test_rulers_that_are_taken_as_exact_are_listed_where_they_act(
@@ -242,6 +246,13 @@ def test_the_step_widens_nothing_where_the_log_shows_that_the_plant_has_it_too()
     )
     assert not of_model.spread.any()
     assert np.abs(of_world.spread).max() > np.abs(of_world.z).max(), "the way to a step of zero is longer"
+
+
+def test_a_step_that_is_taken_as_exact_adds_nothing() -> None:
+    assumed, exact = (pendulum(50.0, step=0.005, time_step=share) for share in (1.0, 0.0))
+    log = swing(assumed, finer)
+    assert about(shifts(assumed, log), "time step").spread.any()
+    assert not [shift for shift in shifts(exact, log) if "time step" in shift.text]
 
 
 def test_an_exact_ruler_that_is_assumed_leaves_an_estimate_identified() -> None:
