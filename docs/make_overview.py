@@ -23,7 +23,7 @@ ARRANGED = """(() => {
   const title = (one) => one.querySelector('h2')?.textContent;
   const sections = [...document.querySelectorAll('section')].filter((one) => kept.includes(title(one)));
   const push = Object.assign(new Image(), { src: 'data:image/jpeg;base64,%s' });
-  push.style.cssText = 'display: block; width: 1100px; max-width: none; height: 178px; object-fit: cover';
+  push.style.cssText = 'display: block; width: 1280px; max-width: none; height: 207px; object-fit: cover';
   const styled = (names, css) => document.querySelectorAll(names).forEach((one) => one.style.cssText = css);
   styled('section > p:not(.legend), summary', 'display: none');
   styled('details', 'border: 0; margin: 0; padding: 0');
@@ -38,7 +38,7 @@ def main() -> None:
     """Write docs/figures/overview.png."""
     path = FIGURES / "overview.png"
     with TemporaryDirectory(ignore_cleanup_errors=True) as scratch, browser(Path(scratch)) as one:
-        one.open(Path(sys.argv[1]).resolve().as_uri(), 1100, 838)
+        one.open(Path(sys.argv[1]).resolve().as_uri(), 1280, 890)
         one.run(ARRANGED % b64encode((FIGURES / "t1.jpg").read_bytes()).decode())
         picture = Image.open(one.picture(path))
     picture.convert("RGB").quantize(256).save(path, optimize=True)
