@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from amhe_cli.api.pool import pool
     from amhe_cli.api.runs import probe, run
     from amhe_cli.api.show import show
+    from amhe_cli.core.belief import Belief
     from amhe_cli.core.errors import AmheError
     from amhe_cli.core.limits import limit
     from amhe_cli.core.log import Log
-    from amhe_cli.core.parameters import Belief
     from amhe_cli.estimation.online.horizon import Estimate
     from amhe_cli.logs.convert import convert
     from amhe_cli.logs.messages.writer import LogWriter
@@ -33,7 +33,7 @@ __version__ = "0.1.0"
 #: Public name -> the module that defines it.
 _HOMES = {
     "AmheError": "amhe_cli.core.errors",
-    "Belief": "amhe_cli.core.parameters",
+    "Belief": "amhe_cli.core.belief",
     "Estimate": "amhe_cli.estimation.online.horizon",
     "Estimator": "amhe_cli.api.estimator",
     "Log": "amhe_cli.core.log",

@@ -12,10 +12,10 @@ import numpy as np
 
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import Belief, completed
 from amhe_cli.core.belief_file import read_belief
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import filling
-from amhe_cli.core.parameters import Belief, completed
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.report.folder import reserve
 from amhe_cli.system.export import identified_assets, identified_xml

@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import check_logs, fixing
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
-from amhe_cli.core.parameters import Belief
 from amhe_cli.core.shown import SavedView
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.offline import identification

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.api.export import system_of
+from amhe_cli.core.belief import Belief, belief_of
 from amhe_cli.core.belief_file import belief_for, read_belief
 from amhe_cli.core.errors import ConfigError, EstimationError
-from amhe_cli.core.parameters import Belief, belief_of
 from amhe_cli.core.pooling import Agreement, agreement, pairs, pooled
 from amhe_cli.system.provenance import now, versions
 from amhe_cli.system.system import System
@@ -68,6 +68,7 @@ def pool(
     known = [belief_for(opened, one, belief_anyway) for one in read]
     space = opened.space
     means, covariances = (np.array(each) for each in zip(*map(space.gaussian_of, known), strict=True))
+    systematic = np.array([space.systematic_of(one) for one in known])
     found = agreement(means, covariances, space.prior_precision)
     differences = tuple(pairs(names, found, space.names))
     if found.chance < CHANCE:
@@ -77,11 +78,14 @@ def pool(
             f"(chi-square of all: {found.chi_square:.3g} of {found.freedom}); identify from all logs "
             f"together, where runs that differ widen the intervals"
         )
-    z, covariance = pooled(means, covariances, np.zeros(len(space)), space.prior_precision, space.bounds)
+    z, covariance, shared = pooled(
+        means, covariances, systematic, np.zeros(len(space)), space.prior_precision, space.bounds
+    )
     origin: dict[str, object] = {"created": now(), "pooled": list(names), "versions": versions()}
     origin |= {key: read[0].provenance[key] for key in ("system_folder",) if key in read[0].provenance}
     origin["logs"] = {log: digest for one in read for log, digest in one.logs.items()}
-    return Pooled(belief_of(opened, z, covariance, origin), names, tuple(known), found, differences)
+    belief = belief_of(opened, z, covariance, origin, shared)
+    return Pooled(belief, names, tuple(known), found, differences)
 
 
 def _refuse_shared(names: Sequence[str], beliefs: Sequence[Belief]) -> None:

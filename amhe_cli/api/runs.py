@@ -9,9 +9,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from amhe_cli.api.arguments import checked
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import filling, plain
-from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.design.design import known_record, plan_record
 from amhe_cli.estimation.design.files import log_name

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from amhe_cli.api.arguments import checked
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.log import Log
-from amhe_cli.core.parameters import Belief
 from amhe_cli.core.shown import SavedView
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.system.system import System

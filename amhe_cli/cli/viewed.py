@@ -23,9 +23,9 @@ from amhe_cli.core.yaml_file import merged
 from amhe_cli.system.folders import find_system
 
 if TYPE_CHECKING:
+    from amhe_cli.core.belief import Belief
     from amhe_cli.core.curves import TimeCurve
     from amhe_cli.core.log import Log
-    from amhe_cli.core.parameters import Belief
     from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -141,7 +141,7 @@ def system_of_result(belief: Path) -> System | None:
         ConfigError: The folder's result cannot be read, or its system or settings are not where they were.
     """
     from amhe_cli.cli.identify import identify
-    from amhe_cli.core.parameters import Belief
+    from amhe_cli.core.belief import Belief
 
     if belief.name != "belief.yaml" or not belief.with_name("result.json").is_file():
         return None
@@ -170,7 +170,7 @@ def _result_in(folder: Path, instead: str) -> Iterator[dict[str, Any]]:
 def _identified(folder: Path, record: Mapping[str, Any], inputs: Inputs, overrides: Overrides) -> Viewed:
     """A result of `amhe identify`."""
     from amhe_cli.cli.identify import identify
-    from amhe_cli.core.parameters import Belief
+    from amhe_cli.core.belief import Belief
 
     belief = folder / "belief.yaml"
     given, inputs, overrides = _as_then(identify, Belief.load(belief).provenance, inputs, overrides)
@@ -242,7 +242,7 @@ def _last(system: System, curves: Sequence[TimeCurve]) -> Belief | None:
     """The belief at the end of curves; None where they lack a parameter."""
     import numpy as np
 
-    from amhe_cli.core.parameters import belief_of
+    from amhe_cli.core.belief import belief_of
     from amhe_cli.core.statistics import Z90
 
     ends = {

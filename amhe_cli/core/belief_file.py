@@ -15,9 +15,9 @@ import numpy as np
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.described import Described
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.core.parameters import Belief
 from amhe_cli.core.yaml_file import Place, YamlFile
 
 logger = logging.getLogger(__name__)
@@ -25,11 +25,14 @@ logger = logging.getLogger(__name__)
 SCHEMA_VERSION = 1
 #: An estimate may end on a bound, and rounding may leave it beyond by this share of the range.
 _ROUNDING = 1e-9
+#: Share of its variances by which rounding may leave a part of a covariance outside of it.
+_PART = 1e-6
 
 _HEADER = """\
 # What is believed of the parameters of a system: an estimate, and how sure it is.
 # `covariance` is of log(estimate) where scale is log, of the estimate where it is linear;
 # `sd`, `lower` and `upper` (90 %) follow from it and are for people: reading ignores them.
+# `systematic` is the part of it that comes from the model, which more logs do not narrow.
 # `model` has a hash of each part of the model, and `sets` says what a parameter sets in it: where they
 # differ, the belief is refused. `fixed` are parameters that were taken as known.
 """
@@ -54,6 +57,7 @@ class _File(BaseModel):
     model: dict[str, str] = {}
     parameters: Annotated[list[_Entry], Field(min_length=1)]
     covariance: list[list[FiniteFloat]]
+    systematic: list[list[FiniteFloat]] | None = None
     fixed: dict[str, FiniteFloat] = {}
     provenance: dict[str, Any] = {}
 
@@ -66,6 +70,7 @@ def belief_text(belief: Belief) -> str:
         "model": dict(belief.model),
         "parameters": [_entry(belief, i) for i in range(len(belief.names))],
         "covariance": belief.covariance.tolist(),
+        **({} if belief.systematic is None else {"systematic": belief.systematic.tolist()}),
         "fixed": dict(belief.fixed),
         "provenance": belief.provenance,
     }
@@ -113,6 +118,8 @@ def read_belief(path: Path, system: Described | None = None, belief_anyway: bool
     mistake = _covariance_mistake(content.covariance, len(names))
     if mistake:
         file.problem(("covariance",), mistake)
+    elif content.systematic is not None and not _is_part(content.systematic, content.covariance):
+        file.problem(("systematic",), "systematic must be symmetric, positive and no more than covariance")
     for i, entry in enumerate(content.parameters if not mistake else ()):
         sd, most = content.covariance[i][i] ** 0.5, _widest(entry)
         if sd > most:
@@ -131,6 +138,7 @@ def read_belief(path: Path, system: Described | None = None, belief_anyway: bool
         model=content.model,
         sets={entry.name: entry.sets for entry in content.parameters if entry.sets},
         fixed=content.fixed,
+        systematic=None if content.systematic is None else np.array(content.systematic),
     )
     if system is None:
         return belief
@@ -217,6 +225,17 @@ def _covariance_mistake(rows: list[list[float]], size: int) -> str | None:
     if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance).min() <= 0.0:
         return "covariance must be symmetric and positive definite"
     return None
+
+
+def _is_part(rows: list[list[float]], covariance: list[list[float]]) -> bool:
+    """Whether the first is a part of the second, a covariance."""
+    if len(rows) != len(covariance) or any(len(row) != len(rows) for row in rows):
+        return False
+    part, whole = np.array(rows), np.array(covariance)
+    scale = np.sqrt(np.outer(whole.diagonal(), whole.diagonal()))
+    if not np.allclose(part, part.T) or (np.abs(part) > (1.0 + _PART) * scale).any():
+        return False
+    return min(np.linalg.eigvalsh(matrix / scale).min() for matrix in (part, whole - part)) > -_PART
 
 
 def _label(place: Place) -> str:

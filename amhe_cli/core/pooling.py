@@ -1,9 +1,10 @@
 """Beliefs of several runs as one: do they agree, and what do they say together?
 
-Each belief is N(m_i, C_i) in z and holds the same prior N(m_0, P^-1) and data of its own. With independent
-data the pooled precision is sum_i C_i^-1 - (k - 1) P: the prior counts once. Two of them differ by what
-their data's noise makes of them, with covariance C_i + C_j - C_i P C_j - C_j P C_i: what both took from the
-prior does not differ.
+Each belief is N(m_i, C_i) in z and holds the same prior N(m_0, P^-1) and data of its own. A part S_i of C_i
+is systematic: it comes from the model, and all beliefs err alike by it. The rest, N_i, is independent, and
+its pooled precision is sum_i N_i^-1 - (k - 1) P: the prior counts once. Two beliefs differ by what noise
+makes of them, with covariance C_i + C_j - C_i P C_j - C_j P C_i: what both took from the prior does not
+differ. S_i is taken as independent there, since the model errs otherwise in other motions.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.statistics import part_of, root
 
 #: Share of a direction's variance below which it is rounding: both beliefs have it from the prior.
 _ROUNDING = 1e-6
@@ -82,24 +84,30 @@ def agreement(means: FloatArray, covariances: FloatArray, prior: FloatArray) -> 
 def pooled(
     means: FloatArray,
     covariances: FloatArray,
+    systematic: FloatArray,
     prior_mean: FloatArray,
     prior: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
-) -> tuple[FloatArray, FloatArray]:
-    """Most probable z within the bounds (d,), and covariance (d, d), of independent beliefs together.
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Most probable z within the bounds (d,), covariance (d, d) and its systematic part, of beliefs together.
 
     Args:
         means, covariances, prior: As in `agreement`.
+        systematic: Systematic part of each covariance, shape (k, d, d).
         prior_mean: Mean of the prior, shape (d,).
         bounds: Lower and upper bounds of z, shape (d,) each.
     """
-    precisions = np.linalg.inv(covariances)
+    parts = [part_of(c, s, 1.0 - _ROUNDING) for c, s in zip(covariances, systematic, strict=True)]
+    precisions = np.linalg.inv(covariances - np.array(parts))
     again = (len(means) - 1) * prior
     values, vectors = np.linalg.eigh(precisions.sum(axis=0) - again)
     # a belief may be wider than its prior, where its run was not explained: then the prior is what remains
     covariance = (vectors / np.maximum(values, np.linalg.eigvalsh(prior).min())) @ vectors.T
     score = np.einsum("kij,kj->i", precisions, means) - again @ prior_mean
-    return within(covariance @ score, covariance, bounds), covariance
+    # one error e ~ N(0, I) of the model moves each belief by the root of its part
+    moved = covariance @ np.einsum("kij,kjl->il", precisions, np.array([root(part) for part in parts]))
+    whole = covariance + moved @ moved.T
+    return within(covariance @ score, whole, bounds), whole, moved @ moved.T
 
 
 def within(mean: FloatArray, covariance: FloatArray, bounds: tuple[FloatArray, FloatArray]) -> FloatArray:

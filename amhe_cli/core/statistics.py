@@ -51,6 +51,20 @@ def log_rank_weights(rank: FloatArray, count: FloatArray) -> FloatArray:
     return np.where(rank <= count, np.log(count + 0.5) - np.log(np.maximum(rank, 1.0)), 0.0)
 
 
+def root(covariance: FloatArray) -> FloatArray:
+    """The symmetric root of a covariance (d, d)."""
+    values, vectors = np.linalg.eigh(covariance)
+    return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
+
+
+def part_of(whole: FloatArray, part: FloatArray, most: float = 1.0) -> FloatArray:
+    """A part of a covariance (d, d), cut where it exceeds a share of the whole in any direction."""
+    lower = np.linalg.cholesky(whole)
+    values, vectors = np.linalg.eigh(np.linalg.solve(lower, np.linalg.solve(lower, part).T))
+    along = lower @ vectors
+    return (along * np.clip(values, 0.0, most)) @ along.T
+
+
 def white_noise_sd(values: FloatArray) -> float:
     """Noise sd of a smooth signal sampled in rows (n, k), from its third differences.
 

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.files import plain
-from amhe_cli.core.parameters import Belief
 from amhe_cli.core.pooling import Agreement
 from amhe_cli.report import numbers
 from amhe_cli.report.tables import NUMBER, STRONG, Table

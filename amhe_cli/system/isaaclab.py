@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from amhe_cli.core.parameters import Belief
+from amhe_cli.core.belief import Belief
 from amhe_cli.system.randomisation import (
     Drawn,
     Term,

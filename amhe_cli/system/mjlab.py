@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.parameters import Belief
+from amhe_cli.core.belief import Belief
 from amhe_cli.system.inertia import PSEUDO_NAMES, log_cholesky_of, pseudo_inertia, upper_factor
 from amhe_cli.system.randomisation import (
     Drawn,

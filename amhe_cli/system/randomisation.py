@@ -15,7 +15,7 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.parameters import Belief
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.statistics import correlation
 from amhe_cli.system.system import System
 

@@ -11,10 +11,11 @@ from typing import Any, Literal
 
 import mujoco
 
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.belief_file import belief_for
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.log import Log
-from amhe_cli.core.parameters import Belief, ParameterSpace
+from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.shown import Displayed
 from amhe_cli.core.signals import Signal, remapped

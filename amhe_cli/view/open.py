@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import Belief, completed
 from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.parameters import Belief, completed
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import split_held_out, whole
 from amhe_cli.system.system import System

@@ -17,9 +17,10 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.files import plain
-from amhe_cli.core.parameters import Belief, ParameterSpace
+from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.text import printable
 from amhe_cli.view.ghosts import Plotted, Recording, Take, Track, Viewing
 from amhe_cli.view.scene import Scene

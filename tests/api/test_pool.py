@@ -8,7 +8,8 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
-from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.belief import belief_of
+from tests.estimation.offline.test_shifts import pendulum, swing, unchanged
 
 NAMES = ("load_mass", "damping", "friction_loss", "armature")
 
@@ -34,6 +35,19 @@ def test_beliefs_that_agree_become_one(tmp_path: Path, capsys: pytest.CaptureFix
     sd = np.sqrt(np.diag(belief.covariance)) / system.space.prior_sd
     np.testing.assert_allclose(sd, (3 * 100.0 - 2.0) ** -0.5, rtol=1e-6)
     assert set(belief.provenance["logs"]) == {"mon.mcap", "tue.mcap", "wed.mcap"}  # type: ignore[arg-type]
+
+
+def test_what_rests_on_a_gain_is_known_no_better_from_two_runs() -> None:
+    system = pendulum(50.0, gain=0.1, time_step=0.0)
+    runs = [
+        amhe.identify(system, [swing(system, unchanged, seconds)], seed=seed)
+        for seed, seconds in ((0, 4.0), (1, 3.0))
+    ]
+    pooled = amhe.pool([run.belief for run in runs], system=system).belief
+    for belief in (runs[0].belief, runs[1].belief, pooled):
+        assert belief.sd[0] / belief.estimate[0] == pytest.approx(0.1, abs=0.03)
+        share = belief.systematic[0, 0] / belief.covariance[0, 0]
+        assert 0.9 < share <= 1.0
 
 
 def test_a_contradiction_names_parameter_and_pair(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

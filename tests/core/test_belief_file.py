@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -6,9 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.belief_file import belief_for, belief_text, read_belief
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.core.parameters import Belief, Parameter, ParameterSpace
+from amhe_cli.core.parameters import Parameter, ParameterSpace
 from tests.report.synthetic import NAMES, identification
 
 SYSTEM: Any = SimpleNamespace(
@@ -37,6 +39,9 @@ def test_a_belief_survives_its_file(file: Path) -> None:
     )
     np.testing.assert_array_equal(read.estimate, belief.estimate)
     np.testing.assert_array_equal(read.covariance, belief.covariance)
+    assert read.systematic is None
+    replace(belief, systematic=0.3 * belief.covariance).save(file)
+    np.testing.assert_array_equal(read_belief(file, SYSTEM).systematic, 0.3 * belief.covariance)
 
 
 def test_the_numbers_for_people_are_in_the_parameters_own_unit(file: Path) -> None:
@@ -70,6 +75,9 @@ def changed(file: Path, **changes: object) -> Path:
         ({"covariance": np.diag([1.0, 1.0, 1.0, -1.0]).tolist()}, "positive definite"),
         ({"covariance": (1e308 * np.eye(4)).tolist()}, "an sd of 1e+154; at most 50 would be valid"),
         ({"covariance__0": [1.0, float("nan"), 0.0, 0.0]}, "finite"),
+        ({"systematic": [[0.0]]}, "systematic must be symmetric"),
+        ({"systematic": np.diag([0.0, 0.0, 0.0, -1.0]).tolist()}, "systematic must be symmetric, positive"),
+        ({"systematic": (1e308 * np.eye(4)).tolist()}, "no more than covariance"),
         ({"colour": "blue"}, "colour"),
         ({"schema_version": 2}, "schema_version"),
     ],
@@ -171,6 +179,10 @@ def test_a_fixed_parameter_conditions_the_others(caplog: pytest.LogCaptureFixtur
         np.array([[0.04, 0.03], [0.03, 0.09]]),
     )
     known = belief.given({"x": -0.4, "y": 1.0})
+    assert known.systematic is None
+    # an error b of the model moves m by 0.1 b and x by 0.2 b, of which x, once known, tells m 0.03 / 0.09
+    moved = replace(belief, systematic=np.outer([0.1, 0.2], [0.1, 0.2])).given({"x": -0.4})
+    np.testing.assert_allclose(moved.systematic, [[(0.1 - 0.2 * 0.03 / 0.09) ** 2]])
     assert known.names == ("m",) and known.fixed == {"x": -0.4}
     np.testing.assert_allclose(known.estimate, [2.0 * np.exp(0.03 / 0.09 * 0.6)])
     np.testing.assert_allclose(known.covariance, [[0.04 - 0.03**2 / 0.09]])

@@ -8,7 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amhe_cli.core.parameters import Parameter, ParameterSpace, belief_of
+from amhe_cli.core.belief import belief_of
+from amhe_cli.core.parameters import Parameter, ParameterSpace
 
 SPACE = ParameterSpace(
     (Parameter("mass", "kg", 4.0, 0.5, 20.0, True, 0.5), Parameter("offset", "m", 0.1, -1.0, 1.0, False, 0.2))

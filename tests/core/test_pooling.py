@@ -5,6 +5,8 @@ import pytest
 
 from amhe_cli.core.pooling import agreement, exceeded, pooled, within
 
+UNBOUNDED = np.full(3, -np.inf), np.full(3, np.inf)
+
 
 def beliefs(seed: int, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
     """Posteriors of linear data of each run about the same three unknowns; the third is not in the data.
@@ -33,11 +35,41 @@ def beliefs(seed: int, shifts: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def test_pooling_is_the_fit_to_all_data() -> None:
     means, covariances, prior, information, score = beliefs(0, np.zeros((4, 3)))
-    mean, covariance = pooled(
-        means, covariances, np.zeros(3), prior, (np.full(3, -np.inf), np.full(3, np.inf))
-    )
+    mean, covariance, shared = pooled(means, covariances, np.zeros((4, 3, 3)), np.zeros(3), prior, UNBOUNDED)
     np.testing.assert_allclose(covariance, np.linalg.inv(information + prior), atol=1e-9)
     np.testing.assert_allclose(mean, covariance @ score, atol=1e-9)
+    np.testing.assert_array_equal(shared, 0.0)
+
+
+def test_what_comes_from_the_model_is_not_narrowed_by_more_runs() -> None:
+    """All runs measure x + b with a common b ~ N(0, 0.1^2), and a weak prior."""
+    rng, noise, runs = np.random.default_rng(1), 0.02, 9
+    bounds = np.full(1, -np.inf), np.full(1, np.inf)
+    prior, systematic = np.array([[0.01]]), np.full((runs, 1, 1), 0.01)
+    covariances = np.full((runs, 1, 1), 1.0 / (noise**-2 + 0.01)) + systematic
+    errors = []
+    for _ in range(400):
+        means = rng.normal(0.0, 0.1) + noise * rng.standard_normal((runs, 1))
+        mean, covariance, shared = pooled(means, covariances, systematic, np.zeros(1), prior, bounds)
+        errors.append(mean[0] / np.sqrt(covariance[0, 0]))
+    assert np.std(errors) == pytest.approx(1.0, abs=0.1)
+    assert covariance[0, 0] == pytest.approx(0.01 + noise**2 / runs, rel=1e-3)
+    assert shared[0, 0] == pytest.approx(0.01, rel=1e-3)
+
+
+def test_a_pooled_belief_can_be_pooled_again() -> None:
+    """Two and two runs are as good as four at once."""
+    means, covariances, prior, *_ = beliefs(3, np.zeros((4, 3)))
+    systematic = np.tile(0.05 * np.diag([1.0, 2.0, 0.0]), (4, 1, 1))
+    runs = (means, covariances + systematic, systematic)
+
+    def of(one: np.ndarray, other: np.ndarray, third: np.ndarray) -> tuple[np.ndarray, ...]:
+        return pooled(one, other, third, np.zeros(3), prior, UNBOUNDED)
+
+    halves = [of(*(each[rows] for each in runs)) for rows in (slice(0, 2), slice(2, 4))]
+    both = of(*(np.array(each) for each in zip(*halves, strict=True)))
+    for twice, once in zip(both, of(*runs), strict=True):
+        np.testing.assert_allclose(twice, once, rtol=0.02, atol=1e-3)
 
 
 def test_chi_square_is_that_of_noise() -> None:

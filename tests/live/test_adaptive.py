@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.control.controller import Plan
+from amhe_cli.core.belief import belief_of
 from amhe_cli.core.log import Window
-from amhe_cli.core.parameters import belief_of
 from amhe_cli.estimation.online.buffer import Buffer
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.workers import InProcess

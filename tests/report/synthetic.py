@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from amhe_cli.core.parameters import Belief
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.statistics import Z90
 from amhe_cli.estimation.offline.result import (
     ClipCount,

@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amhe_cli.core.parameters import Parameter, ParameterSpace, belief_of
+from amhe_cli.core.belief import belief_of
+from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.report.replay import windows_line
 from amhe_cli.report.replay_files import _together
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
-from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.belief import belief_of
 
 LOG = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.belief import belief_of
 from amhe_cli.core.statistics import Z90
 from amhe_cli.system.inertia import body_numbers, log_cholesky, log_cholesky_of, pseudo_inertia, upper_factor
 from amhe_cli.system.isaaclab import isaaclab_text

@@ -11,7 +11,7 @@ import pytest
 from markupsafe import Markup
 
 import amhe_cli as amhe
-from amhe_cli.core.parameters import belief_of
+from amhe_cli.core.belief import belief_of
 from amhe_cli.report.figures import Grid, correlation_figure, styled, svg, thinned
 from amhe_cli.report.page import Origin, Page, Section
 from amhe_cli.view.open import strips

@@ -18,9 +18,9 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, EstimationError, SimulationError
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.parameters import Belief
 from amhe_cli.core.samples import sampled
 from amhe_cli.core.settings import Settings
 from amhe_cli.engine.bounds import Bounds, Broken, home_within

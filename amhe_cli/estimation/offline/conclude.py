@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Window
-from amhe_cli.core.parameters import belief_of
-from amhe_cli.core.statistics import correlation
+from amhe_cli.core.statistics import correlation, part_of
 from amhe_cli.estimation.offline.bodies import body_numbers
 from amhe_cli.estimation.offline.checks import (
     REFITS,
@@ -100,14 +100,14 @@ def conclude(
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
     if finding.done and watch.allows("residuals of a mount", len(problem.clips)):
         report_mount(problem, fit)
-    evidence, drawn = _evidence(problem, finding, fit, (*against, *shown), watch, sampled)
+    evidence, systematic, drawn = _evidence(problem, finding, fit, (*against, *shown), watch, sampled)
     watch.report_skipped()
     watch.enter("predictions for the report")
     return Identification(
         system=system.name,
         method="cmaes" if isinstance(finding, CmaState) else "linearised",
         parameters=verdicts(system.space, evidence),
-        belief=belief_of(system, finding.z, evidence.covariance),
+        belief=belief_of(system, finding.z, evidence.covariance, systematic=systematic),
         correlations=correlation(evidence.covariance),
         combinations=combinations(system.space, evidence.covariance, problem.active),
         held_out=held_out,
@@ -179,8 +179,11 @@ def _evidence(
     against: Sequence[str],
     watch: Watch,
     sampled: bool,
-) -> tuple[Evidence, Sampled | None]:
-    """All that is known about how accurate the estimate is, and draws of the posterior if there are any."""
+) -> tuple[Evidence, FloatArray, Sampled | None]:
+    """All that is known about how accurate the estimate is, and draws of the posterior if there are any.
+
+    Between the two is the part of the covariance that comes from the model, shape (d, d).
+    """
     space, setting, once = problem.system.space, problem.settings.identify, problem.linearisation
     own = fit.posterior.covariance
     doubled = own
@@ -200,7 +203,9 @@ def _evidence(
     again = repeated(fit)
     prior, resamples = space.prior_precision, setting.bootstrap
     resampled = bootstrap(finding.z, fit.found, fit.weight, prior, resamples, problem.rng(4))
-    widening, causes = _systematic(problem, fit, compared, between, shifts, doubled, resampled, again)
+    widening, systematic, causes = _widened(
+        problem, fit, compared, between, shifts, doubled, resampled, again
+    )
     covariance, rival = own + widening, None
     searched = SHARE * sum(entry.rollouts for entry in finding.record)
     if drawn is None and watch.allows("search for a second minimum", searched):  # draws find it
@@ -234,7 +239,7 @@ def _evidence(
         exact=exact,
         blamed=blamed(problem.system, fit) if finding.done else {},
     )
-    return evidence, beside
+    return evidence, part_of(covariance, systematic), beside
 
 
 def _spread(
@@ -264,7 +269,7 @@ def _profiles(
     )
 
 
-def _systematic(
+def _widened(
     problem: Problem,
     fit: FinalFit,
     compared: Mapping[str, Disagreement],
@@ -273,8 +278,10 @@ def _systematic(
     doubled: FloatArray,
     resampled: FloatArray,
     again: FloatArray,
-) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Covariance of z beyond what noise explains (d, d), and its causes: in words -> their variances (d,).
+) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
+    """Covariance of z beyond what noise explains (d, d), what of it comes from the model, and its causes.
+
+    The causes are in words, with their variances (d,). What comes from the model is the same in other logs.
 
     Args:
         problem: The problem that was searched.
@@ -308,7 +315,7 @@ def _systematic(
         "the search was still moving": fit.posterior.step**2,
     }
     total = in_directions(found, wanted, again) + along_vectors(own, [*spreads, fit.posterior.step])
-    return total, causes
+    return total, in_directions(found, known, again) + along_vectors(own, spreads), causes
 
 
 def _of_all(sizes: FloatArray, active: BoolArray) -> FloatArray:

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
 
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import ConfigError, EstimationError, one_of
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.parameters import Belief
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.parameters import Belief
+from amhe_cli.core.belief import Belief
 
 #: Verdicts, best first, and what each means to the user.
 VERDICTS: Mapping[str, str] = {

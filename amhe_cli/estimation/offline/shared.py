@@ -15,7 +15,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.core.statistics import Z90, correlation
+from amhe_cli.core.statistics import Z90, correlation, part_of
 from amhe_cli.estimation.offline.result import Identification, Iteration, OwnSpread, ParameterResult
 from amhe_cli.estimation.offline.verdicts import DETERMINED, NOTHING
 
@@ -118,13 +118,19 @@ def _with_mean(
     z, covariance = group.mean[order], group.covariance[np.ix_(order, order)]
     lines = [parameter if i == len(space) else space.parameters[i] for i in order]
     wider = ParameterSpace(tuple(lines))
+    average = np.zeros((1, len(space)))
+    average[0, members] = 1.0 / len(members)  # the mean errs by the mean of what its values err by
+    rows = np.concatenate((np.eye(len(space)), average))[order]
+    systematic = part_of(covariance, rows @ space.systematic_of(found.belief) @ rows.T)
+    scale = np.outer(wider.prior_sd, wider.prior_sd)
     belief = replace(
         found.belief,
         names=wider.names,
         units=tuple(p.unit for p in lines),
         log=tuple(p.log for p in lines),
         estimate=wider.theta_of(z),
-        covariance=covariance * np.outer(wider.prior_sd, wider.prior_sd),
+        covariance=covariance * scale,
+        systematic=systematic * scale,
     )
     results = [
         _mean_line(parameter, found.parameters, members) if i == len(space) else found.parameters[i]

@@ -9,9 +9,9 @@ from typing import Literal
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import Belief, belief_of
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.log import Window
-from amhe_cli.core.parameters import Belief, belief_of
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.core.statistics import Z90
 from amhe_cli.engine.rollout import Engine

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.parameters import Belief, ParameterSpace
+from amhe_cli.core.belief import Belief
+from amhe_cli.core.parameters import ParameterSpace
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,9 @@ from functools import cached_property
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import EstimationError
 from amhe_cli.core.log import Log, Window
-from amhe_cli.core.parameters import Belief
 from amhe_cli.core.settings import MheSettings
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Protocol, TypeAlias
 
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.log import Window
-from amhe_cli.core.parameters import Belief
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 
 #: Makes the estimator, from a belief to go on from or (None) from that of the run's start; it can be pickled,

@@ -9,7 +9,7 @@ import time
 import numpy as np
 import pytest
 
-from amhe_cli.core.parameters import Belief, belief_of
+from amhe_cli.core.belief import Belief, belief_of
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.workers import InProcess, InStep, Trouble
 from amhe_cli.system.folders import find_system
