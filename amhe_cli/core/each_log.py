@@ -15,7 +15,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.log import Log
-from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.parameters import ParameterSpace, Rows, rows_of
 
 
 def owned(name: str, owner: str) -> str:
@@ -54,7 +54,7 @@ def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
     Returns:
         The parameters that some log does not know, in place of those that logs have as their own one unknown
         for each owner, with the parameter's prior. A prior correlation between two parameters holds for the
-        former.
+        former, and so does what the prior owes to the model.
     """
     columns, parameters = [], []
     for column, parameter in enumerate(space.parameters):
@@ -65,14 +65,17 @@ def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
         parameters += [parameter] * bool(unknown and not owners)
     if tuple(parameters) == space.parameters:
         return space
-    if space.prior_correlation is None:
-        return ParameterSpace(tuple(parameters))
-    correlation = np.eye(len(columns))
     kept = [i for i, column in enumerate(columns) if column >= 0]
-    correlation[np.ix_(kept, kept)] = np.array(space.prior_correlation)[
-        np.ix_([columns[i] for i in kept], [columns[i] for i in kept])
-    ]
-    return ParameterSpace(tuple(parameters), tuple(tuple(map(float, row)) for row in correlation))
+    those = [columns[i] for i in kept]
+    rows: list[Rows | None] = []
+    for given, matrix in (
+        (space.prior_correlation, np.eye(len(columns))),
+        (space.prior_systematic, np.zeros((len(columns), len(columns)))),
+    ):
+        if given is not None:
+            matrix[np.ix_(kept, kept)] = np.array(given)[np.ix_(those, those)]
+        rows.append(None if given is None else rows_of(matrix))
+    return ParameterSpace(tuple(parameters), *rows)
 
 
 def values_on(log: Log, model: ParameterSpace, space: ParameterSpace, theta: FloatArray) -> FloatArray:

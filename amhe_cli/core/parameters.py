@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from amhe_cli.core.belief import Belief
 
 
+Rows = tuple[tuple[float, ...], ...]
+#: Factor on the variance that a prior owes to the model, where it must not count: ten times the sd.
+LOOSE = 100.0
+
+
 @dataclass(frozen=True, slots=True)
 class Parameter:
     """One unknown number.
@@ -57,6 +62,11 @@ def theta_of(log: ArrayLike, phi: FloatArray) -> FloatArray:
     return np.where(log, np.exp(np.where(log, phi, 0.0)), phi)
 
 
+def rows_of(matrix: FloatArray) -> Rows:
+    """A matrix as rows, which can be compared and hashed."""
+    return tuple(tuple(map(float, row)) for row in matrix)
+
+
 @dataclass(frozen=True)
 class ParameterSpace:
     """An ordered set of parameters; arrays of theta and z have shape (..., d).
@@ -64,10 +74,13 @@ class ParameterSpace:
     Args:
         parameters: The parameters in column order.
         prior_correlation: Prior correlation of z, as rows; None: independent.
+        prior_systematic: Part of the prior covariance of z that comes from the model, as that of a belief
+            does, as rows; None: none is known.
     """
 
     parameters: tuple[Parameter, ...]
-    prior_correlation: tuple[tuple[float, ...], ...] | None = None
+    prior_correlation: Rows | None = None
+    prior_systematic: Rows | None = None
 
     def __len__(self) -> int:
         return len(self.parameters)
@@ -108,6 +121,16 @@ class ParameterSpace:
         return sealed(np.linalg.inv(self.prior_covariance))
 
     @cached_property
+    def loose_precision(self) -> FloatArray:
+        """The prior's information on z without what it owes to the model, shape (d, d).
+
+        What a belief says of a mass that rests on a gain, it does not say of the gain.
+        """
+        if self.prior_systematic is None:
+            return self.prior_precision
+        return sealed(np.linalg.inv(self.prior_covariance + LOOSE * np.array(self.prior_systematic)))
+
+    @cached_property
     def bounds(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper bounds in z, each (d,)."""
         lower = self.z_of(np.array([p.lower for p in self.parameters]))
@@ -143,9 +166,9 @@ class ParameterSpace:
         kept = [i for i, name in enumerate(self.names) if name not in names]
         if len(kept) == len(self):
             return self
-        rows = self.prior_correlation
-        correlation = None if rows is None else tuple(tuple(rows[i][j] for j in kept) for i in kept)
-        return ParameterSpace(tuple(self.parameters[i] for i in kept), correlation)
+        matrices = (self.prior_correlation, self.prior_systematic)
+        rows = (None if one is None else rows_of(np.array(one)[np.ix_(kept, kept)]) for one in matrices)
+        return ParameterSpace(tuple(self.parameters[i] for i in kept), *rows)
 
     def gaussian_of(self, belief: Belief) -> tuple[FloatArray, FloatArray]:
         """Mean z (d,) and covariance (d, d) of a belief; what it does not know has its prior."""
@@ -175,7 +198,7 @@ class ParameterSpace:
             for j, b in shared:
                 if i != j and sd[a] * sd[b] > 0.0:
                     correlation[i, j] = belief.covariance[a, b] / (sd[a] * sd[b])
-        return ParameterSpace(
+        found = ParameterSpace(
             tuple(
                 p
                 if p.name not in known
@@ -184,5 +207,8 @@ class ParameterSpace:
                 )
                 for p in self.parameters
             ),
-            tuple(tuple(float(c) for c in row) for row in correlation),
+            rows_of(correlation),
         )
+        if belief.systematic is None:
+            return found
+        return replace(found, prior_systematic=rows_of(found.systematic_of(belief)))

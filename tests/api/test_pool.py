@@ -9,7 +9,8 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.core.belief import belief_of
-from tests.estimation.offline.test_shifts import pendulum, swing, unchanged
+from tests.estimation.offline.conftest import TRUTH
+from tests.estimation.offline.test_shifts import pendulum, strong_servo, swing, unchanged
 
 NAMES = ("load_mass", "damping", "friction_loss", "armature")
 
@@ -48,6 +49,16 @@ def test_what_rests_on_a_gain_is_known_no_better_from_two_runs() -> None:
         assert belief.sd[0] / belief.estimate[0] == pytest.approx(0.1, abs=0.03)
         share = belief.systematic[0, 0] / belief.covariance[0, 0]
         assert 0.9 < share <= 1.0
+
+
+def test_a_belief_that_rests_on_a_gain_as_prior_says_nothing_of_the_gain() -> None:
+    """The gain is 12 % off, in both logs: the second knows no better what the first did not know."""
+    system = pendulum(50.0, gain=0.1, time_step=0.0)
+    first = amhe.identify(system, [swing(system, strong_servo, 3.0)])
+    again = amhe.identify(system, [swing(system, strong_servo, 4.0)], prior=first.belief)
+    sds = [one.belief.sd[0] / one.belief.estimate[0] for one in (first, again)]
+    assert sds[1] == pytest.approx(sds[0], rel=0.15)
+    assert again.parameters["load_mass"].lower < TRUTH[0] < again.parameters["load_mass"].upper
 
 
 def test_a_contradiction_names_parameter_and_pair(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

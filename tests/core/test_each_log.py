@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,14 @@ def test_each_log_has_an_unknown_of_its_own() -> None:
     np.testing.assert_array_equal(acting(logs[1], MODEL, space), [True, False, True, False, True])
     stranger = values_on(log("c", own=["friction"]), MODEL, space, theta)
     assert stranger[0, 1] == pytest.approx(0.2)  # the geometric mean of the others
+
+
+def test_what_the_prior_owes_to_the_model_stays_with_its_parameters() -> None:
+    model = replace(MODEL, prior_systematic=((0.5, 0.0, 0.2), (0.0, 0.4, 0.0), (0.2, 0.0, 0.3)))
+    space = searched(model, named([log("a", own=["friction"]), log("b", own=["friction"])]))
+    assert space.names == ("gain", "friction[a]", "friction[b]", "bias")
+    expected = [[0.5, 0.0, 0.0, 0.2], [0.0] * 4, [0.0] * 4, [0.2, 0.0, 0.0, 0.3]]
+    np.testing.assert_array_equal(space.prior_systematic, expected)
 
 
 def test_logs_of_one_owner_share_a_value() -> None:

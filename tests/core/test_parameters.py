@@ -36,6 +36,17 @@ def test_a_belief_becomes_the_prior_of_what_it_knows():
     assert space.prior_sd == pytest.approx([0.5 * 0.2, 0.2 * 0.5])
 
 
+def test_what_a_belief_owes_to_the_model_is_known_of_the_prior():
+    belief = belief_of(BOX, np.zeros(2), np.diag([0.04, 0.25]), systematic=np.diag([0.03, 0.0]))
+    space = SPACE.with_prior(belief)
+    assert np.array(space.prior_systematic) == pytest.approx(np.diag([0.75, 0.0]))
+    assert np.diag(space.loose_precision) == pytest.approx([1.0 / (1.0 + 75.0), 1.0])
+    assert space.systematic_of(belief) == pytest.approx(np.diag([0.75, 0.0]))
+    one = space.without([SPACE.names[1]])
+    assert one.prior_systematic == ((pytest.approx(0.75),),)
+    assert SPACE.loose_precision is SPACE.prior_precision
+
+
 def test_nobody_can_change_what_a_space_keeps():
     for kept in (SPACE.log, SPACE.prior_covariance):
         with pytest.raises(ValueError, match="read-only"):

@@ -55,6 +55,7 @@ from amhe_cli.estimation.offline.widening import (
     in_directions,
     repeated,
     scattered,
+    together,
     variances,
 )
 
@@ -200,12 +201,17 @@ def _evidence(
     shifts, exact = [], ()
     if watch.allows("shifts under other models", once):
         shifts, exact = shifts_of(problem, fit)
-    again = repeated(fit)
+    again = repeated(fit, space.loose_precision)
     prior, resamples = space.prior_precision, setting.bootstrap
     resampled = bootstrap(finding.z, fit.found, fit.weight, prior, resamples, problem.rng(4))
     widening, systematic, causes = _widened(
         problem, fit, compared, between, shifts, doubled, resampled, again
     )
+    if space.prior_systematic is not None:  # the prior errs as these logs do
+        share = np.linalg.solve(fit.posterior.hessian, prior)
+        carried = share @ np.array(space.prior_systematic) @ share.T
+        joined = together(carried, systematic)
+        widening, systematic = widening + joined - carried - systematic, joined
     covariance, rival = own + widening, None
     searched = SHARE * sum(entry.rollouts for entry in finding.record)
     if drawn is None and watch.allows("search for a second minimum", searched):  # draws find it

@@ -47,7 +47,7 @@ def shifts_of(problem: Problem, fit: FinalFit) -> tuple[list[Shift], tuple[str, 
 
     The second value has the names of the rulers that act and that the settings take as exact.
     """
-    about, rulers = _Neighbourhood(fit, problem.system.space.prior_precision), _acting_rulers(problem, fit)
+    about, rulers = _Neighbourhood(fit, problem.system.space.loose_precision), _acting_rulers(problem, fit)
     open_ones = [ruler for ruler in rulers if ruler.sd > 0.0]
     exact = [ruler.name.partition(" along ")[0] for ruler in rulers if ruler.sd == 0.0]
     if problem.settings.identify.rulers.time_step == 0.0:
@@ -83,7 +83,12 @@ class _Move:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Neighbourhood:
-    """The estimate, and the estimates that changed residuals lead to."""
+    """The estimate, and the estimates that changed residuals lead to.
+
+    Args:
+        fit: The estimate.
+        prior: Information of the prior that is no knowledge of the model, shape (d, d).
+    """
 
     fit: FinalFit
     prior: FloatArray
@@ -104,7 +109,8 @@ class _Neighbourhood:
         both = slopes.completed & changed.completed[0]
         residual = slopes.residual + changed.flat[0] - slopes.centre
         found = information(replace(slopes, residual=residual, completed=both))
-        steps = fit.posterior.step, posterior(fit.z, found, fit.weight * both, self.prior).step
+        kept = (fit.found, fit.weight), (found, fit.weight * both)
+        steps = [posterior(fit.z, *each, self.prior).step for each in kept]
         firsts = [one.first(step[None])[0] for one, step in zip((fit.found, found), steps, strict=True)]
         costs = slopes.cost, cost
         here, there = (self.residuals(*each) for each in zip(costs, steps, firsts, strict=True))

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.statistics import correlation
+from amhe_cli.core.statistics import correlation, root
 from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.offline.posterior import Disagreement, FinalFit
 from amhe_cli.estimation.offline.verdicts import SURPRISE, TOGETHER
@@ -102,7 +102,7 @@ def beyond_chance(covariance: FloatArray, shift: FloatArray) -> FloatArray:
     return np.sqrt(1.0 - SURPRISE**2 / square) * shift
 
 
-def repeated(fit: FinalFit) -> FloatArray:
+def repeated(fit: FinalFit, prior: FloatArray) -> FloatArray:
     """The covariance that the model's own errors add, shape (d, d).
 
     Noise averages out over clips. What the model gets wrong does not: it returns with each motion like it. So
@@ -110,8 +110,15 @@ def repeated(fit: FinalFit) -> FloatArray:
     for each: n clips of autocorrelation time t are one of time 1 + n (t - 1). White residuals add nothing.
     """
     shared = information(fit.slopes, repeats=float(fit.weight.sum()))
-    once = fit.posterior.prior + np.einsum("c,cij->ij", fit.weight, shared.matrix)
-    return np.linalg.inv(once) - np.linalg.inv(fit.posterior.hessian)
+    once = prior + np.einsum("c,cij->ij", fit.weight, shared.matrix)
+    each = prior + fit.posterior.hessian - fit.posterior.prior
+    return np.linalg.inv(once) - np.linalg.inv(each)
+
+
+def together(one: FloatArray, other: FloatArray) -> FloatArray:
+    """The covariance (d, d) of the sum of two errors that have the same cause, from theirs."""
+    both = root(one) + root(other)
+    return both @ both
 
 
 def in_directions(found: Directions, wanted: FloatArray, added: FloatArray) -> FloatArray:

@@ -173,7 +173,7 @@ def fit_of(residual: FloatArray) -> Any:
 def test_errors_that_repeat_count_once_for_all_clips():
     rng = np.random.default_rng(0)
     slow = np.sin(np.arange(60) / 20.0 + rng.uniform(0.0, 6.0, (12, 1))) + 0.1 * rng.standard_normal((12, 60))
-    one, twelve = (float(repeated(fit_of(r))[0, 0]) for r in (slow[:1], slow))
+    one, twelve = (float(repeated(fit_of(r), np.eye(1))[0, 0]) for r in (slow[:1], slow))
     information_of_twelve = float(fit_of(slow).posterior.hessian[0, 0]) - 1.0
     left = 1.0 / (twelve + 1.0 / (information_of_twelve + 1.0)) - 1.0
     assert one == pytest.approx(0.0, abs=0.01), "one clip is what it counts for"
@@ -182,9 +182,9 @@ def test_errors_that_repeat_count_once_for_all_clips():
 
 def test_white_residuals_add_nothing():
     fit = fit_of(np.random.default_rng(1).standard_normal((12, 60)))
-    assert repeated(fit)[0, 0] == pytest.approx(0.0, abs=1e-9)
+    assert repeated(fit, np.eye(1))[0, 0] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_repeats_never_leaves_less_than_the_prior():
     fit = fit_of(np.repeat(np.sin(np.arange(60) / 20.0)[None], 12, axis=0) * 1e3)
-    assert 0.0 < 1.0 / fit.posterior.hessian[0, 0] + repeated(fit)[0, 0] <= 1.0
+    assert 0.0 < 1.0 / fit.posterior.hessian[0, 0] + repeated(fit, np.eye(1))[0, 0] <= 1.0
