@@ -185,4 +185,5 @@ def belief_of(
 
 def completed(belief: Belief, system: Described) -> Belief:
     """A belief over all parameters of a system: what it does not know has its prior."""
-    return belief_of(system, *system.space.gaussian_of(belief), dict(belief.provenance))
+    systematic = None if belief.systematic is None else system.space.systematic_of(belief)
+    return belief_of(system, *system.space.gaussian_of(belief), dict(belief.provenance), systematic)
