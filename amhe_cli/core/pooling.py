@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.statistics import part_of, root
+from amhe_cli.core.statistics import part_of, root, within
 
 #: Share of a direction's variance below which it is rounding: both beliefs have it from the prior.
 _ROUNDING = 1e-6
@@ -108,17 +108,6 @@ def pooled(
     moved = covariance @ np.einsum("kij,kjl->il", precisions, np.array([root(part) for part in parts]))
     whole = covariance + moved @ moved.T
     return within(covariance @ score, whole, bounds), whole, moved @ moved.T
-
-
-def within(mean: FloatArray, covariance: FloatArray, bounds: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """A Gaussian's mean (d,), given that what lies outside of its bounds lies on them."""
-    held, found = np.zeros(len(mean), dtype=bool), mean
-    while (outside := ~held & (found != np.clip(found, *bounds))).any():
-        held |= outside
-        far = (np.clip(found, *bounds) - mean)[held]
-        found = mean + covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], far)
-        found[held] = np.clip(found, *bounds)[held]
-    return found
 
 
 def exceeded(chi_square: float, freedom: int) -> float:

@@ -65,6 +65,17 @@ def part_of(whole: FloatArray, part: FloatArray, most: float = 1.0) -> FloatArra
     return (along * np.clip(values, 0.0, most)) @ along.T
 
 
+def within(mean: FloatArray, covariance: FloatArray, bounds: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """A Gaussian's mean (d,), given that what lies outside of its bounds lies on them."""
+    held, found = np.zeros(len(mean), dtype=bool), mean
+    while (outside := ~held & (found != np.clip(found, *bounds))).any():
+        held |= outside
+        far = (np.clip(found, *bounds) - mean)[held]
+        found = mean + covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], far)
+        found[held] = np.clip(found, *bounds)[held]
+    return found
+
+
 def white_noise_sd(values: FloatArray) -> float:
     """Noise sd of a smooth signal sampled in rows (n, k), from its third differences.
 

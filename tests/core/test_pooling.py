@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from amhe_cli.core.pooling import agreement, exceeded, pooled, within
+from amhe_cli.core.pooling import agreement, exceeded, pooled
+from amhe_cli.core.statistics import within
 
 UNBOUNDED = np.full(3, -np.inf), np.full(3, np.inf)
 

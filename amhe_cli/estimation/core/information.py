@@ -20,8 +20,9 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
-from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber_weight
+from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber_weight, within
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, turns
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
@@ -159,6 +160,20 @@ def gauss_newton_step(
     hessian = matrix + precision
     step: FloatArray = np.asarray(-np.linalg.solve(hessian, score + precision @ away), dtype=np.float64)
     return step, hessian
+
+
+def step_within(z: FloatArray, step: FloatArray, hessian: FloatArray, space: ParameterSpace) -> FloatArray:
+    """The step from z that the bounds allow, shape (d,).
+
+    What would leave them stands on them, and the others go where the cost is least then.
+
+    Args:
+        z: Where the cost was linearised, shape (d,).
+        step: Step to its minimum without bounds, shape (d,).
+        hessian: Half its Hessian, shape (d, d).
+        space: The parameters.
+    """
+    return within(z + step, sealed(np.linalg.inv(hessian)), space.bounds) - z
 
 
 def weights(

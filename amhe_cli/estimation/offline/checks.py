@@ -124,7 +124,7 @@ def _later_logs(clips: Sequence[Window]) -> BoolArray:
 def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
     """Warn of a search that stopped on its way; on a rough cost the steps never get short."""
     space = problem.system.space
-    left = np.abs(fit.posterior.step) / fit.posterior.sd
+    left = np.abs(fit.left) / fit.posterior.sd
     moving = isinstance(finding, SearchState) and not (finding.settled or problem.rough)
     costs = [i.cost for i in finding.record if i.method.endswith("polish")][-STALLED:]
     if len(costs) < STALLED:

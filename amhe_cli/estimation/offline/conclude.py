@@ -318,9 +318,9 @@ def _widened(
         "clips differ by more than noise": _of_all(excess, active),
         "residuals repeat, which noise does not": np.diag(again),
         "it depends on details of the model": sum((s**2 for s in spreads), np.zeros(active.size)),
-        "the search was still moving": fit.posterior.step**2,
+        "the search was still moving": fit.left**2,
     }
-    total = in_directions(found, wanted, again) + along_vectors(own, [*spreads, fit.posterior.step])
+    total = in_directions(found, wanted, again) + along_vectors(own, [*spreads, fit.left])
     return total, in_directions(found, known, again) + along_vectors(own, spreads), causes
 
 

@@ -16,6 +16,7 @@ from amhe_cli.estimation.core.information import (
     gauss_newton_step,
     information,
     objective,
+    step_within,
 )
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
 from amhe_cli.estimation.core.reach import Reach, colours
@@ -188,6 +189,7 @@ class FinalFit:
         shape: Shape of the samples of z, (d, d).
         scale: Channel -> residual sd over declared noise sd.
         z: The estimate, shape (d,).
+        left: The step that a search would take from there, shape (d,).
     """
 
     slopes: Linearisation
@@ -197,6 +199,7 @@ class FinalFit:
     shape: FloatArray
     scale: Mapping[str, float]
     z: FloatArray
+    left: FloatArray
 
     @property
     def times(self) -> tuple[float, ...]:
@@ -261,9 +264,9 @@ def final_fit(problem: Problem, finding: Finding, watch: Watch | None = None) ->
         slopes = _linearised(problem, finding, scale, shape, first, turn)
         found = information(slopes)
         weight = clip_weights(slopes, found) * coverage
-        fit = FinalFit(
-            slopes, found, weight, posterior(finding.z, found, weight, prior), shape, scale, finding.z
-        )
+        own = posterior(finding.z, found, weight, prior)
+        left = step_within(finding.z, own.step, own.hessian, problem.system.space)
+        fit = FinalFit(slopes, found, weight, own, shape, scale, finding.z, left)
         covariance = within(fit.posterior.covariance, problem.alike)
         wanted = bounded(4.0 * covariance, floor, problem.active, problem.alike)
         # slopes from samples that hardly bend are those of wider ones, too

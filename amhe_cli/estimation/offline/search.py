@@ -21,6 +21,7 @@ from amhe_cli.estimation.core.information import (
     information,
     objective,
     remaining_noise_scale,
+    step_within,
 )
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
 from amhe_cli.estimation.core.shape import (
@@ -197,8 +198,8 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
     weight = clip_weights(slopes, found) * problem.coverage(cost.clips.windows)
     matrix = np.einsum("c,cij->ij", weight, found.matrix)
     score = np.einsum("c,ci->i", weight, found.score)
-    step, hessian = gauss_newton_step(matrix, score, prior, state.z)
-    step = step * problem.active
+    whole, hessian = gauss_newton_step(matrix, score, prior, state.z)
+    step = step_within(state.z, whole, hessian, problem.system.space) * problem.active
     # slopes of a smooth cost are good beyond the samples: there, the true cost alone decides how far
     width = state.shape if problem.touches else diagonal(WIDEST, problem.active)
     reach = np.abs(coordinates(width, step[None])).max() / REACH
@@ -213,7 +214,7 @@ def gauss_newton(problem: Problem, state: SearchState, slopes: Linearisation, fo
 
     blind = problem.rough and state.stage == "polish"
     tried = [along(BLIND_LINE if blind else LINE if problem.touches else WHOLE)]
-    if not problem.touches and not _as_predicted(tried[0], float(step @ hessian @ step)):
+    if not problem.touches and not _as_predicted(tried[0], float((2.0 * whole - step) @ hessian @ step)):
         tried.append(along(OTHERS))
     one = min(tried, key=lambda one: one.values.min())
     best = int(np.argmax(np.isfinite(one.values)) if blind else np.argmin(one.values))
