@@ -15,6 +15,7 @@ from amhe_cli.estimation.core.information import (
     fitted_noise_scale,
     gauss_newton_step,
     information,
+    step_within,
 )
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.shape import sampling_width
@@ -107,8 +108,9 @@ def information_where_it_points(
         for _ in range(most):
             found = information_at(system, windows, engine, z, rng, active=active, recorded=recorded)
             matrix, score = found.matrix.sum(axis=0), found.score.sum(axis=0)
-            step, hessian = gauss_newton_step(matrix, score, space.prior_precision, z)
-            z = space.clip(z + step)
+            whole, hessian = gauss_newton_step(matrix, score, space.prior_precision, z)
+            step = step_within(z, whole, hessian, space)
+            z = z + step
             if step @ hessian @ step < SETTLED**2:
                 break
     return found.matrix.sum(axis=0)

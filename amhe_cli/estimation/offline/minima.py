@@ -15,7 +15,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.each_log import acting
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.estimation.core.information import gauss_newton_step
+from amhe_cli.estimation.core.information import gauss_newton_step, step_within
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.held_out import scored
 from amhe_cli.estimation.offline.posterior import FinalFit, Finding
@@ -122,7 +122,8 @@ def _confirmed(problem: Problem, fit: FinalFit, z: FloatArray, covariance: Float
     found = scored(problem, cost, z, fit.shape).information
     matrix, score = (np.einsum("c,c...->...", fit.weight, one) for one in (found.matrix, found.score))
     # a few clips have led to z: the minimum of all of them is a step away
-    places = fit.z, problem.system.space.clip(z + gauss_newton_step(matrix, score, prior, z)[0])
+    step = step_within(z, *gauss_newton_step(matrix, score, prior, z), problem.system.space)
+    places = fit.z, z + step
     differs = np.abs(places[1] - places[0]) > SURPRISE * np.sqrt(covariance.diagonal())
     both = [scored(problem, cost, place, fit.shape) for place in places]
     misfits = [np.where(fit.weight > 0.0, one.misfit(fit.times), 0.0) @ fit.weight for one in both]
