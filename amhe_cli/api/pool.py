@@ -84,7 +84,7 @@ def pool(
     origin: dict[str, object] = {"created": now(), "pooled": list(names), "versions": versions()}
     origin |= {key: read[0].provenance[key] for key in ("system_folder",) if key in read[0].provenance}
     origin["logs"] = {log: digest for one in read for log, digest in one.logs.items()}
-    belief = belief_of(opened, z, covariance, origin, shared)
+    belief = belief_of(opened, z, covariance, origin, shared if shared.any() else None)
     return Pooled(belief, names, tuple(known), found, differences)
 
 

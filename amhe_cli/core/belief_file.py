@@ -32,7 +32,7 @@ _HEADER = """\
 # What is believed of the parameters of a system: an estimate, and how sure it is.
 # `covariance` is of log(estimate) where scale is log, of the estimate where it is linear;
 # `sd`, `lower` and `upper` (90 %) follow from it and are for people: reading ignores them.
-# `systematic` is the part of it that comes from the model, which more logs do not narrow.
+# `systematic` is the part of `covariance` that comes from the model, which more logs do not narrow.
 # `model` has a hash of each part of the model, and `sets` says what a parameter sets in it: where they
 # differ, the belief is refused. `fixed` are parameters that were taken as known.
 """

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 Rows = tuple[tuple[float, ...], ...]
-#: Factor on the variance that a prior owes to the model, where it must not count: ten times the sd.
+#: Factor on the systematic variance that is added to a prior where that must not count.
 LOOSE = 100.0
 
 
@@ -122,9 +122,9 @@ class ParameterSpace:
 
     @cached_property
     def loose_precision(self) -> FloatArray:
-        """The prior's information on z without what it owes to the model, shape (d, d).
+        """The prior's information on z with its systematic part counted as almost unknown, shape (d, d).
 
-        What a belief says of a mass that rests on a gain, it does not say of the gain.
+        The mass of a belief may rest on a gain; it must not make that gain look known.
         """
         if self.prior_systematic is None:
             return self.prior_precision

@@ -1,10 +1,13 @@
 """Beliefs of several runs as one: do they agree, and what do they say together?
 
 Each belief is N(m_i, C_i) in z and holds the same prior N(m_0, P^-1) and data of its own. A part S_i of C_i
-is systematic: it comes from the model, and all beliefs err alike by it. The rest, N_i, is independent, and
-its pooled precision is sum_i N_i^-1 - (k - 1) P: the prior counts once. Two beliefs differ by what noise
-makes of them, with covariance C_i + C_j - C_i P C_j - C_j P C_i: what both took from the prior does not
-differ. S_i is taken as independent there, since the model errs otherwise in other motions.
+is systematic: it comes from the model. The rest, N_i, is independent. Beliefs weigh by C_i^-1, the prior
+counts once, and the pooled covariance takes all S_i as one error. Without S_i the pooled precision is
+sum_i C_i^-1 - (k - 1) P.
+
+Two beliefs differ by what noise makes of them, with covariance C_i + C_j - C_i P C_j - C_j P C_i: what both
+took from the prior does not differ. There S_i counts as each run's own: in other motions the model may err
+otherwise, and that is no contradiction.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.statistics import part_of, root, within
+from amhe_cli.core.statistics import mean_within, positive, root
 
 #: Share of a direction's variance below which it is rounding: both beliefs have it from the prior.
 _ROUNDING = 1e-6
@@ -97,17 +100,19 @@ def pooled(
         prior_mean: Mean of the prior, shape (d,).
         bounds: Lower and upper bounds of z, shape (d,) each.
     """
-    parts = [part_of(c, s, 1.0 - _ROUNDING) for c, s in zip(covariances, systematic, strict=True)]
-    precisions = np.linalg.inv(covariances - np.array(parts))
-    again = (len(means) - 1) * prior
-    values, vectors = np.linalg.eigh(precisions.sum(axis=0) - again)
+    weights = np.linalg.inv(covariances)
+    own = covariances - systematic
+    # what each belief has from the prior, as far as its own part and not the model's decides it
+    seen = weights @ (own @ prior @ own) @ weights
+    values, vectors = np.linalg.eigh(weights.sum(axis=0) - seen.sum(axis=0) + prior)
     # a belief may be wider than its prior, where its run was not explained: then the prior is what remains
-    covariance = (vectors / np.maximum(values, np.linalg.eigvalsh(prior).min())) @ vectors.T
-    score = np.einsum("kij,kj->i", precisions, means) - again @ prior_mean
-    # one error e ~ N(0, I) of the model moves each belief by the root of its part
-    moved = covariance @ np.einsum("kij,kjl->il", precisions, np.array([root(part) for part in parts]))
-    whole = covariance + moved @ moved.T
-    return within(covariance @ score, whole, bounds), whole, moved @ moved.T
+    inverse = (vectors / np.maximum(values, np.linalg.eigvalsh(prior).min())) @ vectors.T
+    mean = inverse @ (np.einsum("kij,kj->i", weights, means) - (seen.sum(axis=0) - prior) @ prior_mean)
+    independent = inverse @ positive((weights @ own @ weights - seen).sum(axis=0) + prior) @ inverse
+    # one error of the model moves each belief by the root of its part
+    moved = inverse @ (weights @ np.array([root(one) for one in systematic])).sum(axis=0)
+    shared = moved @ moved.T
+    return mean_within(mean, independent + shared, bounds), independent + shared, shared
 
 
 def exceeded(chi_square: float, freedom: int) -> float:

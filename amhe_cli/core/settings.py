@@ -99,9 +99,9 @@ class RulerSettings(SettingsGroup):
     """Bias of a force or torque sensor that is compared, along each axis, as a share of its largest value."""
     command_delay: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.005
     """Delay with which commands act, where the model has none [s]."""
-    time_step: Annotated[float, Field(ge=0, le=1)] = 1.0
-    """What the time step adds, as a share of the way to a step of zero, which the world has. 0: the logs are
-    those of a simulation with the model's own step and integrator."""
+    time_step: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 1.0
+    """How much of the way from the model's time step to a step of zero counts as an sd. 1: all of it, as for
+    logs of the real world. 0: the logs come from a simulation with the model's own step and integrator."""
 
 
 class IdentifySettings(SettingsGroup):

@@ -10,6 +10,8 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, namespace_of
 
 #: Half-width of a central 90 % interval of a normal distribution, in standard deviations.
 Z90 = 1.6448536269514722
+#: Turns of an active set, for each value, after which rounding goes to and fro.
+_TURNS = 10
 
 
 def pseudo_huber(squared: FloatArray, delta: float) -> FloatArray:
@@ -57,22 +59,53 @@ def root(covariance: FloatArray) -> FloatArray:
     return (vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T
 
 
-def part_of(whole: FloatArray, part: FloatArray, most: float = 1.0) -> FloatArray:
-    """A part of a covariance (d, d), cut where it exceeds a share of the whole in any direction."""
+def positive(matrix: FloatArray) -> FloatArray:
+    """A symmetric matrix (d, d) without its negative eigenvalues."""
+    values, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T
+
+
+def part_of(whole: FloatArray, part: FloatArray) -> FloatArray:
+    """A part of a covariance (d, d), cut where it exceeds the whole in any direction."""
     lower = np.linalg.cholesky(whole)
     values, vectors = np.linalg.eigh(np.linalg.solve(lower, np.linalg.solve(lower, part).T))
     along = lower @ vectors
-    return (along * np.clip(values, 0.0, most)) @ along.T
+    return (along * np.clip(values, 0.0, 1.0)) @ along.T
 
 
-def within(mean: FloatArray, covariance: FloatArray, bounds: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """A Gaussian's mean (d,), given that what lies outside of its bounds lies on them."""
-    held, found = np.zeros(len(mean), dtype=bool), mean
-    while (outside := ~held & (found != np.clip(found, *bounds))).any():
-        held |= outside
-        far = (np.clip(found, *bounds) - mean)[held]
-        found = mean + covariance[:, held] @ np.linalg.solve(covariance[np.ix_(held, held)], far)
-        found[held] = np.clip(found, *bounds)[held]
+def mean_within(
+    mean: FloatArray, covariance: FloatArray, bounds: tuple[FloatArray, FloatArray]
+) -> FloatArray:
+    """Where a Gaussian's density is highest within bounds, shape (d,).
+
+    A primal active set (Nocedal and Wright 2006, algorithm 16.3): values that stand on their bounds are held
+    there as long as the density falls inwards, and the others follow.
+    """
+    lower, upper = bounds
+    found = np.clip(mean, lower, upper)
+    held = found != mean
+    for _ in range(_TURNS * len(mean)):
+        wanted = mean.copy()
+        if held.any():
+            follow = np.linalg.solve(covariance[np.ix_(held, held)], (found - mean)[held])
+            wanted = mean + covariance[:, held] @ follow
+            wanted[held] = found[held]
+        step = wanted - found
+        room = np.where(step > 0.0, upper - found, np.where(step < 0.0, lower - found, np.inf))
+        share = np.divide(room, step, out=np.ones_like(step), where=step != 0.0)
+        share[held] = 1.0
+        blocking = int(share.argmin())
+        if share[blocking] < 1.0:
+            found = np.clip(found + max(share[blocking], 0.0) * step, lower, upper)
+            found[blocking] = (lower if step[blocking] < 0.0 else upper)[blocking]
+            held[blocking] = True
+            continue
+        found = wanted
+        inwards = np.where(found <= lower, -1.0, 1.0) * np.linalg.solve(covariance, found - mean)
+        leaving = np.where(held, inwards, -np.inf)
+        if leaving.max() <= 0.0:
+            break
+        held[int(leaving.argmax())] = False
     return found
 
 

@@ -45,10 +45,9 @@ def test_what_rests_on_a_gain_is_known_no_better_from_two_runs() -> None:
         for seed, seconds in ((0, 4.0), (1, 3.0))
     ]
     pooled = amhe.pool([run.belief for run in runs], system=system).belief
-    for belief in (runs[0].belief, runs[1].belief, pooled):
-        assert belief.sd[0] / belief.estimate[0] == pytest.approx(0.1, abs=0.03)
-        share = belief.systematic[0, 0] / belief.covariance[0, 0]
-        assert 0.9 < share <= 1.0
+    sds = [belief.sd[0] / belief.estimate[0] for belief in (runs[0].belief, runs[1].belief, pooled)]
+    assert sds[2] > 0.9 * min(sds[:2]), "it would be 0.7 times it if each log knew the gain anew"
+    assert 0.9 < pooled.systematic[0, 0] / pooled.covariance[0, 0] <= 1.0
 
 
 def test_a_belief_that_rests_on_a_gain_as_prior_says_nothing_of_the_gain() -> None:
@@ -57,7 +56,7 @@ def test_a_belief_that_rests_on_a_gain_as_prior_says_nothing_of_the_gain() -> No
     first = amhe.identify(system, [swing(system, strong_servo, 3.0)])
     again = amhe.identify(system, [swing(system, strong_servo, 4.0)], prior=first.belief)
     sds = [one.belief.sd[0] / one.belief.estimate[0] for one in (first, again)]
-    assert sds[1] == pytest.approx(sds[0], rel=0.15)
+    assert 0.95 * sds[0] < sds[1] < 1.15 * sds[0], "it would be 0.74 times it if the second knew the gain"
     assert again.parameters["load_mass"].lower < TRUTH[0] < again.parameters["load_mass"].upper
 
 

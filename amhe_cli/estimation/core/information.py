@@ -22,7 +22,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.core.statistics import autocorrelation_time, pseudo_huber_weight, within
+from amhe_cli.core.statistics import autocorrelation_time, mean_within, pseudo_huber_weight
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, turns
 from amhe_cli.matching.cost import MatchingCost, Residuals
 
@@ -173,7 +173,7 @@ def step_within(z: FloatArray, step: FloatArray, hessian: FloatArray, space: Par
         hessian: Half its Hessian, shape (d, d).
         space: The parameters.
     """
-    return within(z + step, sealed(np.linalg.inv(hessian)), space.bounds) - z
+    return mean_within(z + step, sealed(np.linalg.inv(hessian)), space.bounds) - z
 
 
 def weights(

@@ -110,7 +110,7 @@ def information_where_it_points(
             matrix, score = found.matrix.sum(axis=0), found.score.sum(axis=0)
             whole, hessian = gauss_newton_step(matrix, score, space.prior_precision, z)
             step = step_within(z, whole, hessian, space)
-            z = z + step
+            z = space.clip(z + step)
             if step @ hessian @ step < SETTLED**2:
                 break
     return found.matrix.sum(axis=0)

@@ -12,7 +12,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Window
-from amhe_cli.core.statistics import correlation, part_of
+from amhe_cli.core.statistics import correlation, part_of, positive
 from amhe_cli.estimation.offline.bodies import body_numbers
 from amhe_cli.estimation.offline.checks import (
     REFITS,
@@ -53,9 +53,9 @@ from amhe_cli.estimation.offline.widening import (
     contradicted,
     directions,
     in_directions,
+    of_one_cause,
     repeated,
     scattered,
-    together,
     variances,
 )
 
@@ -207,11 +207,14 @@ def _evidence(
     widening, systematic, causes = _widened(
         problem, fit, compared, between, shifts, doubled, resampled, again
     )
-    if space.prior_systematic is not None:  # the prior errs as these logs do
+    if space.prior_systematic is not None:
+        # the prior errs as these logs do, each by its share of the estimate
         share = np.linalg.solve(fit.posterior.hessian, prior)
         carried = share @ np.array(space.prior_systematic) @ share.T
-        joined = together(carried, systematic)
-        widening, systematic = widening + joined - carried - systematic, joined
+        rest = np.eye(len(space)) - share
+        joined = of_one_cause(carried, rest @ systematic @ rest.T)
+        widening = positive(widening - systematic) + joined - carried
+        systematic = joined
     covariance, rival = own + widening, None
     searched = SHARE * sum(entry.rollouts for entry in finding.record)
     if drawn is None and watch.allows("search for a second minimum", searched):  # draws find it

@@ -123,7 +123,7 @@ def _confirmed(problem: Problem, fit: FinalFit, z: FloatArray, covariance: Float
     matrix, score = (np.einsum("c,c...->...", fit.weight, one) for one in (found.matrix, found.score))
     # a few clips have led to z: the minimum of all of them is a step away
     step = step_within(z, *gauss_newton_step(matrix, score, prior, z), problem.system.space)
-    places = fit.z, z + step
+    places = fit.z, problem.system.space.clip(z + step)
     differs = np.abs(places[1] - places[0]) > SURPRISE * np.sqrt(covariance.diagonal())
     both = [scored(problem, cost, place, fit.shape) for place in places]
     misfits = [np.where(fit.weight > 0.0, one.misfit(fit.times), 0.0) @ fit.weight for one in both]

@@ -159,8 +159,7 @@ def _rulers(problem: Problem, about: _Neighbourhood, rulers: Sequence[Ruler]) ->
     by A r. It was found at r = 0 and stays there, so that A (S + m m') A' is what they add to its covariance.
     The first of them is the way to a time step of zero: the world has no step, and a log that another program
     simulated may have the model's, which the settings can say. Of the others, each eigenvector of what
-    S + m m' has besides is a shift:
-    of rulers that the log knows only together, one.
+    S + m m' has besides is a shift: of rulers that the log knows only together, one.
     """
     half, order = finer_step(problem.engine, problem.system.unedited)
     # to a step of zero: an error of order n falls to 2^-n of itself

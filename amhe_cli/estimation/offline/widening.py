@@ -115,8 +115,11 @@ def repeated(fit: FinalFit, prior: FloatArray) -> FloatArray:
     return np.linalg.inv(once) - np.linalg.inv(each)
 
 
-def together(one: FloatArray, other: FloatArray) -> FloatArray:
-    """The covariance (d, d) of the sum of two errors that have the same cause, from theirs."""
+def of_one_cause(one: FloatArray, other: FloatArray) -> FloatArray:
+    """The covariance (d, d) of the sum of two errors that have the same cause, from theirs.
+
+    Their signs are not known: they are taken to agree, as far as the symmetric roots do.
+    """
     both = root(one) + root(other)
     return both @ both
 

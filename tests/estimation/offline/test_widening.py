@@ -185,6 +185,6 @@ def test_white_residuals_add_nothing():
     assert repeated(fit, np.eye(1))[0, 0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_repeats_never_leaves_less_than_the_prior():
+def test_what_repeats_leaves_no_less_than_the_prior_that_it_is_judged_under():
     fit = fit_of(np.repeat(np.sin(np.arange(60) / 20.0)[None], 12, axis=0) * 1e3)
     assert 0.0 < 1.0 / fit.posterior.hessian[0, 0] + repeated(fit, np.eye(1))[0, 0] <= 1.0
