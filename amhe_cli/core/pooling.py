@@ -103,16 +103,17 @@ def pooled(
     weights = np.linalg.inv(covariances)
     own = covariances - systematic
     # what each belief has from the prior, as far as its own part and not the model's decides it
-    seen = weights @ (own @ prior @ own) @ weights
-    values, vectors = np.linalg.eigh(weights.sum(axis=0) - seen.sum(axis=0) + prior)
+    seen = (weights @ (own @ prior @ own) @ weights).sum(axis=0)
+    values, vectors = np.linalg.eigh(weights.sum(axis=0) - seen + prior)
     # a belief may be wider than its prior, where its run was not explained: then the prior is what remains
     inverse = (vectors / np.maximum(values, np.linalg.eigvalsh(prior).min())) @ vectors.T
-    mean = inverse @ (np.einsum("kij,kj->i", weights, means) - (seen.sum(axis=0) - prior) @ prior_mean)
-    independent = inverse @ positive((weights @ own @ weights - seen).sum(axis=0) + prior) @ inverse
+    mean = inverse @ (np.einsum("kij,kj->i", weights, means) - (seen - prior) @ prior_mean)
+    independent = inverse @ positive((weights @ own @ weights).sum(axis=0) - seen + prior) @ inverse
     # one error of the model moves each belief by the root of its part
     moved = inverse @ (weights @ np.array([root(one) for one in systematic])).sum(axis=0)
     shared = moved @ moved.T
-    return mean_within(mean, independent + shared, bounds), independent + shared, shared
+    whole = independent + shared
+    return mean_within(mean, whole, bounds), whole, shared
 
 
 def exceeded(chi_square: float, freedom: int) -> float:

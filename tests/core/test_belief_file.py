@@ -180,7 +180,7 @@ def test_a_fixed_parameter_conditions_the_others(caplog: pytest.LogCaptureFixtur
     )
     known = belief.given({"x": -0.4, "y": 1.0})
     assert known.systematic is None
-    # an error b of the model moves m by 0.1 b and x by 0.2 b, of which x, once known, tells m 0.03 / 0.09
+    # an error b of the model moves m by 0.1 b and x by 0.2 b; the known x corrects m by 0.03 / 0.09 of x's
     moved = replace(belief, systematic=np.outer([0.1, 0.2], [0.1, 0.2])).given({"x": -0.4})
     np.testing.assert_allclose(moved.systematic, [[(0.1 - 0.2 * 0.03 / 0.09) ** 2]])
     assert known.names == ("m",) and known.fixed == {"x": -0.4}
