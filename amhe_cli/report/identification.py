@@ -26,7 +26,7 @@ from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
 from amhe_cli.report.sampled import sampled_lines, sampled_record
 from amhe_cli.report.tables import NUMBER, Table, rich_table
-from amhe_cli.system.export import identified_assets, identified_xml
+from amhe_cli.system.export.mjcf import identified_assets, identified_xml
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)

@@ -106,7 +106,7 @@ def test_the_zero_of_an_encoder_is_found_with_commands_in_its_frame() -> None:
 
 
 def result_xml(result: amhe.Result) -> str:
-    from amhe_cli.system.export import identified_xml
+    from amhe_cli.system.export.mjcf import identified_xml
 
     return identified_xml(result.system, result.belief.estimate)
 

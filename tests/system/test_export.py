@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.system.export import identified_assets, identified_xml
+from amhe_cli.system.export.mjcf import identified_assets, identified_xml
 from amhe_cli.system.model_file import compiled
 from amhe_cli.system.system import System
 

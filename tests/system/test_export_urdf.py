@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.export import identified_spec
-from amhe_cli.system.export_urdf import identified_urdf
+from amhe_cli.system.export.mjcf import identified_spec
+from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.model_file import compiled, read_spec
 from amhe_cli.system.system import System
 
