@@ -12,7 +12,7 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.robots.go1.run import MODES
 from amhe_cli.robots.go1.tasks import TASKS
 from amhe_cli.study.store import Store, Study, open_store, start
-from amhe_cli.system.model_file import compiled, read_spec
+from amhe_cli.system.model.files import compiled, read_spec
 from tests.study.cells_at_play import CODE, record
 
 

@@ -18,11 +18,11 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import filling
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.report.folder import reserve
+from amhe_cli.system.description.folders import named_system
 from amhe_cli.system.export.isaaclab import isaaclab_text
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
 from amhe_cli.system.export.mjlab import mjlab_text
 from amhe_cli.system.export.urdf import identified_urdf
-from amhe_cli.system.folders import named_system
 from amhe_cli.system.system import System
 
 #: What a belief can be exported to.

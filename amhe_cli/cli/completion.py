@@ -19,7 +19,7 @@ Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]
 
 def systems(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """Bundled systems, system folders that begin so, and any other folder by the shell."""
-    from amhe_cli.system.folders import FILE_NAME, bundled_systems
+    from amhe_cli.system.description.folders import FILE_NAME, bundled_systems
 
     start, _, name = incomplete.rpartition("/")
     near = sorted(Path(start or ".").glob(f"{escape(name)}*/{FILE_NAME}"))
@@ -33,7 +33,7 @@ def parameters(ending: str = "") -> Completer:
     def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
         from amhe_cli.cli.inputs import DEFAULT_SYSTEM
         from amhe_cli.core.errors import AmheError
-        from amhe_cli.system.folders import bundled_systems, find_system, parameter_names
+        from amhe_cli.system.description.folders import bundled_systems, find_system, parameter_names
 
         given, named = ctx.params.get("system"), _named_by_log(ctx) or DEFAULT_SYSTEM
         try:

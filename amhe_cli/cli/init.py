@@ -23,7 +23,7 @@ class _ModelPath(click.Path):
         """Leave the names of menagerie models as they are; any other value is a path."""
         kind, colon, name = str(value).partition(":")
         if colon and kind == "example":
-            from amhe_cli.system.folders import bundled_models
+            from amhe_cli.system.description.folders import bundled_models
 
             return log_path.example(self, name, bundled_models(), param, ctx)
         named = str(value).startswith(_MENAGERIE)
@@ -126,7 +126,7 @@ def init(
     from amhe_cli.init.folder import init_system
     from amhe_cli.init.menagerie import menagerie_model
     from amhe_cli.report.folder import reserve
-    from amhe_cli.system.urdf import UrdfOptions, is_urdf
+    from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 
     session.hush_mujoco()
     path = menagerie_model(model.removeprefix(_MENAGERIE)) if isinstance(model, str) else model

@@ -52,7 +52,7 @@ class Inputs:
         """
         from amhe_cli.cli.settings import Overrides
         from amhe_cli.core.yaml_file import merged
-        from amhe_cli.system.folders import find_system
+        from amhe_cli.system.description.folders import find_system
         from amhe_cli.system.system import System
 
         own: dict[str, Any] = {}
@@ -93,7 +93,7 @@ class Inputs:
 
 def bundled_log() -> Path:
     """The log that is replayed if none is given: a Go1 pushes a box onto another floor."""
-    from amhe_cli.system.folders import bundled_logs
+    from amhe_cli.system.description.folders import bundled_logs
 
     return bundled_logs()["t4"]
 
@@ -126,7 +126,7 @@ def _own_settings(path: Path) -> dict[str, Any]:
 def _folder_named_by(logs: Sequence[Path]) -> Path:
     """Folder of the bundled system that logs name: a log may choose none of the user's files."""
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.system.folders import named_system
+    from amhe_cli.system.description.folders import named_system
 
     names = sorted(set(_systems_of(logs).values()))
     if len(names) > 1:
@@ -136,7 +136,7 @@ def _folder_named_by(logs: Sequence[Path]) -> Path:
 
 
 def _unnamed(logs: Sequence[Path], error: str) -> str:
-    from amhe_cli.system.folders import bundled_logs, bundled_models, bundled_systems
+    from amhe_cli.system.description.folders import bundled_logs, bundled_models, bundled_systems
 
     examples = (f"example:{name}" for name in bundled_models() if bundled_logs().get(name) == logs[0])
     own = next((f"{name} {name}" for name in examples), f"MODEL.xml {logs[0]}")

@@ -71,7 +71,7 @@ def _inspection(log: Member, inputs: Inputs) -> Inspection:
     """Look through a log, and check it for the system that the user or the log names, if any."""
     from amhe_cli.core.errors import ConfigError
     from amhe_cli.logs import inspect_log, read_metadata
-    from amhe_cli.system.folders import bundled_systems
+    from amhe_cli.system.description.folders import bundled_systems
 
     path = log.path
     named = read_metadata(path).get("system")

@@ -110,7 +110,7 @@ def probe(
     from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
     from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
-    from amhe_cli.system.folders import bundled_systems, find_system
+    from amhe_cli.system.description.folders import bundled_systems, find_system
     from amhe_cli.system.provenance import provenance
     from amhe_cli.view.scene import scene_of
     from amhe_cli.view.scene_log import SceneLog

@@ -58,8 +58,8 @@ class Overrides:
             ConfigError: `--set` names a setting of a robot that the system does not have.
         """
         from amhe_cli.core.settings import Settings
-        from amhe_cli.system.folders import FILE_NAME
-        from amhe_cli.system.schema import robot_groups
+        from amhe_cli.system.description.folders import FILE_NAME
+        from amhe_cli.system.description.schema import robot_groups
 
         described = YamlFile(folder / FILE_NAME, patient=True).own
         foreign = set(robot_groups({"robot": _ROBOT})) - set(robot_groups(described))

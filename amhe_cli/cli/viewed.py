@@ -20,7 +20,7 @@ from amhe_cli.cli.inputs import Inputs
 from amhe_cli.cli.settings import Overrides, gathered
 from amhe_cli.core.errors import NOTE, ConfigError
 from amhe_cli.core.yaml_file import merged
-from amhe_cli.system.folders import find_system
+from amhe_cli.system.description.folders import find_system
 
 if TYPE_CHECKING:
     from amhe_cli.core.belief import Belief

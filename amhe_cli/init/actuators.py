@@ -18,7 +18,7 @@ from amhe_cli.init.drives import (
     servo_gains,
 )
 from amhe_cli.init.signals import Guess
-from amhe_cli.system.coupled import floats
+from amhe_cli.system.model.couplings import floats
 
 #: Prior sd and largest zero of an encoder, of a hinge [rad] and of a slide [m].
 _HINGE, _SLIDE = (0.05, 0.3), (0.005, 0.03)

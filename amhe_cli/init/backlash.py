@@ -10,8 +10,8 @@ import mujoco
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.init.drives import KINDS, measured_joints
 from amhe_cli.init.signals import Guess, joint_of
-from amhe_cli.system.gaps import add_gaps
-from amhe_cli.system.targets import names_of
+from amhe_cli.system.description.targets import names_of
+from amhe_cli.system.model.gaps import add_gaps
 
 #: Width of a gap before a log is read, its bounds and prior sd (log scale): of a hinge [rad], of a slide [m].
 _HINGE, _SLIDE = (0.01, 0.0002, 0.1), (0.0005, 0.00001, 0.01)

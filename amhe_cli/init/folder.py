@@ -32,13 +32,13 @@ from amhe_cli.init.tables import topics_in, with_columns
 from amhe_cli.init.text import system_text
 from amhe_cli.logs import TopicSurvey, read_signals, survey
 from amhe_cli.logs.containers.table_file import TYPE as TABLE
-from amhe_cli.system.doubts import doubts_of
-from amhe_cli.system.driven import commanded
-from amhe_cli.system.folders import FILE_NAME
-from amhe_cli.system.model_file import compiled, read_spec
+from amhe_cli.system.description.doubts import doubts_of
+from amhe_cli.system.description.driven import commanded
+from amhe_cli.system.description.folders import FILE_NAME
+from amhe_cli.system.description.targets import names_of
+from amhe_cli.system.model.files import compiled, read_spec
+from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 from amhe_cli.system.system import System
-from amhe_cli.system.targets import names_of
-from amhe_cli.system.urdf import UrdfOptions, is_urdf
 
 #: Names in the log that an error lists.
 _SHOWN = 30

@@ -10,9 +10,9 @@ import mujoco
 
 from amhe_cli.init.names import is_command, matched, words
 from amhe_cli.init.signals import Topic, gives_pose, guess_signals, single_joints
-from amhe_cli.system.coupled import followers
 from amhe_cli.system.export.mjcf import portable
-from amhe_cli.system.model_file import compiled
+from amhe_cli.system.model.couplings import followers
+from amhe_cli.system.model.files import compiled
 
 #: Servo that a URDF's joint gets: natural frequency [rad/s] against the joint's inertia, damping ratio.
 _SERVO = (30.0, 0.7)

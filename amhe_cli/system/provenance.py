@@ -12,7 +12,7 @@ from pathlib import Path
 
 from amhe_cli import __version__
 from amhe_cli.core.log import Log
-from amhe_cli.system.folders import bundled_systems
+from amhe_cli.system.description.folders import bundled_systems
 from amhe_cli.system.system import System
 
 #: Files of a system folder that decide what the system is.

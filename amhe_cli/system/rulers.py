@@ -14,11 +14,11 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.system.calibration import SignalCalibration
-from amhe_cli.system.cells import Cells, range_cells
-from amhe_cli.system.drive_cells import gain_cells
-from amhe_cli.system.edits import Mode, ModelEdits
-from amhe_cli.system.model_file import compiled
+from amhe_cli.system.description.drive_targets import gain_cells
+from amhe_cli.system.model.files import compiled
+from amhe_cli.system.parameters.calibration import SignalCalibration
+from amhe_cli.system.parameters.cells import Cells, range_cells
+from amhe_cli.system.parameters.edits import Mode, ModelEdits
 from amhe_cli.system.system import Channel, System
 
 #: Elements of one ruler that its name lists.

@@ -19,9 +19,9 @@ from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.shown import Displayed
 from amhe_cli.core.signals import Signal, remapped
-from amhe_cli.system.calibration import SignalCalibration
-from amhe_cli.system.edits import ModelEdits
-from amhe_cli.system.identity import parts_of, sets_of
+from amhe_cli.system.parameters.calibration import SignalCalibration
+from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.identity import parts_of, sets_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +149,7 @@ class System(Displayed):
         Raises:
             ConfigError: One line for each mistake, `file:line:column: what, what would be valid`.
         """
-        from amhe_cli.system.load import load
+        from amhe_cli.system.description.load import load
 
         return load(name_or_folder, settings, schema, warn=warn, boxes_for_meshes=boxes_for_meshes)
 
@@ -185,8 +185,8 @@ class System(Displayed):
         Raises:
             ConfigError: One line for each mistake, `path.of.the.key: what, what would be valid`.
         """
-        from amhe_cli.system.load import described
-        from amhe_cli.system.urdf import UrdfOptions
+        from amhe_cli.system.description.load import described
+        from amhe_cli.system.model.urdf import UrdfOptions
 
         entry = {"parameters": parameters, "signals": signals, "settings": settings or {}}
         entry |= {"keyframe": keyframe} if keyframe else {}
@@ -328,7 +328,7 @@ class System(Displayed):
         Args:
             log: A log that was read for this system.
         """
-        from amhe_cli.system.doubts import doubts_of
+        from amhe_cli.system.description.doubts import doubts_of
 
         return [str(doubt) for doubt in doubts_of(self, log)]
 

@@ -17,7 +17,7 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.system.folders import bundled_root
+from amhe_cli.system.description.folders import bundled_root
 
 ROOT = Path(__file__).parents[2]
 #: Few clips and iterations: these tests are about the calls.

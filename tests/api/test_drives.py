@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
-from amhe_cli.system.gaps import add_gaps
+from amhe_cli.system.model.gaps import add_gaps
 
 DT = 0.004
 CHEAP = {

@@ -11,7 +11,7 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.core.belief import belief_of
-from amhe_cli.system.folders import bundled_systems
+from amhe_cli.system.description.folders import bundled_systems
 from amhe_cli.system.provenance import sha256
 
 COVARIANCE = np.array([[0.01, 0.008, 0, 0], [0.008, 0.01, 0, 0], [0, 0, 0.01, 0], [0, 0, 0, 0.01]])

@@ -13,8 +13,8 @@ import pytest
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.folder import init_system
 from amhe_cli.logs import LogWriter, read_signals
+from amhe_cli.system.model.urdf import UrdfOptions
 from amhe_cli.system.system import System
-from amhe_cli.system.urdf import UrdfOptions
 from tests.system.test_urdf import BODY, FINGERS, mesh_file, robot, shape, written
 
 STEP_NS = 10_000_000

@@ -5,7 +5,7 @@ import pytest
 
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.logs import LogWriter, read_truth
-from amhe_cli.system.folders import bundled_root
+from amhe_cli.system.description.folders import bundled_root
 
 SECOND = 10**9
 

@@ -6,10 +6,10 @@ import re
 import shutil
 from pathlib import Path
 
-from amhe_cli.system.folders import bundled_root
-from amhe_cli.system.schema import KINDS, ParameterEntry, SignalEntry
+from amhe_cli.system.description.folders import bundled_root
+from amhe_cli.system.description.schema import KINDS, ParameterEntry, SignalEntry
+from amhe_cli.system.description.targets import WORDS
 from amhe_cli.system.system import System
-from amhe_cli.system.targets import WORDS
 
 PAGE = Path(__file__).parents[2] / "docs" / "systems.md"
 

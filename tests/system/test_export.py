@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
-from amhe_cli.system.model_file import compiled
+from amhe_cli.system.model.files import compiled
 from amhe_cli.system.system import System
 
 from .test_edits import TARGETS

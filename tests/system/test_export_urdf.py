@@ -12,7 +12,7 @@ import pytest
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.export.mjcf import identified_spec
 from amhe_cli.system.export.urdf import identified_urdf
-from amhe_cli.system.model_file import compiled, read_spec
+from amhe_cli.system.model.files import compiled, read_spec
 from amhe_cli.system.system import System
 
 Write = Callable[..., Path]

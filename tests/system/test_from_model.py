@@ -10,10 +10,10 @@ import yaml
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import ClipSettings, Settings
+from amhe_cli.system.description.folders import find_system
+from amhe_cli.system.description.schema import ParameterEntry, SignalEntry, TargetEntry
 from amhe_cli.system.export.mjcf import identified_xml
-from amhe_cli.system.folders import find_system
 from amhe_cli.system.provenance import attachments, system_files
-from amhe_cli.system.schema import ParameterEntry, SignalEntry, TargetEntry
 from amhe_cli.system.system import System
 
 FOLDER = find_system("pendulum")

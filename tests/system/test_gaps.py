@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.gaps import add_gaps, gaps, set_gaps
+from amhe_cli.system.model.gaps import add_gaps, gaps, set_gaps
 from amhe_cli.system.system import System
 
 ARM = """

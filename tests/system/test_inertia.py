@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from amhe_cli.core.rotations import rotate
-from amhe_cli.system.inertia import (
+from amhe_cli.system.parameters.inertia import (
     body_numbers,
     inertia_about_com,
     log_cholesky,

@@ -10,9 +10,9 @@ import pytest
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import YamlFile, scalar
-from amhe_cli.system.folders import bundled_root, find_system
+from amhe_cli.system.description.folders import bundled_root, find_system
+from amhe_cli.system.description.targets import WORDS
 from amhe_cli.system.system import System
-from amhe_cli.system.targets import WORDS
 from tests.conftest import MODELS
 
 Write = Callable[..., Path]

@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.system.model_file import compiled, read_without_meshes
+from amhe_cli.system.model.files import compiled, read_without_meshes
 from amhe_cli.system.system import System
 
 G = 9.81

@@ -16,7 +16,13 @@ from amhe_cli.core.belief import belief_of
 from amhe_cli.core.statistics import Z90
 from amhe_cli.system.export.isaaclab import isaaclab_text
 from amhe_cli.system.export.mjlab import mjlab_text
-from amhe_cli.system.inertia import body_numbers, log_cholesky, log_cholesky_of, pseudo_inertia, upper_factor
+from amhe_cli.system.parameters.inertia import (
+    body_numbers,
+    log_cholesky,
+    log_cholesky_of,
+    pseudo_inertia,
+    upper_factor,
+)
 from amhe_cli.system.system import System
 
 Write = Callable[..., Path]

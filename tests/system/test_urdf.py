@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.coupled import followers
-from amhe_cli.system.model_file import compiled, read_spec
+from amhe_cli.system.model.couplings import followers
+from amhe_cli.system.model.files import compiled, read_spec
+from amhe_cli.system.model.urdf import UrdfOptions
 from amhe_cli.system.system import System
-from amhe_cli.system.urdf import UrdfOptions
 
 BODY = """<inertial><mass value="2"/><origin xyz="0 0 -0.2"/>
   <inertia ixx="0.02" iyy="0.03" izz="0.04" ixy="0" ixz="0" iyz="0"/></inertial>"""

@@ -41,9 +41,9 @@ from amhe_cli.logs import read_log
 from amhe_cli.logs.messages.signal_writer import message_type
 from amhe_cli.logs.messages.writer import StateDrawing
 from amhe_cli.matching.starts import first_states
-from amhe_cli.system.driven import driven_joint
-from amhe_cli.system.edits import ModelEdits
-from amhe_cli.system.model_file import compiled
+from amhe_cli.system.description.driven import driven_joint
+from amhe_cli.system.model.files import compiled
+from amhe_cli.system.parameters.edits import ModelEdits
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)

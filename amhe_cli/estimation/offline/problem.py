@@ -22,7 +22,7 @@ from amhe_cli.estimation.core.shape import WIDEST, diagonal, sampling_width
 from amhe_cli.estimation.offline.clips import ClipPool, evenly
 from amhe_cli.matching.cost import MatchingCost, Residuals
 from amhe_cli.matching.starts import first_errors
-from amhe_cli.system.contacts import geom_name, needed_contacts
+from amhe_cli.system.parameters.contacts import geom_name, needed_contacts
 from amhe_cli.system.system import System
 
 #: A parameter whose step of half a prior sd moves no measurement by this many noise sd is out of reach.

@@ -13,7 +13,7 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.kinematics import HIP_OFFSET, HIPS, HOME_LEG, JOINTS, LEGS, LINK, SIDE
-from amhe_cli.system.model_file import compiled, read_spec
+from amhe_cli.system.model.files import compiled, read_spec
 
 #: Words for the four legs and for the three joints of a leg, lower case and without separators.
 _LEG_WORDS = {

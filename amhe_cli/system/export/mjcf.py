@@ -11,7 +11,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.system.model_file import compiled
+from amhe_cli.system.model.files import compiled
 from amhe_cli.system.system import System
 
 #: Folder beside an exported model for its meshes, textures and height fields.

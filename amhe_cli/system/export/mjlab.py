@@ -10,7 +10,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.system.export.randomisation import Drawn, Event, ends, randomisation
-from amhe_cli.system.inertia import PSEUDO_NAMES, log_cholesky_of, pseudo_inertia, upper_factor
+from amhe_cli.system.parameters.inertia import PSEUDO_NAMES, log_cholesky_of, pseudo_inertia, upper_factor
 from amhe_cli.system.system import System
 
 #: The version that the file was run with (`benchmarks/mjlab_events.py`).

@@ -14,10 +14,10 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.coupled import couplings
 from amhe_cli.system.export.mjcf import identified_assets, identified_spec, values_of
-from amhe_cli.system.inertia import rotation_matrix
-from amhe_cli.system.model_file import compiled
+from amhe_cli.system.model.couplings import couplings
+from amhe_cli.system.model.files import compiled
+from amhe_cli.system.parameters.inertia import rotation_matrix
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.log import Log, Series
-from amhe_cli.system.folders import find_system
+from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.system import System
 
 TRUTH = np.array([0.55, 0.03, 0.035, 0.006])

@@ -14,7 +14,7 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Predicted, Rollouts
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.system.contacts import needed_contacts
+from amhe_cli.system.parameters.contacts import needed_contacts
 from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP
 from tests.estimation.offline.test_identification import fall

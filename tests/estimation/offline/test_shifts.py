@@ -24,7 +24,7 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import Identification, ParameterResult
 from amhe_cli.estimation.offline.shifts import _against, shifts_of
 from amhe_cli.estimation.offline.verdicts import Shift
-from amhe_cli.system.load import find_system
+from amhe_cli.system.description.load import find_system
 from amhe_cli.system.rulers import Ruler
 from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP, NOISE, TRUTH, as_trajectory

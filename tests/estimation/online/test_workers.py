@@ -12,7 +12,7 @@ import pytest
 from amhe_cli.core.belief import Belief, belief_of
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon
 from amhe_cli.estimation.online.workers import InProcess, InStep, Trouble
-from amhe_cli.system.folders import find_system
+from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.system import System
 
 SYSTEM = System.load(find_system("go1_push"))

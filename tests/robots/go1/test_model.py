@@ -23,7 +23,7 @@ from amhe_cli.robots.go1.model import (
     set_box_mass,
     set_floor_friction,
 )
-from amhe_cli.system.folders import find_system
+from amhe_cli.system.description.folders import find_system
 from tests.robots.go1.playing import FAR, play
 
 GO1 = (find_system("go1_push") / "go1.xml").read_text()

@@ -34,7 +34,7 @@ from amhe_cli.robots.go1.probing.motions import (
 from amhe_cli.robots.go1.recording import recorder_of
 from amhe_cli.robots.go1.run import Run, RunOptions, open_run, system_of
 from amhe_cli.robots.go1.tasks import Believed, find_task
-from amhe_cli.system.folders import find_system
+from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.system import System
 
 if TYPE_CHECKING:

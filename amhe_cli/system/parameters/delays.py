@@ -13,11 +13,11 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.system.cells import Cells
-from amhe_cli.system.schema import TargetEntry
+from amhe_cli.system.description.schema import TargetEntry
+from amhe_cli.system.parameters.cells import Cells
 
 if TYPE_CHECKING:
-    from amhe_cli.system.edits import ScalarEdit
+    from amhe_cli.system.parameters.edits import ScalarEdit
 
 
 @dataclass(frozen=True, slots=True)

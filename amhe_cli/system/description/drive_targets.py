@@ -9,9 +9,9 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.cells import Cells, CellsOf, range_cells
-from amhe_cli.system.gaps import gaps
-from amhe_cli.system.schema import TargetEntry
+from amhe_cli.system.description.schema import TargetEntry
+from amhe_cli.system.model.gaps import gaps
+from amhe_cli.system.parameters.cells import Cells, CellsOf, range_cells
 
 _DC_MOTOR, _PID = int(mujoco.mjtGain.mjGAIN_DCMOTOR), int(mujoco.mjtGain.mjGAIN_PID)
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)

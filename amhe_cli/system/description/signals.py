@@ -8,9 +8,9 @@ import mujoco
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES
-from amhe_cli.system import driven, measured
-from amhe_cli.system.schema import Description, SignalEntry, SystemEntry
-from amhe_cli.system.wiring import WiringDraft, chosen, signal_of
+from amhe_cli.system.description import driven, measured
+from amhe_cli.system.description.schema import Description, SignalEntry, SystemEntry
+from amhe_cli.system.description.wiring import WiringDraft, chosen, signal_of
 
 #: Quantity that is read from a topic that is only read, by the end of its type's name.
 _CARRIED = {

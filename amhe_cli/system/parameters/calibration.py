@@ -16,8 +16,8 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.system.cells import Cells
-from amhe_cli.system.edits import ScalarEdit
+from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.edits import ScalarEdit
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import mujoco
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.schema import SignalEntry
-from amhe_cli.system.targets import id_of
-from amhe_cli.system.wiring import (
+from amhe_cli.system.description.schema import SignalEntry
+from amhe_cli.system.description.targets import id_of
+from amhe_cli.system.description.wiring import (
     WiringDraft,
     check_noise,
     names_of_log,

@@ -15,8 +15,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.model_size import check_model
-from amhe_cli.system.urdf import UrdfOptions, is_urdf, urdf_text
+from amhe_cli.system.model.size import check_model
+from amhe_cli.system.model.urdf import UrdfOptions, is_urdf, urdf_text
 
 logger = logging.getLogger(__name__)
 

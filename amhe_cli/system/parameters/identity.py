@@ -12,10 +12,10 @@ from collections.abc import Iterable, Iterator
 import mujoco
 import numpy as np
 
-from amhe_cli.system.calibration import CalibrationNumber
-from amhe_cli.system.cells import Cells
-from amhe_cli.system.delays import DelayNumber
-from amhe_cli.system.edits import ModelEdits, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.calibration import CalibrationNumber
+from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.delays import DelayNumber
+from amhe_cli.system.parameters.edits import ModelEdits, PseudoInertiaEdit, ScalarEdit
 
 #: Part of a model -> the fields of MjModel that describe it, by prefix.
 _FIELDS = {

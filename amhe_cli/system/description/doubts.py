@@ -14,8 +14,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Log
-from amhe_cli.system.driven import commanded
-from amhe_cli.system.gaps import gaps
+from amhe_cli.system.description.driven import commanded
+from amhe_cli.system.model.gaps import gaps
 
 if TYPE_CHECKING:
     from amhe_cli.system.system import Input, System

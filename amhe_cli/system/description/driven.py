@@ -6,9 +6,9 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.schema import SignalEntry
-from amhe_cli.system.targets import id_of
-from amhe_cli.system.wiring import (
+from amhe_cli.system.description.schema import SignalEntry
+from amhe_cli.system.description.targets import id_of
+from amhe_cli.system.description.wiring import (
     Drive,
     WiringDraft,
     chosen,

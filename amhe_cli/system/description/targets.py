@@ -11,10 +11,10 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.system import drive_cells
-from amhe_cli.system.cells import Cells, CellsOf
-from amhe_cli.system.inertia import principal_axis
-from amhe_cli.system.schema import TargetEntry
+from amhe_cli.system.description import drive_targets as drives
+from amhe_cli.system.description.schema import TargetEntry
+from amhe_cli.system.parameters.cells import Cells, CellsOf
+from amhe_cli.system.parameters.inertia import principal_axis
 
 _OBJECTS = {
     "body": mujoco.mjtObj.mjOBJ_BODY,
@@ -206,7 +206,7 @@ def _joint(field: str, columns: tuple[int, ...] = ()) -> Mapping:
 
 def _motor(array: str, column: int, attribute: str) -> Mapping[str, CellsOf]:
     """Setters of a number of a DC motor."""
-    return {"actuator": drive_cells.motor(f"actuator_{array}", column, attribute)}
+    return {"actuator": drives.motor(f"actuator_{array}", column, attribute)}
 
 
 #: Words of `set:` that set plain numbers.
@@ -225,12 +225,12 @@ SETTERS: Mapping[str, Setter] = {
     "armature": Setter("kg m^2", _joint("dof_armature")),
     "friction_loss": Setter("N m", _joint("dof_frictionloss")),
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
-    "backlash": Setter("rad", {"joint": drive_cells.backlash}, positive=True),
-    "gain": Setter("-", {"actuator": drive_cells.gain}, positive=True),
-    "actuator_damping": Setter("-", {"actuator": drive_cells.actuator_damping}),
-    "integral_gain": Setter("-", {"actuator": drive_cells.controller("integral_gain")}, positive=True),
-    "integral_limit": Setter("rad s", {"actuator": drive_cells.controller("integral_limit")}, positive=True),
-    "slew_limit": Setter("rad/s", {"actuator": drive_cells.controller("slew_limit")}, positive=True),
+    "backlash": Setter("rad", {"joint": drives.backlash}, positive=True),
+    "gain": Setter("-", {"actuator": drives.gain}, positive=True),
+    "actuator_damping": Setter("-", {"actuator": drives.actuator_damping}),
+    "integral_gain": Setter("-", {"actuator": drives.controller("integral_gain")}, positive=True),
+    "integral_limit": Setter("rad s", {"actuator": drives.controller("integral_limit")}, positive=True),
+    "slew_limit": Setter("rad/s", {"actuator": drives.controller("slew_limit")}, positive=True),
     "motor_constant": Setter("N m/A", _motor("gainprm", 1, "motorconst"), positive=True),
     "resistance": Setter("ohm", _motor("gainprm", 0, "resistance"), positive=True),
     "bristle_stiffness": Setter("N m/rad", _motor("dynprm", 5, "lugre"), positive=True),
@@ -243,9 +243,9 @@ SETTERS: Mapping[str, Setter] = {
     "frame": Setter("-", {}, lower=-inf),
     "band": Setter("Hz", {}, positive=True),
     "force_limit": Setter(
-        "N m", {"actuator": drive_cells.force_limit, "joint": drive_cells.joint_force_limit}, positive=True
+        "N m", {"actuator": drives.force_limit, "joint": drives.joint_force_limit}, positive=True
     ),
-    "ctrl_limit": Setter("-", {"actuator": drive_cells.ctrl_limit}, positive=True),
+    "ctrl_limit": Setter("-", {"actuator": drives.ctrl_limit}, positive=True),
 }
 #: Words that need more than plain numbers, with their selectors.
 SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": ["actuator"]}

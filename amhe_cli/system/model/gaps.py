@@ -14,7 +14,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.model_file import compiled
+from amhe_cli.system.model.files import compiled
 
 #: Mass [kg] and inertia [kg m^2] of a rotor, which MuJoCo demands; the armature is its real inertia.
 _ROTOR = 1e-6

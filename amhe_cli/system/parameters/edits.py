@@ -13,9 +13,9 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
-from amhe_cli.system.cells import Cells
-from amhe_cli.system.delays import CommandDelays, DelayNumber
-from amhe_cli.system.inertia import (
+from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.delays import CommandDelays, DelayNumber
+from amhe_cli.system.parameters.inertia import (
     body_numbers,
     inertia_about_com,
     log_cholesky,
@@ -24,7 +24,7 @@ from amhe_cli.system.inertia import (
 )
 
 if TYPE_CHECKING:
-    from amhe_cli.system.calibration import SignalCalibration
+    from amhe_cli.system.parameters.calibration import SignalCalibration
 
 _BODY_FIELDS = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import mujoco
 import numpy as np
 
-from amhe_cli.system.cells import Cells
+from amhe_cli.system.parameters.cells import Cells
 
 _CONTACT = ("geom_friction", "geom_solref", "pair_friction", "pair_solref")
 _INERTIAL = ("body_mass", "body_inertia", "body_ipos", "body_iquat")

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 
 import mujoco
 
-from amhe_cli.system.cells import Cells
-from amhe_cli.system.contacts import geom_name, partners
-from amhe_cli.system.edits import ModelEdits
+from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.contacts import geom_name, partners
+from amhe_cli.system.parameters.edits import ModelEdits
 
 logger = logging.getLogger(__name__)
 

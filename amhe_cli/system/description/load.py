@@ -13,16 +13,16 @@ from pydantic import BaseModel
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.settings import MheSettings, Settings
 from amhe_cli.core.yaml_file import Place, YamlFile, merged
-from amhe_cli.system.boxes import resize_boxes
-from amhe_cli.system.cautions import caution
-from amhe_cli.system.channels import draft_wiring
-from amhe_cli.system.folders import FILE_NAME, find_system
-from amhe_cli.system.model_file import compiled, read_spec, read_without_meshes, spec_of
-from amhe_cli.system.schema import Description, SystemEntry, robot_groups, validated
+from amhe_cli.system.description.cautions import caution
+from amhe_cli.system.description.folders import FILE_NAME, find_system
+from amhe_cli.system.description.parameters import generalise, unknowns_of
+from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
+from amhe_cli.system.description.signals import draft_wiring
+from amhe_cli.system.description.targets import id_of
+from amhe_cli.system.model.boxes import resize_boxes
+from amhe_cli.system.model.files import compiled, read_spec, read_without_meshes, spec_of
+from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 from amhe_cli.system.system import System
-from amhe_cli.system.targets import id_of
-from amhe_cli.system.unknowns import generalise, unknowns_of
-from amhe_cli.system.urdf import UrdfOptions, is_urdf
 
 logger = logging.getLogger(__name__)
 

@@ -12,14 +12,14 @@ import numpy as np
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.core.yaml_file import Place
-from amhe_cli.system.calibrating import CalibrationDraft
-from amhe_cli.system.calibration import CalibrationNumber, SignalCalibration
-from amhe_cli.system.cells import Cells, range_cells
-from amhe_cli.system.delays import CommandDelays
-from amhe_cli.system.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
-from amhe_cli.system.inertia import PSEUDO_NAMES
-from amhe_cli.system.schema import Description, ParameterEntry, SystemEntry, TargetEntry
-from amhe_cli.system.targets import SETTERS, cells_of, rows_of, selector_of
+from amhe_cli.system.description.calibration_keys import CalibrationDraft
+from amhe_cli.system.description.schema import Description, ParameterEntry, SystemEntry, TargetEntry
+from amhe_cli.system.description.targets import SETTERS, cells_of, rows_of, selector_of
+from amhe_cli.system.parameters.calibration import CalibrationNumber, SignalCalibration
+from amhe_cli.system.parameters.cells import Cells, range_cells
+from amhe_cli.system.parameters.delays import CommandDelays
+from amhe_cli.system.parameters.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
 LOG_PRIOR_SD = 0.5

@@ -9,7 +9,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.system.schema import TargetEntry
+from amhe_cli.system.description.schema import TargetEntry
 
 
 @dataclass(frozen=True, slots=True)
