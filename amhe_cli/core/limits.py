@@ -26,6 +26,8 @@ class Limits:
         fields: Fields of one topic that are looked at one by one, because its messages differ in layout; a
             message has some hundred, and most topics have one layout.
         yaml_mib: A YAML file [MiB]; a recording of ten thousand files has a metadata.yaml of 2 MiB.
+        model_mib: A model file, and what xacro makes of one [MiB]; large robots have one.
+        xacro_seconds: Processor time of expanding a xacro file [s]; large robots take two.
         model_elements: Elements of an MJCF, also copies by <replicate> and <flexcomp>; a hand has a hundred.
         model_numbers: Numbers of a height field, a texture or a size; one of 4096 x 4096 has 16,800,000.
         yaml_values: Values in a YAML file, those that an alias repeats each time; that recording has 100,000.
@@ -35,6 +37,8 @@ class Limits:
     growth: int = 100
     topics: int = 5_000
     fields: int = 20_000_000
+    model_mib: int = 64
+    xacro_seconds: int = 20
     model_elements: int = 100_000
     model_numbers: int = 50_000_000
     yaml_mib: int = 4

@@ -227,6 +227,10 @@ def test_a_xacro_file_is_expanded(tmp_path: Path) -> None:
     ):
         read(path)
     written(tmp_path / "parts", LINK, "link.xacro")
+    with pytest.raises(ConfigError, match=r"link.xacro is neither in the folder of .*give its .*`packages`"):
+        read(path)
+    assert read(path, {"parts": tmp_path / "parts"}).body("upper").mass == pytest.approx(1.0)
+    written(tmp_path / "parts", "<package><name>parts</name></package>", "package.xml")
     assert read(path).body("upper").mass == pytest.approx(1.0)
     heavy = read_spec(path, UrdfOptions(xacro_args={"mass": "3"}))
     assert compiled(heavy).body("upper").mass == pytest.approx(3.0)

@@ -21,7 +21,7 @@ from amhe_cli.system.description.signals import draft_wiring
 from amhe_cli.system.description.targets import id_of
 from amhe_cli.system.model.boxes import resize_boxes
 from amhe_cli.system.model.files import compiled, read_spec, read_without_meshes, spec_of
-from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
+from amhe_cli.system.model.urdf import XACRO, UrdfOptions, is_urdf
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -233,6 +233,9 @@ def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Sett
 def _spec(file: YamlFile, path: Path, entry: SystemEntry, boxes: bool) -> mujoco.MjSpec | None:
     if not path.is_file():
         file.problem(("model",), f"no file {entry.model!r} beside this one; give an MJCF or a URDF")
+        return None
+    if path.suffix.lower() == XACRO:
+        file.problem(("model",), "a system names no xacro file; `amhe init` writes a system folder of one")
         return None
     try:
         spec = read_without_meshes(path) if boxes else read_spec(path)

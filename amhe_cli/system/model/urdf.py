@@ -6,30 +6,34 @@ for a mesh by its base name only, beside the file. Here each mesh gets its absol
 
 from __future__ import annotations
 
+import json
 import logging
+import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, redirect_stderr
+from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
-from io import StringIO
+from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
-from typing import Any
-from urllib.parse import unquote
+from tempfile import TemporaryFile
 from xml.etree import ElementTree
 
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.limits import beyond, limits
+from amhe_cli.system.model.packages import Places
 
 logger = logging.getLogger(__name__)
 
-#: Formats of meshes that MuJoCo reads.
-_FORMATS = (".stl", ".obj", ".msh")
 #: Attributes of <inertia>, and their places in the matrix.
 _INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
-#: The module that xacro asks for the folder of a package; it comes with ROS.
-_AMENT = "ament_index_python"
+#: Ending of the name of a xacro file; only `amhe init` and `System.from_model` open one.
+XACRO = ".xacro"
+#: The program that expands xacro files.
+_PROCESS = Path(__file__).with_name("xacro_process.py")
+#: Warnings of xacro that are shown.
+_SHOWN = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +54,7 @@ class UrdfOptions:
 
 def is_urdf(path: Path) -> bool:
     """Whether a model file is a URDF, or a xacro file of one."""
-    return path.suffix.lower() in (".urdf", ".xacro")
+    return path.suffix.lower() in (".urdf", XACRO)
 
 
 def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
@@ -60,7 +64,7 @@ def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
         ConfigError: It is no XML, xacro fails, a mass or inertia is no number, or a mesh is missing or of a
             kind that MuJoCo cannot read.
     """
-    source = _expanded(path, options) if path.suffix.lower() == ".xacro" else path.read_bytes()
+    source = _expanded(path, options) if path.suffix.lower() == XACRO else path.read_bytes()
     try:
         parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
         root = ElementTree.fromstring(source, parser)
@@ -68,7 +72,7 @@ def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
         raise ConfigError(f"{path}: not a URDF: {error}") from None
     compiler = _compiler(root)
     folder = path.absolute().parent
-    places = _Places(folder, folder / compiler.pop("meshdir", ""), options.packages)
+    places = Places(folder, folder / compiler.pop("meshdir", ""), options.packages)
     compiler["strippath"] = "false"
     bare: list[str] = []
     for link in root.iter("link"):
@@ -137,119 +141,44 @@ def _compiler(root: ElementTree.Element) -> dict[str, str]:
     return root.attrib
 
 
-@dataclass(frozen=True, slots=True)
-class _Places:
-    """Where a URDF's files may lie.
-
-    Args:
-        folder: Folder of the URDF.
-        meshdir: Folder that the URDF names for MuJoCo.
-        packages: See `UrdfOptions`.
-    """
-
-    folder: Path
-    meshdir: Path
-    packages: Mapping[str, str | Path]
-
-    def mesh(self, uri: str, urdf: Path) -> Path:
-        """Path of a mesh file that exists and that MuJoCo can read."""
-        scheme, _, rest = uri.replace("\\", "/").rpartition("://")
-        rest = unquote(rest) if scheme else rest
-        candidates, cure = [self.folder / rest, self.meshdir / rest], "correct its path"
-        if scheme in ("package", "model"):
-            package, _, inner = rest.lstrip("/").partition("/")
-            candidates = [home / inner for home in self.homes(package)]
-            cure = f"give the folder of package {package!r} in `packages`"
-        candidates.append(self.meshdir / Path(rest).name)  # the only place where MuJoCo would look
-        found = next((place for place in candidates if place.is_file()), None)
-        problem = f"mesh {uri!r} is not there"
-        if found is not None:
-            problem, cure = _unreadable(found), "convert it"
-            if not problem:
-                return found.resolve()
-            problem = f"mesh {uri!r} is {problem}, which MuJoCo cannot read"
-        raise ConfigError(f"{urdf}: {problem}; {cure}, or give `meshes=False` to do without meshes")
-
-    def homes(self, package: str) -> list[Path]:
-        """Folders that may be a package, the likeliest first."""
-        if package in self.packages:
-            return [Path(self.packages[package])]
-        above = (self.folder, *self.folder.parents)
-        around = (place for home in above for place in (home, home / package))
-        return [place for place in around if _is_package(place, package)]
-
-
-def _unreadable(mesh: Path) -> str:
-    """What a mesh file is, if MuJoCo cannot read it; else nothing."""
-    kind = mesh.suffix.lower()
-    if kind not in _FORMATS:
-        return f"a {kind or 'nameless'} file"
-    if kind == ".stl":
-        with mesh.open("rb") as file:
-            head = file.read(1024)
-        if head.lstrip().startswith(b"solid") and b"facet" in head:  # binary ones may begin with "solid" too
-            return "an STL file of text"
-    return ""
-
-
-def _is_package(folder: Path, name: str) -> bool:
-    manifest = folder / "package.xml"
-    if not manifest.is_file():
-        return folder.name == name and folder.is_dir()
-    try:
-        return ElementTree.parse(manifest).findtext("name", "").strip() == name or folder.name == name
-    except ElementTree.ParseError:
-        return folder.name == name
-
-
 def _expanded(path: Path, options: UrdfOptions) -> str:
-    """A xacro file with its macros expanded.
+    """A xacro file with its macros expanded, in a process that runs no code of it and whose cost is bounded.
 
     Raises:
-        ConfigError: xacro is not installed, or it refuses the file.
+        ConfigError: xacro is not installed, or it refuses the file, or the file costs too much.
     """
-    try:
-        import xacro
-    except ImportError:
+    if find_spec("xacro") is None:
         raise ConfigError(
             f"{path}: a xacro file needs the package xacro: pip install 'amhe[robots]'; or write the URDF "
             "with ROS's own: xacro FILE > robot.urdf"
-        ) from None
-    folder, said = path.absolute().parent, StringIO()
-    places = _Places(folder, folder, options.packages)
-    with _packages_of(places), redirect_stderr(said):
+        )
+    packages = {name: str(Path(folder).absolute()) for name, folder in options.packages.items()}
+    task = {
+        "path": str(path.absolute()),
+        "args": dict(options.xacro_args),
+        "packages": packages,
+        "sys_path": sys.path,
+        "seconds": limits().xacro_seconds,
+        "mebibytes": limits().model_mib,
+    }
+    command = [sys.executable, "-I", "-B", "-X", "utf8", str(_PROCESS)]
+    with TemporaryFile() as answered, TemporaryFile() as said:  # a pipe would have no limit
+        with suppress(subprocess.TimeoutExpired):
+            subprocess.run(
+                command, input=json.dumps(task).encode(), stdout=answered, stderr=said, env={},
+                timeout=3 * limits().xacro_seconds, check=False,
+            )  # fmt: skip
+        answered.seek(0)
+        said.seek(0)
+        lines = said.read().decode(errors="replace").splitlines()
         try:
-            document: Any = xacro.process_file(str(path.absolute()), mappings=dict(options.xacro_args))
-        except Exception as error:  # xacro evaluates Python of the file, which raises anything
-            cause: Any = error
-            while getattr(cause, "exc", None):  # xacro's own, with macros and files about the cause
-                cause = cause.exc
-            raise ConfigError(f"{path}: xacro: {' '.join(str(cause).split()) or repr(cause)}") from None
-    for line in said.getvalue().splitlines():
+            answer = json.loads(answered.read())
+        except ValueError:  # the kernel or the time limit ended it
+            raise ConfigError(
+                f"{path}: xacro: {beyond('xacro_seconds', 'its time, its memory or what it makes is')}"
+            ) from None
+    if "error" in answer:
+        raise ConfigError(f"{path}: xacro: {answer['error']}")
+    for line in lines[:_SHOWN]:
         logger.warning("xacro: %s", line)
-    return document.toxml()
-
-
-@contextmanager
-def _packages_of(places: _Places) -> Iterator[None]:
-    """Answer xacro's $(find NAME) by our own search: it imports a module of ROS for that."""
-
-    def share(name: str) -> str:
-        homes = places.homes(name)
-        if not homes:
-            raise ConfigError(f"no package {name!r} is known: give its folder in `packages`")
-        return str(homes[0])
-
-    ours, packages = ModuleType(_AMENT), ModuleType(f"{_AMENT}.packages")
-    packages.get_package_share_directory = share  # type: ignore[attr-defined]
-    names = {_AMENT: ours, f"{_AMENT}.packages": packages}
-    before = {name: sys.modules.get(name) for name in names}
-    sys.modules.update(names)
-    try:
-        yield
-    finally:
-        for name, module in before.items():
-            if module is None:
-                del sys.modules[name]
-            else:
-                sys.modules[name] = module
+    return answer["text"]
