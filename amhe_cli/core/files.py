@@ -16,12 +16,18 @@ from typing import Any, BinaryIO
 from amhe_cli.core.errors import ConfigError
 
 
-def check_regular(path: Path) -> None:
-    """Refuse a pipe or a device, on which reading may wait for ever.
+def check_regular(path: Path, folder: Path | None = None) -> None:
+    """Refuse a pipe or a device, on which reading may wait for ever, and a link that leads out of a folder.
+
+    Args:
+        path: The file.
+        folder: The folder of a log, whose files are its own; None: any link is followed.
 
     Raises:
         ConfigError: There is such a thing at `path`.
     """
+    if folder is not None and not path.resolve().is_relative_to(folder.resolve()):
+        raise ConfigError(f"{path}: a link that leads out of {folder}; put the file itself in its place")
     if path.exists() and not path.is_file() and not path.is_dir():
         raise ConfigError(f"{path}: a pipe or a device, no file; save its content in a file")
 

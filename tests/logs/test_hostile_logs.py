@@ -27,6 +27,7 @@ from amhe_cli.logs.containers.arrow_sizes import unfolded_sizes
 from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.parquet_footer import unfolded_size
 from tests.logs.log_makers import ROS2, motion, write_rosbag2
+from tests.logs.test_lerobot import dataset
 
 #: Memory that a hostile log may take beyond what the process has [bytes].
 MEMORY = 1500 * 2**20
@@ -446,3 +447,34 @@ def test_the_command_line_sets_them(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert run(["inspect", str(path), "--limit", "topic=1"]) == 2
     assert run(["inspect", str(path), "--limit", "topics=x"]) == 2
     assert run(["inspect", str(path)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("version", "name"),
+    [
+        ("v2.1", "meta/info.json"),
+        ("v2.1", "meta/episodes_stats.jsonl"),
+        ("v2.1", "data/chunk-000"),
+        ("v3.0", "meta/stats.json"),
+        ("v3.0", "meta/episodes"),
+    ],
+)
+def test_a_link_of_a_dataset_is_not_followed_out_of_it(version: str, name: str, tmp_path: Path) -> None:
+    path = dataset(tmp_path, version)
+    (path / name).rename(tmp_path / "elsewhere")
+    (path / name).symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(AmheError, match=r"a link that leads out of .*data_set"):
+        survey(Path(f"{path}#0"))
+
+
+@pytest.mark.parametrize("name", ["y.csv", "b.mcap"])
+def test_a_link_in_a_folder_is_not_followed_out_of_it(name: str, tmp_path: Path) -> None:
+    (tmp_path / "log").mkdir()
+    (tmp_path / "x.csv").write_text("time,y\n0,1\n1,2\n")
+    (tmp_path / "log" / name).symlink_to("../x.csv")
+    with pytest.raises(AmheError, match=rf"{name}: a link that leads out of .*log; put the file itself"):
+        survey(tmp_path / "log")
+    (tmp_path / "log" / name).unlink()
+    (tmp_path / "log" / "x.csv").write_text("time,y\n0,1\n1,2\n")
+    (tmp_path / "log" / "z.csv").symlink_to("x.csv")  # one within the folder is
+    assert {topic.name for topic in survey(tmp_path / "log").topics} == {"x", "z"}

@@ -108,6 +108,7 @@ def open_log(path: Path) -> StoredLog:
         check_regular(path)
         return StoredLog(path, tuple(_open_tables(path)) or (_open_file(path),))
     metadata = path / "metadata.yaml"
+    check_regular(metadata, path)
     if not metadata.exists():
         return _open_bare_folder(path)
     return _open_folder(path, _information(metadata))
@@ -117,6 +118,8 @@ def _open_tables(path: Path) -> list[LogFile]:
     """The tables of a file, or of a folder; an empty list where there is none."""
     if not path.is_file():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in _TABLES and file.is_file())
+        for file in files:
+            check_regular(file, path)
         return [table for file in files for table in _open_tables(file)]
     with path.open("rb") as file:
         head = file.read(512)
@@ -184,6 +187,7 @@ def _open_folder(path: Path, information: dict[str, Any]) -> StoredLog:
 def _open_parts(path: Path, parts: list[Path], notes: list[str], packed: bool) -> StoredLog:
     files: list[LogFile] = []
     for part in parts:
+        check_regular(part, path)
         try:
             with readable(part):
                 files.append(_open_file(part))

@@ -103,6 +103,7 @@ def open_dataset(folder: Path) -> Dataset:
         LogError: It is damaged, or of a version that is not read.
     """
     file = folder / "meta" / "info.json"
+    check_regular(file, folder)
     try:
         info = json.loads(file.read_text(encoding="utf-8"))
         version = int(re.findall(r"\d+", str(info["codebase_version"]))[0])
@@ -157,17 +158,19 @@ def _file_of(dataset: Dataset, number: int) -> Path:
     whole = re.fullmatch(r"([^{}]|\{\w+:0\dd\})+", pattern)
     name = (pattern if plain and whole and pattern.endswith(".parquet") else usual).format(**places)
     file = folder / name
-    if not file.resolve().is_relative_to(folder.resolve()) or not file.is_file():
+    if ".." in Path(name).parts or not file.is_file():
         raise LogError(f"{folder}#{number}: its file {name} is missing")
+    check_regular(file, folder)
     return file
 
 
 def _place_in_v3(folder: Path, number: int) -> dict[str, int]:
     from pyarrow import parquet
 
-    keys = ("data/chunk_index", "data/file_index")
-    for file in sorted((folder / "meta" / "episodes").rglob("*.parquet")):
-        check_regular(file)
+    keys, episodes = ("data/chunk_index", "data/file_index"), folder / "meta" / "episodes"
+    check_regular(episodes, folder)
+    for file in sorted(episodes.rglob("*.parquet")):
+        check_regular(file, folder)
         own = [("episode_index", "=", number)]
         found = parquet.read_table(file, columns=list(keys), filters=own).to_pylist()
         if found:
@@ -260,6 +263,8 @@ def _largest(dataset: Dataset) -> float:
 def _statistics(folder: Path) -> Sequence[Mapping[str, Any]]:
     """Of the whole dataset, or of each episode (version 2.1)."""
     whole, each = folder / "meta" / "stats.json", folder / "meta" / "episodes_stats.jsonl"
+    for file in (whole, each):
+        check_regular(file, folder)
     try:
         if whole.is_file():
             return [json.loads(whole.read_text(encoding="utf-8"))]
