@@ -42,6 +42,7 @@ WALLS = {
     "cupy": ("engine",),
     "cyclonedds": ("robots/go1",),
     "distributed": ("core/executors.py",),
+    "google": ("logs",),
     "h5py": ("logs",),
     "imageio_ffmpeg": ("robots/go1/video.py",),
     "jinja2": ("report",),

@@ -25,6 +25,8 @@ class Limits:
         topics: Topics of a log; large robots have a thousand.
         fields: Fields of one topic that are looked at one by one, because its messages differ in layout; a
             message has some hundred, and most topics have one layout.
+        definition_mib: The definition of a message type with all that it consists of [MiB]; large ones have
+            100 KiB.
         yaml_mib: A YAML file [MiB]; a recording of ten thousand files has a metadata.yaml of 2 MiB.
         model_mib: A model file, and what xacro makes of one [MiB]; large robots have one.
         xacro_seconds: Processor time of expanding a xacro file [s]; large robots take two.
@@ -39,6 +41,7 @@ class Limits:
     fields: int = 20_000_000
     model_mib: int = 64
     xacro_seconds: int = 20
+    definition_mib: int = 1
     model_elements: int = 100_000
     model_numbers: int = 50_000_000
     yaml_mib: int = 4
@@ -48,6 +51,11 @@ class Limits:
     def piece(self) -> int:
         """`piece_mib` in bytes."""
         return self.piece_mib * 2**20
+
+    @property
+    def definition(self) -> int:
+        """`definition_mib` in bytes."""
+        return self.definition_mib * 2**20
 
 
 _LIMITS: ContextVar[Limits] = ContextVar("limits", default=Limits())  # noqa: B039 (it is frozen)

@@ -10,14 +10,16 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import TypeAlias
 from unittest.mock import Mock
 
 import lz4.frame
 import numpy as np
 import pytest
 import zstandard
+from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
 from mcap.writer import CompressionType, Writer
 
 from amhe_cli.core.errors import AmheError, LogError
@@ -236,6 +238,98 @@ def test_more_topics_than_a_robot_has(tmp_path: Path) -> None:
     assert len(survey(path).topics) == 1500
 
 
+def protobuf_log(path: Path, files: list[FileDescriptorProto] | bytes, payloads: list[bytes]) -> Path:
+    """An MCAP of messages of the type `t.M` of a descriptor set."""
+    described = files if isinstance(files, bytes) else FileDescriptorSet(file=files).SerializeToString()
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start()
+        about = writer.register_schema("t.M", "protobuf", described)
+        channel = writer.register_channel("/x", "protobuf", about)
+        for i, payload in enumerate(payloads):
+            writer.add_message(channel, i + 1, payload, i + 1)
+        writer.finish()
+    return path
+
+
+def proto(name: str, types: Mapping[str, Sequence[str]], *imports: str) -> FileDescriptorProto:
+    """A file of message types: the kind of each field, '*' for a list; a capital is a message."""
+    file = FileDescriptorProto(name=name, package="t", syntax="proto3", dependency=imports)
+    for type_name, kinds in types.items():
+        message = file.message_type.add(name=type_name)
+        for number, kind in enumerate(kinds, start=1):
+            plain = kind.rstrip("*")
+            added = message.field.add(name=f"f{number}", number=number, label=3 if plain != kind else 1)
+            added.type = {"double": 1, "int64": 3, "string": 9}.get(plain, 11)
+            if added.type == 11:
+                added.type_name = f".t.{plain}"
+            added.name = "name" if plain == "string" else added.name
+    return file
+
+
+Hostile: TypeAlias = tuple[list[FileDescriptorProto] | bytes, list[bytes]]
+
+
+def nested(levels: int) -> bytes:
+    """A descriptor set of types within types."""
+    body = b"\x0a\x01N"
+    for field in [3] * levels + [4, 1]:
+        named = b"\x0a\x01M" if field != 1 else b""
+        body = named + bytes([8 * field + 2, 0x80 | len(body) & 0x7F, len(body) >> 7]) + body
+    return body
+
+
+def wide(payload: bytes, *kinds: str) -> Hostile:
+    return [proto("a", {"M": kinds, "W": ["double"] * 4000})], [payload]
+
+
+#: What is hostile -> descriptors, messages, and a word of what is said of them.
+PROTOBUF: dict[str, tuple[Callable[[], Hostile], str]] = {
+    "imports in a circle": (
+        lambda: ([proto("a", {"M": ["double"]}, "b"), proto("b", {}, "a")], [b""]), "is damaged",
+    ),
+    "a file that imports itself": (lambda: ([proto("a", {"M": ["double"]}, "a")], [b""]), "is damaged"),
+    "an import that is missing": (lambda: ([proto("a", {"M": ["double"]}, "b")], [b""]), "is damaged"),
+    "types in 400 levels": (lambda: (nested(400), [b""]), "is damaged"),
+    "20^12 fields": (
+        lambda: (
+            [proto("a", {"M": ["A0"] * 20, **{f"A{i}": [f"A{i + 1}"] * 20 for i in range(12)}, "A12": []})],
+            [b""],
+        ),
+        "too many fields",
+    ),
+    "50,000 fields": (lambda: ([proto("a", {"M": ["double"] * 50_000})], [b""]), "is damaged"),
+    "a definition of 2 MiB": (
+        lambda: ([proto("a", {"M": ["double"], **{f"{i:07}" * 20: [] for i in range(15_000)}})], [b""]),
+        "beyond the limit definition_mib = 1",
+    ),
+    "a varint without an end": (lambda: wide(b"\x08" + b"\xff" * 2**20, "int64"), "1 message damaged"),
+    "a length that lies": (lambda: wide(b"\x0a\xff\xff\xff\xff\x07", "W"), "1 message damaged"),
+    "messages in 400 levels": (lambda: wide(b"\x0b" * 400, "M"), "1 message damaged"),
+    "empty messages of a wide type": (
+        lambda: wide(b"\x0a\x00" * 2**20, "W*"), "beyond the limit piece_mib",
+    ),
+    "more messages than a robot has parts": (
+        lambda: ([proto("a", {"M": ["E*"], "E": []})], [b"\x0a\x00" * 2**17]), "too many messages",
+    ),
+    "a list of 2^23 integers": (
+        lambda: wide(b"\x0a\x80\x80\x80\x04" + b"\x01" * 2**23, "int64*"), "",
+    ),
+    "a name of a megabyte": (
+        lambda: wide(b"\x0a\x80\x80\x40" + b"a" * 2**20, "string"), "name has 1048576 characters",
+    ),
+    "names without end": (lambda: wide(b"\x0a\x00" * 2**20, "string*"), "it holds 1048576 names"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", PROTOBUF)
+def test_protobuf_that_costs_too_much(kind: str, tmp_path: Path) -> None:
+    make, words = PROTOBUF[kind]
+    found = survey(protobuf_log(tmp_path / "log", *make()))
+    (topic,) = found.topics
+    assert words in damage(found) + (topic.problem or "")
+
+
 def test_names_of_a_megabyte(tmp_path: Path) -> None:
     payload = struct.pack("<I", 2**20) + b"a" * 2**20
     found = survey(cdr_log(tmp_path / "log", "string name\n", [payload] * 20))
@@ -343,6 +437,7 @@ def test_the_unfolded_size_of_a_parquet_file(tmp_path: Path) -> None:
 _EVERY_BYTE = """
 import sys
 from pathlib import Path
+from typing import TypeAlias
 from amhe_cli.core.errors import AmheError
 from amhe_cli.logs import survey
 path = Path(sys.argv[1])

@@ -10,8 +10,7 @@ from rosbags.interfaces import Nodetype
 
 from amhe_cli.logs.containers.raw import Connection, batch_of
 from amhe_cli.logs.messages.definitions import Definitions
-from amhe_cli.logs.messages.descriptors import MalformedMessageError
-from amhe_cli.logs.messages.layout import walk
+from amhe_cli.logs.messages.layout import MalformedMessageError, walk
 from amhe_cli.logs.messages.split import Splitter
 from tests.logs.log_makers import ROS1, ROS2
 

@@ -288,7 +288,7 @@ def test_a_layout_for_every_message_is_still_read() -> None:
 
 def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     bad = {
-        10: b"\x0a", 20: b"\x0a\xff\xff\xff\xff\x0f", 30: b"\xff" * 20, 40: b"\x0b\x0c", 50: b"\x00\x01"
+        10: b"\x0a", 20: b"\x0a\xff\xff\xff\xff\x0f", 30: b"\xff" * 20, 40: b"\x0b\x08", 50: b"\x00\x01"
     }  # fmt: skip
     path = write(tmp_path / "log.mcap", "JointState", lambda i: bad.get(i) or JOINTS["JointState"](i))
     log = read(path, "position", names=("a", "b"))

@@ -10,18 +10,17 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.limits import beyond, limits
 from amhe_cli.logs.containers.raw import Connection, normal_type
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
-from amhe_cli.logs.messages.descriptors import ENCODING as PROTOBUF
-from amhe_cli.logs.messages.descriptors import MalformedMessageError, protobuf_types
-
-#: Type -> its fields in order: (name, rosbags' description of the field's type); of protobuf: its fields.
-Types: TypeAlias = Mapping[str, Any]
+from amhe_cli.logs.messages.layout import MalformedMessageError, Types
+from amhe_cli.logs.messages.protobuf import ENCODING as PROTOBUF
+from amhe_cli.logs.messages.protobuf import MessageType
 
 
 class Definitions:
@@ -36,10 +35,10 @@ class Definitions:
 
     def __init__(self, msg_path: Path | None = None) -> None:
         self._folder = _read_folder(msg_path) if msg_path else {}
-        self._cache: dict[Connection, Types] = {}
+        self._cache: dict[Connection, Types | MessageType] = {}
 
-    def of(self, connection: Connection) -> Types:
-        """All types that decoding `connection` may need.
+    def of(self, connection: Connection) -> Types | MessageType:
+        """All types that decoding `connection` may need; of protobuf, the type of its messages.
 
         Raises:
             LogError: If the connection is in a foreign encoding, or its type is not defined anywhere.
@@ -56,8 +55,10 @@ class Definitions:
             return str(error)
         return None
 
-    def _lookup(self, connection: Connection) -> Types:
+    def _lookup(self, connection: Connection) -> Types | MessageType:
         topic = f"topic {connection.topic!r}"
+        if len(connection.definition) > limits().definition:
+            raise LogError(f"{topic}: {beyond('definition_mib', f'the definition of {connection.type} is')}")
         if connection.encoding in (TABLE, "json"):
             return {}
         if connection.encoding == PROTOBUF:
@@ -84,15 +85,16 @@ class Definitions:
         return types
 
 
-def _descriptors(connection: Connection, topic: str) -> Types:
-    """The message types of a protobuf connection, by the descriptor set in the log."""
+def _descriptors(connection: Connection, topic: str) -> MessageType:
+    """The type of a protobuf connection, by the descriptor set in the log."""
     try:
-        types = protobuf_types(connection.definition.encode("latin-1"))
+        return MessageType(connection.definition.encode("latin-1"), connection.type)
+    except KeyError:
+        raise LogError(
+            f"{topic}: the log has no descriptor of {connection.type}, so it cannot be read"
+        ) from None
     except (MalformedMessageError, UnicodeEncodeError) as error:
         raise LogError(f"{topic}: the descriptor set of {connection.type} is damaged ({error})") from None
-    if connection.type not in types:
-        raise LogError(f"{topic}: the log has no descriptor of {connection.type}, so it cannot be read")
-    return types
 
 
 @lru_cache(maxsize=256)

@@ -11,14 +11,16 @@ import json
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from amhe_cli.core.arrays import BoolArray, IntArray
-from amhe_cli.logs.messages.definitions import Types
-from amhe_cli.logs.messages.descriptors import MalformedMessageError
+
+#: Type -> its fields in order: (name, rosbags' description of the field's type).
+Types: TypeAlias = Mapping[str, Any]
 
 #: Strings whose content matters; of all others only the length is part of a layout.
 KEPT = {"name", "mark", "joint_names", "frame_id", "child_frame_id"}
@@ -26,7 +28,7 @@ KEPT = {"name", "mark", "joint_names", "frame_id", "child_frame_id"}
 #: Fields of a message: in any case, for each of its bytes, and at most; and how deep they may nest.
 _FEW_FIELDS, _FIELDS_A_BYTE, _MOST_FIELDS, _DEEPEST = 1000, 2, 1_000_000, 50
 #: Bytes of a name.
-_LONGEST_NAME = 10_000
+LONGEST_NAME = 10_000
 
 #: ROS 2 gives an empty structure one byte under this name; ROS 1 gives it none.
 _FILLER = "structure_needs_at_least_one_member"
@@ -36,6 +38,10 @@ _DTYPES: Mapping[str, str] = {
     "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4", "int64": "i8", "uint64": "u8",
     "float32": "f4", "float64": "f8",
 }  # fmt: skip
+
+
+class MalformedMessageError(ValueError):
+    """The bytes of a message contradict its definition."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +61,28 @@ class Leaf:
         return np.ndarray(len(rows), self.dtype, rows, self.offset, (rows.strides[0],))
 
 
+@dataclass(frozen=True, slots=True)
+class Constant(Leaf):
+    """A number that the messages leave out."""
+
+    value: float
+
+    def read(self, rows: NDArray[np.uint8]) -> NDArray:
+        """The number, for every message."""
+        return np.full(len(rows), self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Several(Leaf):
+    """An array of numbers from several places."""
+
+    parts: tuple[Leaf, ...]
+
+    def column(self, index: int) -> Leaf:
+        """Element `index`."""
+        return self.parts[index]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Layout:
     """The layout that a group of messages shares.
@@ -64,7 +92,6 @@ class Layout:
         counts: Path of an array of structures or strings -> number of its elements.
         strings: Path -> content; only names and frames.
         places, expected: Bytes that make a message have this layout, shape (m,).
-        mask: The bits of these bytes that count, shape (m,); None: all.
         fields: Fields that had to be looked at to find it.
     """
 
@@ -73,13 +100,11 @@ class Layout:
     strings: Mapping[str, str]
     places: IntArray
     expected: NDArray[np.uint8]
-    mask: NDArray[np.uint8] | None = None
     fields: int = 0
 
     def matches(self, rows: NDArray[np.uint8]) -> BoolArray:
         """Which of the messages (n, length) have this layout, given that the length is the same."""
-        there = rows[:, self.places]
-        return ((there if self.mask is None else there & self.mask) == self.expected).all(axis=1)
+        return (rows[:, self.places] == self.expected).all(axis=1)
 
     def names(self, path: str) -> tuple[str, ...]:
         """Content of an array of strings, for instance 'name' of a JointState."""
@@ -211,7 +236,7 @@ class _Walker:
         length = self._length()
         start = self._skip(1, length)
         if path.split(".")[-1].split("[")[0] in KEPT:
-            if length > _LONGEST_NAME:
+            if length > LONGEST_NAME:
                 raise MalformedMessageError(f"{path} has {length} bytes")
             self.fixed |= set(range(start, start + length))
             text = self._data[start : start + length]

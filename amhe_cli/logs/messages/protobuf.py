@@ -1,257 +1,253 @@
-"""Where each number of a protobuf message lies in its bytes.
+"""Protobuf messages by google.protobuf and the descriptors that the log carries.
 
-As for ROS messages, one message is walked in Python. Every other message of its length with the same tags,
-lengths and widths of varints has all its numbers at the same places. A number that a message leaves out is 0,
-as proto3 has it; one in a message that is left out itself is unknown, thus NaN.
+The descriptors are data: no code is generated from them. A number that a message leaves out is 0, as proto3
+has it; one in a message that is left out itself, or one whose presence is told, is unknown, thus NaN.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
+from graphlib import TopologicalSorter
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from google.protobuf.descriptor import Descriptor, FieldDescriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message import DecodeError
+from google.protobuf.message_factory import GetMessageClass
 
-from amhe_cli.logs.messages.descriptors import (
-    BYTES,
-    VARINT,
-    Field,
-    MalformedMessageError,
-    ProtobufTypes,
-    span_of,
-    varint,
-)
-from amhe_cli.logs.messages.layout import KEPT, Layout, Leaf
+from amhe_cli.core.limits import beyond, limits
+from amhe_cli.logs.messages.layout import KEPT, Constant, Layout, Leaf, MalformedMessageError
+from amhe_cli.logs.messages.rows import DEEPEST, TIMES, Row
 
-_Bytes = NDArray[np.uint8]
-_DEEPEST, _MOST_FIELDS = 30, 20_000
-#: A packed list of more varints is no state of a robot; it is left out.
-_MOST_VARINTS = 1000
-_F8 = np.dtype("<f8")
+#: MCAP's name of the encoding.
+ENCODING = "protobuf"
+#: A longer list is an image or a cloud of points, and not read.
+_LONGEST = 10_000
+#: Fields that a message may leave out, those of messages that it leaves out among them.
+_MOST_ABSENT = 20_000
+_TIME_PARTS = {*TIMES, "sec", "nanosec"}
 _STAMPS = ("stamp", "timestamp")
+_F8 = np.dtype("<f8")
 
 
 @dataclass(frozen=True, slots=True)
-class _Varint(Leaf):
-    """A number of `width` bytes with seven bits in each."""
+class _Field:
+    """One field of a message type.
 
-    width: int
-    zigzag: bool
-
-    def read(self, rows: _Bytes) -> NDArray:
-        value = np.zeros(len(rows), dtype=np.uint64)
-        for i in range(self.width):
-            value |= (rows[:, self.offset + i] & np.uint8(0x7F)).astype(np.uint64) << np.uint64(7 * i)
-        if self.zigzag:
-            value = (value >> np.uint64(1)) ^ (~(value & np.uint64(1)) + np.uint64(1))
-        return value.view(np.int64).astype(self.dtype)
-
-
-@dataclass(frozen=True, slots=True)
-class _Constant(Leaf):
-    """A number that the messages leave out."""
-
-    value: float
-
-    def read(self, rows: _Bytes) -> NDArray:
-        return np.full(len(rows), self.value)
-
-
-@dataclass(frozen=True, slots=True)
-class _Several(Leaf):
-    """An array of numbers from several places."""
-
-    parts: tuple[Leaf, ...]
-
-    def column(self, index: int) -> Leaf:
-        return self.parts[index]
-
-
-@dataclass(frozen=True, slots=True)
-class _TimePart(Leaf):
-    """Seconds, or the nanoseconds beyond them, of a time that is one number.
-
-    Its size gives the unit: seconds, or milli-, micro- or nanoseconds since 1970.
+    Args:
+        name: Name of the field; those of times are ROS 2's.
+        kind: 'number', 'name', 'text', 'message', or 'other', which is not read: bytes and maps.
+        repeated: Whether it is a list.
+        absent: Value of the field where a message lacks it; NaN where that means that it is unknown.
+        message: Type of the message that it holds, None for anything else.
     """
 
-    whole: Leaf
-    seconds: bool
-
-    def read(self, rows: _Bytes) -> NDArray:
-        time = self.whole.read(rows)
-        if time.dtype.kind == "f":
-            time = np.where(np.abs(time) < 2.0**62, time, 0.0)
-        else:
-            time = time.astype(np.int64)
-        size = np.abs(time.astype(np.float64))
-        unit = np.select([size > 1e17, size > 1e14, size > 1e11], [10**9, 10**6, 10**3], 1)
-        seconds, rest = np.divmod(time, unit.astype(time.dtype))
-        return (seconds if self.seconds else np.round(rest * (10**9 // unit))).astype(np.int64)
+    name: str
+    kind: str
+    repeated: bool
+    absent: float
+    message: Descriptor | None
 
 
-def walk(message: _Bytes, type_name: str, types: ProtobufTypes) -> Layout:
-    """Find the layout of one message.
+class MessageType:
+    """One type of a descriptor set; reads its messages.
+
+    Args:
+        descriptor_set: Bytes of a FileDescriptorSet.
+        name: Full name of the type.
 
     Raises:
-        MalformedMessageError: If the bytes cannot be a message of that type.
+        MalformedMessageError: The bytes are not such a set.
+        KeyError: It has no such type.
     """
-    walker = _Walker(message.tobytes(), types)
-    walker.structure("", type_name, 0, len(message), 0)
-    walker.finish()
-    places = np.array(sorted(walker.fixed), dtype=np.int64)
-    mask = np.array([walker.fixed[place] for place in places.tolist()], dtype=np.uint8)
-    found = walker.leaves, walker.counts, walker.strings
-    return Layout(*found, places, message[places] & mask, mask, walker.visited)
+
+    def __init__(self, descriptor_set: bytes, name: str) -> None:
+        try:
+            pool = _pool(descriptor_set)
+        except (TypeError, ValueError, DecodeError) as error:
+            raise MalformedMessageError(f"{error}".split("\n")[0][:200]) from None
+        self._root: Descriptor = pool.FindMessageTypeByName(name)
+        self._make = GetMessageClass(self._root)
+        self._fields: dict[str, Mapping[int, _Field]] = {}
+        self._growth = self._largest_growth()
+
+    def read(self, data: bytes) -> Row:
+        """Parse one message.
+
+        Raises:
+            MalformedMessageError: The bytes are none, or would take too much room.
+        """
+        if len(data) * self._growth > limits().piece:
+            raise MalformedMessageError(beyond("piece_mib", f"what its {len(data)} bytes may unfold to is"))
+        try:
+            message = self._make.FromString(data)
+        except (DecodeError, RecursionError) as error:
+            raise MalformedMessageError(str(error)) from None
+        row = _MessageRow(self)
+        row.message("", self._root, message, 0)
+        return row
+
+    def fields(self, descriptor: Descriptor) -> Mapping[int, _Field]:
+        """The fields of a type, by their numbers."""
+        name = descriptor.full_name
+        if name not in self._fields:
+            fields = {field.number: _field(field) for field in descriptor.fields}
+            if fields and all(field.name in _TIME_PARTS for field in fields.values()):
+                # A time that is absent is a stamp that was not set.
+                fields = {
+                    number: _Field(TIMES.get(f.name, f.name), f.kind, f.repeated, 0.0, f.message)
+                    for number, f in fields.items()
+                }
+            self._fields[name] = fields
+        return self._fields[name]
+
+    def _largest_growth(self) -> float:
+        """Bytes that one byte of a message can become: google's parser makes room for all fields of a type.
+
+        A list takes two bytes for each empty message in it.
+        """
+        growth, met, left = 1.0, set[tuple[str, bool]](), [(self._root, False)]
+        while left:
+            descriptor, listed = left.pop()
+            if (descriptor.full_name, listed) in met:
+                continue
+            met.add((descriptor.full_name, listed))
+            if listed:
+                growth = max(growth, 20.0 + 8.0 * len(descriptor.fields))
+            for field in descriptor.fields:
+                if (within := field.message_type) is not None:
+                    left.append((within, listed or field.is_repeated))
+                elif field.is_repeated:
+                    growth = max(growth, 16.0)
+        return growth
 
 
-class _Walker:
-    def __init__(self, data: bytes, types: ProtobufTypes) -> None:
-        self._data, self._types = data, types
-        self._lists: dict[str, list[Leaf]] = {}
-        self.visited = 0
-        self.leaves: dict[str, Leaf] = {}
-        self.counts: dict[str, int] = {}
-        self.strings: dict[str, str] = {}
-        #: Place of a byte -> its bits that all messages of the layout share.
-        self.fixed: dict[int, int] = {}
+class _MessageRow(Row):
+    """A row of a protobuf message: its layout knows the numbers that it leaves out."""
 
-    def structure(self, path: str, type_name: str, position: int, end: int, depth: int) -> None:
-        """Walk the fields of one message."""
-        if type_name not in self._types:
-            raise MalformedMessageError(f"type {type_name} is not defined")
-        if depth > _DEEPEST:
-            raise MalformedMessageError("it nests too deep")
-        fields, data = self._types[type_name], self._data
-        prefix = f"{path}." if path else ""
-        present: set[int] = set()
-        while position < end:
-            tag, after = varint(data, position, end)
-            self._fix(position, after)
-            number, wire = tag >> 3, tag & 7
-            if number == 0:
-                raise MalformedMessageError("a field in it has the number 0")
-            start, stop = span_of(data, wire, after, end)
-            if wire == BYTES:
-                self._fix(after, start)
-            elif wire == VARINT:
-                self._fix(start, stop, 0x80)
-            field = fields.get(number)
-            if field is not None and self._value(prefix, field, wire, start, stop, depth):
-                present.add(number)
-            position = stop
-        for number, field in fields.items():
-            if number not in present:
-                self._absent(prefix, field, field.absent, (type_name,))
+    def __init__(self, types: MessageType) -> None:
+        super().__init__()
+        self._types = types
+        #: Path of each message that is there, with a dot behind it -> its type.
+        self._present: dict[str, Descriptor] = {}
 
-    def finish(self) -> None:
-        """Join the lists of numbers, and bring joints to the form of a JointState."""
-        for path, leaves in self._lists.items():
-            only = leaves[0] if len(leaves) == 1 and leaves[0].count is not None else None
-            parts = tuple(
-                leaf if leaf.count is None else leaf.column(i)
-                for leaf in leaves
-                for i in range(leaf.count or 1)
-                if leaf.count != 0
-            )
-            self.leaves[path] = only or _Several(0, _F8, len(parts), parts)
-        joints = [f"joints[{i}]." for i in range(self.counts.get("joints", 0))]
-        if not joints or not all(f"{joint}name" in self.strings for joint in joints):
-            return
-        for quantity in ("position", "velocity", "effort"):
-            leaves = [self.leaves.get(joint + quantity) for joint in joints]
-            parts = tuple(leaf for leaf in leaves if leaf is not None and leaf.count is None)
-            if len(parts) == len(joints) and not all(_unknown(leaf) for leaf in parts):
-                self.leaves[quantity] = _Several(0, _F8, len(parts), parts)
-        self.counts["name"] = len(joints)
-        self.strings |= {f"name[{i}]": self.strings[f"{joint}name"] for i, joint in enumerate(joints)}
+    def message(self, prefix: str, descriptor: Descriptor, message: Any, depth: int) -> None:
+        """Note the fields of a message."""
+        self.check(depth)
+        if len(self._present) > _MOST_ABSENT:
+            raise MalformedMessageError("it holds too many messages")
+        self._present[prefix] = descriptor
+        fields = self._types.fields(descriptor)
+        for described, value in message.ListFields():
+            if (field := fields.get(described.number)) is None:
+                continue  # an extension
+            path = prefix + field.name
+            if field.kind == "number":
+                self._numbers(prefix, field, value)
+            elif field.kind == "message" and field.message is not None:
+                if not field.repeated:
+                    self.message(_within(prefix, field), field.message, value, depth + 1)
+                    continue
+                self.counts[path] = len(value)
+                for i, element in enumerate(value):
+                    self.message(f"{path}[{i}].", field.message, element, depth + 1)
+            elif field.kind in ("name", "text"):
+                self._texts(path, field, value)
 
-    def _value(self, prefix: str, field: Field, wire: int, start: int, stop: int, depth: int) -> bool:
-        """Note one value; False where its bytes are not of the field's kind, which makes them unknown."""
-        self._count()
-        packed = field.repeated and wire == BYTES and field.wire != BYTES
-        if wire != field.wire and not packed:
-            return False
+    def key(self) -> tuple:
+        """See `Row`."""
+        return *super().key(), tuple(self._present)
+
+    def finished(self, leaves: dict[str, Leaf]) -> Layout:
+        """See `Row`; with the fields that are absent."""
+        self._left = _MOST_ABSENT
+        for prefix, descriptor in self._present.items():
+            for field in self._types.fields(descriptor).values():
+                self._absent(leaves, prefix, field, field.absent, (descriptor.full_name,))
+        return super().finished(leaves)
+
+    def _numbers(self, prefix: str, field: _Field, value: Any) -> None:
         path = prefix + field.name
-        if field.dtype is not None:
-            if packed:
-                self._packed(path, field, start, stop)
-            elif field.repeated:
-                self._lists.setdefault(path, []).append(_leaf(field, start, stop))
-            else:
-                self._number(prefix, field, _leaf(field, start, stop))
-            return True
-        if field.repeated and (field.message or field.text):
-            index = self.counts.get(path, 0)
-            self.counts[path] = index + 1
-            path = f"{path}[{index}]"
-        if field.message:
-            name = "stamp" if field.name == "timestamp" and not field.repeated else ""
-            self.structure(prefix + name if name else path, field.message, start, stop, depth + 1)
-        elif field.text and field.name in KEPT:
-            self._fix(start, stop)
-            self.strings[path] = self._data[start:stop].decode("utf-8", "replace")
-        return True
+        if not field.repeated:
+            self.number(path, value)
+            if field.name in _STAMPS:
+                self.time(f"{prefix}stamp", value if abs(value) < 2**62 else 0)
+        elif len(value) > _LONGEST:
+            self.counts[path] = len(value)
+        else:
+            self.array(path, value)
 
-    def _number(self, prefix: str, field: Field, leaf: Leaf) -> None:
-        self.leaves[prefix + field.name] = leaf
-        if field.name in _STAMPS:
-            for part, seconds in (("sec", True), ("nanosec", False)):
-                self.leaves[f"{prefix}stamp.{part}"] = _TimePart(0, np.dtype("<i8"), None, leaf, seconds)
-
-    def _packed(self, path: str, field: Field, start: int, stop: int) -> None:
-        leaves = self._lists.setdefault(path, [])
-        assert field.dtype is not None
-        if field.wire != VARINT:
-            count, rest = divmod(stop - start, field.dtype.itemsize)
-            if rest:
-                raise MalformedMessageError(f"{path} ends within a number")
-            leaves.append(Leaf(start, field.dtype, count))
-            return
-        if sum(byte < 0x80 for byte in self._data[start : min(stop, start + 10_000)]) > _MOST_VARINTS:
-            return
-        self._fix(start, stop, 0x80)
-        while start < stop:
-            _, after = varint(self._data, start, stop)
-            leaves.append(_leaf(field, start, after))
-            start = after
-
-    def _absent(self, prefix: str, field: Field, value: float, within: Sequence[str]) -> None:
-        """Note a field that the message leaves out, and all that it would hold."""
-        self._count()
-        path = prefix + field.name
+    def _texts(self, path: str, field: _Field, value: Any) -> None:
         if field.repeated:
-            if field.dtype is not None:
-                self._lists.setdefault(path, [])
+            self.counts[path] = len(value)
+        if field.kind == "name" and not field.repeated:
+            self.name(path, value)
+        elif field.kind == "name":
+            if len(value) > _LONGEST:
+                raise MalformedMessageError(f"it holds {len(value)} names")
+            for i, text in enumerate(value):
+                self.name(f"{path}[{i}]", text)
+
+    def _absent(
+        self, leaves: dict[str, Leaf], prefix: str, field: _Field, value: float, within: tuple[str, ...]
+    ) -> None:
+        """Note a field that the message leaves out, and all that it would hold."""
+        self._left -= 1
+        if self._left < 0:
+            raise MalformedMessageError("its type has too many fields")
+        path = prefix + field.name
+        if path in leaves or path in self.counts or path in self.strings:
+            return
+        if field.repeated:
+            if field.kind == "number":
+                leaves[path] = Leaf(0, _F8, 0)
             else:
-                self.counts.setdefault(path, 0)
-        elif field.dtype is not None:
-            if path not in self.leaves:
-                self._number(prefix, field, _Constant(0, _F8, None, value))
-        elif field.text and field.name in KEPT:
-            self.strings.setdefault(path, "")
-        elif field.message and field.message not in within and len(within) < _DEEPEST:
-            inner = f"{prefix}stamp." if field.name == "timestamp" else f"{path}."
-            for part in self._types.get(field.message, {}).values():
-                unset = 0.0 if part.name in ("sec", "nanosec") else float("nan")
-                self._absent(inner, part, unset, (*within, field.message))
-
-    def _fix(self, start: int, stop: int, bits: int = 0xFF) -> None:
-        for place in range(start, stop):
-            self.fixed[place] = bits
-
-    def _count(self) -> None:
-        self.visited += 1
-        if self.visited > _MOST_FIELDS:
-            raise MalformedMessageError("it has too many fields")
+                self.counts[path] = 0
+        elif field.kind == "number":
+            leaves[path] = Constant(0, _F8, None, value)
+            if field.name in _STAMPS:
+                for part in ("sec", "nanosec"):
+                    leaves.setdefault(f"{prefix}stamp.{part}", Constant(0, _F8, None, 0.0))
+        elif field.kind == "name":
+            self.strings[path] = ""
+        elif field.message is not None and (inner := _within(prefix, field)) not in self._present:
+            name = field.message.full_name
+            if name not in within and len(within) < DEEPEST:
+                for part in self._types.fields(field.message).values():
+                    unset = 0.0 if part.name in ("sec", "nanosec") else float("nan")
+                    self._absent(leaves, inner, part, unset, (*within, name))
 
 
-def _leaf(field: Field, start: int, stop: int) -> Leaf:
-    assert field.dtype is not None
-    if field.wire == VARINT:
-        return _Varint(start, field.dtype, None, stop - start, field.zigzag)
-    return Leaf(start, field.dtype, None)
+def _within(prefix: str, field: _Field) -> str:
+    """Prefix of the paths in a message that a field holds."""
+    return f"{prefix}{'stamp' if field.name == 'timestamp' else field.name}."
 
 
-def _unknown(leaf: Leaf) -> bool:
-    return isinstance(leaf, _Constant) and bool(np.isnan(leaf.value))
+def _field(field: FieldDescriptor) -> _Field:
+    message = field.message_type
+    if message is not None:
+        kind = "other" if message.GetOptions().map_entry else "message"
+    elif field.type == FieldDescriptor.TYPE_BYTES:
+        kind = "other"
+    else:
+        text = "name" if field.name in KEPT else "text"
+        kind = text if field.type == FieldDescriptor.TYPE_STRING else "number"
+    absent = float("nan") if field.has_presence and not field.has_default_value else 0.0
+    if kind == "number" and field.has_default_value:
+        absent = float(field.default_value)
+    return _Field(field.name, kind, field.is_repeated, absent, message)
+
+
+@lru_cache(maxsize=8)
+def _pool(descriptor_set: bytes) -> DescriptorPool:
+    """A pool of all files of a set, whatever their order."""
+    files = {file.name: file for file in FileDescriptorSet.FromString(descriptor_set).file}
+    needs = {name: [other for other in file.dependency if other in files] for name, file in files.items()}
+    pool = DescriptorPool()
+    for name in TopologicalSorter(needs).static_order():  # a circle is a ValueError
+        pool.AddSerializedFile(files[name].SerializeToString())
+    return pool
