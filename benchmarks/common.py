@@ -23,7 +23,8 @@ import amhe_cli
 from amhe_cli.core import differentiate, rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Series
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.description.data import Channel
+from amhe_cli.system.system import System
 
 PROJECT = Path(__file__).resolve().parent.parent
 SYSTEMS = Path(__file__).resolve().parent / "systems"

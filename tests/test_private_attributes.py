@@ -12,7 +12,7 @@ from amhe_cli.core.errors import AmheError
 from amhe_cli.estimation.offline.cma import memory_of, restore
 from amhe_cli.robots.go1.poses.natnet import _listening_to
 from amhe_cli.robots.go1.poses.source import PoseError
-from amhe_cli.system.parameters.edits import inputs_of_set_const
+from amhe_cli.system.parameters.model_edits import inputs_of_set_const
 
 
 def test_mujoco_lists_the_inputs_of_its_derived_constants() -> None:

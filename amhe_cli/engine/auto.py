@@ -13,7 +13,7 @@ from amhe_cli.core.errors import NOTE, SimulationError
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine, Predicted, Rollouts, Starts, Wanted
 from amhe_cli.engine.step_cost import step_cost
-from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 logger = logging.getLogger(__name__)
 

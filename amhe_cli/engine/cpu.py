@@ -21,7 +21,7 @@ from amhe_cli.engine.rollout import (
     turns_of,
 )
 from amhe_cli.engine.states import controls, first_activations, without_contacts
-from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
 RECORD_BYTES = 64 * 2**20

@@ -18,7 +18,7 @@ from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
 from amhe_cli.engine.states import collides
-from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import ModelEdits
 from amhe_cli.system.system import System
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from amhe_cli.engine.states import integrated
-from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 
 @dataclass(frozen=True, slots=True, eq=False)

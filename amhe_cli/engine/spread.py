@@ -28,7 +28,7 @@ from amhe_cli.engine.rollout import (
     cut,
     predicted_in_parts,
 )
-from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: A part of a call has at least so many rollouts, and a call at most so many parts.
 _LEAST, _MOST = 8, 64

@@ -34,7 +34,8 @@ from amhe_cli.core.statistics import pseudo_huber, trimmed_mean
 from amhe_cli.engine.rollout import Engine, Predicted, Rollouts, Starts, Wanted
 from amhe_cli.matching.readings import averaged, reading_of, state_errors
 from amhe_cli.matching.windows import Clips, Observed, prepare
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.description.data import Channel
+from amhe_cli.system.system import System
 
 
 @dataclass(frozen=True, eq=False)

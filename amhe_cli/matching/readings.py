@@ -12,9 +12,10 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import AnyArray, FloatArray, namespace_of
 from amhe_cli.engine.rollout import Starts
 from amhe_cli.matching.starts import tangent_of, unmeasured
+from amhe_cli.system.description.data import Channel
 from amhe_cli.system.model.gaps import gaps
 from amhe_cli.system.parameters.calibration import Reading
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.system import System
 
 
 def reading_of(channel: Channel, reading: Reading | None, numbers: FloatArray, true: AnyArray) -> AnyArray:

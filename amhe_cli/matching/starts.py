@@ -15,9 +15,10 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.core.statistics import white_noise_sd
+from amhe_cli.system.description.data import Channel
 from amhe_cli.system.model.couplings import set_followers
 from amhe_cli.system.model.gaps import Gap, gaps, loose_ends, set_gaps
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.system import System
 
 #: Smoothing fits parabolas: motion between two contacts bends, and hardly more.
 _DEGREE = 2

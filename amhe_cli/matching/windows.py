@@ -14,7 +14,8 @@ from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.engine.states import home
 from amhe_cli.matching.readings import remembered
 from amhe_cli.matching.starts import first_errors, first_states
-from amhe_cli.system.system import Channel, Input, System
+from amhe_cli.system.description.data import Channel, Input
+from amhe_cli.system.system import System
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,7 +22,8 @@ from amhe_cli.matching.cost import MatchingCost, RolledOut
 from amhe_cli.matching.readings import reading_of, state_errors
 from amhe_cli.matching.starts import first_states
 from amhe_cli.matching.windows import starts_of
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.description.data import Channel
+from amhe_cli.system.system import System
 from amhe_cli.view.scene import Geom, Scene, scene_of
 
 #: Most frames of a second; what lies between them is interpolated.

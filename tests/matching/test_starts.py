@@ -11,7 +11,8 @@ import pytest
 from amhe_cli.core import rotations
 from amhe_cli.core.log import Log, Series, Window
 from amhe_cli.matching.starts import first_states
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.description.data import Channel
+from amhe_cli.system.system import System
 
 HOME = np.zeros(1)
 

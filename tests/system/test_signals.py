@@ -11,7 +11,8 @@ import pytest
 
 from amhe_cli.core import rotations
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.description.data import Channel
+from amhe_cli.system.system import System
 
 Write = Callable[..., Path]
 

@@ -14,7 +14,7 @@ import warp as wp
 
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.states import first_activations
-from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: Constants that `set_const` derives from masses, inertias and armatures: each world has its own.
 DERIVED = ("body_subtreemass", "body_invweight0", "dof_invweight0", "tendon_invweight0", "actuator_acc0")

@@ -24,7 +24,7 @@ from amhe_cli.engine.rollout import (
     turns_of,
 )
 from amhe_cli.engine.step_cost import StepCost, step_cost
-from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: A card gets at least so many rollouts of a call that several cards share.
 LEAST = 512

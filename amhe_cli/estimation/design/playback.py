@@ -12,7 +12,8 @@ from amhe_cli.core.log import Log, Series
 from amhe_cli.engine.bounds import Bounds, Broken, joint_at_limit
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.states import home
-from amhe_cli.system.system import Channel, System
+from amhe_cli.system.description.data import Channel
+from amhe_cli.system.system import System
 
 #: Time between two messages of measurements, and between two commands [s].
 MEASURED, COMMANDED = 0.01, 0.02

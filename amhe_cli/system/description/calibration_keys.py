@@ -10,6 +10,7 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES
+from amhe_cli.system.description.data import Channel
 from amhe_cli.system.description.schema import Description, SignalEntry, TargetEntry
 from amhe_cli.system.description.targets import FRAME_AXES, id_of
 from amhe_cli.system.model.gaps import gaps
@@ -21,7 +22,6 @@ from amhe_cli.system.parameters.calibration import (
     ZeroEdit,
 )
 from amhe_cli.system.parameters.edits import Edit, ScalarEdit
-from amhe_cli.system.system import Channel
 
 #: Value of a number that is not given.
 _NEUTRAL = {"scale": 1.0, "bias": 0.0, "frame": 0.0}

@@ -9,7 +9,7 @@ import mujoco
 
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.contacts import geom_name, partners
-from amhe_cli.system.parameters.edits import ModelEdits
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 logger = logging.getLogger(__name__)
 

@@ -7,18 +7,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Log
+from amhe_cli.system.description.data import Input, SystemData
 from amhe_cli.system.description.driven import commanded
 from amhe_cli.system.model.gaps import gaps
-
-if TYPE_CHECKING:
-    from amhe_cli.system.system import Input, System
 
 #: A state that is sampled more seldom [s] is no record of motion.
 _SLOW = 0.5
@@ -79,7 +77,7 @@ def _written(value: Any) -> str:
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def doubts_of(system: System, log: Log) -> Iterator[Doubt]:
+def doubts_of(system: SystemData, log: Log) -> Iterator[Doubt]:
     """See `System.doubts`."""
     for signal in system.signals:
         rows = [log[key].sampled for q in signal.quantities if (key := signal.key(q)) in log.series]
@@ -114,7 +112,7 @@ def doubts_of(system: System, log: Log) -> Iterator[Doubt]:
             yield from _of_commands(system, log, one, positions)
 
 
-def _joint_channels(system: System) -> dict[str, list[int]]:
+def _joint_channels(system: SystemData) -> dict[str, list[int]]:
     """Key of each series of joint positions -> the joints of its columns."""
     model = system.model
     single = {
@@ -201,7 +199,7 @@ def _named(
     return [cause for ratio, cause in causes.items() if abs(slope / ratio - 1.0) < _NEAR]
 
 
-def _of_commands(system: System, log: Log, one: Input, positions: _Positions) -> Iterator[Doubt]:
+def _of_commands(system: SystemData, log: Log, one: Input, positions: _Positions) -> Iterator[Doubt]:
     """Units and order of the targets of position servos, by the joints that should follow them."""
     series, signal = log[one.key], one.key.rpartition(".")[0]
     servos = {column: _servo_joint(system, place) for column, place in enumerate(one.columns)}
@@ -251,7 +249,7 @@ def _beyond(model: mujoco.MjModel, joint: int, largest: float) -> bool:
     return hinge and largest > max(_BEYOND * reach, 2.0 * np.pi)
 
 
-def _servo_joint(system: System, place: int) -> int | None:
+def _servo_joint(system: SystemData, place: int) -> int | None:
     """The joint of the position servo that a number of the engine's input commands."""
     model, control = system.model, int(mujoco.mjtState.mjSTATE_CTRL)
     if not system.input_spec & control:

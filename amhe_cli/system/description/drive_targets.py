@@ -5,13 +5,19 @@ Each function takes the row of an actuator or joint, and raises ConfigError wher
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.description.schema import TargetEntry
 from amhe_cli.system.model.gaps import gaps
-from amhe_cli.system.parameters.cells import Cells, CellsOf, range_cells
+from amhe_cli.system.parameters.cells import Cells, range_cells
+
+#: From a model, the row of an element and a target to the numbers that the target sets; raises ConfigError
+#: where they would have no effect.
+CellsOf = Callable[[mujoco.MjModel, int, TargetEntry], list[Cells]]
 
 _DC_MOTOR, _PID = int(mujoco.mjtGain.mjGAIN_DCMOTOR), int(mujoco.mjtGain.mjGAIN_PID)
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)

@@ -1,4 +1,4 @@
-"""From a system folder, or from a model and arguments, to a `System`: every mistake is in one error."""
+"""What a `System` is made of, from a system folder or from a model and arguments; all mistakes at once."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.settings import MheSettings, Settings
 from amhe_cli.core.yaml_file import Place, YamlFile, merged
 from amhe_cli.system.description.cautions import caution
+from amhe_cli.system.description.data import SystemData
 from amhe_cli.system.description.folders import FILE_NAME, find_system
 from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
@@ -22,7 +23,6 @@ from amhe_cli.system.description.targets import id_of
 from amhe_cli.system.model.boxes import resize_boxes
 from amhe_cli.system.model.files import compiled, read_spec, read_without_meshes, spec_of
 from amhe_cli.system.model.urdf import XACRO, UrdfOptions, is_urdf
-from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
@@ -37,7 +37,7 @@ def load(
     *,
     warn: bool,
     boxes_for_meshes: bool,
-) -> System:
+) -> SystemData:
     """See `System.load`."""
     folder, overrides = find_system(name_or_folder), settings or {}
     file = YamlFile(folder / FILE_NAME, _placed(overrides), patient=True)
@@ -62,7 +62,7 @@ def described(
     urdf: UrdfOptions,
     *,
     warn: bool,
-) -> System:
+) -> SystemData:
     """See `System.from_model`; `description` has the keys of a `system.yaml`, without its model."""
     spec = spec_of(model, urdf)
     own = Path(model).stem if isinstance(model, str | Path) else spec.modelname
@@ -120,7 +120,7 @@ def _built(
     folder: Path | None,
     text: str,
     warn: bool,
-) -> System:
+) -> SystemData:
     """Compile a system from its description.
 
     Args:
@@ -128,7 +128,7 @@ def _built(
         where: Name of the description in warnings.
         entry: The description, validated.
         spec: The model as it was given; sensors are added to it.
-        name, folder, text: See `System`.
+        name, folder, text: See `SystemData`.
         warn: Log what is allowed but will not do what it seems to.
     """
     original = spec.copy()
@@ -152,7 +152,7 @@ def _built(
     if warn:
         caution(where, base, edits)
         _warn_of_unset(where, draft.unset_joints(), keyframe)
-    return System(
+    return SystemData(
         name=name,
         folder=folder,
         text=text,

@@ -18,8 +18,9 @@ from amhe_cli.system.description.targets import SETTERS, cells_of, rows_of, sele
 from amhe_cli.system.parameters.calibration import CalibrationNumber, SignalCalibration
 from amhe_cli.system.parameters.cells import Cells, range_cells
 from amhe_cli.system.parameters.delays import CommandDelays
-from amhe_cli.system.parameters.edits import Edit, ModelEdits, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.edits import Edit, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
 LOG_PRIOR_SD = 0.5
@@ -101,7 +102,7 @@ def _add_plain(
             selector = selector_of(target)
             cells: list[Cells]
             if target.set == "command_delay":
-                cells = [*delays.cells_of(target)]
+                cells = [*delays.cells_of(target.actuator)]
             else:
                 cells = [*draft.cells_of(target)] if selector == "signal" else cells_of(model, target)
             reached.append((target, cells))

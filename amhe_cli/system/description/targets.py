@@ -12,8 +12,9 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.system.description import drive_targets as drives
+from amhe_cli.system.description.drive_targets import CellsOf
 from amhe_cli.system.description.schema import TargetEntry
-from amhe_cli.system.parameters.cells import Cells, CellsOf
+from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.inertia import principal_axis
 
 _OBJECTS = {

@@ -18,12 +18,12 @@ from amhe_cli.core import rotations
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES, Signal
 from amhe_cli.system.description.calibration_keys import CalibrationDraft
+from amhe_cli.system.description.data import Channel, Input
 from amhe_cli.system.description.schema import SignalEntry
 from amhe_cli.system.description.targets import id_of
 from amhe_cli.system.model.couplings import couplings
 from amhe_cli.system.model.gaps import gaps
 from amhe_cli.system.parameters.delays import CommandDelays
-from amhe_cli.system.system import Channel, Input
 
 #: Actuators whose controls have quantities, and the bit of `actuator_ctrlspec` of each.
 _CONTROLLERS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.system.description.schema import TargetEntry
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,11 +35,6 @@ class Cells:
         """The model's own values, factor taken out."""
         values = getattr(model, self.field)[self.index[1:]]
         return np.atleast_1d(np.asarray(values, dtype=np.float64)) / self.factor
-
-
-#: From a model, the row of an element and a target to the numbers that the target sets; raises ConfigError
-#: where they would have no effect.
-CellsOf = Callable[[mujoco.MjModel, int, TargetEntry], list[Cells]]
 
 
 def range_cells(model: mujoco.MjModel, field: str, row: int) -> list[Cells]:

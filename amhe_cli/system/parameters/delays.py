@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -13,11 +12,8 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.system.description.schema import TargetEntry
 from amhe_cli.system.parameters.cells import Cells
-
-if TYPE_CHECKING:
-    from amhe_cli.system.parameters.edits import ScalarEdit
+from amhe_cli.system.parameters.edits import ScalarEdit
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,15 +62,18 @@ class CommandDelays:
         """The delays of all commands, which one parameter may set together."""
         return tuple(DelayNumber("command_delay", at) for columns in self.commands.values() for at in columns)
 
-    def cells_of(self, target: TargetEntry) -> list[DelayNumber]:
-        """The delays that a parameter's target sets.
+    def cells_of(self, actuator: str | None) -> list[DelayNumber]:
+        """The delays of an actuator's commands.
+
+        Args:
+            actuator: Its name, or a pattern for several; None: all that are commanded.
 
         Raises:
             ConfigError: No signal commands such an actuator.
         """
-        if target.actuator is None:
+        if actuator is None:
             return list(self.cells)
-        names = [name for name in self.commands if fnmatchcase(name, target.actuator)]
+        names = [name for name in self.commands if fnmatchcase(name, actuator)]
         if not names:
-            raise ConfigError(one_of("actuator that a signal commands", target.actuator, self.commands))
+            raise ConfigError(one_of("actuator that a signal commands", actuator, self.commands))
         return [DelayNumber("command_delay", at, name=name) for name in names for at in self.commands[name]]

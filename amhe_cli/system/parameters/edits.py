@@ -1,30 +1,18 @@
-"""How parameters are written into a model: one candidate or thousands, in one place."""
+"""Edits: how some parameters are written into some numbers, of one candidate or of thousands."""
 
 from __future__ import annotations
 
-import copy
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Literal, Protocol
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import AmheError, ConfigError
-from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.parameters.cells import Cells
-from amhe_cli.system.parameters.delays import CommandDelays, DelayNumber
-from amhe_cli.system.parameters.inertia import (
-    body_numbers,
-    inertia_about_com,
-    log_cholesky,
-    pseudo_inertia,
-    upper_factor,
-)
-
-if TYPE_CHECKING:
-    from amhe_cli.system.parameters.calibration import SignalCalibration
+from amhe_cli.system.parameters.inertia import body_numbers, log_cholesky, pseudo_inertia, upper_factor
 
 _BODY_FIELDS = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 
@@ -74,9 +62,9 @@ class ScalarEdit:
         return (self.column,)
 
     @property
-    def delays(self) -> bool:
-        """Whether it sets delays of commands, which are no numbers of the model."""
-        return isinstance(self.written[0], DelayNumber)
+    def target(self) -> str:
+        """What has the numbers: an array of the model, 'command_delay' or 'calibration'."""
+        return self.written[0].field
 
     @property
     def cells(self) -> tuple[Cells, ...]:
@@ -140,196 +128,3 @@ class PseudoInertiaEdit:
         numbers = body_numbers(self.factor(theta))
         for name, values in zip(_BODY_FIELDS, numbers, strict=True):
             arrays[name][:, self.body] = values
-
-
-def inputs_of_set_const() -> frozenset[str]:
-    """Fields of MjModel from which `mj_setConst` derives others.
-
-    MuJoCo's bindings list them in a private attribute; nothing else of ours reads it.
-    """
-    fields = getattr(mujoco.MjModel, "_setconst_inputs", None)
-    if fields is None:
-        raise AmheError(
-            f"mujoco {mujoco.__version__} lists no inputs of mj_setConst; install the version 4.0.0"
-        )
-    return frozenset(fields)
-
-
-class ModelEdits:
-    """Writes parameter vectors into a model's arrays.
-
-    Edits act in the order given, always upon the base model's own values: writing twice is the same
-    as writing once. Where single moments of inertia are parameters, the largest is kept to the sum of
-    the other two: no real body has more, and MuJoCo would load none.
-
-    Args:
-        model: The base model.
-        space: The parameters, columns that the edits write.
-        edits: The edits, which write these parameters into the model.
-        delays: Delays of commands, which parameters set too.
-        fixed: Parameters that have one value in all candidates, by name: theta has the others only.
-        calibration: Numbers of the signals' calibration, which parameters set too.
-    """
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        space: ParameterSpace,
-        edits: Sequence[Edit],
-        delays: CommandDelays | None = None,
-        fixed: Mapping[str, float] | None = None,
-        calibration: SignalCalibration | None = None,
-    ) -> None:
-        self._model, self._calibration = model, calibration
-        self.fixed = dict(fixed or {})
-        self.space = space.without(self.fixed)
-        self._all, self._delays = space, delays or CommandDelays()
-        self._free = [i for i, name in enumerate(space.names) if name not in self.fixed]
-        self._edits = tuple(edits)
-        self.cells = tuple(cells for edit in self._edits for cells in edit.cells)
-        self.fields: tuple[str, ...] = tuple(dict.fromkeys(cells.field for cells in self.cells))
-        self.needs_set_const = bool(inputs_of_set_const() & set(self.fields))
-        single = (c for c in self.cells if c.field == "body_inertia" and len(c.columns) == 1)
-        self._moments = tuple(dict.fromkeys(c.row for c in single))
-        self._base = [(c, np.array(getattr(model, c.field)[c.index[1:]])) for c in self.cells]
-
-    def upon(self, model: mujoco.MjModel) -> ModelEdits:
-        """The same edits upon another model of the same layout: another box in the same scene."""
-        return ModelEdits(model, self._all, self._edits, self._delays, self.fixed, self._calibration)
-
-    def fixing(self, values: Mapping[str, float]) -> ModelEdits:
-        """The same edits with more parameters at fixed values, by name."""
-        other = copy.copy(self)
-        other.fixed = self.fixed | dict(values)
-        other.space = self._all.without(other.fixed)
-        other._free = [i for i, name in enumerate(self._all.names) if name not in other.fixed]
-        return other
-
-    def own(self, model: mujoco.MjModel) -> mujoco.MjModel:
-        """Copy of a model that these edits have written to, with the base model's own numbers again."""
-        plain = copy.copy(model)
-        for cells, own in self._base:
-            getattr(plain, cells.field)[cells.index[1:]] = own
-        return plain
-
-    def by_name(self) -> Iterator[tuple[str, Edit]]:
-        """Each parameter, fixed ones too, with an edit that writes it."""
-        calibrated = self._calibration.edits if self._calibration else ()
-        for edit in (*self._edits, *calibrated, *self._delays.edits):
-            for column in edit.columns:
-                yield self._all.names[column], edit
-
-    @property
-    def bodies(self) -> dict[str, PseudoInertiaEdit]:
-        """Edits of whole inertias, by the name of their parameter."""
-        whole = [edit for edit in self._edits if isinstance(edit, PseudoInertiaEdit)]
-        return {self._all.names[edit.columns[0]].rpartition(".")[0]: edit for edit in whole}
-
-    def inertias(self, theta: FloatArray) -> Iterator[tuple[str, dict[str, FloatArray]]]:
-        """Mass, centre of mass and inertia of each such body for candidates theta (n, d)."""
-        for name, edit in self.bodies.items():
-            yield name, inertia_about_com(edit.factor(self._whole(theta)))
-
-    def extended(
-        self,
-        model: mujoco.MjModel,
-        more: Sequence[tuple[Parameter, tuple[Cells, ...], Mode]],
-        calibration: SignalCalibration,
-    ) -> ModelEdits:
-        """These edits upon a model of the same layout, and after them those of further parameters.
-
-        Args:
-            model: The model.
-            more: Each parameter with the numbers that it sets.
-            calibration: The signals' calibration, with all numbers that these parameters set.
-        """
-        space = ParameterSpace((*self._all.parameters, *(parameter for parameter, _, _ in more)))
-        scalar = [ScalarEdit(len(self._all) + i, cells, mode) for i, (_, cells, mode) in enumerate(more)]
-        of_signals = [edit for edit in scalar if any(c.field == "calibration" for c in edit.written)]
-        late = [edit for edit in scalar if edit.delays]
-        edits = (*self._edits, *(edit for edit in scalar if edit not in (*of_signals, *late)))
-        calibration = replace(calibration, edits=(*calibration.edits, *of_signals))
-        return ModelEdits(model, space, edits, self._delays.with_edits(late), self.fixed, calibration)
-
-    def by_parameter(self) -> list[tuple[Parameter, tuple[Cells, ...]]]:
-        """Each parameter that sets plain numbers, with all of them."""
-        reached: dict[int, tuple[Cells, ...]] = {}
-        for edit in self._edits:
-            if isinstance(edit, ScalarEdit):
-                reached[edit.column] = reached.get(edit.column, ()) + edit.written
-        return [(self._all.parameters[column], cells) for column, cells in reached.items()]
-
-    def _whole(self, theta: FloatArray) -> FloatArray:
-        """Columns of all parameters (n, D) from those that are free (n, d)."""
-        if not self.fixed:
-            return theta
-        whole = np.tile([self.fixed.get(name, np.nan) for name in self._all.names], (len(theta), 1))
-        whole[:, self._free] = theta
-        return whole
-
-    def write(self, arrays: Mapping[str, FloatArray], theta: FloatArray) -> None:
-        """Write all candidates in place.
-
-        Args:
-            arrays: MjModel field -> array (n, ...); every one of `fields` must be there.
-            theta: Candidate parameters, shape (n, d).
-        """
-        for cells, own in self._base:
-            arrays[cells.field][cells.index] = own
-        whole = self._whole(theta)
-        for edit in self._edits:
-            edit.write(arrays, whole)
-        for row in self._moments:
-            inertia = arrays["body_inertia"][:, row]
-            inertia[:] = np.minimum(inertia, inertia.sum(axis=-1, keepdims=True) - inertia)
-
-    def values(self, field: str, theta: FloatArray) -> FloatArray:
-        """An array of the model that parameters write into, under candidates theta (n, d), shape (n, ...)."""
-        arrays = {name: np.repeat(getattr(self._model, name)[None], len(theta), 0) for name in self.fields}
-        self.write(arrays, theta)
-        return arrays[field]
-
-    def numbers(self, theta: FloatArray) -> FloatArray:
-        """Numbers of the signals' calibration under candidates theta (n, d), shape (n, k)."""
-        return (
-            self._calibration.numbers(self._whole(theta)) if self._calibration else np.empty((len(theta), 0))
-        )
-
-    def apply(self, model: mujoco.MjModel, theta: FloatArray) -> mujoco.MjModel:
-        """Copy of the model with one candidate (d,) in it, derived constants included.
-
-        Raises:
-            ConfigError: MuJoCo refuses the values.
-        """
-        edited = copy.copy(model)
-        arrays: MutableMapping[str, FloatArray] = {f: getattr(edited, f)[None] for f in self.fields}
-        self.write(arrays, np.asarray(theta, dtype=np.float64)[None])
-        if self.needs_set_const:
-            try:
-                mujoco.mj_setConst(edited, mujoco.MjData(edited))
-            except (mujoco.FatalError, ValueError) as error:
-                raise ConfigError(f"MuJoCo refuses these parameters: {error}") from None
-        return edited
-
-    def delays(self, theta: FloatArray) -> FloatArray:
-        """Delays [s] of the engine's inputs under candidates theta (n, d), shape (n, nu).
-
-        Of a system without commands they are zero, shape (n, 1).
-        """
-        return self._delays.numbers(self._whole(theta))
-
-    @property
-    def late(self) -> frozenset[str]:
-        """Names of the free parameters that delay commands."""
-        names = (self._all.names[edit.column] for edit in self._delays.edits)
-        return frozenset(names) - set(self.fixed)
-
-    @property
-    def prompt(self) -> tuple[DelayNumber, ...]:
-        """The delays of all commands, where no parameter sets any."""
-        return () if self._delays.edits else self._delays.cells
-
-    @property
-    def longest_delay(self) -> float:
-        """Upper bound of the command delays [s]; zero without any."""
-        return self._delays.longest(self._all)

@@ -15,7 +15,8 @@ import numpy as np
 from amhe_cli.system.parameters.calibration import CalibrationNumber
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.delays import DelayNumber
-from amhe_cli.system.parameters.edits import ModelEdits, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.edits import PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: Part of a model -> the fields of MjModel that describe it, by prefix.
 _FIELDS = {
