@@ -16,8 +16,10 @@ import contextlib
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -51,6 +53,8 @@ from amhe_cli.robots.go1.tasks import find_task
 SETTINGS = {"gain_time": 0.3, "stand_speed": 3.0, "sit_time": 1.0, "damp_time": 0.3, "arm": "auto"}
 #: With this many equal packets the targets are at rest, and not at the turn of a sway.
 _AT_REST = 4
+#: How much slower the robot walks before its cameras freeze, and where the box is then [m].
+_SLOW, _PUSHED = 4.0, 0.8
 TABLES = ("codec", "trips", "jitter", "fuzz")
 
 
@@ -113,6 +117,8 @@ def trips(repeats: int) -> Table:
         "sender hangs": 150,
         "plans stop": 100,
         "poses stop": 200,
+        "trunk freezes": 500,
+        "box freezes": 1000,
     }
     table = Table("fault", "reaction", "to reach ms", "median ms", "worst ms")
     for fault in (
@@ -153,6 +159,8 @@ def trips(repeats: int) -> Table:
                 for _ in range(repeats)
             ]
             table.add_row(*_row(name, reaction, limits if test is holds else {}, times))
+    for name, changed in {"trunk freezes": Faults(frozen=0.0), "box freezes": Faults(frozen_box=0.0)}.items():
+        table.add_row(*_row(name, "damped", limits, [_walked_on(changed) for _ in range(repeats)]))
     return table
 
 
@@ -234,6 +242,38 @@ def _reaction(fault: Callable[[Robot], None], test: Callable[[list[MotorCommand]
                     return robot.received[index][0] - begun
             time.sleep(0.05)
     raise RuntimeError("no reaction")
+
+
+def _walked_on(changed: Faults) -> float:
+    """From a fault of the cameras, while T1 pushes its box, to the first packet that damps [s]."""
+    received: list[tuple[float, MotorCommand]] = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    options = EmulatorOptions(find_task("t1"), port=0, mocap="udp", mocap_port=port, slow=_SLOW)
+    stop, begun, first = threading.Event(), 0.0, 0
+    with Emulator(options, lambda when, sent: received.append((when, sent))) as emulator:
+        served = threading.Thread(target=emulator.serve, args=(stop.is_set,), daemon=True)
+        served.start()
+        where = (
+            f"--host 127.0.0.1 --port {emulator.address[1]} --pose udp --pose-port {port} --slow {_SLOW:g}"
+        )
+        what = "run --task t1 --target go1 --mode baseline -q --set go1.arm=auto --set go1.trips.pose_age=1"
+        with tempfile.TemporaryDirectory() as folder:
+            command = f"{sys.executable} -m amhe_cli {what} {where} -o {folder}/run"
+            with subprocess.Popen(command.split(), stderr=subprocess.DEVNULL) as program:
+                while emulator.body.state.box.position[0] < _PUSHED and program.poll() is None:
+                    time.sleep(0.01)
+                if program.poll() is not None:
+                    raise RuntimeError("it did not come to push: is the computer busy?")
+                time.sleep(_SLOW * np.random.default_rng().uniform(0.0, 0.5))  # anywhere in a stride
+                begun, first = Clock(_SLOW).now(), len(received)
+                emulator.cause(changed)
+                program.wait()
+        stop.set()
+        served.join()
+    commands = [sent for _, sent in received]
+    return next(received[i][0] for i in range(first, len(commands)) if damps(commands, i)) - begun
 
 
 def damps(commands: list[MotorCommand], index: int) -> bool:

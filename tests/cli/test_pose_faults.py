@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import socket
 import subprocess
 import sys
@@ -12,8 +13,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+from amhe_cli import System, read_log
 from tests.cli.test_go1_run import QUICK, ROBOT, ROOT
 from tests.robots.go1.emulator.emulating import emulating
 from tests.robots.go1.poses.streaming import free_port
@@ -22,6 +25,8 @@ from tests.robots.go1.poses.streaming import free_port
 Forge = Callable[[int, dict[str, Any]], list[dict[str, Any]]]
 #: A robot that has come so far ahead walks [m].
 WALKS = 0.03
+#: From this pose on it pushes the box.
+_PUSHING = 200
 
 
 class Relay:
@@ -56,6 +61,21 @@ class Relay:
                 self._walked += pose["position"][0] - start > WALKS
             for one in self._forge(self._walked, pose) if self._walked else [pose]:
                 self._end.sendto(json.dumps(one).encode(), self._to)
+
+
+def held(body: str, noise: float) -> Forge:
+    """Shows a body where it was when it had begun to push; its times go on."""
+    kept: list[dict[str, Any]] = []
+    chance = random.Random(0)
+
+    def forge(number: int, pose: dict[str, Any]) -> list[dict[str, Any]]:
+        if number < _PUSHING or pose["body"] != body:
+            return [pose]
+        kept.append(kept[0] if kept else pose)
+        place = [x + chance.gauss(0.0, noise) for x in kept[0]["position"]]
+        return [kept[0] | {"time": pose["time"], "position": place}]
+
+    return forge
 
 
 def walked(tmp_path: Path, forge: Forge, seconds: float) -> tuple[int, str, dict[str, Any]]:
@@ -98,3 +118,25 @@ def test_thirty_poses_that_are_half_a_metre_off_sit_the_robot_down(tmp_path: Pat
     code, printed, record = walked(tmp_path, forge, 4.0)
     assert (code, record["link"]["trip"], record["fell"]) == (1, "pose_doubt", False), printed
     assert "of the last 100 poses of 'go1' cannot be true: it steps by 0.5" in printed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("body", "noise", "latest", "message"),
+    [
+        ("go1", 0.0, 0.5, "cameras and legs contradict each other"),
+        ("box", 1e-6, 1.0, "cm inside the box"),
+    ],
+)
+def test_a_pose_that_freezes_damps_the_motors(
+    tmp_path: Path, body: str, noise: float, latest: float, message: str
+) -> None:
+    """It stays, equal to the last bit or with 1 um of noise, and its times go on."""
+    code, printed, record = walked(tmp_path, held(body, noise), 8.0)
+    assert (code, record["link"]["trip"]) == (1, "pose_false"), printed
+    assert message in printed
+    log = read_log(tmp_path / "out/log.mcap", System.load("go1_push"))
+    seen = log.series["trunk.position" if body == "go1" else "box.position"]
+    places = seen.values[seen.valid]
+    stays = log.dt * (np.abs(places - places[-1]).max(axis=1) < 1e-5).sum()
+    assert 0.05 < stays < latest

@@ -83,6 +83,7 @@ class Emulator:
         self._clock, self._on_command = Clock(o.slow), on_command
         self._offsets = o.offsets
         self._driven_since: float | None = None
+        self._shown: list[Pose] = []
         self.lag = 0.0
         with ExitStack() as opening:  # a port is given back where a later step fails
             self._port = opening.enter_context(closing(RobotPort(o.host, o.port, o.faults, o.crc)))
@@ -156,7 +157,12 @@ class Emulator:
             self._port.send(faults.reported(state, driven), now)
         self._cameras.serve(now)
         if len(measured["trunk.position"][0]) and driven < faults.mocap:
-            self._cameras.show(_seen(measured, faults, self._offsets), now)
+            seen, stays = _seen(measured, faults, self._offsets), (faults.frozen, faults.frozen_box)
+            for number, since in enumerate(stays):
+                if driven >= since:
+                    seen[number] = self._shown[number]
+            self._shown = seen
+            self._cameras.show(seen, now)
 
 
 class _Cameras:

@@ -26,6 +26,7 @@ class Faults:
         remote: Somebody presses L2 + B.
         hot, mode, battery, tilt, speed, power, nan: The robot reports this fault.
         mocap: Motion capture stops.
+        frozen, frozen_box: The pose of trunk or box stays, and its times go on.
         swap: Trunk and box have each other's name; 1: from the start.
         yup: Motion capture has y upward; 1: from the start.
         high: The robot is in high-level mode; 1: from the start.
@@ -47,6 +48,8 @@ class Faults:
     power: float = np.inf
     nan: float = np.inf
     mocap: float = np.inf
+    frozen: float = np.inf
+    frozen_box: float = np.inf
     swap: float = 0.0
     yup: float = 0.0
     high: float = 0.0

@@ -5,6 +5,14 @@ from __future__ import annotations
 import math
 import time
 
+#: The robot's clock begins again after so many ticks.
+_TICKS = 2**32
+
+
+def ticks_ahead(tick: int, before: int) -> int:
+    """Ticks from one state to another, past the clock's own end; negative: the first is the older one."""
+    return (tick - before + _TICKS // 2) % _TICKS - _TICKS // 2
+
 
 class Clock:
     """A clock in seconds that is the same for every process of this computer, and is never set.

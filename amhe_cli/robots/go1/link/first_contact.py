@@ -41,7 +41,7 @@ class Share:
         self._last = tick
         if missing > 0:
             self._gaps.append((tick, min(missing, _PAUSE)))
-        while self._gaps and not 0 <= tick - self._gaps[0][0] < _SPAN:
+        while self._gaps and tick - self._gaps[0][0] >= _SPAN:
             self._gaps.popleft()
         return 1.0 - min(1.0, sum(gap for _, gap in self._gaps) / _SPAN)
 

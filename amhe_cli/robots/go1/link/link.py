@@ -142,6 +142,10 @@ class Link:
         """Say why poses cannot be believed any more: a robot that runs holds, and sits down."""
         self._order(mail.DOUBT + why.encode())
 
+    def contradict(self, why: str) -> None:
+        """Say what contradicts the poses: the motors of a robot that runs are damped."""
+        self._order(mail.CONTRADICTION + why.encode())
+
     def samples(self) -> list[Any]:
         """States that arrived since the last call, as records of `mail.SAMPLE`."""
         return self._watch.samples() if self._watch else []

@@ -45,6 +45,7 @@ class Inbox:
         plan_time: Time at which the program sent it [s].
         pose_time: Time of the older one of the newest poses of trunk and box [s].
         doubt: Why poses cannot be believed any more; '' if they can.
+        contradiction: What contradicts the poses; '' if nothing does.
         stand, arm, finish: Whether the operator, or the program, wants this.
         stop: Why motors are to be damped at once; '' if they are not.
     """
@@ -57,6 +58,7 @@ class Inbox:
     plan_time: float = -np.inf
     pose_time: float = -np.inf
     doubt: str = ""
+    contradiction: str = ""
     stand: bool = False
     arm: bool = False
     finish: bool = False
@@ -178,6 +180,7 @@ class Machine:
             jump=self._jump,
             targets=wanted,
             doubt=inbox.doubt,
+            contradiction=inbox.contradiction,
             order=inbox.stop,
         )
 

@@ -36,8 +36,9 @@ class Phase(IntEnum):
 
 #: One-byte orders.
 STAND, ARM, FINISH, STOP = b"S", b"A", b"F", b"X"
-#: Begins the reason why poses cannot be believed any more.
-DOUBT = b"D"
+#: Each begins the reason why poses cannot be believed any more: too many of them cannot be true, or the robot
+#: itself contradicts them.
+DOUBT, CONTRADICTION = b"D", b"C"
 _PLAN, _SAMPLE, _REPORT = b"P", b"s", b"r"
 
 #: A state of the robot, on our clock, with the phase in which it arrived and the joint targets followed then.

@@ -7,9 +7,6 @@ import socket
 from dataclasses import dataclass
 from functools import partial
 
-import numpy as np
-
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.belief import SharedBelief
@@ -74,7 +71,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     clock = _clock(wire)
     feed = PoseFeed(_feed(wire, settings))
     link = Link(wire.host, wire.port, settings, clock, wire.keys)
-    target = Go1Target(link, feed, settings, clock, period, _box_centre(task))
+    target = Go1Target(link, feed, settings, clock, period, task.box)
     behaviour = task.behaviour()
     samples = generator(options.seed, "samples")
     with planning_first() as (cores, _):  # the threads of its rollouts, too
@@ -132,10 +129,6 @@ def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
     if bodies[0] == bodies[1]:
         raise ConfigError(f"go1.trunk and go1.box have the same name {bodies[0]!r}")
     return FeedOptions(wire.pose, host, port, bodies, settings.connect_time, wire.slow, settings.poses)
-
-
-def _box_centre(task: Task) -> FloatArray:
-    return np.array([*task.box.position, 0.5 * task.box.size[2]])
 
 
 def _on_loopback(host: str) -> bool:

@@ -18,6 +18,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.robots.go1.link import mail, state, wire
 from amhe_cli.robots.go1.link.child import SENDER, Pipe, begun, take_priority
-from amhe_cli.robots.go1.link.clock import Clock, ClockMap
+from amhe_cli.robots.go1.link.clock import Clock, ClockMap, ticks_ahead
 from amhe_cli.robots.go1.link.command import MotorCommand, encode
 from amhe_cli.robots.go1.link.first_contact import Contact, Share
 from amhe_cli.robots.go1.link.machine import Inbox, Machine
@@ -110,7 +111,8 @@ class Sender:
         self._signals, self._keys, self._realtime = signals, keys, realtime
         self._machine, self._inbox, self._contact = Machine(settings), Inbox(), Contact()
         self._share = Share()
-        self._ticks, self._tick = ClockMap(), -1
+        self._ticks = ClockMap()
+        self._tick: int | None = None
         self._sent = Sent(self._machine.commanded)
         self._intervals = Intervals()
         self._reported = (-np.inf, Phase.OVER)
@@ -164,11 +166,12 @@ class Sender:
                 self._contact.see_strange(len(datagram), str(error))
                 continue
             self._inbox.bad_packets = 0
-            if read.tick != self._tick:  # a robot whose clock stands still gives no new information
-                self._take(read, arrival)
+            step = 1 if self._tick is None else ticks_ahead(read.tick, self._tick)
+            if step > 0:  # old states, and a robot whose clock stands still, give no new information
+                self._tick = read.tick if self._tick is None else self._tick + step
+                self._take(replace(read, tick=self._tick), arrival)
 
     def _take(self, read: RobotState, arrival: float) -> None:
-        self._tick = read.tick
         self._inbox.state, self._inbox.state_time = read, self._robot.empty
         self._inbox.share = self._share.see(read.tick)
         time = self._ticks.see(1e-3 * read.tick, arrival) - 0.5 * self._contact.round_trip
@@ -189,6 +192,8 @@ class Sender:
                 self._inbox.plan, self._inbox.pose_time, self._inbox.plan_time = plan
             elif message[:1] == mail.DOUBT:
                 self._inbox.doubt = message[1:].decode()
+            elif message[:1] == mail.CONTRADICTION:
+                self._inbox.contradiction = message[1:].decode()
             elif message in _ORDERS:
                 _ORDERS[message](self._inbox)
         if not self._pipe.open:

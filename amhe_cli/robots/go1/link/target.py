@@ -25,13 +25,15 @@ from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.child import planning_first
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.mail import SAMPLE, Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
+from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
 from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset
 from amhe_cli.robots.go1.poses.gate import Gate
 from amhe_cli.robots.go1.poses.source import Pose, PoseError
+from amhe_cli.robots.go1.poses.witness import Witness
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
 from amhe_cli.robots.go1.state import State
 
@@ -40,13 +42,13 @@ _DIVERGED, _CYCLES = 0.25, 5
 #: Poses of trunk and box belong together when they are no further apart than this [s].
 _TOGETHER = 0.012
 _STEP = 0.01
-#: Signals of the robot's own sensors -> their name in what the link delivers, and their number of columns.
+#: Signals of the robot's own sensors -> their name in what the link delivers.
 _OWN = {
-    "joints.position": ("joints", 12),
-    "joints.velocity": ("joint_rates", 12),
-    "imu.angular_velocity": ("gyro", 3),
-    "imu.linear_acceleration": ("accelerometer", 3),
-    "command.position": ("targets", 12),
+    "joints.position": "joints",
+    "joints.velocity": "joint_rates",
+    "imu.angular_velocity": "gyro",
+    "imu.linear_acceleration": "accelerometer",
+    "command.position": "targets",
 }
 
 
@@ -59,7 +61,7 @@ class Go1Target:
         settings: Settings of the robot.
         clock: The program's clock.
         period: Control period [s].
-        box: Where the task puts the box's centre at the start [m], shape (3,).
+        box: The task's box, where it is at the start.
 
     Attributes:
         begun: Whether the robot has been commanded to stand up.
@@ -69,22 +71,23 @@ class Go1Target:
     parameters: dict[str, float] | None = None
 
     def __init__(
-        self, link: Link, feed: PoseFeed, settings: Go1Settings, clock: Clock, period: float, box: FloatArray
+        self, link: Link, feed: PoseFeed, settings: Go1Settings, clock: Clock, period: float, box: Box
     ) -> None:
         self._link, self._feed, self._settings, self._clock = link, feed, settings, clock
-        self._period, self._box = period, box
+        self._period, self._box = period, np.array([*box.position, 0.5 * box.size[2]])
         self._world = World.same()
         self._start = 0.0
         self._time = 0.0
         self._plan = Plan(0.0, period, np.asarray(HOME)[None])
-        self._newest = {name: _never(name) for name in (settings.trunk, settings.box)}
-        self._gate = Gate(settings.poses, settings.trunk, settings.box)
-        self._imu = np.array([1.0, 0.0, 0.0, 0.0])
+        names, level = (settings.trunk, settings.box), np.array([1.0, 0.0, 0.0, 0.0])
+        self._newest = {name: TimedPose(name, -np.inf, np.zeros(3), level) for name in names}
+        self._gate = Gate(settings.poses, *names)
+        self._witness = Witness(settings.poses.gate, *names, np.array(box.size))
+        self._imu = level
         self._unpaired: list[TimedPose] = []
         self._robot: list[Any] = []
         self._poses: list[tuple[float, Pose, Pose]] = []
-        self._playing, self._sends, self._realtime = False, True, False
-        self._doubtful = 0
+        self._playing, self._sends, self._realtime, self._doubtful = False, True, False, 0
         self._diverged: StoppedError | None = None
         self._opened = ExitStack()
         self.misses = 0
@@ -186,12 +189,12 @@ class Go1Target:
 
     def rehearse(self) -> None:
         """Let the run's time begin now; plans are not sent, and the robot does not move."""
-        self._sends = False
-        self._begin_time()
+        self._begin_time(sends=False)
 
-    def _begin_time(self) -> None:
-        self._start = self._clock.now()
+    def _begin_time(self, sends: bool = True) -> None:
+        self._start, self._sends = self._clock.now(), sends
         self._gate.begin()
+        self._witness.begin()
         self._robot.clear()
         self._poses.clear()
 
@@ -289,19 +292,27 @@ class Go1Target:
 
     def _collect(self) -> None:
         """Take in all that has arrived, can be true, and is not older than the beginning of the run."""
-        self._robot += [sample for sample in self._link.samples() if sample["time"] >= self._start]
+        robot = [sample for sample in self._link.samples() if sample["time"] >= self._start]
+        self._robot += robot
         self._imu = self._robot[-1]["quaternion"] if self._robot else self._imu
         for pose in self._feed.poses():
             exposed = replace(pose, time=pose.time - self._settings.pose_delay)
             if pose.body in self._newest and exposed.time >= self._start and self._believes(exposed):
                 self._newest[pose.body] = max(self._newest[pose.body], exposed, key=lambda one: one.time)
                 self._pair(exposed)
-        if self._gate.doubt and self._start:
-            self._link.doubt(self._gate.doubt)
+        if self._start:
+            self._witness.feel(np.array(robot, dtype=SAMPLE))
+            if contradiction := self._witness.contradiction:
+                self._link.contradict(contradiction)
+            if self._gate.doubt:
+                self._link.doubt(self._gate.doubt)
 
     def _believes(self, pose: TimedPose) -> bool:
         place, now = self._offset(pose), self._clock.now()
-        return self._gate.believes(pose.body, pose.time, place, now, self._imu, pose.flaw)
+        believed = self._gate.believes(pose.body, pose.time, place, now, self._imu, pose.flaw)
+        if believed:
+            self._witness.see(pose.body, pose.time, place)
+        return believed
 
     def _pair(self, pose: TimedPose) -> None:
         """Join the poses of trunk and box in one frame; a pose without a partner is left out."""
@@ -329,18 +340,11 @@ class Go1Target:
         """All that was collected since the last call, on the run's own clock."""
         robot, poses = self._robot, self._poses
         self._robot, self._poses = [], []
-        own = np.array([sample["time"] for sample in robot]) - self._start
         seen = np.array([time for time, _, _ in poses]) - self._start
-        samples = {
-            key: (own, np.array([sample[name] for sample in robot]).reshape(len(robot), width))
-            for key, (name, width) in _OWN.items()
-        }
+        records = np.array(robot, dtype=SAMPLE)
+        samples = {key: (records["time"] - self._start, records[name]) for key, name in _OWN.items()}
         for name, pairs in (("trunk", [p[1] for p in poses]), ("box", [p[2] for p in poses])):
             places, turns = [pose[0] for pose in pairs], [pose[1] for pose in pairs]
             samples[f"{name}.position"] = seen, np.array(places).reshape(len(poses), 3)
             samples[f"{name}.orientation"] = seen, np.array(turns).reshape(len(poses), 4)
         return samples
-
-
-def _never(body: str) -> TimedPose:
-    return TimedPose(body, -np.inf, np.zeros(3), np.array([1.0, 0.0, 0.0, 0.0]))

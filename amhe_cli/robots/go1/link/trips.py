@@ -37,6 +37,7 @@ class View:
             the larger one for each joint [rad], shape (12,).
         targets: Joint targets to send, before they are clipped [rad], shape (12,).
         doubt: Why poses cannot be believed any more; '' if they can.
+        contradiction: What contradicts the poses; '' if nothing does.
         order: Why the program or the operator has ordered a stop; '' if none has.
     """
 
@@ -52,6 +53,7 @@ class View:
     jump: FloatArray
     targets: FloatArray
     doubt: str
+    contradiction: str
     order: str
 
 
@@ -167,6 +169,10 @@ def _pose_lost(view: View, limits: TripSettings) -> str | None:
     return f"no pose of trunk or box for {1e3 * view.pose_age:.0f} ms" if late else None
 
 
+def _contradicted(view: View, limits: TripSettings) -> str | None:
+    return view.contradiction or None if view.phase == Phase.RUN else None
+
+
 def _doubtful(view: View, limits: TripSettings) -> str | None:
     return view.doubt or None if view.phase == Phase.RUN else None
 
@@ -188,6 +194,7 @@ TRIPS: dict[str, tuple[Trip, Phase]] = {
     "battery": (_flat, Phase.DAMP),
     "range": (_out_of_range, Phase.DAMP),
     "target_jump": (_jumping, Phase.DAMP),
+    "pose_false": (_contradicted, Phase.DAMP),
     "plan_lost": (_plan_lost, Phase.PAUSE),
     "pose_doubt": (_doubtful, Phase.PAUSE),
     "pose_lost": (_pose_lost, Phase.PAUSE),

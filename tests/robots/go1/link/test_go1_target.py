@@ -24,6 +24,7 @@ from amhe_cli.robots.go1.link.link import Link
 from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
 from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.target import Go1Target
+from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
 from amhe_cli.robots.go1.poses.source import PoseError
 from amhe_cli.robots.go1.settings import Go1Settings, deviations
@@ -45,7 +46,7 @@ def a_target(puppet: Puppet, settings: Go1Settings = SETTINGS, **stage) -> Itera
     with Stage(port, **stage) as cameras:
         target = Go1Target(
             Link("127.0.0.1", puppet.port, settings, clock),
-            PoseFeed(FeedOptions("udp", "127.0.0.1", port, bodies, 2.0)), settings, clock, PERIOD, BOX,
+            PoseFeed(FeedOptions("udp", "127.0.0.1", port, bodies, 2.0)), settings, clock, PERIOD, Box(),
         )  # fmt: skip
         with target:
             yield target, cameras

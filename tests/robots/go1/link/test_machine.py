@@ -190,6 +190,9 @@ CHANGES: dict[str, Callable[[Robot], None]] = {
     "battery": lambda robot: robot.change.update(charge=14),
     "range": lambda robot: robot.change.update(joints=np.tile([0.0, 0.9, -2.8], 4)),
     "target_jump": lambda robot: setattr(robot, "offset", 0.7),
+    "pose_false": lambda robot: setattr(
+        robot.inbox, "contradiction", "cameras and legs contradict each other"
+    ),
     "plan_lost": lambda robot: setattr(robot, "no_plans", True),
     "pose_doubt": lambda robot: setattr(robot.inbox, "doubt", "10 of the last 100 poses cannot be true"),
     "pose_lost": lambda robot: setattr(robot, "no_poses", True),

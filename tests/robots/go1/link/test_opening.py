@@ -14,7 +14,6 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from unittest.mock import Mock
 
-import numpy as np
 import pytest
 
 from amhe_cli.core.errors import AmheError
@@ -84,7 +83,7 @@ def processes(port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Processes]
 
 
 def target(link: Link, feed: PoseFeed) -> AbstractContextManager:
-    return Go1Target(link, feed, SETTINGS, CLOCK, 0.02, np.array([0.6, 0.0, 0.15]))
+    return Go1Target(link, feed, SETTINGS, CLOCK, 0.02, Box())
 
 
 def calibration(link: Link, feed: PoseFeed) -> AbstractContextManager:

@@ -1,0 +1,208 @@
+"""Poses against what the robot feels: its legs and IMU say how far it went, contact says where the box is.
+
+A pose that stays, or slides, while its stamps run on is as good as any other to the gate, which knows poses
+alone. Legs and cameras must agree about the way of the last 0.3 s; no part of the robot is inside the box,
+and the box moves only where the robot is.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, sealed
+from amhe_cli.core.rotations import conjugate, mean, multiply, rotate
+from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
+from amhe_cli.robots.go1.poses.frame import up
+from amhe_cli.robots.go1.poses.source import Pose
+from amhe_cli.robots.go1.state_estimator.kalman import ValueFilter
+from amhe_cli.robots.go1.state_estimator.sensing import trunk_velocities
+
+#: Ways are compared over this time [s], and where robot and box are is averaged over that.
+_WINDOW, _BRIEF = 0.3, 0.1
+#: The least number of poses in each of these times, and how many are kept of a body.
+_LEAST, _KEPT = 4, 120
+#: States of the robot are no older than the poses that are here by more than this [s].
+_LATE = 0.15
+#: Robot samples in one velocity of the feet.
+_BLOCK = 5
+#: A foot stands that is no higher over the lowest one than this [m] ...
+_LANDED = 0.012
+#: ... and whose velocity is predicted: noise of a foot [m/s], root of the density of the trunk's acceleration
+#: [m/s^2/sqrt(Hz)], and the largest deviation in sd.
+_FOOT, _DRIVE, _AGREES = 0.02, 0.3, 4.0
+#: What slipping feet may add to the way [m/s], and stamps and the rigid body's offset [m], sd.
+_SLIP, _OFFSET = 0.015, 0.001
+#: Cameras show nothing as still as this [m]; legs that have moved the trunk by that [m] deny it.
+_STILL, _MOVED = 1e-5, 0.002
+#: How well the distance of robot and box is known [m], sd, and what the robot does not touch is further away
+#: than that.
+_FACE, _UNTOUCHED = 0.0035, 0.05
+#: Points of the bumper in the trunk's frame [m], and its radius.
+_BUMPER = sealed([[0.255, y, z] for y in (-0.13, -0.065, 0.0, 0.065, 0.13) for z in (0.0, -0.08)])
+_BUMPER_RADIUS = 0.015
+_RADII = sealed([_BUMPER_RADIUS] * len(_BUMPER) + [FOOT_RADIUS] * 4)
+
+
+class _Seen(NamedTuple):
+    """A pose of a body at a time [s]: position (3,), unit quaternion (4,)."""
+
+    time: float
+    place: FloatArray
+    turn: FloatArray
+
+
+class _Felt(NamedTuple):
+    """Pose of the trunk at a time [s] by legs and IMU, in a frame of its own, and its feet (4, 3)."""
+
+    time: float
+    place: FloatArray
+    turn: FloatArray
+    feet: FloatArray
+
+
+class Witness:
+    """Compares the poses of trunk and box with what the robot feels.
+
+    Args:
+        gate: Largest deviation in sd.
+        trunk, box: Names of the bodies.
+        size: Edge lengths of the box [m], shape (3,).
+    """
+
+    def __init__(self, gate: float, trunk: str, box: str, size: FloatArray) -> None:
+        self._gate, self._half = gate, 0.5 * size
+        self._names = trunk, box
+        self.begin()
+
+    def begin(self) -> None:
+        """Forget what came until now: the run begins."""
+        self._way: ValueFilter | None = None
+        self._felt: deque[_Felt] = deque(maxlen=_KEPT)
+        self._seen: dict[str, deque[_Seen]] = {name: deque(maxlen=_KEPT) for name in self._names}
+        self._gaps: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+
+    def feel(self, robot: Any) -> None:
+        """Take in states of the robot, in the order of time: fields of `mail.SAMPLE`, shape (m,)."""
+        for block in np.array_split(robot, max(1, len(robot) // _BLOCK)) if len(robot) else ():
+            time, joints = float(block["time"].mean()), block["joints"].mean(axis=0)
+            turn = block["quaternion"][len(block) // 2]
+            upright, at = up(turn), feet(joints)
+            rates, gyro = block["joint_rates"].mean(axis=0), block["gyro"].mean(axis=0)
+            velocities = trunk_velocities(joints[None], rates[None], gyro[None], upright)[0]
+            heights = at @ upright
+            self._step(time, rotate(turn, velocities[heights < heights.min() + _LANDED]))
+            assert self._way is not None
+            self._felt.append(_Felt(time, self._way.value, turn, at))
+
+    def see(self, body: str, time: float, pose: Pose) -> None:
+        """Take in a pose of trunk or box in one frame, z upward; one older than the newest is left out."""
+        seen = self._seen[body]
+        if not seen or time > seen[-1].time:
+            seen.append(_Seen(time, *pose))
+
+    @property
+    def contradiction(self) -> str:
+        """What contradicts the poses, in words; '' if nothing does."""
+        return self._out_of_step() or self._astray() or self._untouchable()
+
+    def _out_of_step(self) -> str:
+        """By how much states are older than poses, in words: they are not those of now."""
+        seen = self._seen[self._names[0]]
+        late = seen[-1].time - self._felt[-1].time if seen and self._felt else 0.0
+        return f"states of the robot are {1e3 * late:.0f} ms older than its poses" if late > _LATE else ""
+
+    # -- legs ---------------------------------------------------------------------------------------------
+
+    def _step(self, time: float, velocities: FloatArray) -> None:
+        """The trunk's velocity by each of the lowest feet (n, 3), those left out that do not stand yet."""
+        way = self._way = self._way or ValueFilter(time, np.zeros(3), np.zeros(3), 0.0, 0.01, _DRIVE)
+        way.advance(time)
+        off = np.square(velocities - way.rate).sum(axis=1)
+        standing = velocities[off < _AGREES**2 * (way.rr + _FOOT**2)]
+        if len(standing):
+            scatter = np.square(standing - standing.mean(axis=0)).mean()
+            way.see_rate(standing.mean(axis=0), float(np.sqrt(_FOOT**2 + scatter)))
+
+    def _window(self, body: str, longest: float = _WINDOW) -> list[_Seen]:
+        """The newest poses of a body that the robot has felt the time of; none if they are too few."""
+        if not (self._felt and self._seen[body]):
+            return []
+        end = min(self._felt[-1].time, self._seen[body][-1].time)
+        start = max(end - longest, self._felt[0].time)
+        seen = [one for one in self._seen[body] if start <= one.time <= end]
+        return seen if len(seen) >= _LEAST and seen[-1].time - seen[0].time > 0.8 * longest else []
+
+    def _astray(self) -> str:
+        """How the trunk's way in the cameras contradicts its legs, in words."""
+        seen = self._window(self._names[0])
+        if not seen:
+            return ""
+        start, end = seen[0], seen[-1]
+        felt = [one for one in self._felt if start.time - 0.1 < one.time]
+        times, ways = np.array([one.time for one in felt]), np.array([one.place for one in felt])
+        first, last = (_at(time, times, ways) for time in (start.time, end.time))
+        places = np.array([one.place for one in seen])
+        if np.ptp(places, axis=0).max() < _STILL and np.linalg.norm(np.ptp(ways, axis=0)) > _MOVED:
+            return f"poses of {self._names[0]!r} stand still, and the robot does not: they have frozen"
+        began = felt[int(np.abs(times - start.time).argmin())]
+        way = rotate(multiply(start.turn, conjugate(began.turn)), last - first)
+        off, span = (end.place - start.place - way)[:2], end.time - start.time
+        sd = np.sqrt(2.0 * _noise(places) ** 2 + _OFFSET**2 + (_SLIP * span) ** 2)
+        if np.linalg.norm(off) <= self._gate * sd:
+            return ""
+        seen_by = 100.0 * np.linalg.norm((end.place - start.place)[:2])
+        return (
+            f"cameras and legs contradict each other: {seen_by:.1f} and {100.0 * np.linalg.norm(way[:2]):.1f}"
+            f" cm in {1e3 * span:.0f} ms, {100.0 * np.linalg.norm(off):.1f} cm apart"
+        )
+
+    # -- contact ------------------------------------------------------------------------------------------
+
+    def _untouchable(self) -> str:
+        """How the box contradicts where the robot is, in words."""
+        box, near = self._window(self._names[1]), self._window(self._names[1], _BRIEF)
+        trunk = self._window(self._names[0], _BRIEF)
+        if not (near and trunk):
+            return ""
+        gap = self._gap(trunk, near)
+        self._gaps.append((near[-1].time, gap))
+        if gap < -self._gate * _FACE:
+            return f"the robot would be {-100.0 * gap:.1f} cm inside the box: one of them is not there"
+        if not box or min(gap for time, gap in self._gaps if time > box[0].time) < _UNTOUCHED:
+            return ""
+        places = np.array([one.place for one in box])
+        moved = float(np.linalg.norm((places[-1] - places[0])[:2]))
+        sd = np.sqrt(2.0 * _noise(places) ** 2 + _FACE**2)
+        return (
+            f"the box moves by {100.0 * moved:.1f} cm, and nothing touches it"
+            if moved > self._gate * sd
+            else ""
+        )
+
+    def _gap(self, trunk: list[_Seen], box: list[_Seen]) -> float:
+        """Distance of the box from bumper and feet [m]; negative: they would be inside it by that."""
+        time = float(np.mean([one.time for one in box]))
+        felt = min(self._felt, key=lambda one: abs(one.time - time))
+        (place, turn), (centre, yaw) = (
+            (np.mean([one.place for one in seen], axis=0), mean([one.turn for one in seen]))
+            for seen in (trunk, box)
+        )
+        points = rotate(turn, np.vstack((_BUMPER, felt.feet))) + place - centre
+        outside = np.abs(rotate(conjugate(yaw), points)) - self._half
+        flat = outside[:, :2]
+        gaps = np.linalg.norm(np.maximum(flat, 0.0), axis=1) + np.minimum(flat.max(axis=1), 0.0) - _RADII
+        beside = outside[:, 2] < _RADII
+        return float(gaps[beside].min()) if beside.any() else np.inf
+
+
+def _at(time: float, times: FloatArray, values: FloatArray) -> FloatArray:
+    """Values (n, 3) at a time [s], joined by lines, shape (3,)."""
+    return np.array([np.interp(time, times, column) for column in values.T])
+
+
+def _noise(places: FloatArray) -> float:
+    """The noise of positions (n, 3) of a camera that sees them move evenly [m], sd along an axis."""
+    return float(np.sqrt(np.square(np.diff(places, n=2, axis=0)).mean() / 6.0))

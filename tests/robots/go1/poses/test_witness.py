@@ -1,0 +1,140 @@
+"""Poses against what the robot feels, without a robot: four feet stand, and the trunk moves over them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.rotations import exp, multiply, rotate
+from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, HOME, HOME_HEIGHT, feet, joint_angles
+from amhe_cli.robots.go1.link.mail import SAMPLE
+from amhe_cli.robots.go1.poses.witness import Witness
+
+CYCLE, SPEED = 0.02, 0.15
+FEET = feet(HOME) + np.array([0.0, 0.0, HOME_HEIGHT])
+#: Centre of a box that the bumper touches when the trunk is over the origin, and its edges.
+AHEAD, SIZE = np.array([0.27 + 0.15, 0.0, 0.15]), np.array([0.3, 0.5, 0.3])
+AHEAD_ONLY = np.array([1.0, 0.0, 0.0])
+CAMERAS = exp(np.array([0.0, 0.0, 0.7]))
+LEVEL = np.array([1.0, 0.0, 0.0, 0.0])
+
+
+class Walk:
+    """Leans ahead over standing feet and sways, and pushes the box by its bumper; cameras see both.
+
+    Args:
+        speed: Of the trunk, ahead [m/s].
+        noise: Of the cameras [m].
+    """
+
+    def __init__(self, speed: float = SPEED, noise: float = 0.002) -> None:
+        self.witness = Witness(6.0, "go1", "box", SIZE)
+        self.time, self.speed, self.noise, self.rng = 0.0, speed, noise, np.random.default_rng(0)
+        self.shift = {"go1": np.zeros(3), "box": np.zeros(3)}
+        self.slide = {"go1": np.zeros(3), "box": np.zeros(3)}
+        self.frozen: dict[str, np.ndarray] = {}
+        self.late = 0.0
+
+    def place(self, time: float) -> np.ndarray:
+        sway = 0.1 * self.speed * np.sin(14.0 * time)
+        return np.array([self.speed * (time - 0.5), sway, HOME_HEIGHT])
+
+    def cycles(self, seconds: float) -> str:
+        """Walk on until something contradicts; what does, in words."""
+        for _ in range(round(seconds / CYCLE)):
+            times = self.time + 0.002 * np.arange(1, 11)
+            self.time += CYCLE
+            robot = np.zeros(10, dtype=SAMPLE)
+            robot["time"], robot["quaternion"] = times - self.late, exp(np.array([0.0, 0.0, -0.2]))
+            self._move(robot, times)
+            self.witness.feel(robot)
+            for time in (self.time - 0.01, self.time):
+                self._look(time)
+            if contradiction := self.witness.contradiction:
+                return contradiction
+        return ""
+
+    def _move(self, robot: np.ndarray, times: np.ndarray) -> None:
+        moved = [
+            np.array([joint_angles(FEET - self.place(time)) for time in times + dt]) for dt in (0.0, 1e-4)
+        ]
+        robot["joints"] = moved[0] + 0.003 * self.rng.standard_normal((10, 12))
+        robot["joint_rates"] = (moved[1] - moved[0]) / 1e-4 + 0.05 * self.rng.standard_normal((10, 12))
+        robot["gyro"] = 0.02 * self.rng.standard_normal((10, 3))
+
+    def _look(self, time: float) -> None:
+        trunk = self.place(time)
+        for body, place in (("go1", trunk), ("box", AHEAD + trunk * AHEAD_ONLY)):
+            self.shift[body] = self.shift[body] + 0.01 * self.slide[body]
+            noisy = place + self.shift[body] + self.noise * self.rng.standard_normal(3)
+            if body in self.frozen:
+                noisy = self.frozen[body] + 1e-6 * (self.noise > 0.0) * self.rng.standard_normal(3)
+            turn = multiply(CAMERAS, exp(0.005 * (self.noise > 0.0) * self.rng.standard_normal(3)))
+            self.witness.see(body, time, (rotate(CAMERAS, noisy), turn))
+
+    def freeze(self, body: str) -> None:
+        """Show a body where it is now from now on."""
+        trunk = self.place(self.time)
+        self.frozen[body] = trunk if body == "go1" else AHEAD + trunk * AHEAD_ONLY
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.0001])
+@pytest.mark.parametrize("speed", [SPEED, 0.0])
+def test_a_robot_that_goes_as_its_legs_say_is_believed(speed: float, noise: float) -> None:
+    assert Walk(speed, noise).cycles(1.2) == ""
+
+
+@pytest.mark.parametrize("noise", [0.002, 0.0])
+@pytest.mark.parametrize(
+    ("body", "message"), [("go1", "cameras and legs contradict each other"), ("box", "cm inside the box")]
+)
+def test_a_pose_that_freezes_is_noticed(body: str, message: str, noise: float) -> None:
+    """With 1 um of noise, or equal to the last bit."""
+    walk = Walk(noise=noise)
+    assert walk.cycles(0.5) == ""
+    walk.freeze(body)
+    assert message in walk.cycles(0.4)
+
+
+def test_a_camera_is_never_that_still() -> None:
+    """It moves by less than legs are believed for."""
+    walk = Walk(speed=0.02)
+    assert walk.cycles(0.5) == ""
+    walk.freeze("go1")
+    assert "have frozen" in walk.cycles(0.5)
+
+
+@pytest.mark.parametrize(
+    ("body", "slide", "message"),
+    [
+        ("go1", (0.0, 0.3, 0.0), "cameras and legs contradict"), ("go1", (0.3, 0.0, 0.0), "cameras and legs"),
+        ("box", (0.3, 0.0, 0.0), "nothing touches it"), ("box", (-0.3, 0.0, 0.0), "inside the box"),
+    ],
+)  # fmt: skip
+def test_a_pose_that_slides_is_noticed(body: str, slide: tuple[float, ...], message: str) -> None:
+    walk = Walk()
+    assert walk.cycles(0.5) == ""
+    walk.slide[body] = np.array(slide)
+    assert message in walk.cycles(0.7)
+
+
+def test_states_of_a_while_ago_are_noticed() -> None:
+    walk = Walk()
+    assert walk.cycles(0.5) == ""
+    walk.late = 0.2
+    assert "ms older than its poses" in walk.cycles(0.04)
+
+
+@pytest.mark.parametrize(("height", "inside"), [(0.0, 0.02), (0.0, 0.03), (0.4, 0.03)])
+def test_a_foot_is_not_inside_the_box_beside_it(height: float, inside: float) -> None:
+    """Nor in one that is over it; it may be 21 mm off."""
+    witness = Witness(6.0, "go1", "box", SIZE)
+    robot = np.zeros(100, dtype=SAMPLE)
+    robot["time"], robot["joints"], robot["quaternion"] = 0.002 * np.arange(100), HOME, LEVEL
+    witness.feel(robot)
+    x, y, _ = feet(HOME)[1]
+    box = np.array([x, y + FOOT_RADIUS + 0.25 - inside, 0.15 + height])
+    for time in 0.01 * np.arange(1, 16):
+        witness.see("go1", time, (np.array([0.0, 0.0, HOME_HEIGHT]), LEVEL))
+        witness.see("box", time, (box, LEVEL))
+    assert ("inside the box" in witness.contradiction) == (inside > 0.021 and height == 0.0)
