@@ -141,15 +141,18 @@ def unit_quaternions(quaternions: FloatArray, where: str) -> FloatArray:
 
 
 def floats(array: ArrayLike, what: str) -> FloatArray:
-    """An array of numbers; NaN stands for a value that was not measured.
+    """An array of numbers; NaN stands for a value that was not measured, and so does one that is masked.
 
     Raises:
-        LogError: It is no array of numbers, or infinite somewhere; the text begins with `what`.
+        LogError: It is no array of real numbers, or infinite somewhere; the text begins with `what`.
     """
     try:
-        values = np.asarray(array, dtype=np.float64)
-    except (TypeError, ValueError):
+        given = array if np.ma.isMaskedArray(array) else np.asarray(array)
+    except (TypeError, ValueError):  # rows of several lengths
         raise LogError(f"{what} is no array of numbers") from None
+    if given.dtype.kind not in "fiub":
+        raise LogError(f"{what} is no array of numbers but of {given.dtype}; give real ones, as of float64")
+    values = np.ma.filled(given.astype(np.float64), np.nan)
     if np.isinf(values).any():
         raise LogError(f"{what} is infinite somewhere; write NaN where nothing was measured")
     return values

@@ -47,6 +47,28 @@ def test_a_velocity_that_is_missing_is_differentiated() -> None:
     np.testing.assert_allclose(velocity.values[20:-20, 0], np.cos(time[20:-20]), atol=1e-3)
 
 
+def test_masked_values_are_not_measured() -> None:
+    """Masked garbage had been fitted."""
+    wrong = (TIME > 0.5) & (TIME < 0.6)
+    position = np.where(wrong, 1e6, np.sin(TIME))
+    masked = Log.from_arrays(
+        arrays(joints={"time": TIME, "position": np.ma.masked_array(position, wrong)}), PENDULUM
+    )
+    missing = np.where(wrong, np.nan, position)
+    same = Log.from_arrays(arrays(joints={"time": TIME, "position": missing}), PENDULUM)
+    for key in ("joints.position", "joints.velocity"):
+        np.testing.assert_array_equal(masked[key].values, same[key].values)
+        np.testing.assert_array_equal(masked[key].valid, same[key].valid)
+    assert np.abs(masked["joints.position"].values).max() < 1.0
+
+
+def test_whole_numbers_are_numbers() -> None:
+    counts = np.arange(200) // 50
+    whole = Log.from_arrays(arrays(joints={"time": TIME, "position": counts}), PENDULUM)
+    same = Log.from_arrays(arrays(joints={"time": TIME, "position": counts.astype(float)}), PENDULUM)
+    np.testing.assert_array_equal(whole["joints.position"].values, same["joints.position"].values)
+
+
 def test_commands_are_held_or_lie_on_the_line_to_the_next() -> None:
     ramp = {"time": TIME[::2], "position": 3.0 * TIME[::2]}
     signals = tuple(replace(s, hold=not s.is_input) for s in PENDULUM.signals)
@@ -97,6 +119,14 @@ def joints(**changes: Any) -> dict[str, Any]:
             joints(time=1.7e18 + 1e9 * TIME),
             "signal 'joints': time reaches 1.7e+18 s: time must be in seconds",
         ),
+        (
+            joints(position=np.zeros(200, complex)),
+            "position is no array of numbers but of complex128; give real",
+        ),
+        (joints(position=np.zeros(200, object)), "position is no array of numbers but of object; give real"),
+        (joints(position=np.full(200, "1.0")), "position is no array of numbers but of <U3"),
+        (joints(position=[[0.0], [0.0, 1.0]]), "position is no array of numbers"),
+        (joints(time=np.ma.masked_array(TIME, TIME == 0.5)), "time is not finite at row 50"),
         (joints(time=["a"] * 200), "signal 'joints': time is no array of numbers"),
         (
             joints(position=np.zeros((200, 2))),
