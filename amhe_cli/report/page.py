@@ -10,7 +10,7 @@ from typing import Any, Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from amhe_cli.core.text import printable
+from amhe_cli.core.text import printable, script_digest
 from amhe_cli.report import numbers
 from amhe_cli.report.tables import Table
 
@@ -188,6 +188,7 @@ def template(name: str) -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["digest"] = script_digest
     return environment.get_template(name)
 
 

@@ -21,7 +21,7 @@ from amhe_cli.core.belief import Belief
 from amhe_cli.core.curves import TimeCurve
 from amhe_cli.core.files import plain
 from amhe_cli.core.parameters import ParameterSpace
-from amhe_cli.core.text import printable
+from amhe_cli.core.text import printable, script_digest
 from amhe_cli.view.ghosts import Plotted, Recording, Take, Track, Viewing
 from amhe_cli.view.scene import Scene
 
@@ -183,11 +183,13 @@ def _about(scene: Scene, columns: Sequence[Plotted], candidates: Sequence[str]) 
 
 def _page(heading: Heading, data: dict[str, Any]) -> str:
     data |= {"notes": list(heading.notes), "parameters": list(heading.parameters)}
+    script = '\n"use strict";\n' + "".join(_file(name) for name in _SCRIPTS)
     parts = {
         "title": html.escape(printable(heading.title)),
         "facts": html.escape(" · ".join(printable(fact) for fact in heading.facts)),
         "style": _file("style.css"),
-        "script": "".join(_file(name) for name in _SCRIPTS),
+        "script": script,
+        "digest": script_digest(script),
         # '<' cannot end the script element
         "data": json.dumps(plain(data), allow_nan=False, separators=(",", ":")).replace("<", "\\u003c"),
     }

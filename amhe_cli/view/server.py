@@ -6,11 +6,15 @@ a browser that hangs, leaves or never comes changes nothing for whoever sends.
 
 from __future__ import annotations
 
+import math
+import re
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from ipaddress import ip_address
 from threading import Thread
+from time import monotonic
 from types import TracebackType
 from typing import Any
 
@@ -18,8 +22,10 @@ from amhe_cli.core.errors import ConfigError
 
 #: Where only this computer reaches the page.
 LOOPBACK = "127.0.0.1"
-#: Time after which a browser that takes nothing is given up [s].
+#: Time after which a browser that takes nothing, or has not asked for anything, is given up [s].
 _PATIENCE = 5.0
+#: Connections at a time, a thread each.
+_MOST = 200
 
 
 class PageServer:
@@ -44,12 +50,14 @@ class PageServer:
         stream: Callable[[Callable[[bytes], None]], None] | None = None,
     ) -> None:
         content = page.encode()
+        asking: dict[socket.socket, float] = {}  # connections without a request yet -> when they are given up
 
         class Handler(BaseHTTPRequestHandler):
             timeout = _PATIENCE
 
             def do_GET(self) -> None:
-                if not _own(self.headers.get("Host", ""), host):  # another site's name that leads here
+                asking[self.connection] = math.inf
+                if not ours(self.headers.get("Host", "")):  # another site's name that leads here
                     return self.send_error(403)
                 if self.path == "/":
                     return self._send("text/html; charset=utf-8", content)
@@ -57,6 +65,11 @@ class PageServer:
                     self._send("text/event-stream", None)
                     return stream(self._event)
                 self.send_error(404)
+
+            def end_headers(self) -> None:
+                self.send_header("X-Content-Type-Options", "nosniff")
+                self.send_header("X-Frame-Options", "DENY")
+                super().end_headers()
 
             def _send(self, kind: str, whole: bytes | None) -> None:
                 self.send_response(200)
@@ -79,6 +92,26 @@ class PageServer:
 
             def handle_error(self, request: object, client_address: object) -> None:
                 """A browser that leaves is no error."""
+
+            def verify_request(self, request: Any, client_address: object) -> bool:
+                asking[request] = monotonic() + _PATIENCE
+                return len(asking) <= _MOST
+
+            def shutdown_request(self, request: Any) -> None:
+                asking.pop(request, None)
+                super().shutdown_request(request)
+
+            def service_actions(self) -> None:
+                for request, end in list(asking.items()):  # one that sends a byte a second has no silence
+                    if end < monotonic():
+                        with suppress(OSError):
+                            request.shutdown(socket.SHUT_RDWR)
+
+        def ours(named: str) -> bool:
+            """Whether the name that a browser was given is one of this computer, where only it is served."""
+            address = str(self._server.server_address[0])
+            name = re.sub(r":\d*$", "", named).removeprefix("[").removesuffix("]")  # no port where it is 80
+            return not self.private or name.lower() in (address, host.lower(), "localhost")
 
         try:
             self._server = Server((host, port), Handler)
@@ -108,10 +141,3 @@ class PageServer:
     ) -> None:
         self._server.shutdown()
         self._server.server_close()
-
-
-def _own(named: str, host: str) -> bool:
-    """Whether the name that a browser was given is one of this computer."""
-    if host != LOOPBACK:
-        return True
-    return named.partition(":")[0] in (LOOPBACK, "localhost")  # without a port where it is 80

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import time
 import urllib.error
 import urllib.request
 from base64 import b64decode
@@ -23,7 +26,8 @@ from amhe_cli.cli.mhe_replay import mhe_replay
 from amhe_cli.cli.settings import Overrides
 from amhe_cli.cli.viewed import viewed
 from amhe_cli.core.limits import Limits, limits
-from amhe_cli.view.server import PageServer
+from amhe_cli.core.text import script_digest
+from amhe_cli.view.server import LOOPBACK, PageServer
 from tests.conftest import MODELS
 from tests.logs.test_lerobot import dataset
 
@@ -35,6 +39,8 @@ def test_a_log_becomes_one_page(pendulum_log: Path, tmp_path: Path, capsys) -> N
     text = page.read_text(encoding="utf-8")
     assert text.startswith("<!doctype html>")
     assert "http" not in text.replace("http-equiv", "")
+    (script,) = re.findall(r"<script>(.*?)</script>", text, re.DOTALL)
+    assert f"script-src '{script_digest(script)}';" in text
     page.write_text("kept")
     assert run(["view", str(pendulum_log), "--save", str(page)]) == 2
     assert "--force" in capsys.readouterr().err
@@ -168,18 +174,54 @@ def test_it_serves_until_it_is_stopped(pendulum_log: Path) -> None:
         assert process.wait(timeout=60) == 0
 
 
-def test_the_server_answers_to_its_own_name_only() -> None:
-    with PageServer("<p>") as server:
+@pytest.mark.parametrize(
+    ("host", "names"),
+    [
+        ("127.0.0.1", ("127.0.0.1", "localhost:1", "localhost", "LOCALHOST:80")),
+        ("localhost", ("127.0.0.1:1", "localhost")),
+        ("127.0.0.2", ("127.0.0.2:1", "localhost")),
+        ("::1", ("[::1]:1", "[::1]", "localhost:1")),
+    ],
+)
+def test_the_server_answers_to_its_own_names_only(host: str, names: tuple[str, ...]) -> None:
+    if host == "::1" and not Path("/proc/net/if_inet6").exists():
+        pytest.skip("no IPv6 here")
+    with PageServer("<p>", host) as server:
         assert server.private
-        for name, code in (("localhost:1", 200), ("localhost", 200), ("evil.example:1", 403)):
+        for name in names:
             request = urllib.request.Request(server.address, headers={"Host": name})
-            if code == 200:
-                assert urllib.request.urlopen(request).read() == b"<p>"
-            else:
-                with pytest.raises(urllib.error.HTTPError, match="403"):
-                    urllib.request.urlopen(request)
+            with urllib.request.urlopen(request) as answer:
+                assert answer.read() == b"<p>"
+                assert answer.headers["X-Content-Type-Options"] == "nosniff"
+                assert answer.headers["X-Frame-Options"] == "DENY"
+        for name in ("evil.example:1", "localhost.evil.example", "a@127.0.0.1", "10.0.0.1", ""):
+            with pytest.raises(urllib.error.HTTPError, match="403"):
+                urllib.request.urlopen(urllib.request.Request(server.address, headers={"Host": name}))
         with pytest.raises(urllib.error.HTTPError, match="404"):
             urllib.request.urlopen(f"{server.address}etc/passwd")
+
+
+def test_clients_that_drip_or_are_too_many_are_dropped(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("amhe_cli.view.server._PATIENCE", 1.0)
+    monkeypatch.setattr("amhe_cli.view.server._MOST", 3)
+    with PageServer("<p>") as server:
+        place = (LOOPBACK, int(server.address.rstrip("/").rpartition(":")[2]))
+        dripping = [socket.create_connection(place) for _ in range(3)]
+        for one in dripping:
+            one.sendall(b"GET / HTTP/1.1\r\n")
+        time.sleep(0.3)
+        one_more = socket.create_connection(place)
+        one_more.settimeout(5.0)
+        assert one_more.recv(1) == b"", "closed at once"
+        begun = time.monotonic()
+        with pytest.raises(OSError):
+            while time.monotonic() - begun < 8.0:
+                for one in dripping:
+                    one.sendall(b"a: b\r\n")
+                time.sleep(0.2)
+        assert urllib.request.urlopen(server.address).read() == b"<p>"
+        for one in (*dripping, one_more):
+            one.close()
 
 
 def test_a_port_that_is_taken_is_one_line(pendulum_log: Path, capsys) -> None:

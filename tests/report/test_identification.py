@@ -1,3 +1,5 @@
+import base64
+import hashlib
 import json
 import math
 import re
@@ -66,6 +68,23 @@ def test_the_page_needs_no_network(html: str) -> None:
     assert all(link.startswith("#") for link in links), links
     assert "<script src" not in html
     assert "url(http" not in html and "@import" not in html
+
+
+def test_the_page_runs_its_own_script_only(html: str) -> None:
+    (script,) = re.findall(r"<script>(.*?)</script>", html, re.DOTALL)
+    policy = re.findall(r'Content-Security-Policy" content="([^"]*)"', html)[0]
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert policy.startswith("default-src 'none'; ") and f"script-src 'sha256-{digest}';" in policy
+
+
+@needs_chromium
+def test_a_script_that_got_into_the_page_does_not_run(html: str, tmp_path: Path) -> None:
+    bad = "<script>window.ran = 1</script><img src=x onerror='window.ran = 1'></main>"
+    (tmp_path / "page.html").write_text(html.replace("</main>", bad), encoding="utf-8")
+    with browser(tmp_path / "profile") as one:
+        one.open((tmp_path / "page.html").as_uri())
+        assert one.run("new Promise((done) => setTimeout(() => done(window.ran ?? 0), 200))") == 0
+        assert one.run("document.querySelector('.tip') !== null"), "its own runs"
 
 
 def test_a_mesh_that_is_not_found_costs_no_result(
