@@ -22,7 +22,8 @@ import numpy as np
 import amhe_cli
 from amhe_cli.core import differentiate, rotations
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System
 

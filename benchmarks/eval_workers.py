@@ -17,9 +17,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from common import PROJECT, paired, show
 
-from amhe_cli.core.executors import pool_of
 from amhe_cli.study.cells import Cell
 from amhe_cli.study.conduct import conduct
+from amhe_cli.study.executors import pool_of
 from amhe_cli.study.plan import EvalOptions, planned, run_cell, study_of
 from amhe_cli.study.store import start
 

@@ -17,8 +17,9 @@ import numpy as np
 from common import multisine, paired, show, simulated
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
 from amhe_cli.core.rotations import exp
+from amhe_cli.core.series import Series
 from amhe_cli.engine.cpu import _groups as length_groups
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import ClipPool, whole

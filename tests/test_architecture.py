@@ -42,7 +42,6 @@ INNER: dict[str, tuple[str, ...]] = {"system": ("model", "parameters", "descript
 KNOWN_CIRCLES = [
     {"cli/completion.py", "cli/log_path.py", "cli/options.py"},
     {"core/belief.py", "core/belief_file.py", "core/described.py", "core/parameters.py"},
-    {"core/corrections.py", "core/from_arrays.py", "core/log.py", "core/resample.py", "core/signals.py"},
 ]
 
 #: Outside library -> the rooms, or single files, that may import it.
@@ -51,7 +50,7 @@ WALLS = {
     "cmaes": ("estimation",),
     "cupy": ("engine",),
     "cyclonedds": ("robots/go1",),
-    "distributed": ("core/executors.py",),
+    "distributed": ("study/executors.py",),
     "google": ("logs",),
     "h5py": ("logs",),
     "imageio_ffmpeg": ("robots/go1/video.py",),

@@ -121,8 +121,8 @@ def evaluate(
     Exit code 1 where a cell brought no result.
     """
     from amhe_cli.cli.stopping import stopping
-    from amhe_cli.core.executors import pool_of
     from amhe_cli.study.conduct import conduct
+    from amhe_cli.study.executors import pool_of
     from amhe_cli.study.plan import EvalOptions, planned, study_of
     from amhe_cli.study.run import run_cell
     from amhe_cli.study.store import open_store, start

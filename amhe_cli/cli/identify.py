@@ -84,10 +84,10 @@ def identify(
     from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.core.executors import executor_of
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
     from amhe_cli.report.identification import print_identification
+    from amhe_cli.study.executors import executor_of
 
     session.hush_mujoco()
     folder = out.reserve("identify")

@@ -9,7 +9,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray
-from amhe_cli.core.log import Series
+from amhe_cli.core.series import Series
 from amhe_cli.core.signals import Signal
 
 #: Rounding of times [s] that does not count.

@@ -1,4 +1,4 @@
-"""A log from arrays: checked, given missing velocities, and brought onto the model's clock."""
+"""The series of a log from arrays: checked, given missing velocities, and brought onto the model's clock."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.corrections import corrected
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import LogError, one_of
-from amhe_cli.core.log import Log, Series, warn_of
 from amhe_cli.core.resample import common_rows, longest_bridge, resample, too_many
+from amhe_cli.core.series import Series
 from amhe_cli.core.signals import DERIVED, Measured, Signal
 
 #: Quaternions may be off the unit norm by this much.
 _NORM = 0.05
 
 
-def log_from_arrays(arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measured, name: str) -> Log:
-    """See `Log.from_arrays`."""
+def series_of(
+    arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measured, name: str
+) -> tuple[dict[str, Series], int]:
+    """The series of `Log.from_arrays`, and the stamp of row 0 [ns]."""
     signals = {signal.name: signal for signal in system.signals}
     for key in arrays:
         if key not in signals:
@@ -59,9 +61,7 @@ def log_from_arrays(arrays: Mapping[str, Mapping[str, ArrayLike]], system: Measu
                 rotation=quantity == "orientation",
                 derived=derived,
             )
-    log = Log(system.dt, corrected(series, system.signals, system.dt), name, start_ns)
-    warn_of(log, system)
-    return log
+    return corrected(series, system.signals, system.dt), start_ns
 
 
 def _stamps(given: Any, signal: Signal, name: str) -> np.ndarray:

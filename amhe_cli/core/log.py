@@ -12,38 +12,14 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from amhe_cli.core.arrays import BoolArray, FloatArray, sealed, sealed_mask
+from amhe_cli.core.arrays import BoolArray
 from amhe_cli.core.errors import LogError
+from amhe_cli.core.from_arrays import series_of
+from amhe_cli.core.series import Series
 from amhe_cli.core.shown import Displayed, SavedView, page_of
 from amhe_cli.core.signals import Measured
 
 logger = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Series:
-    """One quantity of one signal on the log's clock.
-
-    Args:
-        values: SI values, shape (T, k); quaternions are w, x, y, z. Undefined where not valid.
-        valid: False inside gaps and outside the topic's recording, shape (T,).
-        sampled: True on the steps nearest to a real message, shape (T,): only there is a measurement
-            that counts as data; every other valid step is interpolated.
-        columns: Name of each column, length k.
-        derived: The topic carried no such quantity; it was differentiated from one that it did carry,
-            so it is no second measurement.
-    """
-
-    values: FloatArray
-    valid: BoolArray
-    sampled: BoolArray
-    columns: tuple[str, ...]
-    derived: bool = False
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "values", sealed(self.values))
-        object.__setattr__(self, "valid", sealed_mask(self.valid))
-        object.__setattr__(self, "sampled", sealed_mask(self.sampled))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,9 +88,10 @@ class Log(Displayed):
             LogError: A signal or quantity is missing or unknown, or an array has the wrong shape; times are
                 not finite or not increasing; or the signals do not overlap in time.
         """
-        from amhe_cli.core.from_arrays import log_from_arrays
-
-        return log_from_arrays(arrays, system, name)
+        series, start_ns = series_of(arrays, system, name)
+        log = cls(system.dt, series, name, start_ns)
+        warn_of(log, system)
+        return log
 
     def with_(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
-from amhe_cli.core.log import Series
+from amhe_cli.core.series import Series
 
 #: A topic may stay silent for this many of its own median periods.
 _PERIODS = 5.0

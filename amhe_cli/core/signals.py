@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from amhe_cli.core.described import Described
 from amhe_cli.core.errors import ConfigError, one_of
 
 if TYPE_CHECKING:
-    from amhe_cli.core.log import Log
     from amhe_cli.core.settings import Settings
 
 #: Quantities a signal can carry, with the unit of their values once read.
@@ -111,8 +110,8 @@ class Measured(Described, Protocol):
         """Settings, those of clocks and gaps among them."""
         ...
 
-    def doubts(self, log: Log) -> list[str]:
-        """What in a log contradicts the model or itself, a line each."""
+    def doubts(self, log: Any) -> list[str]:
+        """What in a `Log` contradicts the model or itself, a line each."""
         ...
 
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import TypeVar
 
 import mujoco
 import numpy as np
@@ -17,10 +20,26 @@ from amhe_cli.system.parameters.model_edits import ModelEdits
 
 logger = logging.getLogger(__name__)
 
+T = TypeVar("T")
+
 #: The cards open in 3.1 s, in which the processor computes rollouts worth so much time by the table [s].
 START = 2.0
 #: Calls like the first large one that a command is expected to make.
 FOLLOWING = 10
+
+
+def in_background(work: Callable[[], T]) -> Future[T]:
+    """The result of work in a thread that the end of the process does not wait for."""
+    future: Future[T] = Future()
+
+    def fill() -> None:
+        try:
+            future.set_result(work())
+        except BaseException as error:
+            future.set_exception(error)
+
+    threading.Thread(target=fill, daemon=True).start()
+    return future
 
 
 class Opening:

@@ -12,8 +12,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import NOTE, ConfigError, SimulationError
-from amhe_cli.core.executors import in_background
-from amhe_cli.engine.auto import AutoEngine, Opening
+from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine

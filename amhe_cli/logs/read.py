@@ -13,8 +13,9 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.corrections import corrected
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.core.log import Log, Series, warn_of
+from amhe_cli.core.log import Log, warn_of
 from amhe_cli.core.resample import longest_bridge, resample
+from amhe_cli.core.series import Series
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import DERIVED, Measured, Signal, remapped
 from amhe_cli.logs.collect import collect

@@ -10,7 +10,8 @@ import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.core.belief import Belief
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
 from amhe_cli.core.shown import Displayed, SavedView
 from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.core.statistics import Z90, correlation

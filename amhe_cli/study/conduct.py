@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from amhe_cli.core.errors import AmheError
-from amhe_cli.core.executors import Pool, gathered
 from amhe_cli.study.cells import Cell
+from amhe_cli.study.executors import Pool, gathered
 from amhe_cli.study.results import CellResult, blank, result_of
 from amhe_cli.study.store import Store
 

@@ -261,7 +261,7 @@ def test_a_study_of_other_code_is_not_mixed_with_this(done: Path, capsys) -> Non
 
 def test_where_no_scheduler_answers_the_command_fails_in_one_line(monkeypatch, capsys) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("amhe_cli.core.executors.PATIENCE", 0.5)
+    monkeypatch.setattr("amhe_cli.study.executors.PATIENCE", 0.5)
     assert run(["eval", *GRID, "-q", "-o", "out", "--cluster", "tcp://127.0.0.1:9"]) == 1
     assert "no scheduler answers at tcp://127.0.0.1:9" in the_line(capsys)
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.corrections import corrected
-from amhe_cli.core.log import Series
+from amhe_cli.core.series import Series
 from amhe_cli.core.signals import Signal
 
 DT = 0.01

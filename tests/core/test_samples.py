@@ -6,8 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
 from amhe_cli.core.samples import Samples, Thinner, merged, sampled, since
+from amhe_cli.core.series import Series
 
 
 def series(*times: float) -> tuple[np.ndarray, np.ndarray]:

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Log, Series, Window
+from amhe_cli.core.log import Log, Window
+from amhe_cli.core.series import Series
 from amhe_cli.core.settings import CostSettings
 from amhe_cli.engine.open import open_engine
 from amhe_cli.matching.cost import MatchingCost, quadratic_prior

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.core import rotations
-from amhe_cli.core.log import Log, Series, Window
+from amhe_cli.core.log import Log, Window
+from amhe_cli.core.series import Series
 from amhe_cli.matching.starts import first_states
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System

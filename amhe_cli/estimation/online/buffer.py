@@ -8,9 +8,10 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.corrections import corrected
-from amhe_cli.core.log import Log, Series, Window
+from amhe_cli.core.log import Log, Window
 from amhe_cli.core.resample import longest_bridge, resample
 from amhe_cli.core.samples import Samples
+from amhe_cli.core.series import Series
 from amhe_cli.core.signals import Signal
 
 #: Time before a window's start [s] that is on its grid, since first states are smoothed.

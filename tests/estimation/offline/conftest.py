@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
 from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.system import System
 

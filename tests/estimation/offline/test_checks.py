@@ -10,8 +10,9 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.series import Series
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.checks import HALVES, left_out, report_drift, shared_by_joints, suspects

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
 from amhe_cli.estimation.offline.held_out import Scored, misses_more, worse
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.result import Identification

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.errors import ConfigError, EstimationError
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
 from amhe_cli.estimation.offline.checkpoint import _sum
 from amhe_cli.estimation.offline.conclude import PARTS
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify

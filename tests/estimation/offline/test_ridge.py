@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
 from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.system.system import System
 from tests.estimation.offline.conftest import CHEAP

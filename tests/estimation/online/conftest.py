@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.core.log import Log, Series
+from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
 from amhe_cli.system.system import System
 
 DT, NOISE = 0.005, 1e-3

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from amhe_cli.core.errors import AmheError, ConfigError
-from amhe_cli.core.executors import ATTEMPTS, gathered, local, pool_of, remote
+from amhe_cli.study.executors import ATTEMPTS, gathered, local, pool_of, remote
 from tests.clusters import Cluster
 from tests.work import (
     deadly,
@@ -86,7 +86,7 @@ def test_an_address_that_is_none_is_refused_in_one_line(address: str) -> None:
 
 def test_where_nobody_answers_it_is_reported_soon_and_how_to_start_one(monkeypatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr("amhe_cli.core.executors.PATIENCE", 1.0)
+    monkeypatch.setattr("amhe_cli.study.executors.PATIENCE", 1.0)
     begun = time.monotonic()
     with pytest.raises(AmheError, match="no scheduler answers at tcp://127.0.0.1:9.*dask worker"):
         dict(gathered(square, {1: 1}, pool_of(1, "tcp://127.0.0.1:9"), never))

@@ -79,20 +79,6 @@ def _begin() -> None:
     threading.Thread(target=follow, daemon=True).start()
 
 
-def in_background(work: Callable[[], T]) -> Future[T]:
-    """The result of work in a thread that the end of the process does not wait for."""
-    future: Future[T] = Future()
-
-    def fill() -> None:
-        try:
-            future.set_result(work())
-        except BaseException as error:
-            future.set_exception(error)
-
-    threading.Thread(target=fill, daemon=True).start()
-    return future
-
-
 @contextmanager
 def remote(address: str) -> Iterator[Executor]:
     """The workers of a dask scheduler; the work of one that dies is done by another.
