@@ -106,7 +106,7 @@ def _realtime(given: argparse.Namespace) -> Table:
 
 def _open(values: dict[str, int], threads: int, realtime: bool = False) -> Run:
     return open_run(
-        RunOptions("t1", seed=0, threads=threads, realtime=realtime, settings={"control": values})
+        RunOptions("t1", seed=0, threads=threads, settings={"control": {"realtime": realtime, **values}})
     )
 
 

@@ -327,13 +327,14 @@ def _wait(link: Link, phase: Phase) -> None:
 def _plan(stop: threading.Event, work: Counter[str]) -> None:
     """T1 again and again, as fast as it goes, the estimator in its own process; counts what both did."""
     from amhe_cli.estimation.online.horizon import Estimate
-    from amhe_cli.robots.go1.run import RunOptions, belief_source, open_run
+    from amhe_cli.robots.go1.run import RunOptions, belief_source, open_run, task_and_system
 
     # by the clock, so that the estimator has a process; on a busy computer it is slow, and does not hang
-    chosen = RunOptions("t1", "adaptive", threads=1, realtime=True)
+    chosen = RunOptions("t1", "adaptive", threads=1, settings={"control": {"realtime": True}})
+    task, system = task_and_system(chosen)
     while not stop.is_set():
         run = open_run(RunOptions("t1", threads=1))
-        believed = belief_source(chosen, run.task, run.system, None, slow=10.0)
+        believed = belief_source(chosen, task, system, None, slow=10.0)
         episode = replace(run.episode, belief=believed)
         with contextlib.closing(episode.belief):
             for cycle in episode.cycles():

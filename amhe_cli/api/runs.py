@@ -34,7 +34,7 @@ def probe(
     engine: str = "cpu",
     recipe: str | None = None,
     speed: float | None = None,
-    rate: float = 100.0,
+    rate: float | None = None,
     excitation: str | Path | None = None,
     log: str | Path | None = None,
     progress: Callable[[str], None] | None = None,
@@ -52,8 +52,9 @@ def probe(
         recipe: Kind of the excitation: 'chirp', 'multisine', 'steps' or 'sweep'. Simulated under draws of the
             prior, it reaches no limit of joints, speed or force, and touches nothing. None: sums of sines
             within the limits of the controls.
-        speed: With a recipe: largest speed of a joint [rad/s or m/s]; None: 3.14 of hinges, 0.5 of slides.
-        rate: With a recipe: commands a second [Hz].
+        speed: With a recipe: largest speed of a joint [rad/s or m/s]; None: that of the settings, or else
+            3.14 of hinges, 0.5 of slides.
+        rate: With a recipe: commands a second [Hz]; None: that of the settings.
         excitation: With a recipe: folder for its commands: `excitation.csv`, `.npz` (times, joints, targets)
             and `.mcap`; None: they are not kept.
         log: File for the log of the simulated probe (.mcap; .csv where the system reads tables); None: it is

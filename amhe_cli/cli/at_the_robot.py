@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import options
+from amhe_cli.cli import parsing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from amhe_cli.robots.go1.run import Run, RunOptions
 
 POSES = ("natnet", "motioncapture", "ros2", "udp")
-_PORT = options.WholeNumber(1, 65535)
+_PORT = parsing.WholeNumber(1, 65535)
 #: Of the attributes of a terminal: flags of its input, the keys that mean something to it, and none of them.
 _INPUT, _CONTROL, _NO_KEY = 0, 6, b"\0"
 
-reach_options = options.stacked(
+reach_options = parsing.stacked(
     click.option("--host", metavar="ADDRESS", help="go1: of the robot.  [default: 192.168.123.10]"),
     click.option("--port", type=_PORT, metavar="N", help="go1: of the robot.  [default: 8007]"),
     click.option("--pose", type=click.Choice(POSES), help="go1: kind of motion capture.  [default: natnet]"),
@@ -37,21 +37,14 @@ reach_options = options.stacked(
     click.option(
         "--pose-port", type=_PORT, metavar="N", help="go1: likewise.  [default: natnet 1510, udp 1512]"
     ),
-    click.option(
-        "--slow",
-        type=options.Number(min=1, max=100),
-        metavar="X",
-        help="go1: the emulator runs X times slower than the clock.  [default: 1]",
-    ),
 )
-wire_options = options.stacked(
-    reach_options,
-    click.option(
-        "--dry-run",
-        is_flag=True,
-        help="go1: check robot, poses, box and this computer's pace; send nothing that moves.",
-    ),
-)
+#: What a dry run does at a real robot.
+CHECKS = "go1: check robot, poses, box and this computer's pace; send nothing that moves."
+
+
+def dry_run_option(about: str) -> Callable[[parsing.F], parsing.F]:
+    """Nothing moves."""
+    return click.option("--dry-run", is_flag=True, help=about)
 
 
 def opened(chosen: RunOptions, wire: Mapping[str, Any]) -> Run | None:
@@ -84,7 +77,6 @@ def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:
         return None
     from amhe_cli.robots.go1.link.open import WireOptions
 
-    given.pop("dry_run", None)
     return WireOptions(**given, keys=_terminal())
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import at_the_robot, options
+from amhe_cli.cli import at_the_robot, options, parsing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 SETTINGS = "offsets.yaml"
 
 
-@click.command(cls=options.Command, short_help="Offsets of the rigid bodies on a real robot and its box.")
+@click.command(cls=parsing.Command, short_help="Offsets of the rigid bodies on a real robot and its box.")
 @options.task("Whose box it is, and where it is put down.")
 @at_the_robot.reach_options
 @options.seconds("How long each body is looked at [s].", 2.0, min=0.5, max=60)

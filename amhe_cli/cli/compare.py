@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import completion, log_path, options
+from amhe_cli.cli import completion, log_path, options, parsing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from amhe_cli.cli.settings import Overrides
 
 
-@click.command(cls=options.Command, short_help="Which of several models predicts better?")
+@click.command(cls=parsing.Command, short_help="Which of several models predicts better?")
 @click.argument("given", nargs=-1, required=True, metavar="SYSTEM...", shell_complete=completion.systems)
 @click.option(
     "--logs",
@@ -27,11 +27,11 @@ if TYPE_CHECKING:
     metavar="LOG",
     help="Log to fit; more may follow, as in --logs run*.csv.",
 )
-@log_path.held_out("Log to score on")
+@options.held_out("Log to score on")
 @options.msg_path
 @click.option(
     "--max-time",
-    type=options.Number(min=0, min_open=True),
+    type=parsing.Number(min=0, min_open=True),
     metavar="S",
     help="Share this time among the systems: the best so far of each.",
 )

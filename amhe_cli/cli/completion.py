@@ -14,6 +14,9 @@ from click.shell_completion import BashComplete, CompletionItem, add_completion_
 
 from amhe_cli.cli.log_path import LOG
 
+#: The system of commands that were given no log.
+_ONLY = "go1_push"
+
 Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
 
 
@@ -31,13 +34,12 @@ def parameters(ending: str = "") -> Completer:
     """Names of the system's parameters, with commas between them, each with an ending such as '='."""
 
     def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
-        from amhe_cli.cli.inputs import DEFAULT_SYSTEM
         from amhe_cli.core.errors import AmheError
         from amhe_cli.system.description.folders import bundled_systems, find_system, parameter_names
 
-        given, named = ctx.params.get("system"), _named_by_log(ctx) or DEFAULT_SYSTEM
+        given = ctx.params.get("system")
         try:
-            folder = find_system(given) if given else bundled_systems()[named]
+            folder = find_system(given) if given else bundled_systems()[_named_by_log(ctx) or _ONLY]
         except (AmheError, KeyError):
             return []
         return _listed((name + ending for name in parameter_names(folder)), incomplete)

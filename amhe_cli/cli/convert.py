@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from amhe_cli.cli import log_path, options
+from amhe_cli.cli import log_path, options, parsing
 from amhe_cli.cli.progress import Shown, progress
 from amhe_cli.cli.session import Session
 
 
-@click.command(cls=options.Command, short_help="A log in another format: MCAP, CSV, npz.")
+@click.command(cls=parsing.Command, short_help="A log in another format: MCAP, CSV, npz.")
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )

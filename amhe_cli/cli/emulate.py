@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from math import isfinite
 from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import options
-from amhe_cli.cli.session import Session
+from amhe_cli.cli import options, parsing
+from amhe_cli.cli.session import Session, stopping
 from amhe_cli.cli.watching import watched, watching_robot
 
 if TYPE_CHECKING:
@@ -18,33 +17,12 @@ if TYPE_CHECKING:
 MOCAP = ("natnet", "udp", "none")
 
 
-class _Offset(click.ParamType):
-    """Six numbers: x, y, z [m], then a rotation vector [rad]."""
-
-    name = "X,Y,Z,RX,RY,RZ"
-
-    def convert(
-        self, value: str, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[float, ...]:
-        """Of the text."""
-        try:
-            numbers = tuple(map(float, value.split(",")))
-        except ValueError:
-            numbers = ()
-        if len(numbers) != 6 or not all(map(isfinite, numbers)):
-            self.fail(f"{value!r} is not six numbers {self.name} [m, rad]", param, ctx)
-        return numbers
-
-
-OFFSET = _Offset()
-
-
-@click.command(cls=options.Command, short_help="A Go1 and its motion capture, emulated on this computer.")
+@click.command(cls=parsing.Command, short_help="A Go1 and its motion capture, emulated on this computer.")
 @options.task("Whose box to put down.")
 @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="To listen on.")
 @click.option(
     "--port",
-    type=options.WholeNumber(0, 65535),
+    type=parsing.WholeNumber(0, 65535),
     default=8007,
     show_default=True,
     metavar="N",
@@ -53,7 +31,7 @@ OFFSET = _Offset()
 @options.choice("--mocap", MOCAP, "natnet", "Its cameras' protocol.")
 @click.option(
     "--mocap-port",
-    type=options.WholeNumber(0, 65535),
+    type=parsing.WholeNumber(0, 65535),
     metavar="N",
     help="natnet: where Motive listens; udp: where poses are sent to.  [default: 1510 or 1512]",
 )
@@ -62,26 +40,6 @@ OFFSET = _Offset()
     default="",
     metavar="NAME=V,...",
     help="What goes wrong, such as loss=0.02,after=5,hot=20 (docs/go1.md).",
-)
-@click.option(
-    "--slow",
-    type=options.Number(min=1, max=100),
-    default=1.0,
-    show_default=True,
-    metavar="X",
-    help="Time goes X times slower than the clock; give the other command the same.",
-)
-@click.option(
-    "--trunk-offset",
-    type=OFFSET,
-    metavar=OFFSET.name,
-    help="Trunk in its rigid body.  [default: go1.trunk_offset]",
-)
-@click.option(
-    "--box-offset",
-    type=OFFSET,
-    metavar=OFFSET.name,
-    help="Box in its rigid body.  [default: go1.box_offset]",
 )
 @options.seed
 @watched
@@ -96,10 +54,7 @@ def emulate(
     mocap: str,
     mocap_port: int | None,
     fault: str,
-    slow: float,
     seed: int,
-    trunk_offset: tuple[float, ...] | None,
-    box_offset: tuple[float, ...] | None,
     watch: bool,
     overrides: Overrides,
 ) -> None:
@@ -108,10 +63,9 @@ def emulate(
     It speaks the robot's own UDP protocol, with MuJoCo physics behind it, and streams the poses of "go1" and
     "box" as motion capture does. Try `amhe run --target go1 --host 127.0.0.1` on it. Of the settings that
     `amhe run` takes, boxes.box makes the box another one, go1.trunk, go1.box, go1.trunk_offset and
-    go1.box_offset the rigid bodies, go1.crc the checksums, and go1.poses.key signs poses by udp: the same
-    --config suits both.
+    go1.box_offset the rigid bodies, go1.crc the checksums, go1.slow the pace, and go1.poses.key signs poses
+    by udp: the same --config suits both.
     """
-    from amhe_cli.cli.stopping import stopping
     from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
     from amhe_cli.robots.go1.emulator.faults import parse_faults
     from amhe_cli.robots.go1.link.child import ROBOT, take_priority
@@ -125,8 +79,8 @@ def emulate(
     s = settings_of(system).go1
     pose_port = mocap_port if mocap_port is not None else {"natnet": natnet.PORT}.get(mocap, udp.PORT)
     emulated = EmulatorOptions(
-        measured, host, port, mocap, pose_port, parse_faults(fault), slow, seed,  # type: ignore[arg-type]
-        (s.trunk, s.box), (trunk_offset or s.trunk_offset, box_offset or s.box_offset),  # type: ignore[arg-type]
+        measured, host, port, mocap, pose_port, parse_faults(fault), s.slow, seed,  # type: ignore[arg-type]
+        (s.trunk, s.box), (s.trunk_offset, s.box_offset),
         s.crc, udp.read_key(s.poses.key),
     )  # fmt: skip
     with stopping(session) as stopped, Emulator(emulated) as emulator:
@@ -138,7 +92,7 @@ def emulate(
             emulator.serve(lambda: (show() if show else None) or stopped())
         accepted, rejected = emulator.counts
         lag = (
-            f"; this computer was {emulator.lag:.1f} s too slow: larger `slow`, or no other emulator"
+            f"; this computer was {emulator.lag:.1f} s too slow: larger `go1.slow`, or no other emulator"
             if emulator.lag > 0.05
             else ""
         )

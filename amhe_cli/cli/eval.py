@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import completion, options
-from amhe_cli.cli.session import Session
+from amhe_cli.cli import completion, options, parsing
+from amhe_cli.cli.session import Session, stopping
 from amhe_cli.core.text import printable
 
 if TYPE_CHECKING:
@@ -19,30 +19,21 @@ if TYPE_CHECKING:
 TASKS = ("t1", "t2", "t3", "t4", "t5")
 
 
-def _names(ctx: click.Context, param: click.Parameter, value: str | None) -> tuple[str, ...]:
-    """'t1,t3' as a tuple without repetitions."""
-    return tuple(dict.fromkeys(name.strip() for name in (value or "").split(",") if name.strip()))
-
-
 def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...]) -> dict[str, Path]:
     """TASK=FILE, repeated, as a dictionary."""
-    files = {}
-    for text in value:
-        task, equals, file = text.partition("=")
-        if not (task and equals and file):
-            raise click.BadParameter(f"{text!r} is not of the form TASK=FILE", ctx, param)
-        if not Path(file).is_file():
-            raise click.BadParameter(f"there is no file {file!r}", ctx, param)
-        files[task] = Path(file)
+    files = parsing.pairs(Path)(ctx, param, value)
+    for file in files.values():
+        if not file.is_file():
+            raise click.BadParameter(f"there is no file '{file}'", ctx, param)
     return files
 
 
-@click.command("eval", cls=options.Command, short_help="Tasks by modes by seeds: tables and figures.")
+@click.command("eval", cls=parsing.Command, short_help="Tasks by modes by seeds: tables and figures.")
 @click.option(
     "--tasks",
     metavar="T,...",
     shell_complete=completion.listed(options.TASKS),
-    callback=_names,
+    callback=parsing.listed,
     default=",".join(TASKS),
     show_default=True,
     help="As of amhe run.",
@@ -51,12 +42,12 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
     "--modes",
     metavar="M,...",
     shell_complete=completion.listed(options.MODES),
-    callback=_names,
+    callback=parsing.listed,
     help="Likewise.  [default: all; with --ablate, adaptive]",
 )
 @click.option(
     "--seeds",
-    type=options.WholeNumber(min=1),
+    type=parsing.WholeNumber(min=1),
     metavar="N",
     default=15,
     show_default=True,
@@ -81,7 +72,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 )
 @click.option(
     "--duration",
-    type=options.Number(min=0, min_open=True, max=600),
+    type=parsing.Number(min=0, min_open=True, max=600),
     metavar="S",
     help="Stop each run after S seconds of it.  [default: 40, the tasks' own limit]",
 )
@@ -90,7 +81,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 @click.option("--resume", is_flag=True, help="Go on in OUT: run what is missing or has failed.")
 @click.option(
     "--report",
-    type=options.EXISTING_FOLDER,
+    type=parsing.EXISTING_FOLDER,
     metavar="OUT",
     help="Run nothing; make summary, tables and figures of OUT again.",
 )
@@ -120,7 +111,6 @@ def evaluate(
     rest. Writes summary.json, tables (plain, Markdown, LaTeX, CSV, JSON), figures (PNG, PDF) and report.html.
     Exit code 1 where a cell brought no result.
     """
-    from amhe_cli.cli.stopping import stopping
     from amhe_cli.study.conduct import conduct
     from amhe_cli.study.executors import pool_of
     from amhe_cli.study.plan import EvalOptions, planned, study_of

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from amhe_cli.cli import options, prior_options
+from amhe_cli.cli import estimation_options, options, parsing
 from amhe_cli.cli.session import Session
 
 #: Files that are named; those beyond are models of samples.
@@ -14,9 +14,9 @@ _SHOWN = 2
 
 
 @click.command(
-    cls=options.Command, short_help="A belief for other tools: MJCF, URDF, samples, mjlab, Isaac Lab."
+    cls=parsing.Command, short_help="A belief for other tools: MJCF, URDF, samples, mjlab, Isaac Lab."
 )
-@click.argument("belief", type=options.EXISTING_FILE, metavar="BELIEF")
+@click.argument("belief", type=parsing.EXISTING_FILE, metavar="BELIEF")
 @click.option(
     "--to",
     "kind",
@@ -25,16 +25,16 @@ _SHOWN = 2
     help="What to write; mjlab and isaaclab: randomisation ranges as a Python file, and the model.",
 )
 @options.system_or("that of the belief")
-@prior_options.belief_anyway
+@estimation_options.belief_anyway
 @click.option(
     "--urdf",
-    type=options.EXISTING_FILE,
+    type=parsing.EXISTING_FILE,
     metavar="FILE",
     help="Keep the text of this URDF of the robot but for the values.  [default: one is made of the model]",
 )
 @click.option(
     "--count",
-    type=options.WholeNumber(min=1),
+    type=parsing.WholeNumber(min=1),
     metavar="N",
     default=100,
     show_default=True,

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import log_path, options
-from amhe_cli.cli.prior_options import believed, narrowing
+from amhe_cli.cli import log_path, options, parsing
+from amhe_cli.cli.estimation_options import believed, narrowing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -19,12 +19,12 @@ if TYPE_CHECKING:
     from amhe_cli.estimation.offline.result import Iteration
 
 
-@click.command(cls=options.Command, short_help="Logs to parameters with honest uncertainty.")
+@click.command(cls=parsing.Command, short_help="Logs to parameters with honest uncertainty.")
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
 @options.where
-@log_path.held_out("Log used only to validate")
+@options.held_out("Log used only to validate")
 @believed("Start from an earlier belief.yaml instead of the system's own prior.")
 @narrowing
 @options.choice(
@@ -41,11 +41,11 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--max-time",
-    type=options.Number(min=0, min_open=True),
+    type=parsing.Number(min=0, min_open=True),
     metavar="S",
     help="Search and conclude within this time: the best so far, without the checks that take too long.",
 )
-@options.new_file(
+@parsing.new_file(
     "--checkpoint", use="Save the search here as it goes; resume from it, to the bit, if it exists."
 )
 @options.work
@@ -83,7 +83,6 @@ def identify(
     """
     from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress
-    from amhe_cli.core.errors import ConfigError
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
     from amhe_cli.report.identification import print_identification
@@ -93,11 +92,8 @@ def identify(
     folder = out.reserve("identify")
     _check_apart(logs, held_out)
     opened = inputs.open(logs, overrides)
-    try:  # long logs are not read for a mistake in an option
-        opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
-    except ConfigError:
-        if inputs.named(logs):  # else reading says first that the system may be the wrong one
-            raise
+    # a mistake in these options is found before long logs are read
+    opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:

@@ -9,7 +9,7 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
-from amhe_cli.cli import log_path, options
+from amhe_cli.cli import log_path, options, parsing
 from amhe_cli.cli.session import Session
 from amhe_cli.core.text import printable
 
@@ -41,7 +41,7 @@ class _ModelPath(click.Path):
         return super().shell_complete(ctx, param, incomplete)
 
 
-@click.command(cls=options.Command, short_help="A model and logs to a first system folder.")
+@click.command(cls=parsing.Command, short_help="A model and logs to a first system folder.")
 @click.argument("model", type=_ModelPath(exists=True, dir_okay=False, readable=False, path_type=Path))
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
@@ -81,7 +81,7 @@ class _ModelPath(click.Path):
     "packages",
     metavar="NAME=DIR",
     multiple=True,
-    callback=options.pairs,
+    callback=parsing.pairs(str),
     help="Folder of a ROS package that a URDF's meshes lie in; repeat for more.  "
     "[default: ROS_PACKAGE_PATH, AMENT_PREFIX_PATH, and the folders above the URDF]",
 )
@@ -95,7 +95,7 @@ class _ModelPath(click.Path):
     "xacro_args",
     metavar="NAME:=VALUE",
     multiple=True,
-    callback=options.pairs,
+    callback=parsing.pairs(str),
     help="Argument of a xacro file; repeat for more.",
 )
 @options.common

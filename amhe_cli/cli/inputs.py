@@ -13,9 +13,6 @@ if TYPE_CHECKING:
     from amhe_cli.core.log import Log
     from amhe_cli.system.system import System
 
-#: The system of a log if neither the user nor the log names one.
-DEFAULT_SYSTEM = "go1_push"
-
 
 @dataclass(frozen=True, slots=True)
 class Inputs:
@@ -48,27 +45,21 @@ class Inputs:
             boxes_for_meshes: See `System.load`.
 
         Raises:
-            ConfigError: There is no such system, the logs differ in it, or a setting is wrong.
+            ConfigError: There is no such system, the logs name none or several, or a setting is wrong.
         """
         from amhe_cli.cli.settings import Overrides
         from amhe_cli.core.yaml_file import merged
         from amhe_cli.system.description.folders import find_system
         from amhe_cli.system.system import System
 
+        stated = {} if self.system else _stated(logs)
+        folder = find_system(self.system) if self.system else _folder_named_in(stated)
         own: dict[str, Any] = {}
-        if self.system:
-            folder = find_system(self.system)
-        else:
-            folder = _folder_named_by(logs)
-            for path in _files(logs):
-                own = merged(own, _own_settings(path))
+        for metadata in stated.values():
+            own = merged(own, _own_settings(metadata))
         settings, schema = (overrides or Overrides({}, {})).suited(folder, own)
         loaded = System.load(folder, settings, schema=schema, boxes_for_meshes=boxes_for_meshes)
         return loaded.reading(self.topics)
-
-    def named(self, logs: Sequence[Path]) -> bool:
-        """Whether the user or a log names the system; else the default one is tried."""
-        return bool(self.system or _systems_of(logs))
 
     def read(self, system: System, logs: Sequence[Path]) -> list[Log]:
         """Read logs for a system; where that fails, the error also names what they may be about instead.
@@ -82,13 +73,11 @@ class Inputs:
         try:
             return read_log(logs, system, start=self.start, end=self.end, msg_path=self.msg_path)
         except LogError as error:
-            if not self.named(logs):
-                raise LogError(_unnamed(logs, str(error))) from None
-            named = set(_systems_of(logs).values())
-            if self.system and named - {system.name}:
-                about = f"{', '.join(sorted(named))}, not {system.name}"
-                raise LogError(f"{error}. The log says that it is about {about}") from None
-            raise
+            others = [name for name in _systems(_stated(logs)) if name != system.name] if self.system else []
+            if not others:
+                raise
+            about = f"{', '.join(others)}, not {system.name}"
+            raise LogError(f"{error}. The log says that it is about {about}") from None
 
 
 def bundled_log() -> Path:
@@ -98,52 +87,50 @@ def bundled_log() -> Path:
     return bundled_logs()["t4"]
 
 
-def _systems_of(logs: Sequence[Path]) -> dict[Path, str]:
-    """The system that each log names, if it names one."""
-    from amhe_cli.logs import read_metadata
+def _stated(logs: Sequence[Path]) -> dict[Path, Mapping[str, str]]:
+    """What each log says of itself; a data set file is replaced by its logs."""
+    from amhe_cli.logs import members, read_metadata
 
-    return {path: str(name) for path in _files(logs) if (name := read_metadata(path).get("system"))}
-
-
-def _files(logs: Sequence[Path]) -> list[Path]:
-    """The logs, each data set file replaced by its logs."""
-    from amhe_cli.logs import members
-
-    return [one.path for path in logs for one in members(path)]
+    return {one.path: read_metadata(one.path) for path in logs for one in members(path)}
 
 
-def _own_settings(path: Path) -> dict[str, Any]:
+def _systems(stated: Mapping[Path, Mapping[str, str]]) -> list[str]:
+    """The systems that logs name."""
+    return sorted({name for metadata in stated.values() if (name := metadata.get("system"))})
+
+
+def _own_settings(metadata: Mapping[str, str]) -> dict[str, Any]:
     """What a log states of its system."""
-    from amhe_cli.logs import read_metadata
-
     try:
-        own = json.loads(read_metadata(path).get("overrides") or "{}")
+        own = json.loads(metadata.get("overrides") or "{}")
     except (ValueError, RecursionError):
         return {}  # somebody else's use of the key
     return own if isinstance(own, dict) else {}
 
 
-def _folder_named_by(logs: Sequence[Path]) -> Path:
+def _folder_named_in(stated: Mapping[Path, Mapping[str, str]]) -> Path:
     """Folder of the bundled system that logs name: a log may choose none of the user's files."""
     from amhe_cli.core.errors import ConfigError
-    from amhe_cli.system.description.folders import named_system
+    from amhe_cli.system.description.folders import bundled_systems, named_system
 
-    names = sorted(set(_systems_of(logs).values()))
+    names = _systems(stated)
     if len(names) > 1:
         listed = ", ".join(names)
         raise ConfigError(f"the logs are about different systems ({listed}); choose one with --system")
-    return named_system(names[0] if names else DEFAULT_SYSTEM, ", ".join(map(str, logs)))
-
-
-def _unnamed(logs: Sequence[Path], error: str) -> str:
-    from amhe_cli.system.description.folders import bundled_logs, bundled_models, bundled_systems
-
-    examples = (f"example:{name}" for name in bundled_models() if bundled_logs().get(name) == logs[0])
-    own = next((f"{name} {name}" for name in examples), f"MODEL.xml {logs[0]}")
-    what = error.partition("; there is: ")[0]  # the rest is about signals of a system that is not the log's
-    says = "the log does not say" if len(logs) == 1 else f"none of the {len(logs)} logs says"
-    return (
-        f"{what} ({says} which system it is about, and {DEFAULT_SYSTEM} was tried): name one with --system "
-        f"NAME|DIR (bundled: {', '.join(bundled_systems())}), or describe your own: amhe init {own} "
-        f"-o my_system/"
+    if names:
+        return named_system(names[0], ", ".join(map(str, stated)))
+    first = next(iter(stated))
+    says = f"{first} does not say" if len(stated) == 1 else f"none of the {len(stated)} logs says"
+    bundled = ", ".join(bundled_systems())
+    raise ConfigError(
+        f"{says} which system it is about: name one with --system NAME|DIR (bundled: {bundled}), or describe "
+        f"your own: amhe init {_to_describe(first)} -o my_system/"
     )
+
+
+def _to_describe(log: Path) -> str:
+    """Model and log for `amhe init`: those of a bundled example where the log is one."""
+    from amhe_cli.system.description.folders import bundled_logs, bundled_models
+
+    names = (name for name in bundled_models() if bundled_logs().get(name) == log)
+    return next((f"example:{name} example:{name}" for name in names), f"MODEL.xml {log}")

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import log_path, options
-from amhe_cli.cli.fresh_file import fresh_file
+from amhe_cli.cli import log_path, options, parsing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -17,7 +16,7 @@ if TYPE_CHECKING:
     from amhe_cli.logs.data_set import Member
 
 
-@click.command(cls=options.Command, short_help="What is in a log, and what a system lacks in it.")
+@click.command(cls=parsing.Command, short_help="What is in a log, and what a system lacks in it.")
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
@@ -28,7 +27,9 @@ if TYPE_CHECKING:
     help="Write a layout with which this viewer opens the log: plots of each topic, and a 3-D panel where it "
     "has poses. foxglove is Lichtblick too.",
 )
-@fresh_file("out", "-o", "--out", use="File of the layout, such as log.json, log.xml or log_layout.py.")
+@parsing.fresh_file(
+    "out", "-o", "--out", use="File of the layout, such as log.json, log.xml or log_layout.py."
+)
 @options.where
 @options.common
 @click.pass_obj

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 from click.shell_completion import CompletionItem
-
-if TYPE_CHECKING:  # options imports this module
-    from amhe_cli.cli.options import F
 
 
 class _LogPath(click.Path):
@@ -88,40 +85,3 @@ def one_episode(ctx: click.Context, param: click.Parameter, path: Path | None) -
 
 #: A log that must exist (exit code 2 if not); whether it can be read is the reader's word (4).
 LOG = _LogPath(exists=True, readable=False, path_type=Path)
-
-
-def _set_limits(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> None:
-    from amhe_cli.core.errors import ConfigError
-    from amhe_cli.core.limits import limit
-
-    if ctx.resilient_parsing:  # the line of a file that somebody wrote, or one that is completed
-        return
-    pairs = [text.partition("=") for text in given]
-    try:
-        ctx.with_resource(limit(**{name: int(number) for name, _, number in pairs}))
-    except (ConfigError, ValueError) as error:
-        raise click.BadParameter(str(error), ctx, param) from None
-
-
-#: Limits on what reading a log may cost; they hold as long as the command.
-limits = click.option(
-    "--limit",
-    multiple=True,
-    metavar="NAME=N",
-    is_eager=True,
-    expose_value=False,
-    callback=_set_limits,
-    help="Set a limit on what reading a file may cost, such as topics=20000. Repeatable.",
-)
-
-
-def held_out(use: str) -> Callable[[F], F]:
-    """Logs that are not fitted; `use` says what for."""
-    return click.option(
-        "--held-out",
-        multiple=True,
-        type=LOG,
-        callback=episodes,
-        metavar="LOG",
-        help=f"{use}; repeat for more.  [default: a quarter of the logs' time]",
-    )

@@ -10,10 +10,8 @@ import gc
 import os
 import signal
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from io import TextIOWrapper
-from types import FrameType
 
 import click
 
@@ -39,22 +37,38 @@ from amhe_cli.cli.session import (
     UNREADABLE,
     USAGE,
     Session,
-    Terminated,
+    terminable,
 )
 from amhe_cli.cli.view import view
 
+#: The commands, by what they are for.
+GROUPS = {
+    "Start": (inspect, init, identify, view),
+    "More": (compare, pool, probe, mhe_replay, export, convert),
+    "Go1": (run_task, evaluate, emulate, calibrate),
+}
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+
+class _Grouped(click.Group):
+    """A group whose help lists its commands by what they are for."""
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the commands, a heading for each group of them."""
+        widest = max(map(len, self.commands))
+        for title, members in GROUPS.items():
+            with formatter.section(title):
+                rows = [(str(one.name).ljust(widest), one.get_short_help_str(limit=80)) for one in members]
+                formatter.write_dl(rows)
+
+
+@click.group(
+    cls=_Grouped,
+    commands=[command for members in GROUPS.values() for command in members],
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
+)
 @options.common
 def amhe() -> None:
     """Physical parameters of robots and what they push, from their logs, with honest uncertainty."""
-
-
-for _command in (
-    init, inspect, convert, probe, identify, view, compare, pool, export, mhe_replay, run_task, evaluate,
-    emulate, calibrate,
-):  # fmt: skip
-    amhe.add_command(_command)
 
 
 #: Linear algebra on one thread, also in child processes: on several, sums are taken in another order, and
@@ -83,7 +97,7 @@ def run(arguments: Sequence[str]) -> int:
         if isinstance(stream, TextIOWrapper):  # a terminal without Unicode shows '?', it does not end the run
             stream.reconfigure(errors="replace")
     session = Session(arguments)
-    with _terminable(session):
+    with terminable(session):
         try:
             code = amhe.main(list(arguments), prog_name="amhe", standalone_mode=False, obj=session)
             return code if isinstance(code, int) else session.exit_code
@@ -126,20 +140,3 @@ def _failed(session: Session, error: Exception) -> int:
     traceback.print_exception(error)
     session.say("error", "this is a bug in amhe: please report it with the lines above")
     return FAILED
-
-
-@contextmanager
-def _terminable(session: Session) -> Iterator[None]:
-    """Turn SIGTERM and SIGHUP into an exception that commands may end well on, as Ctrl-C is."""
-
-    def terminate(number: int, frame: FrameType | None) -> None:
-        session.terminate()
-        raise Terminated
-
-    numbers = [n for n in TERMINATING if signal.getsignal(n) is not signal.SIG_IGN]  # ignored under nohup
-    before = {number: signal.signal(number, terminate) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import log_path, options
-from amhe_cli.cli.estimator_options import estimator
-from amhe_cli.cli.prior_options import believed, narrowing
-from amhe_cli.cli.session import Session
+from amhe_cli.cli import log_path, options, parsing
+from amhe_cli.cli.estimation_options import believed, estimator, narrowing
+from amhe_cli.cli.session import Session, stopping
 from amhe_cli.cli.watching import watched, watching_replay
 
 if TYPE_CHECKING:
@@ -26,7 +25,7 @@ if TYPE_CHECKING:
 _SHOWN = 4
 
 
-@click.command("mhe-replay", cls=options.Command, short_help="A log to parameters over time, as if live.")
+@click.command("mhe-replay", cls=parsing.Command, short_help="A log to parameters over time, as if live.")
 @click.argument("log", required=False, type=log_path.LOG, callback=log_path.one_episode, metavar="[LOG]")
 @options.where
 @believed(
@@ -64,7 +63,6 @@ def mhe_replay(
     """
     from amhe_cli.cli.inputs import bundled_log
     from amhe_cli.cli.progress import progress
-    from amhe_cli.cli.stopping import stopping
     from amhe_cli.estimation.online.predictions import predictions, replay_fits
     from amhe_cli.estimation.online.replay import caution, open_replay, paced, replayed
     from amhe_cli.report.replay import print_replay, write_replay

@@ -1,70 +1,42 @@
 """Options that several commands share, in the words of one place.
 
 common: --strict --json -q -v --no-color --limit --version, on every command and before it
-where:  --system --topic --msg-path --from --to
+where:  --system --topic --msg-path --from --to, of all that read logs
 tuning: --set --config
-engine: --engine
 work:   --seed --threads --engine
-spread: --workers --cluster
 out:    -o --force
+
+Besides these, a command has at most 16 options of its own; what is seldom needed is a setting.
 """
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from amhe_cli import __version__
 from amhe_cli.cli import completion, log_path
+from amhe_cli.cli.parsing import (
+    EXISTING_FILE,
+    EXISTING_FOLDER,
+    F,
+    Number,
+    WholeNumber,
+    bundled,
+    pairs,
+    stacked,
+)
 from amhe_cli.cli.session import Session
+from amhe_cli.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.cli.settings import Overrides
-
-F = TypeVar("F", bound=Callable[..., Any])
-
-
-EXISTING_FILE = click.Path(exists=True, dir_okay=False, readable=False, path_type=Path)
-EXISTING_FOLDER = click.Path(exists=True, file_okay=False, readable=False, path_type=Path)
-
-
-class Number(click.FloatRange):
-    """A finite number; click would call it a float range, and let nan through."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Refuse what no comparison refuses."""
-        number = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value} is not a finite number", param, ctx)
-        return number
-
-
-class WholeNumber(click.IntRange):
-    """A whole number; click would call it an integer range."""
-
-    name = "whole number"
-
-
-_SECONDS = Number(min=0)
-
-
-class Command(click.Command):
-    """A command that listens to the library's log from the moment its options are known."""
-
-    def invoke(self, ctx: click.Context) -> Any:
-        """Run the command's body."""
-        ctx.ensure_object(Session).begin(ctx.command_path)
-        return super().invoke(ctx)
 
 
 def _remember(ctx: click.Context, param: click.Parameter, value: Any) -> None:
@@ -77,30 +49,28 @@ def _flag(*names: str, help: str, **more: Any) -> Callable[[F], F]:
     return click.option(*names, help=help, **(options | more))
 
 
-def pairs(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> dict[str, str]:
-    """SIGNAL=/name or the like, repeated, as a dictionary; the option's metavar shows the form."""
-    form = str(param.metavar)  # pyright: ignore[reportAttributeAccessIssue]
-    sign = ":=" if ":=" in form else "="
-    values = {}
-    for text in given:
-        key, found, value = text.partition(sign)
-        if not (key and found and value):
-            raise click.BadParameter(f"{text!r} is not of the form {form}", ctx, param)
-        values[key] = value
-    return values
+def _set_limits(ctx: click.Context, param: click.Parameter, given: tuple[str, ...]) -> None:
+    from amhe_cli.core.limits import limit
+
+    if ctx.resilient_parsing:  # the line of a file that somebody wrote, or one that is completed
+        return
+    parts = [text.partition("=") for text in given]
+    try:
+        ctx.with_resource(limit(**{name: int(number) for name, _, number in parts}))
+    except (ConfigError, ValueError) as error:
+        raise click.BadParameter(str(error), ctx, param) from None
 
 
-def _in_existing_folder(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
-    """A file that will be written: better refused now than after the first minutes of work."""
-    if value is not None and not value.absolute().parent.is_dir():
-        raise click.BadParameter(f"there is no folder '{value.parent}'", ctx, param)
-    return value
-
-
-def new_file(*names: str, use: str, metavar: str = "FILE") -> Callable[[F], F]:
-    """A file that will be written, in a folder that exists; `use` says what for."""
-    kind = click.Path(dir_okay=False, path_type=Path)
-    return click.option(*names, type=kind, callback=_in_existing_folder, metavar=metavar, help=use)
+#: Limits on what reading a log may cost; they hold as long as the command.
+limits = click.option(
+    "--limit",
+    multiple=True,
+    metavar="NAME=N",
+    is_eager=True,
+    expose_value=False,
+    callback=_set_limits,
+    help="Set a limit on what reading a file may cost, such as topics=20000. Repeatable.",
+)
 
 
 def _cores() -> int:
@@ -112,7 +82,6 @@ def _cores() -> int:
 
 def _known_engine(ctx: click.Context, param: click.Parameter, value: str) -> str:
     if value != "cpu":  # the default needs no look at the library, which is slow to load
-        from amhe_cli.core.errors import ConfigError
         from amhe_cli.engine.open import check_kind
 
         try:
@@ -122,47 +91,13 @@ def _known_engine(ctx: click.Context, param: click.Parameter, value: str) -> str
     return value
 
 
-def stacked(*decorators: Callable[[F], F]) -> Callable[[F], F]:
-    """Several options as one."""
-
-    def decorate(function: F) -> F:
-        for decorator in reversed(decorators):
-            function = decorator(function)
-        return function
-
-    return decorate
-
-
-def bundled(
-    name: str, make: Callable[..., Any], keys: Sequence[str], *decorators: Callable[[F], F]
-) -> Callable[[F], F]:
-    """Several options as one argument of the command.
-
-    Args:
-        name: Name of the argument.
-        make: Makes it of the options' values, which are given by name when the command begins.
-        keys: Names of the options' values.
-        decorators: The options.
-    """
-
-    def decorate(function: F) -> F:
-        @wraps(function)
-        def command(*args: Any, **values: Any) -> Any:
-            own = {key: values.pop(key) for key in keys}
-            return function(*args, **{name: make(**own)}, **values)
-
-        return stacked(*decorators)(command)  # type: ignore[arg-type]
-
-    return decorate
-
-
 common = stacked(
     _flag("--json", help="Print one JSON object on stdout, the content of result.json."),
     _flag("--strict", help="Exit with code 3 if there was any warning."),
     _flag("-q", "--quiet", help="No progress; warnings, errors and results only."),
     _flag("-v", "--verbose", help="Say more on stderr; twice: everything.", is_flag=False, count=True),
     _flag("--no-color", help="No colours (NO_COLOR in the environment does the same)."),
-    log_path.limits,
+    limits,
     click.version_option(__version__, message="amhe %(version)s"),
 )
 
@@ -201,7 +136,7 @@ def system_or(default: str) -> Callable[[F], F]:
     )
 
 
-system = system_or("named by the log, else go1_push")
+system = system_or("named by the log")
 
 
 msg_path = click.option(
@@ -210,6 +145,18 @@ msg_path = click.option(
     metavar="DIR",
     help="Folder of .msg files, for message types that the log does not define itself.",
 )
+
+
+def held_out(use: str) -> Callable[[F], F]:
+    """Logs that are not fitted; `use` says what for."""
+    return click.option(
+        "--held-out",
+        multiple=True,
+        type=log_path.LOG,
+        callback=log_path.episodes,
+        metavar="LOG",
+        help=f"{use}; repeat for more.  [default: a quarter of the logs' time]",
+    )
 
 
 def _inputs(**values: Any) -> Inputs:
@@ -223,7 +170,7 @@ topics = click.option(
     "topics",
     metavar="SIGNAL=/name",
     multiple=True,
-    callback=pairs,
+    callback=pairs(str),
     help="Read a signal of the system from another topic; repeat for more.",
 )
 
@@ -235,16 +182,35 @@ where = bundled(
     topics,
     msg_path,
     click.option(
-        "--from", "start", type=_SECONDS, metavar="S", help="Begin S seconds after the log's start."
+        "--from", "start", type=Number(min=0), metavar="S", help="Begin S seconds after the log's start."
     ),
-    click.option("--to", "end", type=_SECONDS, metavar="S", help="End S seconds after the log's start."),
+    click.option("--to", "end", type=Number(min=0), metavar="S", help="End S seconds after the log's start."),
 )
+
+
+#: Where the options that stand for settings leave what was given, as --set would have it.
+_CHOSEN = "amhe.settings"
 
 
 def _overrides(assignments: Sequence[str], config: Path | None) -> Overrides:
     from amhe_cli.cli.settings import gathered
 
-    return gathered(config, os.environ, assignments)
+    chosen = click.get_current_context().meta.get(_CHOSEN, ())
+    return gathered(config, os.environ, (*assignments, *chosen))
+
+
+def setting(key: str, **how: Any) -> Callable[[F], F]:
+    """An option that stands for a setting, and wins over --set: `mhe.update_period` is --update-period."""
+
+    def choose(ctx: click.Context, param: click.Parameter, value: Any) -> None:
+        given = {key: value}
+        if how.get("multiple"):
+            given = {f"{key}.{name}": number for name, number in pairs(float)(ctx, param, value).items()}
+        chosen = [f"{name}={one}" for name, one in given.items() if one is not None]
+        ctx.meta[_CHOSEN] = (*ctx.meta.get(_CHOSEN, ()), *chosen)
+
+    flag = "--" + key.rpartition(".")[2].replace("_", "-")
+    return click.option(flag, callback=choose, expose_value=False, **how)
 
 
 tuning = bundled(

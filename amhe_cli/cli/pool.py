@@ -6,16 +6,15 @@ from pathlib import Path
 
 import click
 
-from amhe_cli.cli import options, prior_options
-from amhe_cli.cli.fresh_file import fresh_file
+from amhe_cli.cli import estimation_options, options, parsing
 from amhe_cli.cli.session import Session
 
 
-@click.command(cls=options.Command, short_help="Do results of several runs agree? One belief of them.")
-@click.argument("beliefs", nargs=-1, required=True, type=options.EXISTING_FILE, metavar="BELIEF...")
+@click.command(cls=parsing.Command, short_help="Do results of several runs agree? One belief of them.")
+@click.argument("beliefs", nargs=-1, required=True, type=parsing.EXISTING_FILE, metavar="BELIEF...")
 @options.system_or("that of the first belief")
-@prior_options.belief_anyway
-@fresh_file("out", "-o", "--out", use="File for the pooled belief.  [default: none; the table alone]")
+@estimation_options.belief_anyway
+@parsing.fresh_file("out", "-o", "--out", use="File for the pooled belief.  [default: none; the table alone]")
 @options.common
 @click.pass_obj
 def pool(

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import at_the_robot, options
-from amhe_cli.cli.prior_options import believed, narrowing
-from amhe_cli.cli.session import Session
+from amhe_cli.cli import at_the_robot, options, parsing
+from amhe_cli.cli.estimation_options import believed, narrowing
+from amhe_cli.cli.session import Session, stopping
 
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
@@ -17,10 +17,11 @@ if TYPE_CHECKING:
     from amhe_cli.estimation.design.design import Accuracy
 
 
-@click.command(cls=options.Command, short_help="Design and record the most informative motion.")
+@click.command(cls=parsing.Command, short_help="Design and record the most informative motion.")
 @options.system_or("go1_push")
 @options.choice("--target", ("sim", "go1"), "sim", "What is probed.")
-@at_the_robot.wire_options
+@at_the_robot.reach_options
+@at_the_robot.dry_run_option(f"Write plan.json and stop before anything moves; {at_the_robot.CHECKS}")
 @options.task(
     "Whose box and floor go1_push is probed with, as they are before anything changes.  [default: t1]", None
 )
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 @narrowing
 @click.option(
     "--plant",
-    type=options.EXISTING_FILE,
+    type=parsing.EXISTING_FILE,
     metavar="XML",
     help="MJCF of what is probed in simulation, instead of the system's own model: another Go1, or another "
     "model with the same joints and actuators.",
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 @click.option(
     "--box",
     nargs=2,
-    type=options.Number(min=0, min_open=True, max=100),
+    type=parsing.Number(min=0, min_open=True, max=100),
     metavar="KG MU",
     help="Mass and friction of the box that is probed in simulation, instead of the task's.",
 )
@@ -51,21 +52,6 @@ if TYPE_CHECKING:
 @click.option("--multisine", "recipe", flag_value="multisine", help="The same: sums of sines.")
 @click.option("--steps", "recipe", flag_value="steps", help="The same: targets that jump.")
 @click.option("--sweep", "recipe", flag_value="sweep", help="The same: slow ramps.")
-@click.option(
-    "--speed",
-    type=options.Number(min=0, min_open=True),
-    metavar="X",
-    help="Largest speed of a joint in a recipe [rad/s or m/s].  [default: 3.14 of hinges, 0.5 of slides]",
-)
-@click.option(
-    "--rate",
-    type=options.Number(min=10, max=1000),
-    default=100,
-    show_default=True,
-    metavar="HZ",
-    help="Commands a second in a recipe.",
-)
-@click.option("--plan-only", is_flag=True, help="Write plan.json and stop before anything moves.")
 @options.work
 @options.tuning
 @options.out
@@ -75,6 +61,7 @@ def probe(
     session: Session,
     system: str | None,
     target: str,
+    dry_run: bool,
     task: str | None,
     seconds: float,
     belief: Path | None,
@@ -84,9 +71,6 @@ def probe(
     plant: Path | None,
     box: tuple[float, float] | None,
     recipe: str | None,
-    speed: float | None,
-    rate: float,
-    plan_only: bool,
     seed: int,
     threads: int,
     engine: str,
@@ -103,7 +87,6 @@ def probe(
     go1: read docs/go1.md first) it is all planned before anything is sent.
     """
     from amhe_cli.cli.progress import progress
-    from amhe_cli.cli.stopping import stopping
     from amhe_cli.core.files import filling, plain
     from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.files import log_name
@@ -120,13 +103,13 @@ def probe(
     settings, schema = overrides.suited(find_system(system or "go1_push"))
     chosen = ProbeOptions(
         system, task, seconds, belief, plant, box, seed, threads, settings, schema, fix, only, belief_anyway,
-        engine, recipe, speed, rate,
+        engine, recipe,
     )  # fmt: skip
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)
     robot = Go1OnLink(reached, attend) if reached else None
-    if robot and wire["dry_run"]:
+    if robot and dry_run:
         return at_the_robot.dry_run(session, robot_to_probe(chosen, robot))
     opened = open_probe(chosen, robot)
     log = log_name(opened.system.signals)
@@ -146,7 +129,7 @@ def probe(
         _write(scratch / "plan.json", record)
         if recipe and isinstance(opened, ActuatorProbe):
             opened.excitation().write(scratch)
-        if not plan_only:
+        if not dry_run:
             with stopping(session) as stopped:
                 ending = opened.run(plan, scratch / log, stopped, say, SceneLog(scene_of(opened.system)))
             session.interrupted, error = ending.interrupted, ending.error
@@ -162,7 +145,7 @@ def probe(
             record = plain(session.record(**about, **(plan_record(plan) | known_record(known)), **link))
             record |= {"interrupted": session.interrupted, "error": None if error is None else str(error)}
             _write(scratch / "result.json", record)
-    recorded = not plan_only and (folder / log).exists()
+    recorded = not dry_run and (folder / log).exists()
     if recorded:
         from amhe_cli.report.probe_page import write_probe_page  # figures load after the robot is let down
 

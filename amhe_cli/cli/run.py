@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import at_the_robot, options
-from amhe_cli.cli.estimator_options import estimator
-from amhe_cli.cli.prior_options import believed
-from amhe_cli.cli.session import Session
+from amhe_cli.cli import at_the_robot, options, parsing
+from amhe_cli.cli.estimation_options import believed, method
+from amhe_cli.cli.session import Session, stopping
 from amhe_cli.cli.watching import watched, watching_run
 
 if TYPE_CHECKING:
@@ -27,10 +26,11 @@ _TASKS = (
 )
 
 
-@click.command(cls=options.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
+@click.command(cls=parsing.Command, short_help="A Go1 pushes a box: closed-loop control under a belief.")
 @click.option("--task", type=click.Choice(options.TASKS), required=True, help=_TASKS)
 @options.choice("--target", ("sim", "go1"), "sim", "What is controlled.")
-@at_the_robot.wire_options
+@at_the_robot.reach_options
+@at_the_robot.dry_run_option(at_the_robot.CHECKS)
 @options.choice(
     "--mode",
     options.MODES,
@@ -42,11 +42,10 @@ _TASKS = (
 @options.work
 @click.option(
     "--duration",
-    type=options.Number(min=0, min_open=True, max=600),
+    type=parsing.Number(min=0, min_open=True, max=600),
     metavar="S",
     help="Stop after S seconds of the run.  [default: 40, the tasks' own limit]",
 )
-@click.option("--realtime", is_flag=True, help="Keep pace with the wall clock; late plans cost periods.")
 @click.option(
     "--video",
     is_flag=True,
@@ -55,12 +54,12 @@ _TASKS = (
 )
 @click.option(
     "--plant",
-    type=options.EXISTING_FILE,
+    type=parsing.EXISTING_FILE,
     metavar="XML",
     help="MJCF of another Go1 to simulate; the planner keeps its own.",
 )
 @watched
-@estimator
+@method
 @options.tuning
 @options.out
 @options.common
@@ -69,6 +68,7 @@ def run(
     session: Session,
     task: str,
     target: str,
+    dry_run: bool,
     mode: str,
     belief: Path | None,
     belief_anyway: bool,
@@ -76,7 +76,6 @@ def run(
     threads: int,
     engine: str,
     duration: float | None,
-    realtime: bool,
     video: bool,
     plant: Path | None,
     watch: bool,
@@ -91,7 +90,6 @@ def run(
     A real robot (--target go1): read docs/go1.md first.
     """
     from amhe_cli.cli.progress import progress
-    from amhe_cli.cli.stopping import stopping
     from amhe_cli.core.files import filling
     from amhe_cli.live.loop import drive
     from amhe_cli.report.run import TaskFacts, print_run, verdict, write_run
@@ -106,17 +104,21 @@ def run(
     from amhe_cli.view.scene import scene_of
     from amhe_cli.view.scene_log import SceneLog
 
+    if mode != "adaptive" and "method" in overrides.chosen.get("mhe", {}):
+        raise click.UsageError("--method is for the online estimator, which only --mode adaptive runs")
     session.hush_mujoco()
     folder = out.reserve("run")
     longest = LONGEST if duration is None else duration
     chosen = RunOptions(
-        task, mode, target, belief, seed, threads, longest, realtime, plant, overrides.all, belief_anyway,
+        task, mode, target, belief, seed, threads, longest, plant, overrides.all, belief_anyway,
         engine,
     )  # fmt: skip
+    if dry_run and target != "go1":
+        raise click.UsageError("--dry-run is of a real robot: give --target go1 too")
     opened = at_the_robot.opened(chosen, wire) or open_run(chosen)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
     click.get_current_context().with_resource(closing(opened.episode.belief))
-    if wire["dry_run"]:
+    if dry_run:
         return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None
     history, drawing = History(opened.task), SceneLog(scene_of(opened.system))
@@ -124,7 +126,7 @@ def run(
         with ExitStack() as stack:
             recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap", drawing))
             shoot = (
-                stack.enter_context(film.shooting(scratch / "video.mp4", later=realtime)) if film else None
+                stack.enter_context(film.shooting(scratch / "video.mp4", later=opened.live)) if film else None
             )
 
             watching = stack.enter_context(watching_run(session, opened)) if watch else None
@@ -147,7 +149,7 @@ def run(
             raise ending.error
         session.interrupted = ending.interrupted
         record = session.record(
-            task=task, mode=mode, target=target, seed=seed, lock_step=not chosen.live,
+            task=task, mode=mode, target=target, seed=seed, lock_step=not opened.live,
             **run_record(opened.judge.measures(), history, ending),
             duration=longest, cut_short=longest < LONGEST, out=str(folder), **link,
         )  # fmt: skip

@@ -7,8 +7,8 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from amhe_cli.cli.wording import in_options
@@ -18,6 +18,7 @@ from amhe_cli.core.text import printable
 if TYPE_CHECKING:
     from logging import Handler
     from pathlib import Path
+    from types import FrameType
 
     from rich.console import Console
 
@@ -40,6 +41,7 @@ class Session:
 
     Attributes:
         command: 'amhe identify': how every line on stderr begins.
+        options: What the user types for the arguments of the library: see `wording.options_of`.
         command_line: What the user typed, for provenance.
         warnings: What the library warned of, once each; the content of result.json's `warnings`.
         interrupted: The command was stopped before it was through, and kept what it had.
@@ -50,6 +52,7 @@ class Session:
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:
         self.command = "amhe"
+        self.options: Mapping[str, str] = {}
         self.command_line = shlex.join(["amhe", *arguments])
         self.started = time.monotonic()
         self.warnings: list[str] = []
@@ -95,7 +98,7 @@ class Session:
 
     def say(self, kind: str, text: str) -> None:
         """Write one message, such as 'amhe identify: error: ...', on stderr; it speaks of options."""
-        first, *rest = [printable(line) for line in in_options(text).split("\n")]
+        first, *rest = [printable(line) for line in in_options(text, self.options).split("\n")]
         label = f"{kind}: " if kind else ""
         with suppress(OSError):  # nobody reads it any more
             print(
@@ -169,7 +172,7 @@ def _listener(session: Session) -> Handler:
 
     class Listener(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            text = in_options(record.getMessage())
+            text = in_options(record.getMessage(), session.options)
             if record.levelno >= logging.WARNING:
                 if text in session.warnings:
                     return
@@ -178,3 +181,48 @@ def _listener(session: Session) -> Handler:
             session.say(kind, printable(text))
 
     return Listener()
+
+
+@contextmanager
+def stopping(session: Session) -> Iterator[Callable[[], bool]]:
+    """Give a function that says whether to stop; a second signal ends the command at once.
+
+    Ctrl-C, SIGTERM and SIGHUP become a question of a loop, so that what is being written stays whole: an
+    exception would come in the middle of a message.
+    """
+    requested = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal requested
+        if number in TERMINATING:
+            session.terminate()
+        if requested and number != signal.SIGHUP:  # kernel and shell both send it
+            raise Terminated if session.terminated else KeyboardInterrupt
+        requested = True
+
+    with _handling((signal.SIGINT, *TERMINATING), note):
+        yield lambda: requested
+
+
+@contextmanager
+def terminable(session: Session) -> Iterator[None]:
+    """Turn SIGTERM and SIGHUP into an exception that commands may end well on, as Ctrl-C is."""
+
+    def terminate(number: int, frame: FrameType | None) -> None:
+        session.terminate()
+        raise Terminated
+
+    with _handling(TERMINATING, terminate):
+        yield
+
+
+@contextmanager
+def _handling(numbers: Sequence[int], handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Handle signals so within the block, but for those that are ignored, as under nohup."""
+    heard = [number for number in numbers if signal.getsignal(number) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, handler) for number in heard}
+    try:
+        yield
+    finally:
+        for number, usual in before.items():
+            signal.signal(number, usual)

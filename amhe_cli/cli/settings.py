@@ -79,6 +79,14 @@ class Overrides:
         return settings, Settings
 
 
+def groups() -> set[str]:
+    """Groups of settings that any system has."""
+    from amhe_cli.core.settings import Settings
+    from amhe_cli.system.description.schema import robot_groups
+
+    return {*Settings.model_fields, *robot_groups({"robot": _ROBOT}), "boxes"}
+
+
 def gathered(config: Path | None, environment: Mapping[str, str], options: Iterable[str]) -> Overrides:
     """Settings of a file, of the environment, which wins over the file, and of `--set`."""
     file = from_file(config) if config else {}

@@ -7,27 +7,26 @@ from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import log_path, options
-from amhe_cli.cli.fresh_file import fresh_file
-from amhe_cli.cli.prior_options import believed
-from amhe_cli.cli.session import Session
+from amhe_cli.cli import log_path, options, parsing
+from amhe_cli.cli.estimation_options import believed
+from amhe_cli.cli.session import Session, stopping
 
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.cli.settings import Overrides
 
 
-@click.command(cls=options.Command, short_help="A log and what the model predicts, in a browser.")
+@click.command(cls=parsing.Command, short_help="A log and what the model predicts, in a browser.")
 @click.argument("source", type=log_path.LOG, metavar="LOG|RESULT")
 @options.where
 @believed("The belief.yaml of an identification: its ghost is shown beside the nominal one.")
-@fresh_file(
+@parsing.fresh_file(
     "save", "--save", use="Write one page that needs no network, and serve nothing.", metavar="PAGE.html"
 )
 @click.option("--host", default="127.0.0.1", show_default=True, metavar="ADDRESS", help="To serve on.")
 @click.option(
     "--port",
-    type=options.WholeNumber(0, 65535),
+    type=parsing.WholeNumber(0, 65535),
     default=0,
     show_default="any free one",
     metavar="N",
@@ -86,7 +85,6 @@ def _serve(session: Session, page: str, host: str, port: int) -> None:
     import time
 
     from amhe_cli.cli.browser import announce
-    from amhe_cli.cli.stopping import stopping
     from amhe_cli.view.server import PageServer
 
     with stopping(session) as stopped, PageServer(page, host, port) as server:

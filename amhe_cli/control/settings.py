@@ -14,6 +14,8 @@ class ControlSettings(SettingsGroup):
 
     period: Positive = 0.02
     """Control period [s]."""
+    realtime: bool = False
+    """A simulation keeps pace with the wall clock; late plans cost periods."""
     substeps: Annotated[int, Field(ge=1)] = 2
     """Steps of the planner's model in one period."""
     horizon: Annotated[int, Field(ge=2)] = 16

@@ -234,6 +234,10 @@ class ProbeSettings(SettingsGroup):
     """Pairs of draws of the belief, in addition to its mean, that the information is averaged over."""
     candidates: Annotated[int, Field(ge=1)] = 12
     """Random multisines to choose from, where actuators are driven as they are."""
+    speed: Positive | None = None
+    """Largest speed of a joint in a recipe [rad/s or m/s]; None: 3.14 of hinges, 0.5 of slides."""
+    rate: Annotated[float, Field(ge=10, le=1000)] = 100.0
+    """Commands a second in a recipe [Hz]."""
 
 
 class Settings(SettingsGroup):

@@ -22,12 +22,12 @@ BOX = (-0.05, 0.02, -0.15, 0.0, 0.01, -1.2)
 
 def at(emulated: Emulated) -> list[str]:
     here = ["--host", "127.0.0.1", "--port", str(emulated.port)]
-    eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port), "--slow", "2"]
+    eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port), "--set", "go1.slow=2"]
     return [*here, *eyes, "--set", "go1.connect_time=5"]
 
 
 def off(name: str, offset: tuple[float, ...]) -> list[str]:
-    return [f"--{name}-offset", ",".join(map(str, offset))]
+    return ["--set", f"go1.{name}_offset=[{','.join(map(str, offset))}]"]
 
 
 @pytest.fixture(autouse=True)
@@ -38,7 +38,7 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.slow
 def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
     pytest.importorskip("natnet")
-    with emulating("--slow", "2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
+    with emulating("--set", "go1.slow=2", *off("trunk", TRUNK), *off("box", BOX)) as emulated:
         assert run(["calibrate", "--yes", "-o", "out", *at(emulated)]) == 0, capsys.readouterr().err
         output = capsys.readouterr()
         check = ["run", "--task", "t1", "--target", "go1", "--dry-run", *at(emulated)]
@@ -65,7 +65,7 @@ def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
 )
 def test_what_cannot_be_is_refused(capfd, more: list[str], message: str) -> None:
     pytest.importorskip("natnet")
-    with emulating("--slow", "2", *more) as emulated:
+    with emulating("--set", "go1.slow=2", *more) as emulated:
         assert run(["calibrate", "--yes", *at(emulated)]) == 1
     err = capfd.readouterr().err
     assert message in err
@@ -76,7 +76,7 @@ def test_what_cannot_be_is_refused(capfd, more: list[str], message: str) -> None
 @pytest.mark.slow
 def test_the_operator_is_waited_for() -> None:
     pytest.importorskip("natnet")
-    with emulating("--slow", "2") as emulated:
+    with emulating("--set", "go1.slow=2") as emulated:
         command = [sys.executable, "-m", "amhe_cli", "calibrate", "-o", "out", *at(emulated)]
         pressed = subprocess.run(
             command, input="\n\n", text=True, capture_output=True, timeout=120, env={"PYTHONPATH": str(ROOT)}
@@ -91,10 +91,10 @@ def test_the_operator_is_waited_for() -> None:
     assert "give --yes" in nobody.stderr
 
 
-@pytest.mark.parametrize("text", ["1,2,3", "a,b,c,d,e,f", "0,0,0,0,0,nan"])
+@pytest.mark.parametrize("text", ["1,2,3", "a,b,c,d,e,f", "0,0,0,0,0,.nan"])
 def test_an_offset_that_is_none_is_refused(capsys, text: str) -> None:
-    assert run(["emulate", "--box-offset", text]) == 2
-    assert "six numbers" in capsys.readouterr().err
+    assert run(["emulate", "--set", f"go1.box_offset=[{text}]"]) == 2
+    assert "go1.box_offset" in capsys.readouterr().err
 
 
 def test_no_offset_is_found_where_there_is_none() -> None:

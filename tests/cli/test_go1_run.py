@@ -49,7 +49,7 @@ ROBOT = ["run", "--task", "t1", "--target", "go1", "--mode", "baseline"]
 def at(emulated: Emulated, slow: int = 2) -> list[str]:
     here = ["--host", "127.0.0.1", "--port", str(emulated.port)]
     eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port)]
-    return [*ROBOT, *here, *eyes, "--slow", str(slow), "--set", "go1.arm=auto", *QUICK]
+    return [*ROBOT, *here, *eyes, "--set", f"go1.slow={slow}", "--set", "go1.arm=auto", *QUICK]
 
 
 @pytest.fixture(autouse=True)
@@ -64,7 +64,7 @@ def test_the_choices_are_those_of_the_library() -> None:
 @pytest.mark.slow
 def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys) -> None:
     pytest.importorskip("natnet")
-    with emulating("--slow", "2") as emulated:
+    with emulating("--set", "go1.slow=2") as emulated:
         assert run([*at(emulated), "--dry-run"]) == 0
         assert "nothing has moved" in capsys.readouterr().out
         assert list(Path().iterdir()) == []
@@ -87,7 +87,7 @@ def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys
 @pytest.mark.slow
 def test_its_log_is_identified_and_replayed_with_no_options(capsys) -> None:
     pytest.importorskip("natnet")
-    with emulating("--slow", "4") as emulated:
+    with emulating("--set", "go1.slow=4") as emulated:
         assert run([*at(emulated, slow=4), "--duration", "4", "-o", "out"]) == 0, capsys.readouterr().err
     found = {}
     for command in ("identify", "mhe-replay"):
@@ -104,9 +104,9 @@ def test_its_log_is_identified_and_replayed_with_no_options(capsys) -> None:
 @pytest.mark.slow
 def test_a_box_that_was_measured_is_emulated_and_expected(capsys) -> None:
     pytest.importorskip("natnet")
+    offset = ["--set", "go1.box_offset=[0,0,-0.2,0,0,0]"]
     measured = ["--set", "boxes.box=[0.6,0.5,0.4]", "--set", "go1.box=crate"]
-    with emulating("--slow", "2", *measured, "--box-offset", "0,0,-0.2,0,0,0") as emulated:
-        offset = ["--set", "go1.box_offset=[0,0,-0.2,0,0,0]"]
+    with emulating("--set", "go1.slow=2", *measured, *offset) as emulated:
         assert run([*at(emulated), *measured, *offset, "--dry-run", "--json"]) == 0, capsys.readouterr().err
     found = json.loads(capsys.readouterr().out)["checks"]["box"]
     place = np.array(re.findall(r"-?\d+\.\d+", found), dtype=float)
@@ -119,7 +119,7 @@ def test_a_box_that_was_measured_is_emulated_and_expected(capsys) -> None:
 def test_a_fault_damps_fails_and_keeps_a_readable_log(hot: float, ran: bool, capsys) -> None:
     """In the run, and before it."""
     pytest.importorskip("natnet")
-    with emulating("--slow", "2", "--fault", f"hot={hot}") as emulated:
+    with emulating("--set", "go1.slow=2", "--fault", f"hot={hot}") as emulated:
         assert run([*at(emulated), "-o", "out"]) == 1
     assert capsys.readouterr().err.count("deg C hot") == 1
     record = json.loads(Path("out/result.json").read_text())
@@ -189,7 +189,7 @@ def test_what_stopped_a_robot_is_said_before_it_is_let_down(capsys, report, line
 @pytest.mark.slow
 def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
     pytest.importorskip("natnet")
-    with emulating("--slow", "2") as emulated:
+    with emulating("--set", "go1.slow=2") as emulated:
         command = [sys.executable, "-m", "amhe_cli", *at(emulated), "-o", "out"]
         command.remove("-q")
         environment = os.environ | {"PYTHONPATH": str(ROOT)}
@@ -211,7 +211,7 @@ def test_a_full_disk_lets_the_robot_down_and_keeps_a_readable_log(monkeypatch, c
     pytest.importorskip("natnet")
     monkeypatch.setattr("amhe_cli.logs.messages.mcap_writer.Writer", partial(Writer, chunk_size=20_000))
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with emulating("--slow", "2") as emulated:
+    with emulating("--set", "go1.slow=2") as emulated:
         try:
             resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, before[1]))
             assert run([*at(emulated), "--duration", "8", "-o", "out"]) == 1
@@ -225,7 +225,7 @@ def test_a_full_disk_lets_the_robot_down_and_keeps_a_readable_log(monkeypatch, c
 def test_a_terminal_that_is_closed_damps_and_keeps_what_there_is() -> None:
     pytest.importorskip("natnet")
     keys, terminal = os.openpty()
-    with emulating("--slow", "2") as emulated, os.fdopen(keys, "rb", 0) as screen:
+    with emulating("--set", "go1.slow=2") as emulated, os.fdopen(keys, "rb", 0) as screen:
         command = [sys.executable, "-c", _FOREGROUND, "-m", "amhe_cli", *at(emulated), "-o", "out"]
         command.remove("-q")
         with subprocess.Popen(
@@ -297,9 +297,9 @@ def test_keys_that_mean_something_to_a_terminal_come_as_keys(monkeypatch: pytest
 @pytest.mark.slow
 def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
     port = str(free_port())
-    with emulating("--slow", "2", "--mocap", "udp", "--mocap-port", port) as emulated:
+    with emulating("--set", "go1.slow=2", "--mocap", "udp", "--mocap-port", port) as emulated:
         eyes = ["--pose", "udp", "--pose-host", "127.0.0.1", "--pose-port", port]
-        where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--slow", "2"]
+        where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--set", "go1.slow=2"]
         arguments = [*ROBOT, *where, *QUICK, "-o", "out"]
         arguments.remove("-q")
         with in_a_terminal(arguments) as (process, keys):
@@ -323,8 +323,11 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
         ([*ROBOT, "--plant", "robot.xml"], "--plant is the robot of a simulation"),
         ([*ROBOT, "--video", "--set", "go1.arm=operator"], "--video films a simulated plant"),
         ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.arm=auto"], "for the emulator"),
-        ([*ROBOT, "--host", "192.0.2.1", "--slow", "2"], "--slow is for the emulator"),
-        (["calibrate", "--task", "t1", "--host", "192.0.2.1", "--slow", "2"], "--slow is for the emulator"),
+        ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.slow=2"], "go1.slow is for the emulator"),
+        (
+            ["calibrate", "--task", "t1", "--host", "192.0.2.1", "--set", "go1.slow=2"],
+            "go1.slow is for the emulator",
+        ),
         ([*ROBOT, "--pose", "motioncapture"], "vicon:"),
         ([*ROBOT, "--set", "go1.box=go1"], "same name"),
         ([*ROBOT, "--pose", "ros2", "--pose-host", "lab"], "number of a DDS domain"),
@@ -335,7 +338,7 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
         ([*ROBOT, "--set", "go1.kd=[2,3,0.06]"], "go1.kd"),
         (["run", "--task", "t1", "--pose-port", "5"], "--pose-port is of a real robot"),
         (["run", "--task", "t1", "--dry-run"], "--dry-run is of a real robot"),
-        (["probe", "--slow", "2"], "--slow is of a real robot"),
+        (["probe", "--host", "192.0.2.1"], "--host is of a real robot"),
         (["probe", "--target", "go1", "--plant", "robot.xml"], "--plant is the robot of a simulation"),
         (["probe", "--target", "go1", "--system", "pendulum"], "leave out --system pendulum"),
         (["emulate", "--fault", "los=1"], "did you mean 'loss'"),
@@ -369,7 +372,7 @@ def test_a_robot_that_is_not_there_is_one_line_and_leaves_no_process(capfd, mode
 def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys) -> None:
     pytest.importorskip("natnet")
     few = ["--for", "2", "--set", "probe.pairs=0", "--set", "control.substeps=1"]
-    with emulating("--slow", "2") as emulated:
+    with emulating("--set", "go1.slow=2") as emulated:
         probe = ["probe", *at(emulated)[1:], *few]
         for option in ("--mode", "baseline"):
             probe.remove(option)

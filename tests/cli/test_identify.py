@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from amhe_cli.cli.main import run
-from amhe_cli.core.errors import LogError
+from tests.conftest import write_pendulum_log
 
 ROOT = Path(__file__).parents[2]
 
@@ -175,39 +175,22 @@ def test_garbage_is_unreadable(capsys) -> None:
     assert capsys.readouterr().err.startswith("amhe identify: error: noise.mcap: ")
 
 
-def test_a_log_that_names_no_system_says_what_to_do(capsys, tmp_path_factory) -> None:
-    from tests.conftest import write_pendulum_log
-
-    log = write_pendulum_log(tmp_path_factory.mktemp("logs") / "nameless.mcap", 0.2)
-    assert run(["identify", str(log)]) == 4  # it is taken for the default system, whose topics it lacks
-    assert "--system" in capsys.readouterr().err
-    assert run(["identify", "example:arm"]) == 4
-    said = capsys.readouterr().err
-    assert "amhe init example:arm example:arm -o my_system/" in said
-    assert "columns: {" not in said, "go1_push's system.yaml is not to be changed for it"
-
-
-def test_advice_about_a_log_that_names_no_system_is_whole(capsys, tmp_path_factory, monkeypatch) -> None:
-    from tests.conftest import write_pendulum_log
-
-    log = write_pendulum_log(tmp_path_factory.mktemp("logs") / "nameless.mcap", 0.2)
-    advice = "the log has no definition of My; give the folder that holds My.msg with `msg_path`"
-    monkeypatch.setattr("amhe_cli.logs.read_log", Mock(side_effect=LogError(advice)))
-    assert run(["identify", str(log)]) == 4
-    assert "give the folder that holds My.msg with --msg-path (the log does not" in capsys.readouterr().err
+def test_a_log_that_names_no_system_says_what_to_do(capsys, tmp_path: Path) -> None:
+    log = write_pendulum_log(tmp_path / "nameless.mcap", 0.2)
+    for command in ("identify", "mhe-replay", "view"):
+        assert run([command, str(log)]) == 2, "no system is guessed"
+        assert (
+            f"{log} does not say which system it is about: name one with --system" in capsys.readouterr().err
+        )
+    assert run(["identify", "example:arm"]) == 2
+    assert "amhe init example:arm example:arm -o my_system/" in capsys.readouterr().err
 
 
 def test_mistakes_in_options_are_found_before_logs_are_read(
-    done: Path, pendulum_log: Path, capsys, tmp_path_factory, monkeypatch
+    done: Path, pendulum_log: Path, capsys, monkeypatch
 ) -> None:
-    from tests.conftest import write_pendulum_log
-
-    folder = tmp_path_factory.mktemp("logs")
-    belief = folder / "belief.yaml"
+    belief = Path("belief.yaml")
     belief.write_text((done / "belief.yaml").read_text().replace("load_mass", "lode_mass"))
-    nameless = write_pendulum_log(folder / "nameless.mcap", 0.2)
-    assert run(["identify", str(nameless), "--fix", "damping=0.05"]) == 4
-    assert "name one with --system" in capsys.readouterr().err, "damping is no mistake, but in go1_push"
     monkeypatch.setattr("amhe_cli.logs.read_log", Mock(side_effect=AssertionError))
     for option, value in (("--fix", "damp=1"), ("--only", "damp"), ("--belief", str(belief))):
         assert run(["identify", str(pendulum_log), "-o", f"out{option}", option, value]) == 2

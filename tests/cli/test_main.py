@@ -12,7 +12,7 @@ import pytest
 
 from amhe_cli import __version__
 from amhe_cli.cli import main as entry
-from amhe_cli.cli import options
+from amhe_cli.cli import options, parsing
 from amhe_cli.cli.progress import progress
 from amhe_cli.cli.session import Session
 from amhe_cli.core.errors import AmheError, ConfigError, EstimationError, LogError
@@ -22,7 +22,7 @@ HEAVY = ("cmaes", "jinja2", "matplotlib", "mcap", "mujoco", "numpy", "pydantic",
 
 
 def raising(error: BaseException):
-    @click.command(cls=options.Command)
+    @click.command(cls=parsing.Command)
     @options.common
     @click.pass_obj
     def trial(session: Session) -> None:
@@ -88,9 +88,9 @@ def test_an_interrupted_command_has_the_code_of_its_signal(monkeypatch, capsys, 
     def trial(**_: object) -> None:
         signal.raise_signal(number)
 
-    shared = options.stacked(options.out, options.common) if writes else options.common
+    shared = parsing.stacked(options.out, options.common) if writes else options.common
     monkeypatch.setitem(
-        entry.amhe.commands, "trial", click.command("trial", cls=options.Command)(shared(trial))
+        entry.amhe.commands, "trial", click.command("trial", cls=parsing.Command)(shared(trial))
     )
     assert entry.run(["trial"]) == code
     said = "interrupted; nothing was written" if writes else "interrupted"
@@ -103,7 +103,7 @@ def test_an_interruption_after_results_were_written_says_where_they_are(
     (tmp_path / "result.json").write_text("{}")
     os.utime(tmp_path / "result.json", (0, 0))  # of an earlier command
 
-    @click.command(cls=options.Command)
+    @click.command(cls=parsing.Command)
     @click.option("--late", is_flag=True)
     @options.out
     @options.common
@@ -136,7 +136,7 @@ def test_a_signal_as_of_a_closed_terminal_silences_no_open_one(monkeypatch) -> N
 def test_a_command_that_ignores_the_end_of_its_terminal_goes_on(monkeypatch, capsys) -> None:
     """As nohup has it."""
 
-    @click.command(cls=options.Command)
+    @click.command(cls=parsing.Command)
     @options.common
     def trial() -> None:
         signal.raise_signal(signal.SIGHUP)
@@ -150,7 +150,7 @@ def test_a_command_that_ignores_the_end_of_its_terminal_goes_on(monkeypatch, cap
 
 
 def logging_command(*messages: str):
-    @click.command(cls=options.Command)
+    @click.command(cls=parsing.Command)
     @options.common
     @click.pass_obj
     def trial(session: Session) -> None:

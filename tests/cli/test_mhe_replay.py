@@ -230,7 +230,7 @@ def test_a_belief_is_started_from() -> None:
     [
         (["--prior-weight", "mass=1"], 2, "did you mean 'load_mass'?"),
         (["--prior-weight", "load_mass"], 2, "NAME=W"),
-        (["--prior-weight", "load_mass=-1"], 2, "NAME=W"),
+        (["--prior-weight", "load_mass=-1"], 2, "a number of at least 0"),
         (["--set", "mhe.widow=1"], 2, "window"),
         (["--system", "go1_push"], 4, "about pendulum, not go1_push"),
         (["--topic", "joints=/nothing"], 4, "no topic '/nothing'"),

@@ -83,9 +83,9 @@ def walked(tmp_path: Path, forge: Forge, seconds: float) -> tuple[int, str, dict
     port = free_port()
     with Relay(port, forge) as relay:
         cameras = ["--mocap", "udp", "--mocap-port", str(relay.port)]
-        with emulating("--slow", "2", *cameras) as emulated:
+        with emulating("--set", "go1.slow=2", *cameras) as emulated:
             eyes = ["--pose", "udp", "--pose-port", str(port)]
-            where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--slow", "2"]
+            where = ["--host", "127.0.0.1", "--port", str(emulated.port), *eyes, "--set", "go1.slow=2"]
             more = ["--set", "go1.arm=auto", *QUICK, "--duration", str(seconds), "-o", str(tmp_path / "out")]
             ended = subprocess.run(
                 [sys.executable, "-m", "amhe_cli", *ROBOT, *where, *more], check=False, timeout=120,

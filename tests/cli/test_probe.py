@@ -69,7 +69,7 @@ def other_pendulum(path: Path) -> Path:
 
 
 def test_a_plan_is_written_alone_and_expects_more_than_plain_motion_would_tell(capsys) -> None:
-    assert run([*PENDULUM, "--plan-only", "-o", "plan"]) == 0
+    assert run([*PENDULUM, "--dry-run", "-o", "plan"]) == 0
     assert names("plan") == ["plan.json"]
     plan = json.loads(Path("plan/plan.json").read_text())
     assert plan["system"] == "pendulum"
@@ -128,7 +128,16 @@ def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
 
 
 def test_a_recipe_writes_commands_for_a_robots_own_program(capsys) -> None:
-    recipe = [*PENDULUM, "--steps", "--speed", "6", "--set", "probe.pairs=0", "--set", "probe.candidates=1"]
+    recipe = [
+        *PENDULUM,
+        "--steps",
+        "--set",
+        "probe.speed=6",
+        "--set",
+        "probe.pairs=0",
+        "--set",
+        "probe.candidates=1",
+    ]
     assert run([*recipe, "-o", "steps"]) == 0
     files = [f"excitation.{kind}" for kind in ("csv", "mcap", "npz")]
     assert names("steps") == [*files, "plan.json", "probe.mcap", "report.html", "result.json"]
@@ -146,7 +155,7 @@ def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> N
         return Broken("no room") if one.name == "slow sine" else information(self, one, draws)
 
     monkeypatch.setattr(ActuatorProbe, "_information", only_quick)
-    assert run([*PENDULUM, "--plan-only", "-o", "plan"]) == 0
+    assert run([*PENDULUM, "--dry-run", "-o", "plan"]) == 0
     (row,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("load_mass"))
     assert row.split()[-1] == "–"
     assert "plain_sd" not in json.loads(Path("plan/plan.json").read_text())["parameters"][0]

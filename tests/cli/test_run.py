@@ -83,7 +83,7 @@ def test_result_json_has_the_keys_of_every_command_and_its_own(done: Path) -> No
 
 def test_an_adaptive_run_tells_of_its_estimator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    more = ["--duration", "1.3", "--update-period", "0.3", "--samples", "6"]
+    more = ["--duration", "1.3", "--set", "mhe.update_period=0.3", "--set", "mhe.samples=6"]
     assert run(["run", "--task", "t1", "-o", "out", *QUICK, *more]) == 0
     record = json.loads((tmp_path / "out" / "result.json").read_text())
     assert record["mode"] == "adaptive"
@@ -188,8 +188,8 @@ def test_a_fault_of_the_page_costs_no_log_and_is_one_line(monkeypatch, capsys) -
 
 
 def test_options_of_the_estimator_are_refused_where_there_is_none(capsys) -> None:
-    assert run(["run", "--task", "t1", "--mode", "true", "--prior-weight", "box_mass=1"]) == 2
-    assert "--prior-weight is for the online estimator" in capsys.readouterr().err
+    assert run(["run", "--task", "t1", "--mode", "true", "--method", "logrank"]) == 2
+    assert "--method is for the online estimator" in capsys.readouterr().err
 
 
 def test_without_an_encoder_a_film_is_refused_before_the_run(monkeypatch, capsys) -> None:
@@ -274,7 +274,7 @@ def test_an_interrupted_run_keeps_what_it_has(number: int, code: int) -> None:
 
 def test_an_estimator_that_is_late_is_warned_of(capsys) -> None:
     few = ["--duration", "0.9", "--threads", "1", *QUICK, "-o", "late", "--strict"]
-    often = ["--update-period", "0.05", "--set", "mhe.latency=0.12"]
+    often = ["--set", "mhe.update_period=0.05", "--set", "mhe.latency=0.12"]
     assert run(["run", "--task", "t1", "--mode", "adaptive", *few, *often]) == 3
     warnings = json.loads(Path("late/result.json").read_text())["warnings"]
     assert any("the estimator is late" in text for text in warnings)

@@ -103,7 +103,7 @@ def test_an_option_of_a_robot_is_refused_by_name_where_there_is_none(
     [
         ("identify", str(LOGS / "t1.mcap")),
         ("mhe-replay", str(LOGS / "t1.mcap"), "--to", "1.2"),
-        ("probe", "--plan-only"),
+        ("probe", "--dry-run"),
     ],
 )
 def test_misspelt_settings_of_a_robot_are_refused(

@@ -74,8 +74,8 @@ class ProbeOptions:
         engine: What computes the rollouts: one of `engine.open.KINDS`.
         recipe: One of `recipes.RECIPES`, for actuators that are driven as they are; None: multisines within
             the limits of the controls.
-        speed: With a recipe: largest speed of a joint [rad/s or m/s]; None: that of `recipes`.
-        rate: With a recipe: commands a second [Hz].
+        speed: With a recipe: largest speed of a joint [rad/s or m/s]; None: `probe.speed`.
+        rate: With a recipe: commands a second [Hz]; None: `probe.rate`.
     """
 
     system: str | None = None
@@ -94,7 +94,7 @@ class ProbeOptions:
     engine: str = "cpu"
     recipe: str | None = None
     speed: float | None = None
-    rate: float = 100.0
+    rate: float | None = None
 
     def rng(self, *place: int) -> np.random.Generator:
         """A generator of its own for each use."""
@@ -188,9 +188,10 @@ class ActuatorProbe:
         if options.speed is not None and options.recipe is None:
             raise ConfigError("`speed` is for a recipe: give one")
         if options.recipe is not None:
-            self._leeway = leeway_of(own, self._controls, options.speed)
+            usual = own.settings.probe
+            self._leeway = leeway_of(own, self._controls, options.speed or usual.speed)
             bounds = Bounds(own, tuple(self._controls.actuators.tolist()), self._leeway.fastest)
-            self._model = replace(self._model, period=1.0 / options.rate, bounds=bounds)
+            self._model = replace(self._model, period=1.0 / (options.rate or usual.rate), bounds=bounds)
         self._plant = self._model if options.plant is None else _other_plant(options, own, options.plant)
         self._truth = truth
 

@@ -57,7 +57,6 @@ class RunOptions:
         seed: Seed of start poses, sensor noise and sampling.
         threads: Threads of the rollouts; the outcome does not depend on them.
         duration: Longest duration of the episode [s].
-        realtime: Keep pace with the wall clock.
         plant: MJCF of another Go1.
         settings: Settings that replace the system's own, as a nested mapping.
         belief_anyway: Take a belief about another model too, and only warn of what has changed.
@@ -71,16 +70,10 @@ class RunOptions:
     seed: int = 0
     threads: int = 1
     duration: float = LONGEST
-    realtime: bool = False
     plant: Path | None = None
     settings: Mapping[str, Any] = field(default_factory=dict)
     belief_anyway: bool = False
     engine: str = "cpu"
-
-    @property
-    def live(self) -> bool:
-        """Whether time goes on while the program computes."""
-        return self.realtime or self.target != "sim"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +100,11 @@ class Run:
     judge: Judge
     first_truth: dict[str, float]
 
+    @property
+    def live(self) -> bool:
+        """Whether time goes on while the program computes."""
+        return _live(self.options, self.system)
+
 
 def generator(seed: int, use: str) -> np.random.Generator:
     """The random generator for one of the uses of a run's seed: start, sensors, samples or estimator."""
@@ -129,7 +127,7 @@ def open_run(options: RunOptions, task: Task | None = None) -> Run:
     start, sensors, samples = (generator(options.seed, use) for use in ("start", "sensors", "samples"))
     model = plant_model(_moved(task, start), robot=options.plant)
     plant = Plant(model, task.changes, sensors, start=_start(home(model), layout(model).trunk, start))
-    target = SimTarget(plant, settings.period, HOME, options.realtime)
+    target = SimTarget(plant, settings.period, HOME, settings.realtime)
     behaviour = task.behaviour()
     controller = controller_for(task, behaviour, system, samples, options.threads, options.engine)
     judge = Judge(task, behaviour.running_cost, settings.period, options.duration)
@@ -242,7 +240,8 @@ def belief_source(
     check_window(mhe, system.model.opt.timestep)
     factory = partial(estimator_of, options, start)
     budget = slow * (mhe.budget or mhe.update_period)
-    worker = InProcess(factory, budget, slow * PATIENCE) if options.live else InStep(factory, mhe.latency)
+    live = _live(options, system)
+    worker = InProcess(factory, budget, slow * PATIENCE) if live else InStep(factory, mhe.latency)
     return AdaptiveBelief(fixed, Tracker(system, worker))
 
 
@@ -255,10 +254,15 @@ def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = Non
         belief: Belief from which to go on after an estimator has ended; None: `start`.
     """
     system = system_of(options, find_task(options.task))
-    threads = 1 if options.live else options.threads
+    threads = 1 if _live(options, system) else options.threads
     engine = open_engine(system, threads=threads, kind=options.engine)
     rng = generator(options.seed, "estimator")
     return MovingHorizon(system, engine, rng, belief or start)
+
+
+def _live(options: RunOptions, system: System) -> bool:
+    """Whether time goes on while the program computes."""
+    return options.target != "sim" or settings_of(system).control.realtime
 
 
 def _start_belief(options: RunOptions, task: Task, system: System) -> Belief:

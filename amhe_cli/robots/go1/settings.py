@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 _Damping = Annotated[float, Field(ge=0.0625, le=10)]
 _Speed = Annotated[float, Field(ge=1, le=40)]
 _Share = Annotated[float, Field(gt=0, le=1)]
+_Finite = Annotated[float, Field(allow_inf_nan=False)]
 #: x, y, z [m].
-_Point = tuple[float, float, float]
+_Point = tuple[_Finite, _Finite, _Finite]
 #: x, y, z [m], then a rotation vector [rad].
-_Offset = tuple[float, float, float, float, float, float]
+_Offset = tuple[_Finite, _Finite, _Finite, _Finite, _Finite, _Finite]
 
 
 class TripSettings(SettingsGroup):
@@ -133,6 +134,8 @@ class Go1Settings(SettingsGroup):
     """Largest distance of the box from where the task puts it, before anything moves [m]."""
     pose_delay: Annotated[float, Field(ge=0)] = 0.0
     """Age of poses when they arrive, in addition to the age that the source itself gives [s]."""
+    slow: Annotated[float, Field(ge=1, le=100)] = 1.0
+    """How many times slower than the clock an emulated robot runs; refused for a real one."""
     poses: PoseSettings = PoseSettings()
     trips: TripSettings = TripSettings()
 

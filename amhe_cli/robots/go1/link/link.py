@@ -207,7 +207,7 @@ class Link:
         if not contact["in_step"]:
             raise LinkError(
                 f"the robot's clock does {contact['pace']:.2f} s in one of ours: give amhe emulate and this "
-                "command the same `slow`, and a larger one where the computer is too slow for it"
+                "command the same `go1.slow`, and a larger one where the computer is too slow for it"
             )
 
 

@@ -39,7 +39,6 @@ class WireOptions:
         host, port: Address of the robot.
         pose: Protocol of motion capture.
         pose_host, pose_port: Address of motion capture, see `FeedOptions`; None: the default of the protocol.
-        slow: How many times slower an emulated robot runs.
         keys: Descriptor of a terminal whose keys arm and stop; -1: none.
     """
 
@@ -48,7 +47,6 @@ class WireOptions:
     pose: str = "natnet"
     pose_host: str | None = None
     pose_port: int | None = None
-    slow: float = 1.0
     keys: int = -1
 
 
@@ -68,7 +66,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
     settings, period = settings_of(system).go1, settings_of(system).control.period
     if settings.arm == "auto" and not _on_loopback(wire.host):
         raise ConfigError(f"go1.arm=auto is for the emulator on this computer; {wire.host} is a robot")
-    clock = _clock(wire)
+    clock = _clock(wire, settings)
     feed = PoseFeed(_feed(wire, settings))
     link = Link(wire.host, wire.port, settings, clock, wire.keys)
     target = Go1Target(link, feed, settings, clock, period, task.box)
@@ -78,7 +76,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
         threads = min(options.threads, cores)
         controller = controller_for(task, behaviour, system, samples, threads, options.engine)
     judge = Judge(task, behaviour.running_cost, period, options.duration)
-    believed = belief_source(options, task, system, None, wire.slow)
+    believed = belief_source(options, task, system, None, settings.slow)
     belief = SharedBelief(believed, partial(_publish, feed))
     episode = Episode(target, StateEstimator(behaviour.standing), controller, belief, Sampler(period), judge)
     return Run(options, task, system, episode, target, None, judge, {})
@@ -91,16 +89,17 @@ def open_calibration(options: RunOptions, wire: WireOptions) -> Calibration:
         ConfigError: A wrong setting or pose source.
     """
     task, system = task_and_system(options)
-    settings, clock = settings_of(system).go1, _clock(wire)
+    settings = settings_of(system).go1
+    clock = _clock(wire, settings)
     link, feed = Link(wire.host, wire.port, settings, clock), PoseFeed(_feed(wire, settings))
     return Calibration(link, feed, settings, clock, task.box)
 
 
-def _clock(wire: WireOptions) -> Clock:
-    """The program's clock. `slow` is refused for a real robot: thresholds would be longer than they say."""
-    if wire.slow != 1.0 and not _on_loopback(wire.host):
-        raise ConfigError(f"`slow` is for the emulator on this computer; {wire.host} is a robot")
-    return Clock(wire.slow)
+def _clock(wire: WireOptions, settings: Go1Settings) -> Clock:
+    """The program's clock. A real robot's must not be slow: thresholds would be longer than they say."""
+    if settings.slow != 1.0 and not _on_loopback(wire.host):
+        raise ConfigError(f"go1.slow is for the emulator on this computer; {wire.host} is a robot")
+    return Clock(settings.slow)
 
 
 def _publish(feed: PoseFeed, estimate: Estimate) -> None:
@@ -128,7 +127,7 @@ def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
     bodies = (settings.trunk, settings.box)
     if bodies[0] == bodies[1]:
         raise ConfigError(f"go1.trunk and go1.box have the same name {bodies[0]!r}")
-    return FeedOptions(wire.pose, host, port, bodies, settings.connect_time, wire.slow, settings.poses)
+    return FeedOptions(wire.pose, host, port, bodies, settings.connect_time, settings.slow, settings.poses)
 
 
 def _on_loopback(host: str) -> bool:

@@ -62,7 +62,7 @@ def pace(cycles: Sequence[Cycle], samples: int, period: float) -> str:
         raise LinkError(
             f"this computer is too slow: a cycle with {min(made)} rollouts ({LEAST} are the least) takes "
             f"{median:.0f} ms, the median of {len(cycles)}, and the control period is {1e3 * period:g} ms; "
-            "end other programs, or at the emulator give both commands a larger `slow`"
+            "end other programs, or at the emulator give both commands a larger `go1.slow`"
         )
     return (
         f"{np.mean(made):.1f} of {samples} rollouts in a cycle ({min(made)} at least), {median:.0f} ms of "
