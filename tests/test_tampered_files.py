@@ -201,17 +201,17 @@ def test_what_a_result_names_runs_no_code(tmp_path: Path, pendulum_log: Path, ca
         '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
         '<link name="b${[PAYLOAD for x in [()]]}"/></robot>'.replace("PAYLOAD", payload)
     )
-    origin = {"system_folder": str(mine), "command": f"amhe identify {pendulum_log} --system {mine}"}
+    inputs = {"system": str(mine), "settings": {}, "logs": [{"path": str(pendulum_log)}]}
     system = System.load("pendulum")
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-        belief = belief_of(system, np.zeros(4), 0.01 * np.eye(4), origin | {"logs": {name: name}})
+        belief = belief_of(system, np.zeros(4), 0.01 * np.eye(4), {"logs": {name: name}})
         belief.save(tmp_path / name / "belief.yaml")
-        record = {"schema_version": 1, "command": "identify", "logs": [str(pendulum_log)]}
+        record = {"schema_version": 1, "command": "identify", "inputs": inputs}
         (tmp_path / name / "result.json").write_text(json.dumps(record))
     result, out = tmp_path / "one", str(tmp_path / "out")
     beliefs = [str(tmp_path / name / "belief.yaml") for name in ("one", "two")]
-    replay = {"schema_version": 1, "command": "mhe-replay", "log": str(pendulum_log), "system": str(mine)}
+    replay = {"schema_version": 1, "command": "mhe-replay", "inputs": inputs}
     for command in (
         ["view", str(result), "--save", f"{out}.html"],
         ["pool", *beliefs],

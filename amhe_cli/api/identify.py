@@ -25,7 +25,7 @@ from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.offline import identification
 from amhe_cli.estimation.offline.result import Fit, Identification, Iteration, ParameterResult
 from amhe_cli.logs.truth import truth_in_metadata
-from amhe_cli.system.provenance import hashes, provenance
+from amhe_cli.system.provenance import hashes, inputs_record, provenance
 from amhe_cli.system.system import System
 
 if TYPE_CHECKING:
@@ -98,7 +98,9 @@ class Result:
         """The keys of an identification in result.json."""
         from amhe_cli.report.identification import identification_record
 
-        return identification_record(self.found, truth_in_metadata(self.logs)) | {"seed": self.seed}
+        inputs = inputs_record(self.system, self.logs, self.held_out)
+        record = identification_record(self.found, truth_in_metadata(self.logs))
+        return record | {"seed": self.seed, "inputs": inputs}
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html.

@@ -67,7 +67,7 @@ def mhe_replay(
     from amhe_cli.estimation.online.replay import caution, open_replay, paced, replayed
     from amhe_cli.report.replay import print_replay, write_replay
     from amhe_cli.report.replay_files import replay_record
-    from amhe_cli.system.provenance import estimator_provenance
+    from amhe_cli.system.provenance import estimator_provenance, inputs_record
     from amhe_cli.system.system import System
     from amhe_cli.view.scene_log import measured_scene
 
@@ -103,7 +103,10 @@ def mhe_replay(
         hashed = [path, *([belief] if belief else [])]
         method = done.system.settings.mhe.method
         origin = estimator_provenance(session.command_line, seed, method, done.system, hashed)
-        record = session.record(**replay_record(done), seed=seed, out=str(folder), provenance=origin)
+        record = session.record(
+            **replay_record(done), seed=seed, out=str(folder), provenance=origin,
+            inputs=inputs_record(done.system, [recorded]),
+        )  # fmt: skip
         draw = measured_scene(done.system, recorded, problem.start.z)
         write_replay(folder, done, predicted, fits, record, origin, draw)
     if session.json:

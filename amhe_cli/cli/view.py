@@ -60,18 +60,18 @@ def view(
 
     session.hush_mujoco()
     found = viewed(source, inputs, overrides)
-    opened = found.inputs.open(found.logs, found.overrides, boxes_for_meshes=True)
-    opened, known = opened.starting_from(belief or found.belief, fix=found.fixed, belief_anyway=belief_anyway)
-    read = found.inputs.read(opened, [*found.logs, *found.apart])
-    held_out = [log for log in read if log.held_out or log.file in found.apart]
+    opened, known = found.open().starting_from(
+        belief or found.belief, fix=found.record.fixed, belief_anyway=belief_anyway
+    )
+    logs, held_out = found.read(opened)
     page = page_of(
         opened,
-        [log for log in read if not any(log is other for other in held_out)],
+        logs,
         held_out=held_out,
         threads=cores(),
         title=f"{opened.name}: {source.name}",
         warnings=session.warnings,
-        **found.beside(opened, read[0], known),
+        **found.beside(opened, (logs or held_out)[0], known),
     )
     if save is not None:
         write_whole(save, page)

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,6 +40,7 @@ class Log(Displayed):
         own: Parameters of which this log has a value of its own -> whose it is: logs that name the same
             owner share one value; '' stands for the log itself.
         held_out: The log is only used to validate.
+        reading: Arguments of `read_log` that it was read with, as plain values; {}: it was made in memory.
     """
 
     dt: float
@@ -50,9 +52,10 @@ class Log(Displayed):
     known: Mapping[str, float] = field(default_factory=dict)
     own: Mapping[str, str] = field(default_factory=dict)
     held_out: bool = False
+    reading: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("series", "metadata", "known", "own"):
+        for name in ("series", "metadata", "known", "own", "reading"):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import overload
 
@@ -84,19 +85,21 @@ def read_log(
     if start is not None and end is not None and end <= start:
         raise ConfigError(f"`end`: {end:g} is not after `start` {start:g}")
     given = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
-    found = [one for path in given for one in members(path, system)]
+    found = [(path, one) for path in given for one in members(path, system)]
     if any(is_data_set(path) for path in given) and (start is not None or end is not None):
         raise ConfigError("`start` and `end`: a data set file says which part of each log counts: from, to")
     if isinstance(paths, str | Path) and len(found) > 1:
         only_member(Path(paths))
     folder, settings = None if msg_path is None else Path(msg_path), system.settings.logs
+    how = {"topics": dict(topics or {}), "start": start, "end": end, "msg_path": folder and str(folder)}
     logs = []
-    for one in found:
+    for path, one in found:
         first, last = (start, end) if one.start is None and one.end is None else (one.start, one.end)
         signals = remapped(system.signals, {**(topics or {}), **one.topics})
         log = read_signals(one.path, signals, system.dt, settings, start=first, end=last, msg_path=folder)
         warn_of(log, system)
-        logs.append(log.with_(known=one.known, own=one.own, held_out=one.held_out))
+        log = log.with_(known=one.known, own=one.own, held_out=one.held_out)
+        logs.append(replace(log, reading={"path": str(path), **how}))
     return logs[0] if isinstance(paths, str | Path) else logs
 
 

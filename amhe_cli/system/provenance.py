@@ -11,6 +11,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from amhe_cli import __version__
+from amhe_cli.core.files import plain
 from amhe_cli.core.log import Log
 from amhe_cli.system.description.folders import bundled_systems
 from amhe_cli.system.system import System
@@ -50,6 +51,25 @@ def provenance(
         "logs": hashes(logs),
         "held_out_logs": hashes(held_out),
     }
+
+
+def inputs_record(system: System, logs: Sequence[Log], held_out: Sequence[Log] = ()) -> dict[str, object]:
+    """What a result was made from, as plain values with which `amhe view` opens it all again.
+
+    Args:
+        system: The system.
+        logs, held_out: See `provenance`; of those that were read from files, the arguments of `read_log`.
+
+    Returns:
+        `system` (name or folder; None: it was made by `from_model`), `settings` over those of its
+        `system.yaml`, and `logs`.
+    """
+    readings: list[dict[str, object]] = []
+    for log in (*logs, *held_out):
+        if log.reading and not any(one.items() >= log.reading.items() for one in readings):
+            readings.append({**log.reading, "held_out": log in held_out})
+    name = _own_folder(system) or (system.folder and system.name)
+    return plain({"system": name, "settings": system.given, "logs": readings})
 
 
 def _own_folder(system: System) -> str | None:

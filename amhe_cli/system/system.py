@@ -18,6 +18,7 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.shown import Displayed
 from amhe_cli.core.signals import remapped
+from amhe_cli.core.yaml_file import merged
 from amhe_cli.system.description.data import SystemData
 from amhe_cli.system.description.doubts import doubts_of
 from amhe_cli.system.description.load import described, load
@@ -121,7 +122,8 @@ class System(SystemData, Displayed):
         Raises:
             ConfigError: There is no such signal.
         """
-        return replace(self, signals=remapped(self.signals, topics))
+        given = merged(self.given, {"signals": {name: {"topic": topic} for name, topic in topics.items()}})
+        return replace(self, signals=remapped(self.signals, topics), given=given if topics else self.given)
 
     @property
     def keys(self) -> tuple[str, ...]:

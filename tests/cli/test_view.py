@@ -19,17 +19,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import amhe_cli as amhe
 from amhe_cli.cli.identify import identify
 from amhe_cli.cli.inputs import Inputs
 from amhe_cli.cli.main import run
 from amhe_cli.cli.mhe_replay import mhe_replay
 from amhe_cli.cli.settings import Overrides
 from amhe_cli.cli.viewed import viewed
-from amhe_cli.core.limits import Limits, limits
 from amhe_cli.core.text import script_digest
 from amhe_cli.view.server import LOOPBACK, PageServer
 from tests.conftest import MODELS
-from tests.logs.test_lerobot import dataset
 
 
 def test_a_log_becomes_one_page(pendulum_log: Path, tmp_path: Path, capsys) -> None:
@@ -126,40 +125,43 @@ def numbers(text: str) -> np.ndarray:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        ({"command": "mhe-replay", "log": 3}, "is no result of amhe"),
-        ({"command": "mhe-replay", "provenance": [3]}, "is no result of amhe"),
-        ({"command": "mhe-replay", "provenance": "amhe mhe-replay"}, "is no result of amhe"),
-        ({"command": "run"}, "is no result of amhe"),
-        ({"schema_version": 2}, "of version 2"),
+        ({"inputs": {"system": "pendulum", "settings": {}, "logs": 3}}, "is no result of this amhe"),
+        ({"command": "run"}, "log.mcap"),
+        ({"schema_version": 2}, "is no result of this amhe"),
         ({"command": "eval"}, "of `amhe eval`"),
+        ({"inputs": None}, "run `amhe identify` again"),
+        ({"inputs": {"system": None, "settings": {}, "logs": []}}, "give its folder with --system"),
+        ({"inputs": {"system": "pendulum", "settings": {}, "logs": [{"path": "gone.mcap"}]}}, "gone.mcap"),
     ],
 )
 def test_other_results_are_refused(result: Path, tmp_path: Path, change: dict, text: str, capsys) -> None:
     record = json.loads((result / "result.json").read_text()) | change
     (tmp_path / "result.json").write_text(json.dumps(record))
+    (tmp_path / "belief.yaml").write_text((result / "belief.yaml").read_text())
     assert run(["view", str(tmp_path), "--save", str(tmp_path / "page.html")]) == 2
-    err = capsys.readouterr().err
-    assert text in err
-    assert len(err.splitlines()) == 1
+    err = [line for line in capsys.readouterr().err.splitlines() if "note: shows" not in line]
+    assert text in err[0]
+    assert len(err) == 1
 
 
 @pytest.mark.parametrize("content", ["", "[]", '{"command": 3}'])
 def test_a_folder_with_another_result_is_one_line(tmp_path: Path, content: str, capsys) -> None:
     (tmp_path / "result.json").write_text(content)
     assert run(["view", str(tmp_path), "--save", str(tmp_path / "page.html")]) == 2
-    assert "is no result of amhe" in capsys.readouterr().err
+    assert "is no result of this amhe" in capsys.readouterr().err
 
 
-def test_a_result_whose_log_is_gone_says_what_to_do(result: Path, tmp_path: Path, capsys) -> None:
-    shutil.copytree(result, tmp_path / "copy")
-    text = (tmp_path / "copy" / "belief.yaml").read_text()
-    (tmp_path / "copy" / "belief.yaml").write_text(text.replace("amhe identify", "made elsewhere"))
-    record = json.loads((result / "result.json").read_text()) | {"logs": ["gone.mcap"]}
-    (tmp_path / "copy" / "result.json").write_text(json.dumps(record))
-    assert run(["view", str(tmp_path / "copy"), "--save", str(tmp_path / "page.html")]) == 2
-    err = capsys.readouterr().err
-    assert "gone.mcap" in err
-    assert "--belief" in err
+def test_a_result_of_the_library_shows_what_it_was_made_from(pendulum_log: Path, tmp_path: Path) -> None:
+    system = amhe.System.load("pendulum", {"clips": {"count": 4}}).reading({"joints": "/joint_states"})
+    logs = amhe.read_log([pendulum_log], system, end=3.0)
+    amhe.identify(system, logs, only=["load_mass"], max_time=1.0).save(tmp_path / "result")
+    inputs = json.loads((tmp_path / "result" / "result.json").read_text())["inputs"]
+    assert inputs["settings"] == {"clips": {"count": 4}, "signals": {"joints": {"topic": "/joint_states"}}}
+    shown = viewed(tmp_path / "result", Inputs(None, {}, None, 1.0, None), Overrides({}, {}))
+    opened = shown.open()
+    ((log,), apart) = shown.read(opened)
+    assert (opened.name, opened.settings.clips.count, apart) == ("pendulum", 4, [])
+    assert log.duration == pytest.approx(2.0, abs=0.01)  # --from of now, the end of then
 
 
 def test_it_serves_until_it_is_stopped(pendulum_log: Path) -> None:
@@ -301,36 +303,16 @@ def altered(result: Path, to: Path, old: str, new: str) -> list[str]:
     return ["view", str(to), "--save", str(to / "page.html")]
 
 
-def test_a_result_lifts_no_limit(own_result: Path, tmp_path: Path) -> None:
-    command = altered(own_result / "out", tmp_path / "out", "topics=3000", "yaml_values=999999999")
-    assert run(command) == 0
-    assert limits() == Limits()
-    assert run([*command, "--force", "--limit", "yaml_values=1"]) == 2, "the user's own limit holds"
-
-
-def test_a_replay_of_an_earlier_version_is_shown(own_result: Path, tmp_path: Path, capsys) -> None:
-    out = tmp_path / "out"
-    command = altered(own_result / "out", out, "mhe-replay", "mhe-replay")
-    record = json.loads((out / "result.json").read_text())
-    del record["provenance"]
-    (out / "result.json").write_text(json.dumps(record))
-    assert run(command) == 2
-    assert "mine: the system of this result is not there" in capsys.readouterr().err
-    own = ["--system", str(own_result / "mine"), "--topic", "joints=/joint_states"]
-    assert run([*command, *own]) == 0
-    assert data_of(out / "page.html")["candidates"] == ["first belief", "final belief"]
-
-
 def test_messages_given_now_replace_those_that_are_gone(own_result: Path, tmp_path: Path, capsys) -> None:
-    gone = f"--to 3 --msg-path {tmp_path / 'gone'}"
-    command = altered(own_result / "out", tmp_path / "out", "--to 3", gone)
+    gone = f'"msg_path": "{tmp_path / "gone"}"'
+    command = altered(own_result / "out", tmp_path / "out", '"msg_path": null', gone)
     assert run(command) == 2
-    assert "--msg-path of this result names is not there" in capsys.readouterr().err
+    assert f"{tmp_path / 'gone'}" in capsys.readouterr().err
     (tmp_path / "Some.msg").write_text("float64 x\n")
     assert run([*command, "--msg-path", str(tmp_path)]) == 0
 
 
-def test_a_line_that_is_only_parsed_opens_no_data_set(tmp_path: Path) -> None:
+def test_a_line_that_is_only_completed_opens_no_data_set(tmp_path: Path) -> None:
     (tmp_path / "meta").mkdir()
     (tmp_path / "meta" / "info.json").write_text("{")
     (tmp_path / "one.yaml").write_text("{")
@@ -339,14 +321,3 @@ def test_a_line_that_is_only_parsed_opens_no_data_set(tmp_path: Path) -> None:
     file = str(tmp_path / "one.yaml")
     with mhe_replay.make_context("mhe-replay", [file], resilient_parsing=True) as context:
         assert context.params["log"] == Path(file)
-
-
-def test_the_episodes_of_a_data_set_are_logs_of_a_result(result: Path, tmp_path: Path) -> None:
-    path, copy = dataset(tmp_path, "v3.0"), tmp_path / "copy"
-    shutil.copytree(result, copy)
-    text = (copy / "belief.yaml").read_text()
-    (copy / "belief.yaml").write_text(text.replace("amhe identify", "made elsewhere"))
-    record = json.loads((copy / "result.json").read_text()) | {"logs": [f"{path}#1:3"]}
-    (copy / "result.json").write_text(json.dumps(record))
-    found = viewed(copy, Inputs(None, {}, None, None, None), Overrides({}, {}))
-    assert found.logs == (Path(f"{path}#1"), Path(f"{path}#2"))

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import mujoco
 
@@ -97,6 +98,7 @@ class SystemData:
         settings: The system's own settings over the defaults.
         calibration: What stands between the model's quantities and the log's numbers.
         keyframe: Keyframe that holds the state of everything that no signal gives; None: the model's own.
+        given: Settings in place of those in the folder's `system.yaml`, as `System.load` takes them.
     """
 
     name: str
@@ -114,3 +116,4 @@ class SystemData:
     settings: Settings
     keyframe: int | None = None
     calibration: SignalCalibration = field(default_factory=SignalCalibration)
+    given: Mapping[str, Any] = field(default_factory=dict)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -52,7 +53,7 @@ def load(
     if warn:
         _warn_of_idle(overrides, loaded.settings.mhe)
         _warn_of_unchecked(file, schema)
-    return loaded
+    return replace(loaded, given=overrides)
 
 
 def described(
