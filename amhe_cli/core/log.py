@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -155,6 +156,19 @@ class Log(Displayed):
         for key in keys:
             mask &= self[key].valid
         return mask
+
+
+def in_order(logs: Sequence[Log]) -> list[Log]:
+    """The logs by time, name and what they hold, however they were given; those of one name are numbered."""
+    shared, given = Counter(log.source for log in logs), Counter[str]()
+    named: list[tuple[int, str, str, Log]] = []
+    for log in logs:
+        given[log.source] += 1
+        digest, name = "", log.source
+        if shared[log.source] > 1:
+            digest, name = log.digest(), f"{log.source} #{given[log.source]}"
+        named.append((log.start_ns, log.source, digest, replace(log, source=name)))
+    return [log for *_, log in sorted(named, key=lambda one: one[:3])]
 
 
 def warn_of(log: Log, system: Measured) -> None:

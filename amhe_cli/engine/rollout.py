@@ -55,7 +55,7 @@ class Starts:
         lengths: Steps of each clip, shape (c,), at most H.
         first_index: Tangent coordinates of the first state (nv of qpos, then nv of qvel) that may be
             wrong, shape (nx,).
-        first_sd: Sd of their errors [SI], shape (nx,).
+        first_sd: Sd of their errors on each clip [SI], shape (c, nx).
     """
 
     qpos: FloatArray
@@ -79,6 +79,7 @@ class Starts:
             qvel=self.qvel[clips],
             inputs=self.inputs[clips],
             lengths=self.lengths[clips],
+            first_sd=self.first_sd[clips],
         )
 
     def at_half_steps(self) -> Starts:

@@ -1,7 +1,7 @@
 """The rollout-matching cost: the one place where predictions meet measurements.
 
     J(theta) = trimmed mean over clips of (1 / count) sum over steps, channels of rho(|| r ||^2)
-    r = (measured - predicted) / noise sd;  rotations: log(measured^-1 predicted)
+    r = (predicted - measured) / noise sd;  rotations: log(measured^-1 predicted) / noise sd
 
 These are the paper's equations (1) and (5) without their priors, made robust (rho is the pseudo-Huber loss),
 and normalised by count so that costs compare across clip lengths. Identification, moving-horizon
@@ -127,7 +127,7 @@ class MatchingCost:
     @property
     def nx(self) -> int:
         """Number of first-state coordinates whose measurement error is known."""
-        return int(self.clips.starts.first_sd.size)
+        return self.clips.starts.first_index.size
 
     def predict(self, z: FloatArray, first: FloatArray | None = None) -> Predicted:
         """What the compared channels would have shown, at the times at which they measured.

@@ -135,35 +135,52 @@ def _samples_about(series: Series, start: int, reach: int) -> IntArray:
     return first + np.flatnonzero(series.sampled[span])
 
 
-def first_errors(system: System, log: Log) -> tuple[IntArray, FloatArray]:
-    """Sd of the error of every measured coordinate of a first state, and of what lies beside it in a gap.
+def first_index(system: System) -> IntArray:
+    """Coordinates of a first state that are measured, and those of what lies beside one in a gap.
 
-    Coordinates are those of the tangent space: nv of the positions, then nv of the velocities.
+    They are the same for all logs of a system: what one of them measured exactly has an error of no size.
 
     Returns:
-        Indices of these nx coordinates among the 2 nv, and their error sd [SI]; shape (nx,) each.
+        Indices among the 2 nv of the tangent space (nv of the positions, then nv of the velocities), (nx,).
     """
-    sd = np.zeros(2 * system.model.nv)
+    wrong = np.zeros(2 * system.model.nv, dtype=bool)
     for channel in system.channels:
         if channel.sets_state:
-            own = _error_sd(channel, system, log)
-            shifted = channel.key in system.calibration.readings  # which is said as an error: see `readings`
-            sd[tangent_of(system, channel)] = max(own, _TINY) if shifted else own
+            wrong[tangent_of(system, channel)] = True
     nv, dofs = system.model.nv, system.model.jnt_dofadr
-    for gap, own, other in unmeasured(system, gaps(system.model)):
-        sd[dofs[own]] = 0.5 * np.ptp(system.model.tendon_range[gap.tendon])
-        sd[nv + dofs[own]] = sd[nv + dofs[other]]
-    index = np.flatnonzero(sd > 0.0)
-    return index, sd[index]
+    for _, beside, measured in unmeasured(system, gaps(system.model)):
+        wrong[dofs[beside]] = True
+        wrong[nv + dofs[beside]] = wrong[nv + dofs[measured]]
+    return np.flatnonzero(wrong)
+
+
+def first_sds(system: System, logs: Sequence[Log]) -> FloatArray:
+    """Sd of the error of a first state of each of c logs [SI], (c, nx): see `first_index`."""
+    index, by_log = first_index(system), {id(log): log for log in logs}
+    sds = {place: _first_sd(system, log)[index] for place, log in by_log.items()}
+    return np.array([sds[id(log)] for log in logs])
+
+
+def _first_sd(system: System, log: Log) -> FloatArray:
+    """Sd of the error of every coordinate of a first state of one log [SI], shape (2 nv,)."""
+    nv, dofs = system.model.nv, system.model.jnt_dofadr
+    sd = np.zeros(2 * nv)
+    for channel in system.channels:
+        if channel.sets_state:
+            sd[tangent_of(system, channel)] = _error_sd(channel, system, log)
+    for gap, beside, measured in unmeasured(system, gaps(system.model)):
+        sd[dofs[beside]] = 0.5 * np.ptp(system.model.tendon_range[gap.tendon])
+        sd[nv + dofs[beside]] = sd[nv + dofs[measured]]
+    return np.maximum(sd, _TINY)  # shifts of the first state are said in these units: see `readings`
 
 
 def differentiated(system: System, log: Log) -> BoolArray:
-    """Which coordinates of `first_errors` are velocities that were differentiated, shape (nx,)."""
+    """Which coordinates of `first_index` are velocities that were differentiated, shape (nx,)."""
     flags = np.zeros(2 * system.model.nv, dtype=bool)
     for channel in system.channels:
         if channel.sets_state and log[channel.key].derived:
             flags[tangent_of(system, channel)] = True
-    return flags[first_errors(system, log)[0]]
+    return flags[first_index(system)]
 
 
 def tangent_of(system: System, channel: Channel) -> list[int]:

@@ -13,7 +13,7 @@ from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.engine.states import home
 from amhe_cli.matching.readings import remembered
-from amhe_cli.matching.starts import first_errors, first_states
+from amhe_cli.matching.starts import first_index, first_sds, first_states
 from amhe_cli.system.description.data import Channel, Input
 from amhe_cli.system.system import System
 
@@ -84,14 +84,14 @@ def prepare(
 
     Args:
         system: The system.
-        windows: The windows; the errors of their first states are those of the first window's log.
+        windows: The windows; a series that a window's log has differentiated is no measurement of it.
         noise_scale: Channel -> factor on its declared noise sd.
         smoothing: First positions are smoothed over this time [s], see `first_states`.
 
     Raises:
         LogError: A window starts where the state was not measured.
     """
-    compared = [c for c in system.channels if c.compared and not _derived(c, windows)]
+    compared = [c for c in system.channels if c.compared]
     memory = {c.key: remembered(system.calibration.readings.get(c.key), system.dt) for c in compared}
     observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0), memory[c.key]) for c in compared)
     observed = tuple(o for o in observed if o.mask.any())
@@ -109,21 +109,15 @@ def starts_of(system: System, windows: Sequence[Window], smoothing: float) -> St
     home_qpos, home_input = home(system.model, system.keyframe, system.input_spec)
     qpos, qvel = first_states(system, windows, home_qpos, smoothing)
     history = _history(system)
-    index, sd = first_errors(system, windows[0].log)
     return Starts(
         qpos=qpos,
         qvel=qvel,
         inputs=_inputs(system, windows, home_input, history, int(lengths.max())),
         history=history,
         lengths=lengths,
-        first_index=index,
-        first_sd=sd,
+        first_index=first_index(system),
+        first_sd=first_sds(system, [w.log for w in windows]),
     )
-
-
-def _derived(channel: Channel, windows: Sequence[Window]) -> bool:
-    """Whether no log measured the channel itself: a differentiated series is no second measurement."""
-    return all(w.log[channel.key].derived for w in windows)
 
 
 def _history(system: System) -> int:
@@ -165,13 +159,15 @@ def _driving(source: Input, log: Log) -> FloatArray:
 def _observed(channel: Channel, windows: Sequence[Window], scale: float, memory: int) -> Observed:
     """Gather a channel's real samples after each window's first instant, padded to the longest.
 
-    Samples that remember more than the window are left out.
+    Samples that remember more than the window are left out, and so are differentiated ones: they are no
+    second measurement.
     """
     found = []
     for window in windows:
         series = window.log[channel.key]
         inside = slice(window.start + 1, window.stop + 1)
-        found.append(memory - 1 + np.flatnonzero((series.sampled & series.valid)[inside][memory - 1 :]))
+        real = (series.sampled & series.valid)[inside][memory - 1 :]
+        found.append(memory - 1 + np.flatnonzero(real & (not series.derived)))
     samples = max((f.size for f in found), default=0)
     rows = np.zeros((len(windows), samples), dtype=np.int64)
     mask = np.zeros((len(windows), samples), dtype=bool)

@@ -111,7 +111,7 @@ def clips(system: System, count: int = 3, horizon: int = 30, seed: int = 1) -> t
         history=0,
         lengths=lengths,
         first_index=np.arange(0, 2 * model.nv, 2),
-        first_sd=np.full(model.nv, 0.1),
+        first_sd=rng.uniform(0.05, 0.15, (count, model.nv)),
     )
     rows = rng.integers(0, lengths[:, None], (count, 7))
     return starts, [Wanted("qpos", rows, tuple(range(model.nq))), Wanted("qvel", rows, (model.nv - 1,))]
@@ -200,7 +200,7 @@ def test_predictions_are_picked_from_the_rollouts_of_every_candidate_on_every_cl
     starts, wanted = clips(CUBE)
     rng, (c, nv) = np.random.default_rng(4), starts.qvel.shape
     theta = CUBE.space.theta_of(rng.normal(0.0, 0.3, (5, 4)))
-    errors = rng.normal(size=(5, c, starts.first_sd.size))
+    errors = rng.normal(size=(5, c, starts.first_index.size))
     engine = opened(CUBE)
     plain, moved = engine.predict(theta, starts, None, wanted), engine.predict(theta, starts, errors, wanted)
     assert [values.shape for values in moved.values] == [(5, c, 7, 7), (5, c, 7, 1)]
@@ -209,7 +209,7 @@ def test_predictions_are_picked_from_the_rollouts_of_every_candidate_on_every_cl
         for j in range(c):
             tangent = np.zeros(2 * nv)
             for predicted, error in ((plain, 0.0 * errors[i, j]), (moved, errors[i, j])):
-                tangent[starts.first_index] = error * starts.first_sd
+                tangent[starts.first_index] = error * starts.first_sd[j]
                 qpos = starts.qpos[j].copy()
                 mujoco.mj_integratePos(CUBE.model, qpos, tangent[:nv], 1.0)
                 one = engine.rollout(
@@ -235,7 +235,7 @@ def test_a_prediction_that_is_cut_to_save_memory_is_the_same_to_the_bit(
     starts, wanted = clips(CUBE, 20)
     rng = np.random.default_rng(4)
     theta = CUBE.space.theta_of(rng.normal(0.0, 0.3, (count, 4)))
-    errors = rng.normal(size=(count, 20, starts.first_sd.size))
+    errors = rng.normal(size=(count, 20, starts.first_index.size))
     whole = open_engine(CUBE).predict(theta, starts, errors, wanted)
     monkeypatch.setattr(cpu, "RECORD_BYTES", limit)
     given = dict(ENGINES[name])
@@ -262,7 +262,7 @@ def test_a_fraction_of_a_step_of_command_delay_is_interpolated(opened: Open, tmp
         history=history,
         lengths=np.array([horizon]),
         first_index=np.zeros(0, dtype=np.int64),
-        first_sd=np.zeros(0),
+        first_sd=np.zeros((1, 0)),
     )
     wanted = [Wanted("qvel", np.arange(horizon)[None], (0, 1))]
     engine = opened(system)

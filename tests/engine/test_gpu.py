@@ -52,7 +52,7 @@ def call(system: System, count: int = 5, clips: int = 4) -> tuple[Any, ...]:
         history=0,
         lengths=np.full(clips, horizon),
         first_index=np.arange(model.nv),
-        first_sd=np.full(model.nv, 0.01),
+        first_sd=np.full((clips, model.nv), 0.01),
     )
     theta = system.space.theta_of(rng.normal(0.0, 0.3, (count, len(system.space))))
     errors = rng.normal(size=(count, clips, model.nv))

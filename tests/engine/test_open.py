@@ -44,7 +44,7 @@ def test_a_prediction_is_spread_by_candidates_and_those_of_few_by_clips(
 ) -> None:
     starts, wanted = clips(PENDULUM, count)
     theta = some(candidates)[0]
-    errors = np.random.default_rng(0).normal(size=(candidates, count, starts.first_sd.size))
+    errors = np.random.default_rng(0).normal(size=(candidates, count, starts.first_index.size))
     alone = open_engine(PENDULUM).predict(theta, starts, errors, wanted)
     with Counting() as executor:
         spread = open_engine(PENDULUM, executor=executor).predict(theta, starts, errors, wanted)
@@ -80,7 +80,7 @@ def test_workers_that_are_gone_end_a_search_in_one_line() -> None:
 def test_memory_is_bounded_by_turns_which_change_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
     starts, wanted = clips(PENDULUM)
     theta = some(10)[0]
-    errors = np.random.default_rng(0).normal(size=(10, 3, starts.first_sd.size))
+    errors = np.random.default_rng(0).normal(size=(10, 3, starts.first_index.size))
     engine = open_engine(PENDULUM)
     at_once = engine.predict(theta, starts, errors, wanted)
     sizes: list[int] = []

@@ -29,7 +29,7 @@ def test_commands_beyond_the_history_hold_its_ends() -> None:
         history=0,
         lengths=np.array([4]),
         first_index=np.zeros(0, dtype=int),
-        first_sd=np.zeros(0),
+        first_sd=np.zeros((1, 0)),
     )
     late, early = starts.inputs_under(np.array([[1.5], [-1.0]]))[..., 0]
     np.testing.assert_allclose(late, [1.0, 1.0, 1.5, 2.5])

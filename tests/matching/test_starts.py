@@ -12,6 +12,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.series import Series
 from amhe_cli.matching.starts import first_states
+from amhe_cli.matching.windows import prepare
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.system import System
 
@@ -96,3 +97,30 @@ def test_a_joint_that_follows_another_starts_where_that_one_demands_it() -> None
 class _WithThree:
     nv = 3
     eq_type = eq_active0 = eq_obj2id = tendon_limited = np.empty(0)
+
+
+def test_each_clip_has_what_its_own_log_measured_in_whatever_order(cart, drive) -> None:
+    """A differentiated velocity is compared with nothing, and starts a clip less well than a measured one."""
+    channels = tuple(
+        replace(c, noise=0.02, compared=True) if c.source == "qvel" else c for c in cart.channels
+    )
+    system, full = replace(cart, channels=channels), drive(1.0, noise=1e-3)
+    velocity = full["state.velocity"]
+    encoders = replace(full, series={**full.series, "state.velocity": replace(velocity, derived=True)})
+    windows = [Window(full, 20, 60), Window(encoders, 20, 60)]
+    alone = [prepare(system, [window], {}) for window in windows]
+    assert alone[0].starts.first_sd[0, 1] != pytest.approx(alone[1].starts.first_sd[0, 1], rel=0.2)
+    for order in ([0, 1], [1, 0]):
+        both = prepare(system, [windows[i] for i in order], {})
+        np.testing.assert_array_equal(both.counts, [alone[i].counts[0] for i in order])
+        np.testing.assert_array_equal(both.starts.first_sd, [alone[i].starts.first_sd[0] for i in order])
+        (measured,) = (o for o in both.observed if o.channel.key == "state.velocity")
+        assert measured.mask.any(axis=1).tolist() == [i == 0 for i in order]
+
+
+def test_a_state_that_was_measured_exactly_is_a_first_state_like_any_other(cart, drive) -> None:
+    """The errors of all logs are numbered alike: one that has no noise does not change what they mean."""
+    exact = drive(1.0)
+    channels = tuple(replace(channel, noise=None) for channel in cart.channels)
+    starts = prepare(replace(cart, channels=channels), [Window(exact, 0, 60)], {}).starts
+    assert starts.first_index.tolist() == [0, 1] and (starts.first_sd > 0.0).all()

@@ -75,7 +75,7 @@ class GpuEngine:
         theta = np.broadcast_to(theta, (count, theta.shape[-1]))
         qpos, qvel = np.broadcast_to(qpos, (count, model.nq)), np.broadcast_to(qvel, (count, model.nv))
         each, rows = np.arange(count), np.tile(np.arange(horizon), (count, 1))
-        starts = Starts(qpos, qvel, inputs, 0, lengths, each[:0], qpos[0, :0])
+        starts = Starts(qpos, qvel, inputs, 0, lengths, each[:0], qpos[:, :0])
         wanted = [Wanted("qpos", rows, tuple(range(model.nq))), Wanted("qvel", rows, tuple(range(model.nv)))]
         if self._blueprint.sensors:
             wanted.append(Wanted("sensordata", rows, tuple(range(model.nsensordata))))

@@ -23,6 +23,8 @@ class Reach:
     Args:
         z: Channel -> those that each of the d parameters moves, shape (d, k).
         first: Channel -> those that each of the nx first-state errors moves, shape (nx, k).
+
+    A channel that the tables lack was not seen: any unknown may move all of it.
     """
 
     z: Mapping[str, BoolArray]
@@ -32,9 +34,8 @@ class Reach:
         """Which of the R residuals of a cost the d parameters, and first-state errors, move, (d + nx, R)."""
         parts = []
         for observed in cost.clips.observed:
-            key, samples = observed.channel.key, observed.mask.shape[1]
-            rows = np.concatenate((self.z[key], self.first[key])) if first else self.z[key]
-            parts.append(np.tile(rows, samples))
+            rows = self._moving(observed.channel.key, observed.width, first)
+            parts.append(np.tile(rows, observed.mask.shape[1]))
         return np.concatenate(parts, axis=1)
 
     def alone(self, row: int, cost: MatchingCost, found: Residuals, here: Sequence[AnyArray]) -> Residuals:
@@ -46,7 +47,7 @@ class Reach:
             found: Residuals of p candidates.
             here: Those of no move, one array for each channel, shape (1, c, samples, k).
         """
-        columns = [self.z[observed.channel.key][row] for observed in cost.clips.observed]
+        columns = [self._moving(o.channel.key, o.width)[row] for o in cost.clips.observed]
         pairs = zip(found.values, here, strict=True)
         values = tuple(
             namespace_of(moved).where(namespace_of(moved).asarray(own), moved, still)
@@ -66,8 +67,14 @@ class Reach:
 
     def unknowns(self, first: bool) -> int:
         """Unknowns that a regression counts: those that move different measurements count once."""
-        parts = [np.concatenate((self.z[k], self.first[k])) if first else self.z[k] for k in self.z]
+        parts = [self._moving(key, columns.shape[1], first) for key, columns in self.z.items()]
         return int(colours(np.concatenate(parts, axis=1)).max()) + 1
+
+    def _moving(self, key: str, width: int, first: bool = False) -> BoolArray:
+        """Which of k columns of a channel the parameters, and first-state errors, move, (d + nx, k)."""
+        tables = (self.z, self.first) if first else (self.z,)
+        every = (np.ones((len(next(iter(table.values()))), width), dtype=bool) for table in tables)
+        return np.concatenate([table.get(key, rows) for table, rows in zip(tables, every, strict=True)])
 
 
 def alike(moves: BoolArray) -> list[IntArray]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray
+from amhe_cli.core.each_log import same_values
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.settings import ClipSettings
 from amhe_cli.core.statistics import white_noise_sd
@@ -52,6 +53,15 @@ def evenly(clips: Sequence[Window], most: int) -> list[Window]:
     """At most so many of the clips, spread evenly over them."""
     rows = np.linspace(0, len(clips) - 1, min(most, len(clips))).round().astype(int)
     return [clips[i] for i in rows]
+
+
+def of_each_kind(clips: Sequence[Window], few: int) -> list[Window]:
+    """The first few clips of logs that measured the same, and on which parameters have the same values."""
+    kinds: dict[object, list[Window]] = {}
+    for clip in clips:
+        measured = tuple(sorted(key for key, series in clip.log.series.items() if not series.derived))
+        kinds.setdefault((measured, same_values(clip.log)), []).append(clip)
+    return [clip for alike in kinds.values() for clip in alike[:few]]
 
 
 @dataclass

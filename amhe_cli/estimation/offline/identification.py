@@ -12,7 +12,7 @@ from typing import TypeVar
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import ConfigError, EstimationError, one_of
-from amhe_cli.core.log import Log, Window
+from amhe_cli.core.log import Log, Window, in_order
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
@@ -73,7 +73,8 @@ def identify(
 
     Args:
         system: Model, parameters, signals, settings.
-        training: The logs to fit. Values that they know or have of their own: see `core.each_log`.
+        training: The logs to fit, in any order. Values that they know or have of their own: see
+            `core.each_log`.
         held_out: Logs used only to validate; None holds out a share of the training logs.
         options: How to search.
         on_iteration: Called after each iteration with its record and the expected total, and before each part
@@ -95,6 +96,7 @@ def identify(
         system = replace(system, space=system.space.with_prior(options.prior))
     training, model = named(training), system.space
     system = replace(system, space=searched(model, training))
+    training = in_order(training)
     sampled = options.posterior == "sampled"
     if sampled and not set(system.space.names) <= set(model.names):
         raise ConfigError("`posterior`: 'sampled' takes no values of the logs' own; leave it out")
@@ -121,7 +123,7 @@ def _pose(
     """The problem, and the clips to validate on."""
     clips = system.settings.clips
     if held_out:
-        fit, held = [whole(log) for log in training], [whole(log) for log in held_out]
+        fit, held = [whole(log) for log in training], [whole(log) for log in in_order(held_out)]
     else:
         fit, held = split_held_out(training, clips.held_out)
     engine = open_engine(system, threads=options.threads, executor=options.executor, kind=options.engine)

@@ -19,9 +19,9 @@ from amhe_cli.estimation.core.information import Information, marginalised
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation, linearise
 from amhe_cli.estimation.core.reach import Reach
 from amhe_cli.estimation.core.shape import WIDEST, diagonal, sampling_width
-from amhe_cli.estimation.offline.clips import ClipPool, evenly
+from amhe_cli.estimation.offline.clips import ClipPool, evenly, of_each_kind
 from amhe_cli.matching.cost import MatchingCost, Residuals
-from amhe_cli.matching.starts import first_errors
+from amhe_cli.matching.starts import first_index
 from amhe_cli.system.parameters.contacts import geom_name, needed_contacts
 from amhe_cli.system.system import System
 
@@ -33,7 +33,7 @@ COARSE = 1e-12
 FEWEST = 8
 #: Even over odd response to small steps from which a model is rough.
 ROUGH = 0.02
-#: Clips that show what the errors of a first state move.
+#: Clips of each kind of log that show what the errors of a first state move.
 FEW = 2
 #: Times as many clips as can be fitted from which those are chosen that tell most, and of which at most.
 WORTH, LOOKED_AT = 2, 3
@@ -145,7 +145,7 @@ class Problem:
         """Rollouts of one linearisation of all clips, its first states included."""
         setting, d = self.settings.identify, len(self.system.space)
         fitted = setting.first_state != "never"
-        unknowns = d + fitted * len(first_errors(self.system, self.clips[0].log)[0])
+        unknowns = d + fitted * first_index(self.system).size
         if self.reach is not None:
             unknowns = self.reach.unknowns(fitted)
         return (2 * max(unknowns, setting.samples // 2) + 1) * len(self.clips)
@@ -174,8 +174,9 @@ class Problem:
 
     @cached_property
     def _some_clips(self) -> Sequence[Window]:
-        """Clips that show what moves what."""
-        return self._all_clips[:: max(1, len(self._all_clips) // 8)]
+        """Clips that show what moves what: some from everywhere, and some of each kind of log."""
+        clips = self._all_clips
+        return list(dict.fromkeys([*clips[:: max(1, len(clips) // 8)], *of_each_kind(clips, FEW)]))
 
     @cached_property
     def _moved(self) -> tuple[dict[str, BoolArray], BoolArray]:
@@ -216,7 +217,7 @@ class Problem:
         moved, diverged = self._moved
         if self.touches or diverged.any():
             return None
-        cost = self.cost(self._some_clips[:FEW])
+        cost = self.cost(of_each_kind(self._all_clips, FEW))
         z = np.zeros((cost.nx + 1, len(self.system.space)))
         errors = np.concatenate((np.zeros((1, cost.nx)), np.eye(cost.nx)))
         first = np.repeat(errors[:, None], len(cost.clips.windows), axis=1)
