@@ -22,8 +22,7 @@ from common import RESULTS
 
 from amhe_cli.api.identify import identify
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief
-from amhe_cli.core.belief_file import belief_text
+from amhe_cli.core.belief import Belief, belief_text
 from amhe_cli.core.files import plain
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.design.design import accuracy

@@ -18,7 +18,7 @@ import numpy as np
 from common import RESULTS
 from probing import POWERS, along, at_the_truth, kept, off_by_two
 
-from amhe_cli.core.belief_file import belief_text
+from amhe_cli.core.belief import belief_text
 from amhe_cli.estimation.design.probe import ProbeOptions
 from amhe_cli.robots.go1.probing.motions import STEADY, Motion, Segment, named_motion
 from amhe_cli.robots.go1.probing.probe import PushProbe

@@ -38,10 +38,13 @@ ALLOWED: dict[str, set[str]] = {
 #: Room -> its inner rooms, each of which may import those before it; '' are the files beside them.
 INNER: dict[str, tuple[str, ...]] = {"system": ("model", "parameters", "description", "", "export")}
 
-#: Modules that still import each other, late imports included: these circles are to be opened.
-KNOWN_CIRCLES = [
-    {"core/belief.py", "core/belief_file.py", "core/described.py", "core/parameters.py"},
-]
+#: Functions that are still longer than 60 lines: these are to be cut, and none added.
+STILL_LONG = {
+    ("cli/run.py", "run"),
+    ("cli/probe.py", "probe"),
+    ("view/server.py", "__init__"),
+    ("estimation/offline/conclude.py", "_evidence"),
+}
 
 #: Outside library -> the rooms, or single files, that may import it.
 WALLS = {
@@ -69,7 +72,7 @@ WALLS = {
     "rosbags": ("logs",),
     "warp": ("engine",),
     "xacro": ("system",),
-    "yaml": ("logs", "system", "init", "core/belief_file.py", "core/yaml_file.py"),
+    "yaml": ("logs", "system", "init", "core/belief.py", "core/yaml_file.py"),
     "zstandard": ("logs",),
 }
 
@@ -235,7 +238,7 @@ def test_allowed_imports_make_no_circle() -> None:
 
 def test_no_modules_import_each_other() -> None:
     imports = {module: modules_imported(text_of(module)) & set(ROOMED) for module in ROOMED}
-    assert [circle for circle in circles_of(imports) if circle not in KNOWN_CIRCLES] == []
+    assert circles_of(imports) == []
 
 
 def test_a_circle_is_found() -> None:
@@ -273,9 +276,20 @@ def test_an_outside_library_is_imported_by_its_own_room(library: str) -> None:
     assert not wrong, f"{library} belongs to {owners}"
 
 
-def test_modules_stay_short() -> None:
-    lines = {m: len(text_of(m).splitlines()) for m in ROOMED}
-    assert {module: count for module, count in lines.items() if count > 350} == {}
+def test_functions_stay_short() -> None:
+    long = {
+        (module, node.name)
+        for module in ROOMED
+        for node in ast.walk(ast.parse(text_of(module)))
+        if isinstance(node, ast.FunctionDef) and len(lines_of(node)) > 60
+    }
+    assert long <= STILL_LONG
+
+
+def lines_of(function: ast.FunctionDef) -> range:
+    """Lines of a function, without its signature and its docstring."""
+    body = function.body[1:] if ast.get_docstring(function) and function.body[1:] else function.body
+    return range(body[0].lineno, (function.end_lineno or 0) + 1)
 
 
 def test_a_class_name_means_one_thing() -> None:

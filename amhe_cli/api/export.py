@@ -12,8 +12,7 @@ import numpy as np
 
 from amhe_cli.api.arguments import checked
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief, completed
-from amhe_cli.core.belief_file import read_belief
+from amhe_cli.core.belief import Belief, completed, read_belief
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.files import filling
 from amhe_cli.engine.cpu import hush_mujoco

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from amhe_cli.api.export import system_of
-from amhe_cli.core.belief import Belief, belief_of
-from amhe_cli.core.belief_file import belief_for, read_belief
+from amhe_cli.core.belief import Belief, belief_for, belief_of, read_belief
 from amhe_cli.core.errors import ConfigError, EstimationError
 from amhe_cli.core.pooling import Agreement, agreement, pairs, pooled
 from amhe_cli.system.provenance import now, versions

@@ -1,21 +1,29 @@
-"""What is believed of parameters: an estimate, and how sure it is."""
+"""What is believed of parameters: an estimate, and how sure it is; in memory, and in a file `belief.yaml`.
+
+The covariance is that of phi: log(value) for parameters of scale log, the value itself for linear ones.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+import logging
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Annotated, Any, Literal
 
 import numpy as np
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from amhe_cli.core.arrays import FloatArray, sealed
-from amhe_cli.core.parameters import phi_of, theta_of
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.files import write_whole
+from amhe_cli.core.parameters import Described, phi_of, theta_of
 from amhe_cli.core.shown import Displayed
 from amhe_cli.core.statistics import Z90
+from amhe_cli.core.yaml_file import Place, YamlFile
 
-if TYPE_CHECKING:
-    from amhe_cli.core.described import Described
+logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,15 +78,10 @@ class Belief(Displayed):
             ConfigError: The file holds no belief, or none that suits the system; one line for each mistake,
                 `file:line:column: what, what would be valid`.
         """
-        from amhe_cli.core.belief_file import read_belief
-
         return read_belief(Path(path), system, belief_anyway)
 
     def save(self, path: str | Path) -> None:
         """Write a `belief.yaml`, whole or not at all."""
-        from amhe_cli.core.belief_file import belief_text
-        from amhe_cli.core.files import write_whole
-
         write_whole(Path(path), belief_text(self))
 
     @property
@@ -187,3 +190,223 @@ def completed(belief: Belief, system: Described) -> Belief:
     """A belief over all parameters of a system: what it does not know has its prior."""
     systematic = None if belief.systematic is None else system.space.systematic_of(belief)
     return belief_of(system, *system.space.gaussian_of(belief), dict(belief.provenance), systematic)
+
+
+SCHEMA_VERSION = 1
+#: An estimate may end on a bound, and rounding may leave it beyond by this share of the range.
+_ROUNDING = 1e-9
+#: Share of its variances by which rounding may leave a part of a covariance outside of it.
+_PART = 1e-6
+
+_HEADER = """\
+# What is believed of the parameters of a system: an estimate, and how sure it is.
+# `covariance` is of log(estimate) where scale is log, of the estimate where it is linear;
+# `sd`, `lower` and `upper` (90 %) follow from it and are for people: reading ignores them.
+# `systematic` is the part of `covariance` that comes from the model, which more logs do not narrow.
+# `model` has a hash of each part of the model, and `sets` says what a parameter sets in it: where they
+# differ, the belief is refused. `fixed` are parameters that were taken as known.
+"""
+
+
+class _Entry(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    name: str
+    unit: str = "-"
+    scale: Literal["log", "linear"]
+    sets: str | None = None
+    estimate: FiniteFloat
+    sd: float | None = None
+    lower: float | None = None
+    upper: float | None = None
+
+
+class _File(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+    schema_version: Literal[1]
+    system: str
+    model: dict[str, str] = {}
+    parameters: Annotated[list[_Entry], Field(min_length=1)]
+    covariance: list[list[FiniteFloat]]
+    systematic: list[list[FiniteFloat]] | None = None
+    fixed: dict[str, FiniteFloat] = {}
+    provenance: dict[str, Any] = {}
+
+
+def belief_text(belief: Belief) -> str:
+    """The content of a belief file."""
+    document = {
+        "schema_version": SCHEMA_VERSION,
+        "system": belief.system,
+        "model": dict(belief.model),
+        "parameters": [_entry(belief, i) for i in range(len(belief.names))],
+        "covariance": belief.covariance.tolist(),
+        **({} if belief.systematic is None else {"systematic": belief.systematic.tolist()}),
+        "fixed": dict(belief.fixed),
+        "provenance": belief.provenance,
+    }
+    return _HEADER + yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=110)
+
+
+def _entry(belief: Belief, i: int) -> dict[str, object]:
+    lower, upper = belief.interval
+    return {
+        "name": belief.names[i],
+        "unit": belief.units[i],
+        "scale": "log" if belief.log[i] else "linear",
+        "sets": belief.sets.get(belief.names[i]),
+        "estimate": float(belief.estimate[i]),
+        "sd": float(belief.sd[i]),
+        "lower": float(lower[i]),
+        "upper": float(upper[i]),
+    }
+
+
+def read_belief(path: Path, system: Described | None = None, belief_anyway: bool = False) -> Belief:
+    """Read a belief; where a system is given, as `belief_for` does.
+
+    Args:
+        path: The file.
+        system: The system that the belief must be about; None: any.
+        belief_anyway: Take a belief about another model too, and only warn of what has changed.
+
+    Raises:
+        ConfigError: The file is no belief, not about this system, or of other parameters; every mistake
+            in one go, as `file:line:column: what, what would be valid`.
+    """
+    file = YamlFile(path)
+    try:
+        content = _File.model_validate(file.data)
+    except ValidationError as error:
+        for mistake in error.errors(include_url=False):
+            file.problem(mistake["loc"], f"{_label(mistake['loc'])}: {mistake['msg'].lower()}")
+        file.raise_problems()
+        raise
+    names = [entry.name for entry in content.parameters]
+    for i, name in enumerate(names):
+        if names.count(name) > 1:
+            file.problem(("parameters", i, "name"), f"parameter {name!r} is here twice")
+    mistake = _covariance_mistake(content.covariance, len(names))
+    if mistake:
+        file.problem(("covariance",), mistake)
+    elif content.systematic is not None and not _is_part(content.systematic, content.covariance):
+        file.problem(("systematic",), "systematic must be symmetric, positive and no more than covariance")
+    for i, entry in enumerate(content.parameters if not mistake else ()):
+        sd, most = content.covariance[i][i] ** 0.5, _widest(entry)
+        if sd > most:
+            what = f"log({entry.name})" if entry.scale == "log" else entry.name
+            text = f"{what} has an sd of {sd:.3g}; at most {most:.3g} would be valid"
+            file.problem(("covariance", i, i), text)
+    file.raise_problems()
+    belief = Belief(
+        system=content.system,
+        names=tuple(names),
+        units=tuple(entry.unit for entry in content.parameters),
+        log=tuple(entry.scale == "log" for entry in content.parameters),
+        estimate=np.array([entry.estimate for entry in content.parameters]),
+        covariance=np.array(content.covariance),
+        provenance=content.provenance,
+        model=content.model,
+        sets={entry.name: entry.sets for entry in content.parameters if entry.sets},
+        fixed=content.fixed,
+        systematic=None if content.systematic is None else np.array(content.systematic),
+    )
+    if system is None:
+        return belief
+    for place, text in _problems(belief, system, belief_anyway):
+        file.problem(place, text)
+    file.raise_problems()
+    return _suited(belief, system)
+
+
+def belief_for(system: Described, given: Belief | str | Path, belief_anyway: bool = False) -> Belief:
+    """A belief that a system can start from: one in memory, or that of a file.
+
+    Args:
+        system: The system.
+        given: The belief, or the path of its file.
+        belief_anyway: Take a belief about another model too, and only warn of what has changed.
+
+    Returns:
+        The belief about the system's free parameters, given the values of those that are fixed.
+
+    Raises:
+        ConfigError: The belief does not suit the system.
+    """
+    if not isinstance(given, Belief):
+        return read_belief(Path(given), system, belief_anyway)
+    for _, text in _problems(given, system, belief_anyway):
+        raise ConfigError(text)
+    return _suited(given, system)
+
+
+def _problems(belief: Belief, system: Described, belief_anyway: bool) -> Iterator[tuple[Place, str]]:
+    """Why a belief cannot be a prior of a system, each with the place in its file."""
+    for place, text in _changes(belief, system):
+        if belief_anyway:
+            logger.warning(f"{text}; it is used anyway")
+        else:
+            yield place, f"{text}; `belief_anyway=True` accepts it"
+    space = {p.name: p for p in system.space.parameters}
+    for i, (name, log, value) in enumerate(zip(belief.names, belief.log, belief.estimate, strict=True)):
+        p = space.get(name)
+        if p is None:
+            continue
+        if log != p.log:
+            yield ("parameters", i, "scale"), f"the scale of {name} is {'log' if p.log else 'linear'}"
+        elif not -_ROUNDING <= (value - p.lower) / (p.upper - p.lower) <= 1.0 + _ROUNDING:
+            between = f"between {p.lower:g} and {p.upper:g} would be valid"
+            yield ("parameters", i, "estimate"), f"{name} is {value:g}; {between}"
+
+
+def _changes(belief: Belief, system: Described) -> Iterator[tuple[Place, str]]:
+    """What of the system is not as it was when the belief was made."""
+    changed = [part for part, value in belief.model.items() if system.parts.get(part, value) != value]
+    if changed:
+        yield ("model",), f"this belief is about another model: its {', '.join(changed)} differ"
+    elif not belief.model and belief.system != system.name:
+        yield ("system",), f"this belief is about {belief.system!r}, not about {system.name!r}"
+    for i, name in enumerate(belief.names):
+        now, then = system.sets.get(name), belief.sets.get(name)
+        if now is None:
+            yield ("parameters", i, "name"), one_of("parameter", name, system.sets)
+        elif then not in (None, now):
+            yield ("parameters", i, "sets"), f"{name} set {then} when this belief was made; now it sets {now}"
+
+
+def _suited(belief: Belief, system: Described) -> Belief:
+    """The belief about the parameters of a system that are free, given those that are fixed."""
+    for name, value in belief.fixed.items():
+        if name in system.sets and system.fixed.get(name) != value:
+            now = f"fixed at {system.fixed[name]:g}" if name in system.fixed else "not fixed"
+            logger.warning(f"this belief rests on {name} fixed at {value:g}; here it is {now} (`fix`)")
+    known = belief.without([name for name in belief.names if name not in system.sets]).given(system.fixed)
+    return replace(known, system=system.name, model=system.parts, sets=system.sets, fixed=system.fixed)
+
+
+def _widest(entry: _Entry) -> float:
+    """The largest sd that means anything: of a logarithm, or beside the estimate."""
+    return 50.0 if entry.scale == "log" else 1e9 * max(1.0, abs(entry.estimate))
+
+
+def _covariance_mistake(rows: list[list[float]], size: int) -> str | None:
+    if len(rows) != size or any(len(row) != size for row in rows):
+        return f"covariance must be {size} x {size}: a row and a column for each parameter"
+    covariance = np.array(rows)
+    if not np.allclose(covariance, covariance.T) or np.linalg.eigvalsh(covariance).min() <= 0.0:
+        return "covariance must be symmetric and positive definite"
+    return None
+
+
+def _is_part(rows: list[list[float]], covariance: list[list[float]]) -> bool:
+    """Whether the first is a part of the second, a covariance."""
+    if len(rows) != len(covariance) or any(len(row) != len(rows) for row in rows):
+        return False
+    part, whole = np.array(rows), np.array(covariance)
+    scale = np.sqrt(np.outer(whole.diagonal(), whole.diagonal()))
+    if not np.allclose(part, part.T) or (np.abs(part) > (1.0 + _PART) * scale).any():
+        return False
+    return min(np.linalg.eigvalsh(matrix / scale).min() for matrix in (part, whole - part)) > -_PART
+
+
+def _label(place: Place) -> str:
+    return ".".join(str(part) for part in place) or "this file"

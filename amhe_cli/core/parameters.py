@@ -7,19 +7,15 @@ of any parameter.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.core.arrays import FloatArray, sealed, sealed_mask
-
-if TYPE_CHECKING:
-    from amhe_cli.core.belief import Belief
-
 
 Rows = tuple[tuple[float, ...], ...]
 #: Factor on the systematic variance that is added to a prior where that must not count.
@@ -65,6 +61,30 @@ def theta_of(log: ArrayLike, phi: FloatArray) -> FloatArray:
 def rows_of(matrix: FloatArray) -> Rows:
     """A matrix as rows, which can be compared and hashed."""
     return tuple(tuple(map(float, row)) for row in matrix)
+
+
+class GaussianBelief(Protocol):
+    """A Gaussian over parameters, as a `Belief` is: its estimate is of theta, its covariances are of phi."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters, length d."""
+        ...
+
+    @property
+    def estimate(self) -> FloatArray:
+        """Estimated values theta, shape (d,)."""
+        ...
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of phi, shape (d, d)."""
+        ...
+
+    @property
+    def systematic(self) -> FloatArray | None:
+        """The part of it that comes from the model, shape (d, d); None: none is known."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -170,13 +190,13 @@ class ParameterSpace:
         rows = (None if one is None else rows_of(np.array(one)[np.ix_(kept, kept)]) for one in matrices)
         return ParameterSpace(tuple(self.parameters[i] for i in kept), *rows)
 
-    def gaussian_of(self, belief: Belief) -> tuple[FloatArray, FloatArray]:
+    def gaussian_of(self, belief: GaussianBelief) -> tuple[FloatArray, FloatArray]:
         """Mean z (d,) and covariance (d, d) of a belief; what it does not know has its prior."""
         known = self.with_prior(belief)
         scale = known.prior_sd / self.prior_sd
         return self.z_of(known.nominal), known.prior_covariance * np.outer(scale, scale)
 
-    def systematic_of(self, belief: Belief) -> FloatArray:
+    def systematic_of(self, belief: GaussianBelief) -> FloatArray:
         """The systematic part of a belief's covariance in z, shape (d, d); 0 of what it does not know."""
         found = np.zeros((len(self), len(self)))
         if belief.systematic is not None:
@@ -185,7 +205,7 @@ class ParameterSpace:
             found[np.ix_(rows, rows)] = belief.systematic[np.ix_(own, own)]
         return found / np.outer(self.prior_sd, self.prior_sd)
 
-    def with_prior(self, belief: Belief) -> ParameterSpace:
+    def with_prior(self, belief: GaussianBelief) -> ParameterSpace:
         """The same parameters with a belief's estimate and covariance as their prior.
 
         Parameters that the belief does not know keep their own prior.
@@ -212,3 +232,32 @@ class ParameterSpace:
         if belief.systematic is None:
             return found
         return replace(found, prior_systematic=rows_of(found.systematic_of(belief)))
+
+
+class Described(Protocol):
+    """What a belief can be about: a system."""
+
+    @property
+    def name(self) -> str:
+        """Name of the system."""
+        ...
+
+    @property
+    def space(self) -> ParameterSpace:
+        """Parameters of the system that are free."""
+        ...
+
+    @property
+    def fixed(self) -> Mapping[str, float]:
+        """Values of the parameters that are fixed, by name."""
+        ...
+
+    @property
+    def parts(self) -> Mapping[str, str]:
+        """Hash of each part of the model."""
+        ...
+
+    @property
+    def sets(self) -> Mapping[str, str]:
+        """What each parameter, free or fixed, sets in the model, in words."""
+        ...

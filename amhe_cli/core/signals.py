@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
-from amhe_cli.core.described import Described
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.parameters import Described
 
 if TYPE_CHECKING:
     from amhe_cli.core.settings import Settings

@@ -14,8 +14,7 @@ import numpy as np
 from rich.console import Console
 from rich.text import Text
 
-from amhe_cli.core.belief import Belief
-from amhe_cli.core.belief_file import belief_text
+from amhe_cli.core.belief import Belief, belief_text
 from amhe_cli.core.files import filling, json_text, plain
 from amhe_cli.estimation.offline.result import HeldOut, Identification, OwnSpread, known_together
 from amhe_cli.estimation.offline.verdicts import RESTS

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from amhe_cli.core.belief_file import read_belief
+from amhe_cli.core.belief import read_belief
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.robots.go1.run import MODES
 from amhe_cli.robots.go1.tasks import LONGEST, find_task

@@ -11,8 +11,7 @@ from typing import Any
 
 import mujoco
 
-from amhe_cli.core.belief import Belief
-from amhe_cli.core.belief_file import belief_for
+from amhe_cli.core.belief import Belief, belief_for
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.log import Log
 from amhe_cli.core.settings import Settings

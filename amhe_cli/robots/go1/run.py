@@ -13,8 +13,7 @@ import numpy as np
 from amhe_cli.control.controller import Controller
 from amhe_cli.control.protocols import Behaviour
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief, belief_of, completed
-from amhe_cli.core.belief_file import belief_for
+from amhe_cli.core.belief import Belief, belief_for, belief_of, completed
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.core.yaml_file import merged

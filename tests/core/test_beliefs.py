@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from amhe_cli.core.belief import Belief
-from amhe_cli.core.belief_file import belief_for, belief_text, read_belief
+from amhe_cli.core.belief import Belief, belief_for, belief_text, read_belief
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from tests.report.synthetic import NAMES, identification
