@@ -24,7 +24,11 @@ _PORT = parsing.WholeNumber(1, 65535)
 #: Of the attributes of a terminal: flags of its input, the keys that mean something to it, and none of them.
 _INPUT, _CONTROL, _NO_KEY = 0, 6, b"\0"
 
-reach_options = parsing.stacked(
+#: Options by which a real robot and its motion capture are reached, as one argument.
+reach_options = parsing.bundled(
+    "wire",
+    dict,
+    ("host", "port", "pose", "pose_host", "pose_port"),
     click.option("--host", metavar="ADDRESS", help="go1: of the robot.  [default: 192.168.123.10]"),
     click.option("--port", type=_PORT, metavar="N", help="go1: of the robot.  [default: 8007]"),
     click.option("--pose", type=click.Choice(POSES), help="go1: kind of motion capture.  [default: natnet]"),

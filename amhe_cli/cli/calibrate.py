@@ -31,10 +31,10 @@ def calibrate(
     session: Session,
     task: str,
     seconds: float,
+    wire: dict[str, Any],
     yes: bool,
     overrides: Overrides,
     out: options.Output,
-    **wire: Any,
 ) -> None:
     """Find go1.trunk_offset and go1.box_offset from robot and box that you put where it says.
 

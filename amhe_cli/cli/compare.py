@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -46,12 +46,9 @@ def compare(
     logs: tuple[Path, ...],
     held_out: tuple[Path, ...],
     msg_path: Path | None,
-    max_time: float | None,
-    seed: int,
-    threads: int,
-    engine: str,
     overrides: Overrides,
     out: options.Output,
+    **how: Any,
 ) -> None:
     """Fit each SYSTEM to the same logs, and compare how well they predict what was not fitted.
 
@@ -73,10 +70,7 @@ def compare(
     read = [one.read(system, logs) for one, system in zip(inputs, opened, strict=True)]
     scored = [one.read(system, held_out) for one, system in zip(inputs, opened, strict=True)]
     with progress(session, "compare", _shown) as show:
-        found = run(
-            opened, read, held_out=scored if held_out else None, seed=seed, threads=threads, engine=engine,
-            max_time=max_time, progress=show,
-        )  # fmt: skip
+        found = run(opened, read, held_out=scored if held_out else None, progress=show, **how)
     record = session.record(**found.record(), out=str(folder))
     found.write(folder, record, session.command_line)
     if session.json:

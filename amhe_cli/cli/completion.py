@@ -5,12 +5,13 @@ The functions are `shell_complete=` of options. They import nothing heavy: a she
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from glob import escape
 from pathlib import Path
 
 import click
-from click.shell_completion import BashComplete, CompletionItem, add_completion_class
+from click.shell_completion import BashComplete, CompletionItem, add_completion_class, split_arg_string
 
 from amhe_cli.cli.log_path import LOG
 
@@ -76,33 +77,26 @@ def _listed(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
 
 
 class _Bash(BashComplete):
-    """Bash cuts words at ':' and '=', and takes an answer for their last piece only."""
+    """Bash cuts words at ':' and '=', and takes an answer for their last piece only.
 
-    source_template = BashComplete.source_template.replace(
-        "COMPREPLY+=($value)", 'COMPREPLY+=($value); [[ "$value" == *= ]] && compopt -o nospace'
+    So it is asked for the line up to the cursor, in place of its pieces, and for the last piece.
+    """
+
+    source_template = (
+        BashComplete.source_template.replace("${COMP_WORDS[*]}", "${COMP_LINE:0:COMP_POINT}")
+        .replace("COMP_CWORD=$COMP_CWORD", 'COMP_CWORD="${COMP_WORDS[COMP_CWORD]}"')
+        .replace("COMPREPLY+=($value)", 'COMPREPLY+=($value); [[ "$value" == *= ]] && compopt -o nospace')
     )
     #: What of the word to be completed bash has cut off.
     _before = ""
 
     def get_completion_args(self) -> tuple[list[str], str]:
-        """The words before the one that is to be completed, and that one, put together again."""
-        pieces, last = super().get_completion_args()
-        words, cut = [""], False
-        for piece in (*pieces, last):
-            if set(piece) <= {":", "="} and piece:
-                if words[-1].startswith("--"):
-                    words.append("")  # --option=value is --option value
-                else:
-                    words[-1] += piece
-                cut = True
-            elif cut and piece:
-                words[-1] += piece
-                cut = False
-            else:
-                words.append(piece)
-                cut = False
-        self._before = words[-1] if cut else words[-1].removesuffix(last)
-        return words[1:-1], words[-1]
+        """The words before the one that is to be completed, and that one."""
+        line, piece = os.environ["COMP_WORDS"], os.environ["COMP_CWORD"].lstrip(":=")
+        words = split_arg_string(line)
+        incomplete = "" if not words or line[-1].isspace() else words.pop()
+        self._before = incomplete.removesuffix(piece)
+        return words[1:], incomplete
 
     def format_completion(self, item: CompletionItem) -> str:
         """One line for bash."""

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from amhe_cli.cli import completion, options, parsing
+from amhe_cli.cli.progress import Shown, progress
 from amhe_cli.cli.session import Session, stopping
 from amhe_cli.core.text import printable
 
 if TYPE_CHECKING:
     from amhe_cli.cli.settings import Overrides
+    from amhe_cli.study.results import CellResult
     from amhe_cli.study.store import Store
 
 #: What --tasks is without the option: the paper's five.
@@ -70,12 +74,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
     callback=_beliefs,
     help="A belief.yaml that the baseline of a task believes; repeat for more.",
 )
-@click.option(
-    "--duration",
-    type=parsing.Number(min=0, min_open=True, max=600),
-    metavar="S",
-    help="Stop each run after S seconds of it.  [default: 40, the tasks' own limit]",
-)
+@options.duration("Stop each run after S seconds of it.")
 @options.engine
 @options.spread
 @click.option("--resume", is_flag=True, help="Go on in OUT: run what is missing or has failed.")
@@ -91,12 +90,6 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 @click.pass_obj
 def evaluate(
     session: Session,
-    tasks: tuple[str, ...],
-    modes: tuple[str, ...],
-    seeds: int,
-    ablations: tuple[str, ...],
-    beliefs: dict[str, Path],
-    duration: float | None,
     engine: str,
     workers: int,
     cluster: str | None,
@@ -104,6 +97,7 @@ def evaluate(
     report: Path | None,
     overrides: Overrides,
     out: options.Output,
+    **wanted: Any,
 ) -> None:
     """Run tasks in modes over seeds, and make the paper's tables and figures of what came out.
 
@@ -125,18 +119,15 @@ def evaluate(
         return
     if resume and out.folder is None:
         raise click.UsageError("--resume goes on in a folder: name it with -o OUT")
-    from amhe_cli.cli.eval_progress import eval_progress
-    from amhe_cli.robots.go1.tasks import LONGEST
-
-    longest = LONGEST if duration is None else duration
-    wanted = EvalOptions(tasks, modes, seeds, ablations, beliefs, longest, overrides.all)
-    study = study_of(wanted, session.command_line, now(), machine())
-    cells = planned(wanted, study)
+    chosen = EvalOptions(settings=overrides.all, **wanted)
+    study = study_of(chosen, session.command_line, now(), machine())
+    cells = planned(chosen, study)
     store = start(out.folder or out.reserve("eval"), study, resume, out.force, cells)
     missing = store.missing(cells)
     if len(missing) < len(cells):
         session.say("", f"{len(cells) - len(missing)} of {len(cells)} cells are done already")
-    with stopping(session) as stopped, eval_progress(session, len(missing)) as on_result:
+    shown = _counted(len(missing))
+    with stopping(session) as stopped, progress(session, "eval", shown, every=True) as on_result:
         conduct(store, missing, run_cell, pool_of(workers, cluster), stopped, on_result)
     left = len(store.missing(cells))
     session.interrupted = stopped()
@@ -145,6 +136,27 @@ def evaluate(
         session.say(
             "", f"interrupted with {left} of {len(cells)} cells to go: go on with --resume -o {store.folder}"
         )
+
+
+def _counted(total: int) -> Callable[[CellResult], Shown]:
+    """What is shown of a result: '3/60: t1 true seed 2: success, 0.021 m from the goal, ...; 12 min left'."""
+    count, begun = 0, time.monotonic()
+
+    def shown(result: CellResult) -> Shown:
+        nonlocal count
+        count += 1
+        minutes = (time.monotonic() - begun) / count * (total - count) / 60.0
+        left = f"about {minutes:.0f} min left" if minutes < 90.0 else f"about {minutes / 60.0:.1f} h left"
+        return f"{count}/{total}: {result.cell.title}: {_outcome(result)}; {left}", count, total
+
+    return shown
+
+
+def _outcome(result: CellResult) -> str:
+    if result.reason is not None:
+        return f"failed: {result.reason}"
+    word = "success" if result.measure("success") else "fell" if result.measure("fell") else "no success"
+    return f"{word}, {result.measure('goal_error_m'):.3f} m from the goal, {result.measure('time_s'):.1f} s"
 
 
 def _tell(session: Session, store: Store, left: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -19,7 +20,6 @@ _SHOWN = 2
 @click.argument("belief", type=parsing.EXISTING_FILE, metavar="BELIEF")
 @click.option(
     "--to",
-    "kind",
     type=click.Choice(("mjcf", "urdf", "samples", "mjlab", "isaaclab")),
     required=True,
     help="What to write; mjlab and isaaclab: randomisation ranges as a Python file, and the model.",
@@ -48,14 +48,10 @@ _SHOWN = 2
 def export(
     session: Session,
     belief: Path,
-    kind: str,
+    to: str,
     system: str | None,
-    belief_anyway: bool,
-    urdf: Path | None,
-    count: int,
-    models: bool,
-    seed: int,
     out: options.Output,
+    **how: Any,
 ) -> None:
     """Write what BELIEF says of a system in a form that another tool takes.
 
@@ -66,9 +62,8 @@ def export(
     from amhe_cli.cli.viewed import system_of_result
 
     files = write(
-        belief, kind, out.reserve("export"), system=system or system_of_result(belief),
-        belief_anyway=belief_anyway, urdf=urdf, count=count, models=models, seed=seed, force=out.force,
-    )  # fmt: skip
+        belief, to, out.reserve("export"), system=system or system_of_result(belief), force=out.force, **how
+    )
     if session.json:
         session.print_json(session.record(files=[str(file) for file in files]))
         return

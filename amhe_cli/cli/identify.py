@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -63,17 +63,11 @@ def identify(
     belief_anyway: bool,
     fix: dict[str, float],
     only: list[str] | None,
-    method: str,
-    posterior: str,
-    max_time: float | None,
-    checkpoint: Path | None,
-    seed: int,
-    threads: int,
-    engine: str,
     workers: int | None,
     cluster: str | None,
     overrides: Overrides,
     out: options.Output,
+    **how: Any,
 ) -> None:
     """Find the parameters that make the simulation follow LOG...
 
@@ -92,16 +86,14 @@ def identify(
     folder = out.reserve("identify")
     _check_apart(logs, held_out)
     opened = inputs.open(logs, overrides)
-    # a mistake in these options is found before long logs are read
-    opened.starting_from(belief, fix=fix, only=only, belief_anyway=belief_anyway)
+    known: Any = {"fix": fix, "only": only, "belief_anyway": belief_anyway}
+    opened.starting_from(belief, **known)  # a mistake in an option is found before long logs are read
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
         result = run(
-            opened, training, held_out=validation, prior=belief, belief_anyway=belief_anyway, fix=fix,
-            only=only, method=method, seed=seed, threads=threads, engine=engine, posterior=posterior,
-            max_time=max_time, checkpoint=checkpoint, executor=executor,
-            progress=lambda iteration, total: show((iteration, total)),
+            opened, training, held_out=validation, prior=belief, executor=executor,
+            progress=lambda iteration, total: show((iteration, total)), **known, **how,
         )  # fmt: skip
     session.interrupted = result.found.interrupted
     record = session.record(**result.record(), out=str(folder))

@@ -118,6 +118,22 @@ def task(about: str, default: str | None = "t1") -> Callable[[F], F]:
     return choice("--task", TASKS, default, about)
 
 
+#: Likewise the longest run of a task [s].
+LONGEST = 40.0
+
+
+def duration(about: str) -> Callable[[F], F]:
+    """Longest duration of a run [s]."""
+    return click.option(
+        "--duration",
+        type=Number(min=0, min_open=True, max=600),
+        metavar="S",
+        default=LONGEST,
+        show_default="40, the tasks' own limit",
+        help=about,
+    )
+
+
 def seconds(about: str, default: float, **bounds: Any) -> Callable[[F], F]:
     """How long something goes on [s]."""
     kind = Number(**bounds)

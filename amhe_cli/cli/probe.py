@@ -62,21 +62,14 @@ def probe(
     system: str | None,
     target: str,
     dry_run: bool,
-    task: str | None,
-    seconds: float,
+    wire: dict[str, Any],
     belief: Path | None,
-    belief_anyway: bool,
-    fix: dict[str, float],
-    only: list[str] | None,
     plant: Path | None,
-    box: tuple[float, float] | None,
     recipe: str | None,
     seed: int,
-    threads: int,
-    engine: str,
     overrides: Overrides,
     out: options.Output,
-    **wire: Any,
+    **how: Any,
 ) -> None:
     """Find the most informative motion, predict the accuracy of the parameters, and record the motion.
 
@@ -102,9 +95,8 @@ def probe(
     folder = out.reserve("probe")
     settings, schema = overrides.suited(find_system(system or "go1_push"))
     chosen = ProbeOptions(
-        system, task, seconds, belief, plant, box, seed, threads, settings, schema, fix, only, belief_anyway,
-        engine, recipe,
-    )  # fmt: skip
+        system, belief=belief, plant=plant, recipe=recipe, seed=seed, settings=settings, schema=schema, **how
+    )
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
     attend = at_the_robot.attendant(session, link)

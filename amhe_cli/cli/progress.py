@@ -22,7 +22,7 @@ PLAIN_PERIOD = 5.0
 
 @contextmanager
 def progress(
-    session: Session, title: str, shown: Callable[[T], Shown], stays: bool = False
+    session: Session, title: str, shown: Callable[[T], Shown], stays: bool = False, every: bool = False
 ) -> Iterator[Callable[[T], None]]:
     """Give a function that shows each item as the session wants it shown.
 
@@ -31,6 +31,7 @@ def progress(
         title: What stands before the bar.
         shown: What is shown of an item.
         stays: The last state stays on the terminal in the end.
+        every: Each item has a line where stderr is no terminal, not one now and then.
     """
     console = session.console(stderr=True)
     if session.quiet:
@@ -39,7 +40,7 @@ def progress(
         with _bar(console, title, shown, stays) as show:
             yield show
     else:
-        yield _lines(session, shown)
+        yield _lines(session, shown, 0.0 if every else PLAIN_PERIOD)
 
 
 @contextmanager
@@ -62,13 +63,13 @@ def _bar(
         yield show
 
 
-def _lines(session: Session, shown: Callable[[T], Shown]) -> Callable[[T], None]:
+def _lines(session: Session, shown: Callable[[T], Shown], period: float) -> Callable[[T], None]:
     last = float("-inf")
 
     def show(item: T) -> None:
         nonlocal last
         state, done, total = shown(item)
-        if time.monotonic() - last >= PLAIN_PERIOD or (total is not None and done >= total > 0):
+        if time.monotonic() - last >= period or (total is not None and done >= total > 0):
             last = time.monotonic()
             session.say("", state)
 

@@ -40,12 +40,7 @@ _TASKS = (
 )
 @believed("A belief.yaml in place of the task's own for modes baseline, stale and adaptive.")
 @options.work
-@click.option(
-    "--duration",
-    type=parsing.Number(min=0, min_open=True, max=600),
-    metavar="S",
-    help="Stop after S seconds of the run.  [default: 40, the tasks' own limit]",
-)
+@options.duration("Stop after S seconds of the run.")
 @click.option(
     "--video",
     is_flag=True,
@@ -71,17 +66,15 @@ def run(
     dry_run: bool,
     mode: str,
     belief: Path | None,
-    belief_anyway: bool,
     seed: int,
-    threads: int,
-    engine: str,
-    duration: float | None,
+    duration: float,
     video: bool,
     plant: Path | None,
     watch: bool,
+    wire: dict[str, Any],
     overrides: Overrides,
     out: options.Output,
-    **wire: Any,
+    **how: Any,
 ) -> None:
     """Run a task to its end and say how well it went.
 
@@ -99,7 +92,6 @@ def run(
     from amhe_cli.robots.go1.recording import film_of, recorder_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.robots.go1.settings import settings_of
-    from amhe_cli.robots.go1.tasks import LONGEST
     from amhe_cli.system.provenance import run_provenance
     from amhe_cli.view.scene import scene_of
     from amhe_cli.view.scene_log import SceneLog
@@ -108,11 +100,9 @@ def run(
         raise click.UsageError("--method is for the online estimator, which only --mode adaptive runs")
     session.hush_mujoco()
     folder = out.reserve("run")
-    longest = LONGEST if duration is None else duration
     chosen = RunOptions(
-        task, mode, target, belief, seed, threads, longest, plant, overrides.all, belief_anyway,
-        engine,
-    )  # fmt: skip
+        task, mode, target, belief, seed, duration=duration, plant=plant, settings=overrides.all, **how
+    )
     if dry_run and target != "go1":
         raise click.UsageError("--dry-run is of a real robot: give --target go1 too")
     opened = at_the_robot.opened(chosen, wire) or open_run(chosen)
@@ -151,7 +141,7 @@ def run(
         record = session.record(
             task=task, mode=mode, target=target, seed=seed, lock_step=not opened.live,
             **run_record(opened.judge.measures(), history, ending),
-            duration=longest, cut_short=longest < LONGEST, out=str(folder), **link,
+            duration=duration, cut_short=duration < options.LONGEST, out=str(folder), **link,
         )  # fmt: skip
         origin = run_provenance(session.command_line, seed, opened.system, [p for p in (belief, plant) if p])
         error = ending.error

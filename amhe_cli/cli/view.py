@@ -84,7 +84,7 @@ def view(
 def _serve(session: Session, page: str, host: str, port: int) -> None:
     import time
 
-    from amhe_cli.cli.browser import announce
+    from amhe_cli.cli.watching import announce
     from amhe_cli.view.server import PageServer
 
     with stopping(session) as stopped, PageServer(page, host, port) as server:

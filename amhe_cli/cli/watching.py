@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -9,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli.browser import announce
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from amhe_cli.robots.go1.tasks import Task
     from amhe_cli.system.system import System
     from amhe_cli.view.scene import Geom
+    from amhe_cli.view.server import PageServer
 
 watched = click.option(
     "--view", "watch", is_flag=True, help="Serve a page to this computer that shows it live (docs/view.md)."
@@ -132,3 +134,26 @@ def floor_of(task: Task) -> list[Geom]:
         plates.append(plate(path[-1] + side * depth * ahead, (0.012, 0.5 * width), yaw, green))
         plates.append(plate(path[-1] + side * width * left, (0.5 * depth, 0.012), yaw, green))
     return plates
+
+
+def announce(session: Session, server: PageServer) -> None:
+    """Say where the page is, and open it in a browser if this is a terminal on a desktop."""
+    import logging
+
+    if not server.private:
+        logging.getLogger("amhe_cli").warning(
+            "whoever reaches %s sees the log, without a password; without `host` only this computer does",
+            server.address,
+        )
+    session.say("", f"the page is at {server.address}; Ctrl-C ends")
+    if sys.stdin.isatty() and sys.stderr.isatty() and _desktop():
+        import webbrowser
+
+        webbrowser.open(server.address)
+
+
+def _desktop() -> bool:
+    """Whether a window would appear before the user: not over SSH, and not as text in this terminal."""
+    if "SSH_CONNECTION" in os.environ:
+        return False
+    return sys.platform == "darwin" or bool({"DISPLAY", "WAYLAND_DISPLAY"} & set(os.environ))

@@ -12,9 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from amhe_cli.cli.eval_progress import eval_progress
+from amhe_cli.cli.eval import _counted
 from amhe_cli.cli.main import run
-from amhe_cli.cli.session import Session
 from amhe_cli.cli.settings import gathered
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.study.cells import Cell, setting_of
@@ -230,17 +229,12 @@ def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, op
     assert not list(Path().rglob("*.json")) or "--cluster" in options
 
 
-def test_a_terminal_shows_cells_done_time_left_and_running_means(monkeypatch, capsys) -> None:
-    monkeypatch.setenv("FORCE_COLOR", "1")
-    monkeypatch.setenv("COLUMNS", "100")
-    with eval_progress(Session(), 4) as show:
-        show(result(Cell("t4", "true", 0)))
-        show(result(Cell("t4", "baseline", 0)))
-        show(result(Cell("t4", "true", 2)))
-    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
-    assert "3/4" in shown
-    assert "s left" in shown
-    assert re.search(r"t4 +true +2 +100% +0\.021 +0\.030 +14\.0", shown)
+def test_each_result_is_shown_with_the_time_left() -> None:
+    shown = _counted(4)
+    shown(result(Cell("t4", "baseline", 0)))
+    state, count, total = shown(result(Cell("t4", "true", 2)))
+    assert re.fullmatch(r"2/4: .*t4.*: success, 0\.022 m from the goal, 14\.1 s; about 0 min left", state)
+    assert (count, total) == (2, 4)
 
 
 def test_resume_needs_a_folder_to_go_on_in(capsys) -> None:

@@ -4,9 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from amhe_cli.cli.main import amhe, run
+from amhe_cli.cli.main import run
 from tests.conftest import MODELS
 
 
@@ -21,16 +20,6 @@ def test_an_example_is_found_by_its_name_from_any_folder(
         "no example 'pendulun' (did you mean 'pendulum'?); there is: arm, pendulum, pusher, t1, t4"
         in capsys.readouterr().err
     )
-
-
-def test_the_shell_completes_examples() -> None:
-    environment = {
-        "_AMHE_COMPLETE": "bash_complete",
-        "COMP_WORDS": "amhe inspect example:t",
-        "COMP_CWORD": "2",
-    }
-    result = CliRunner().invoke(amhe, [], prog_name="amhe", env=environment)
-    assert {line.partition(",")[2] for line in result.output.split()} == {"example:t1", "example:t4"}
 
 
 def numbers(text: str) -> list[tuple[float, float]]:

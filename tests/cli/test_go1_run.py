@@ -324,10 +324,7 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
         ([*ROBOT, "--video", "--set", "go1.arm=operator"], "--video films a simulated plant"),
         ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.arm=auto"], "for the emulator"),
         ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.slow=2"], "go1.slow is for the emulator"),
-        (
-            ["calibrate", "--task", "t1", "--host", "192.0.2.1", "--set", "go1.slow=2"],
-            "go1.slow is for the emulator",
-        ),
+        (["calibrate", "--host", "192.0.2.1", "--set", "go1.slow=2"], "go1.slow is for the emulator"),
         ([*ROBOT, "--pose", "motioncapture"], "vicon:"),
         ([*ROBOT, "--set", "go1.box=go1"], "same name"),
         ([*ROBOT, "--pose", "ros2", "--pose-host", "lab"], "number of a DDS domain"),

@@ -20,7 +20,7 @@ from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1 import video
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.run import MODES
-from amhe_cli.robots.go1.tasks import TASKS
+from amhe_cli.robots.go1.tasks import LONGEST, TASKS
 
 ROOT = Path(__file__).parents[2]
 
@@ -64,6 +64,7 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_choices_of_the_options_are_those_of_the_library() -> None:
     assert tuple(TASKS) == options.TASKS
     assert MODES == options.MODES
+    assert LONGEST == options.LONGEST
 
 
 def test_result_json_has_the_keys_of_every_command_and_its_own(done: Path) -> None:
