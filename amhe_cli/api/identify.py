@@ -124,7 +124,8 @@ class Result:
             "schema_version": 1, "command": "identify", "version": __version__,
             "seconds": round(self.seconds, 3), "warnings": list(self.warnings),
         }  # fmt: skip
-        self.write(out, head | self.record() | {"out": str(out)}, "amhe.identify", self.logs, self.held_out)
+        record = head | self.record() | {"out": str(out)}
+        self.write(out, record, "amhe.identify", self.logs, self.held_out, force)
         return out
 
     def write(
@@ -134,6 +135,7 @@ class Result:
         command: str,
         logs: Sequence[Path | Log],
         held_out: Sequence[Path | Log],
+        force: bool,
     ) -> None:
         """Write the four files with a given content of result.json.
 
@@ -142,6 +144,7 @@ class Result:
             record: Content of result.json.
             command: The command or call that made the result.
             logs, held_out: What is hashed for the provenance.
+            force: Write into a folder that is not empty.
         """
         from amhe_cli.report.identification import write_identification
 
@@ -152,7 +155,7 @@ class Result:
 
             return strips(self.system, self.logs, self.held_out, self.belief)
 
-        write_identification(folder, self.system, self.found, self.belief, record, origin, pictures)
+        write_identification(folder, self.system, self.found, self.belief, record, origin, pictures, force)
 
     def __repr__(self) -> str:
         verdicts = ", ".join(f"{p.name} {p.estimate:.4g} ({p.verdict})" for p in self.parameters.values())

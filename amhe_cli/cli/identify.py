@@ -98,7 +98,7 @@ def identify(
     session.interrupted = result.found.interrupted
     record = session.record(**result.record(), out=str(folder))
     read = [*logs, *(one.path for path in logs for one in members(path))]
-    result.write(folder, record, session.command_line, read, held_out)
+    result.write(folder, record, session.command_line, read, held_out, out.force)
     if session.json:
         session.print_json(record)
     else:

@@ -80,6 +80,7 @@ _ONE_THREAD: dict[str, str] = dict.fromkeys(
 
 def main() -> None:
     """Entry point of the command `amhe`."""
+    _open_closed_streams()
     os.environ.update(_ONE_THREAD)  # numpy reads them when it is imported, which no command has done yet
     # what a command imports is no garbage: to search it all, three times and at the end, costs 0.3 s of CPU
     gc.set_threshold(700, 10, 100)
@@ -89,6 +90,13 @@ def main() -> None:
     for number in (signal.SIGINT, *TERMINATING):
         signal.signal(number, signal.SIG_IGN)
     sys.exit(code)
+
+
+def _open_closed_streams() -> None:
+    """Open what a daemon or `>&-` closed: else the next file that is opened would take its place."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115, PTH123 (it stays open)
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -108,7 +108,7 @@ def mhe_replay(
             inputs=inputs_record(done.system, [recorded]),
         )  # fmt: skip
         draw = measured_scene(done.system, recorded, problem.start.z)
-        write_replay(folder, done, predicted, fits, record, origin, draw)
+        write_replay(folder, done, predicted, fits, record, origin, draw, out.force)
     if session.json:
         session.print_json(record)
     else:

@@ -117,7 +117,7 @@ def probe(
     if not session.json:
         print_plan(record, session.console())
     error = None
-    with filling(folder, keep=True) as scratch:
+    with filling(folder, keep=True, force=out.force) as scratch:
         _write(scratch / "plan.json", record)
         if recipe and isinstance(opened, ActuatorProbe):
             opened.excitation().write(scratch)

@@ -112,7 +112,7 @@ def run(
         return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None
     history, drawing = History(opened.task), SceneLog(scene_of(opened.system))
-    with stopping(session) as stopped, filling(folder, keep=True) as scratch:
+    with stopping(session) as stopped, filling(folder, keep=True, force=out.force) as scratch:
         with ExitStack() as stack:
             recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap", drawing))
             shoot = (

@@ -84,8 +84,8 @@ class Session:
     @property
     def written(self) -> bool:
         """Whether its results are in its folder."""
-        result = None if self.folder is None else self.folder / "result.json"
-        return result is not None and result.exists() and time.time() - result.stat().st_mtime < self.seconds
+        files = [] if self.folder is None else [self.folder / name for name in ("result.json", "study.json")]
+        return any(file.exists() and time.time() - file.stat().st_mtime < self.seconds for file in files)
 
     @property
     def exit_code(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import glob
 import json
 import math
@@ -13,7 +14,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.errors import AmheError, ConfigError
+
+#: Errors of writing alone: a full disk, a quota, a limit on the size of files.
+WRITING = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def check_regular(path: Path, folder: Path | None = None) -> None:
@@ -63,7 +67,7 @@ def whole(path: Path, keep: bool = False) -> Iterator[BinaryIO]:
 
 
 @contextmanager
-def filling(folder: Path, keep: bool = False) -> Iterator[Path]:
+def filling(folder: Path, keep: bool = False, force: bool = True) -> Iterator[Path]:
     """Yield an empty scratch folder; its files move into `folder` at the end, or are deleted on an error.
 
     A new folder appears in one rename; in an existing one, which may be a file system of its own, each file
@@ -72,6 +76,11 @@ def filling(folder: Path, keep: bool = False) -> Iterator[Path]:
     Args:
         folder: The folder.
         keep: Move the files also if one of them could not be written, as on a full disk.
+        force: Write into a folder that is not empty.
+
+    Raises:
+        AmheError: It is not empty at the end, and `force` is not given: another command wrote it meanwhile.
+            The files are in a folder beside it, which the text names.
     """
     folder = Path(os.path.abspath(folder))  # noqa: PTH100 -- resolve() would follow a link that is to stay
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -80,8 +89,16 @@ def filling(folder: Path, keep: bool = False) -> Iterator[Path]:
     scratch.mkdir()
     try:
         yield scratch
+        if not force and folder.exists() and any(path != scratch for path in folder.iterdir()):
+            aside = fresh(folder)
+            scratch.rename(aside)
+            raise AmheError(
+                f"{folder}: another command has written it meanwhile; these results are in {aside}"
+            )
         _move(scratch, folder)
     except OSError as error:
+        if error.errno in WRITING and error.filename is None:  # as that of a write
+            error.filename = str(folder)
         if keep and any(scratch.iterdir()):
             _move(scratch, folder)
             if error.filename:
@@ -89,6 +106,15 @@ def filling(folder: Path, keep: bool = False) -> Iterator[Path]:
         raise
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
+
+
+def fresh(path: Path) -> Path:
+    """A path that does not exist: this one, or the first free of `path-2`, `path-3`, ..."""
+    candidate, number = path, 1
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.name}-{number}")
+    return candidate
 
 
 def _move(scratch: Path, folder: Path) -> None:

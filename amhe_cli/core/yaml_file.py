@@ -37,6 +37,14 @@ class _Loader(yaml.SafeLoader):
             raise yaml.YAMLError(beyond("yaml_values", "its values are"))
         return super().compose_node(parent, index)
 
+    def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
+        """The value of a node; a tag such as !!bool may stand before anything."""
+        try:
+            return super().construct_object(node, deep)
+        except (ValueError, TypeError, LookupError, AttributeError):
+            text = f"{str(node.value)[:40]!r} is no {node.tag.rpartition(':')[2]}"
+            raise yaml.constructor.ConstructorError(None, None, text, node.start_mark) from None
+
 
 def _decimal(loader: yaml.SafeLoader, node: Any) -> int:
     """An integer in decimal: `010` is ten, not eight."""

@@ -59,7 +59,7 @@ def signals_on_tables(connections: Sequence[Connection], signals: Sequence[Signa
 
 def table_name(topic: str) -> str:
     """Name of the table, and of its file, that holds a topic."""
-    return re.sub(r"[/.]", "_", topic.strip("/"))
+    return "".join("_" if c in "/." or not c.isprintable() else c for c in topic.strip("/"))
 
 
 def _is_table(signal: Signal, connections: Sequence[Connection], only: bool) -> bool:

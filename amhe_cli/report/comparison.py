@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from amhe_cli.core.files import filling, json_text, plain
+from amhe_cli.core.files import json_text, plain
 from amhe_cli.estimation.offline.comparison import FEWEST, AtHorizon, Compared
 from amhe_cli.estimation.offline.result import Identification
 from amhe_cli.report import numbers
-from amhe_cli.report.folder import write_page
+from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import sized
 from amhe_cli.report.page import Section, Statement, result_page
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
@@ -96,7 +96,7 @@ def write_comparison(
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
 ) -> None:
-    """Write result.json, then report.html.
+    """Write result.json and report.html, both or none.
 
     Args:
         folder: Folder of the files; made if it does not exist.
@@ -104,9 +104,8 @@ def write_comparison(
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
     """
-    with filling(folder) as scratch:
+    with results(folder, lambda: _page(compared, record, provenance), force=True) as scratch:
         (scratch / "result.json").write_text(json_text(record), encoding="utf-8")
-    write_page(folder, lambda: _page(compared, record, provenance))
 
 
 def _page(compared: Compared, record: Mapping[str, Any], provenance: Mapping[str, Any]) -> str:

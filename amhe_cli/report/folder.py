@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from datetime import datetime
 from pathlib import Path
 from tempfile import mkdtemp
 
 from amhe_cli.core.errors import AmheError, ConfigError
-from amhe_cli.core.files import abandoned, write_whole
+from amhe_cli.core.files import abandoned, filling, fresh, write_whole
 
 logger = logging.getLogger(__name__)
 
@@ -30,7 +31,7 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
         ConfigError: `out` is not empty and `force` is not given, or it is a file or cannot be written.
     """
     if out is None:
-        out = _fresh(Path("amhe-out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}")
+        out = fresh(Path("amhe-out") / f"{command}-{datetime.now():%Y%m%d-%H%M%S}")
     if out.exists() and not out.is_dir():
         raise ConfigError(f"{out}: is a file; `out` needs a folder")
     if out.exists() and not force and any(out.iterdir()):
@@ -47,6 +48,34 @@ def reserve(out: Path | None, command: str, force: bool) -> Path:
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written ({error.strerror}); choose another `out`") from error
     return out
+
+
+@contextmanager
+def results(folder: Path, page: Callable[[], str], force: bool) -> Iterator[Path]:
+    """Yield an empty folder for results; they and report.html then take the place of others, all or none.
+
+    A fault of the page, or Ctrl-C while it is made, costs only the page: what was found is kept.
+
+    Args:
+        folder: Folder of the results; made if it does not exist.
+        page: Makes the page.
+        force: Write into a folder that is not empty.
+
+    Raises:
+        PageError: The page cannot be made.
+    """
+    fault: BaseException | None = None
+    with filling(folder, force=force) as scratch:
+        yield scratch
+        try:
+            write_page(scratch, page)
+        except BaseException as error:
+            fault = error
+    if fault is not None:
+        (folder / "report.html").unlink(missing_ok=True)  # that of other results
+        if isinstance(fault, OSError) and fault.filename:
+            fault.filename = str(folder / "report.html")
+        raise fault
 
 
 def write_page(folder: Path, page: Callable[[], str]) -> None:
@@ -70,11 +99,3 @@ def write_page(folder: Path, page: Callable[[], str]) -> None:
             "complete. This is a bug in amhe: please report it"
         ) from fault
     write_whole(path, content)
-
-
-def _fresh(path: Path) -> Path:
-    candidate, number = path, 1
-    while candidate.exists():
-        number += 1
-        candidate = path.with_name(f"{path.name}-{number}")
-    return candidate

@@ -15,12 +15,12 @@ from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.core.belief import Belief, belief_text
-from amhe_cli.core.files import filling, json_text, plain
+from amhe_cli.core.files import json_text, plain
 from amhe_cli.estimation.offline.result import HeldOut, Identification, OwnSpread, known_together
 from amhe_cli.estimation.offline.verdicts import RESTS
 from amhe_cli.report import numbers
 from amhe_cli.report.bodies import body_table
-from amhe_cli.report.folder import write_page
+from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
 from amhe_cli.report.sampled import sampled_lines, sampled_record
@@ -86,8 +86,9 @@ def write_identification(
     record: Mapping[str, Any],
     provenance: dict[str, object],
     pictures: Callable[[], Iterable[tuple[str, str]]] = tuple,
+    force: bool = True,
 ) -> None:
-    """Write belief.yaml, identified.xml (its meshes in assets/), result.json, all or none; then report.html.
+    """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html, all or none.
 
     Draws of a sampled posterior are in samples.npz, as `amhe export --to samples` writes them.
 
@@ -99,13 +100,16 @@ def write_identification(
         record: Content of result.json.
         provenance: Versions, hashes, seed and command; goes into belief.yaml too.
         pictures: Makes names and SVG elements of clips, measured and predicted.
+        force: Write into a folder that is not empty.
     """
     contents = {
         "belief.yaml": belief_text(replace(belief, provenance=provenance)),
         "identified.xml": identified_xml(system, system.space.with_prior(belief).nominal),
         "result.json": json_text(record),
     }
-    with filling(folder) as scratch:
+    with results(
+        folder, lambda: identification_page(result, record, provenance, pictures()), force
+    ) as scratch:
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
         if result.sampled is not None:
@@ -118,7 +122,6 @@ def write_identification(
                 continue
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, scratch / name)
-    write_page(folder, lambda: identification_page(result, record, provenance, pictures()))
 
 
 def print_identification(

@@ -11,13 +11,13 @@ from markupsafe import Markup
 from rich.console import Console
 from rich.text import Text
 
-from amhe_cli.core.files import filling, json_text
+from amhe_cli.core.files import json_text
 from amhe_cli.estimation.offline.result import Fit
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.logs import LogWriter
 from amhe_cli.report import figures, numbers, replay_figures
-from amhe_cli.report.folder import write_page
+from amhe_cli.report.folder import results
 from amhe_cli.report.page import Fold, Key, Section, Statement, fixed_statement, result_page
 from amhe_cli.report.replay_files import MARKS, estimates_csv, write_log
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
@@ -34,8 +34,9 @@ def write_replay(
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
     draw: Callable[[LogWriter], None] = lambda log: None,
+    force: bool = True,
 ) -> None:
-    """Write estimates.mcap, estimates.csv, result.json, all or none; then report.html.
+    """Write estimates.mcap, estimates.csv, result.json and report.html, all or none.
 
     Args:
         folder: Folder of the files; made if it does not exist.
@@ -45,6 +46,7 @@ def write_replay(
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
         draw: Writes into estimates.mcap what 3-D panels show.
+        force: Write into a folder that is not empty.
     """
     contents = {
         "estimates.csv": estimates_csv(replay),
@@ -57,11 +59,10 @@ def write_replay(
         "seed": str(provenance["seed"]),
         "version": str(record["version"]),
     }
-    with filling(folder) as scratch:
+    with results(folder, lambda: replay_page(replay, fits, record, provenance), force) as scratch:
         write_log(scratch / "estimates.mcap", replay, predicted, metadata, draw)
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
-    write_page(folder, lambda: replay_page(replay, fits, record, provenance))
 
 
 def print_replay(record: Mapping[str, Any], folder: Path, console: Console) -> None:

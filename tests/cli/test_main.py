@@ -281,3 +281,13 @@ def test_a_narrow_terminal_cuts_the_state_and_keeps_bar_and_time(monkeypatch, ca
     lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err).strip().splitlines()
     assert re.match(r"run \S+ 0:00:0\d 12\.3 s of 20 s, the box.*…", lines[-1])
     assert max(map(len, lines)) <= 80
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", ">&- 2>&- <&-"])
+def test_closed_streams_end_no_command(closed: str, pendulum_log: Path, tmp_path: Path) -> None:
+    command = f"{sys.executable} -m amhe_cli convert {pendulum_log} -o {tmp_path}/out.csv {closed}"
+    done = subprocess.run(["sh", "-c", command], capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+    text = (tmp_path / "out.csv").read_text()
+    assert "time [s]" in text and "wrote" not in text

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.core.files import plain, whole, write_whole
+from amhe_cli.core.errors import AmheError
+from amhe_cli.core.files import filling, plain, whole, write_whole
 
 
 def test_a_file_that_fails_half_way_leaves_the_old_one_and_no_scratch(tmp_path: Path) -> None:
@@ -44,3 +45,24 @@ def test_a_file_that_cannot_be_opened_is_named_and_why(
         with pytest.raises(PermissionError) as error, whole(tmp_path / "log.mcap", keep):
             pass
         assert error.value.filename == str(tmp_path / "log.mcap")
+
+
+def test_results_of_another_command_are_not_written_over(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    said = pytest.raises(AmheError, match=r"out: another command .* these results are in .*out-2$")
+    with said, filling(out, force=False) as scratch:
+        (scratch / "result.json").write_text("second")
+        with filling(out, force=False) as other:
+            (other / "result.json").write_text("first")
+    assert (out / "result.json").read_text() == "first"
+    assert (tmp_path / "out-2" / "result.json").read_text() == "second"
+    assert {path.name for path in tmp_path.iterdir()} == {"out", "out-2"}
+    with filling(out) as scratch:
+        (scratch / "result.json").write_text("third")
+    assert (out / "result.json").read_text() == "third"
+
+
+def test_a_full_disk_is_said_of_what_is_written(tmp_path: Path) -> None:
+    with pytest.raises(OSError) as error, filling(tmp_path / "out"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert error.value.filename == str(tmp_path / "out")

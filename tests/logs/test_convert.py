@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import re
 import time
 from pathlib import Path
@@ -143,3 +145,30 @@ def test_the_recorder_in_the_docs_runs(tmp_path: Path, monkeypatch: pytest.Monke
     assert log["joints.position"].values[0] == [0.1]
     assert log["joints.velocity"].values[0] == [0.2]
     assert log["command.position"].values[0] == [0.3]
+
+
+def test_a_topic_names_no_odd_file(tmp_path: Path) -> None:
+    with amhe.LogWriter(tmp_path / "log.mcap") as log:
+        for i in range(3):
+            log.joint_state("/a\0b\x1b[31m/c\n", 1_700_000_000_000_000_000 + i * 10**7, ["hinge"], [0.1])
+    amhe.convert(tmp_path / "log.mcap", tmp_path / "out")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["a_b_[31m_c_.csv"]
+
+
+def test_a_file_whose_name_is_no_utf8(tmp_path: Path) -> None:
+    path = Path(os.fsdecode(os.fsencode(tmp_path) + b"/x\xff.csv"))
+    path.write_text("time,y\n0,1\n1,2\n")
+    amhe.convert(path, tmp_path / "out.mcap")
+    assert [topic.name for topic in survey(tmp_path / "out.mcap").topics] == ["/x\\udcff"]
+
+
+def test_a_full_disk_is_no_fault_of_the_log(
+    made: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(amhe.LogWriter, "copy", full)
+    with pytest.raises(OSError) as error:
+        amhe.convert(made, tmp_path / "copy.mcap")
+    assert error.value.filename == str(tmp_path)

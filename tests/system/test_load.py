@@ -86,6 +86,8 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
     [
         ("model: a\nmodel: b\n", "2:1: key 'model' is here twice; its first value is in line 1"),
         ("model: [\n", "2:1: not valid YAML"),
+        ("model: !!bool foo\n", "1:8: not valid YAML: 'foo' is no bool"),
+        ("model:\n  - !!timestamp foo\n", "2:5: not valid YAML: 'foo' is no timestamp"),
         ("- a\n", "1:1: this file must be a mapping"),
         ("", "1:1: this file lacks the key 'model'"),
         (

@@ -109,7 +109,15 @@ def open_dataset(folder: Path) -> Dataset:
         version = int(re.findall(r"\d+", str(info["codebase_version"]))[0])
         episodes, features = int(info["total_episodes"]), info["features"]
         usable = all(isinstance(feature, dict) for feature in features.values()) and episodes < 1_000_000
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, RecursionError) as error:
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        AttributeError,
+        LookupError,
+        OverflowError,
+        RecursionError,
+    ) as error:
         raise LogError(f"{file}: no description of a LeRobot dataset ({error!r})") from None
     if not usable:
         raise LogError(f"{file}: no description of a LeRobot dataset (its features)")

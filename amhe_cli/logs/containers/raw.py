@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from amhe_cli.core.arrays import IntArray
 from amhe_cli.core.errors import AmheError, LogError
+from amhe_cli.core.files import WRITING
 
 logger = logging.getLogger(__name__)
 
@@ -124,6 +125,8 @@ def readable(path: Path) -> Iterator[None]:
             raise
         raise type(error)(f"{path}: {error}") from error
     except Exception as error:
+        if isinstance(error, OSError) and error.errno in WRITING:  # the log is fine: what is written is not
+            raise
         logger.debug("%s: unreadable", path, exc_info=True)
         reason = str(error).split("\n")[0] or type(error).__name__
         raise LogError(f"{path}: cannot be read: {reason}") from error

@@ -17,6 +17,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
+from amhe_cli.core.text import printable
 from amhe_cli.logs.containers import text_table
 from amhe_cli.logs.containers.arrow_sizes import unfolded_sizes
 from amhe_cli.logs.containers.compression import check_growth
@@ -261,4 +262,4 @@ def _floats(array: np.ndarray) -> FloatArray:
 
 
 def _stem(path: Path) -> str:
-    return path.name.split(".")[0]
+    return printable(path.name.split(".")[0])
