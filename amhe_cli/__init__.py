@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from amhe_cli.api.compare import compare
     from amhe_cli.api.estimator import Estimator
     from amhe_cli.api.export import export
-    from amhe_cli.api.identify import Result, identify
+    from amhe_cli.api.identify import Interrupted, Result, identify
     from amhe_cli.api.layout import layout
     from amhe_cli.api.pool import pool
     from amhe_cli.api.runs import probe, run
@@ -36,6 +36,7 @@ _HOMES = {
     "Belief": "amhe_cli.core.belief",
     "Estimate": "amhe_cli.estimation.online.horizon",
     "Estimator": "amhe_cli.api.estimator",
+    "Interrupted": "amhe_cli.api.identify",
     "Log": "amhe_cli.core.log",
     "LogWriter": "amhe_cli.logs.messages.writer",
     "Result": "amhe_cli.api.identify",
@@ -58,6 +59,7 @@ __all__ = [
     "Belief",
     "Estimate",
     "Estimator",
+    "Interrupted",
     "Log",
     "LogWriter",
     "Result",

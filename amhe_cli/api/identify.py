@@ -186,6 +186,18 @@ class Result:
         return console
 
 
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during `identify`, raised once the best so far is there; a loop over logs ends with it.
+
+    Args:
+        result: The best so far.
+    """
+
+    def __init__(self, result: Result) -> None:
+        super().__init__("identify was interrupted; the best so far is the `result` of this exception")
+        self.result = result
+
+
 def identify(
     system: System,
     logs: Log | Sequence[Log],
@@ -235,6 +247,7 @@ def identify(
         ConfigError: An argument is wrong.
         LogError: A log was not read for this system.
         EstimationError: No clip of the logs can be used.
+        Interrupted: Ctrl-C, once the search has begun: a KeyboardInterrupt whose `result` is the best so far.
     """
     hush_mujoco()
     seed, threads = checked(seed, threads, times={"max_time": max_time}, files={"checkpoint": checkpoint})
@@ -281,7 +294,10 @@ def identify(
         found = identification.identify(
             system, fitted, validation, options, progress or (lambda iteration, total: None)
         )
-    return Result(system, found, fitted, validation, seed, time.monotonic() - begun, tuple(warnings))
+    result = Result(system, found, fitted, validation, seed, time.monotonic() - begun, tuple(warnings))
+    if found.interrupted:
+        raise Interrupted(result)
+    return result
 
 
 def _logs(system: System, given: Log | Sequence[Log], argument: str) -> tuple[Log, ...]:

@@ -75,6 +75,7 @@ def identify(
     a LeRobot dataset, or a YAML file that lists logs and what is known of each: see docs/logs.md. Writes
     belief.yaml, identified.xml, result.json and report.html; samples.npz with --posterior sampled.
     """
+    from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run
     from amhe_cli.cli.progress import progress
     from amhe_cli.logs import members, read_log
@@ -91,10 +92,13 @@ def identify(
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
-        result = run(
-            opened, training, held_out=validation, prior=belief, executor=executor,
-            progress=lambda iteration, total: show((iteration, total)), **known, **how,
-        )  # fmt: skip
+        try:
+            result = run(
+                opened, training, held_out=validation, prior=belief, executor=executor,
+                progress=lambda iteration, total: show((iteration, total)), **known, **how,
+            )  # fmt: skip
+        except Interrupted as stop:
+            result = stop.result
     session.interrupted = result.found.interrupted
     record = session.record(**result.record(), out=str(folder))
     read = [*logs, *(one.path for path in logs for one in members(path))]

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -40,6 +42,25 @@ def log(system: amhe.System) -> amhe.Log:
 @pytest.fixture(scope="module")
 def result(system: amhe.System, log: amhe.Log) -> amhe.Result:
     return amhe.identify(system, log, threads=1)
+
+
+def test_ctrl_c_ends_a_loop_and_keeps_the_best_so_far(
+    system: amhe.System, log: amhe.Log, tmp_path: Path
+) -> None:
+    begun: list[int] = []
+
+    def press(iteration: Any, total: int) -> None:
+        if iteration.number == 1:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(amhe.Interrupted) as stop:
+        for seed in range(3):
+            begun.append(seed)
+            amhe.identify(system, log, seed=seed, threads=1, progress=press)
+    assert begun == [0] and isinstance(stop.value, KeyboardInterrupt)
+    best = stop.value.result
+    assert best.found.interrupted and len(best.found.iterations) == 1
+    assert json.loads((best.save(tmp_path / "best") / "result.json").read_text())["interrupted"]
 
 
 def python(text: str, folder: Path) -> str:
