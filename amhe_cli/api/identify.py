@@ -149,13 +149,7 @@ class Result:
         from amhe_cli.report.identification import write_identification
 
         origin = provenance(command, self.seed, self.found.method, self.system, logs, held_out)
-
-        def pictures() -> Iterator[tuple[str, str]]:
-            from amhe_cli.view.open import strips
-
-            return strips(self.system, self.logs, self.held_out, self.belief)
-
-        write_identification(folder, self.system, self.found, self.belief, record, origin, pictures, force)
+        write_identification(folder, self.system, self.found, self.belief, record, origin, force)
 
     def __repr__(self) -> str:
         verdicts = ", ".join(f"{p.name} {p.estimate:.4g} ({p.verdict})" for p in self.parameters.values())

@@ -5,24 +5,27 @@ from __future__ import annotations
 from pathlib import Path
 
 from amhe_cli.logs.read import inspect_log
-from amhe_cli.report.layouts import layout_of
+from amhe_cli.report.layout import layout_of
 from amhe_cli.system.system import System
 
 
 def layout(
-    path: str | Path, viewer: str, system: System | None = None, *, msg_path: str | Path | None = None
+    path: str | Path,
+    viewer: str = "foxglove",
+    system: System | None = None,
+    *,
+    msg_path: str | Path | None = None,
 ) -> str:
     """Make a layout for a viewer of logs: plots of each topic, and a 3-D panel where there are poses.
 
     Args:
         path: The log.
-        viewer: 'foxglove' (JSON, for Lichtblick too), 'plotjuggler' (XML, for the versions 3 and 4) or
-            'rerun' (a Python script that makes the blueprint).
+        viewer: 'foxglove', for Lichtblick too.
         system: System whose topics come first; of types that are not built in, only its fields are plotted.
         msg_path: Folder of .msg files for types that the log does not define.
 
     Returns:
-        The content of the layout's file.
+        The content of the layout's file, JSON.
 
     Raises:
         ConfigError: The path does not exist, or there is no such viewer.

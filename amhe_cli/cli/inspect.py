@@ -23,13 +23,11 @@ if TYPE_CHECKING:
 @click.option(
     "--layout",
     "viewer",
-    type=click.Choice(("foxglove", "plotjuggler", "rerun")),
+    type=click.Choice(("foxglove",)),
     help="Write a layout with which this viewer opens the log: plots of each topic, and a 3-D panel where it "
     "has poses. foxglove is Lichtblick too.",
 )
-@parsing.fresh_file(
-    "out", "-o", "--out", use="File of the layout, such as log.json, log.xml or log_layout.py."
-)
+@parsing.fresh_file("out", "-o", "--out", use="File of the layout, such as log.json.")
 @options.where
 @options.common
 @click.pass_obj
@@ -48,7 +46,7 @@ def inspect(
     from amhe_cli.core.text import printable
     from amhe_cli.logs import members
     from amhe_cli.report.inspection import inspection_record, losses, print_inspection
-    from amhe_cli.report.layouts import layout_of
+    from amhe_cli.report.layout import layout_of
 
     if (viewer is None) != (out is None):
         raise click.UsageError("--layout needs -o FILE, and -o FILE needs --layout")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -85,7 +85,6 @@ def write_identification(
     belief: Belief,
     record: Mapping[str, Any],
     provenance: dict[str, object],
-    pictures: Callable[[], Iterable[tuple[str, str]]] = tuple,
     force: bool = True,
 ) -> None:
     """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html, all or none.
@@ -99,7 +98,6 @@ def write_identification(
         belief: What is believed of the system's parameters.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command; goes into belief.yaml too.
-        pictures: Makes names and SVG elements of clips, measured and predicted.
         force: Write into a folder that is not empty.
     """
     contents = {
@@ -107,9 +105,7 @@ def write_identification(
         "identified.xml": identified_xml(system, system.space.with_prior(belief).nominal),
         "result.json": json_text(record),
     }
-    with results(
-        folder, lambda: identification_page(result, record, provenance, pictures()), force
-    ) as scratch:
+    with results(folder, lambda: identification_page(result, record, provenance), force) as scratch:
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
         if result.sampled is not None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
-
-from markupsafe import Markup
 
 from amhe_cli.estimation.offline.result import (
     VERDICTS,
@@ -18,7 +17,7 @@ from amhe_cli.estimation.offline.result import (
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.bodies import body_table
 from amhe_cli.report.held_out import held_out_sections, held_out_statement
-from amhe_cli.report.page import Fold, Key, Section, Statement, Tone, cell, fixed_statement, result_page
+from amhe_cli.report.page import Fold, Section, Statement, Tone, cell, fixed_statement, result_page
 from amhe_cli.report.parameters import parameter_section
 from amhe_cli.report.sampled import sampled_sections, sampled_statements
 from amhe_cli.report.tables import NUMBER, STRONG, Table
@@ -39,7 +38,6 @@ def identification_page(
     result: Identification,
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
-    pictures: Iterable[tuple[str, str]] = (),
 ) -> str:
     """The page as HTML.
 
@@ -47,7 +45,6 @@ def identification_page(
         result: The identification.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
-        pictures: Names and SVG elements of clips, measured and predicted.
     """
     clips, logs = result.clips, len(result.logs)
     return result_page(
@@ -61,7 +58,7 @@ def identification_page(
         ),
         headline=headline(result),
         statements=statements(result),
-        sections=list(_sections(result, record["truth"], list(pictures))),
+        sections=list(_sections(result, record)),
     )
 
 
@@ -137,10 +134,8 @@ def _divergence(result: Identification) -> Iterator[Statement]:
         )
 
 
-def _sections(
-    result: Identification, truth: Mapping[str, float], pictures: Sequence[tuple[str, str]]
-) -> Iterator[Section]:
-    yield parameter_section(result, truth)
+def _sections(result: Identification, record: Mapping[str, Any]) -> Iterator[Section]:
+    yield parameter_section(result, record["truth"])
     yield from sampled_sections(result)
     if result.bodies:
         yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies))
@@ -158,16 +153,13 @@ def _sections(
         yield from held_out_sections(result.held_out)
     if result.fits:
         yield fit_section(result.fits)
-    if pictures:
+    if folder := record.get("out"):
         yield Section(
-            "At three instants",
-            text="A clip after one third and after two thirds of its time, and at its end. Where a colour "
-            "cannot be seen, that prediction lies on the measured body.",
-            legend=(
-                Key("predicted with the nominal parameters", figures.INITIAL, "patch"),
-                Key("predicted with the identified parameters", figures.IDENTIFIED, "patch"),
-            ),
-            folds=[Fold(name, Markup(svg)) for name, svg in pictures],
+            "In three dimensions",
+            text="A page with the logs, and with what the model predicts under the nominal and under the "
+            "identified parameters:",
+            items=[f"amhe view {shlex.quote(folder)}"],
+            files=True,
         )
     if result.noise_scale:
         yield Section(

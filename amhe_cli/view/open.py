@@ -17,10 +17,6 @@ from amhe_cli.system.system import System
 from amhe_cli.view.ghosts import Viewing, viewing
 from amhe_cli.view.page import Heading, parameter_rows, saved_page
 from amhe_cli.view.scene import Geom
-from amhe_cli.view.strip import strip
-
-#: Most steps of the clips among which those of a report's pictures are chosen.
-_PICTURED = 8_000
 
 
 def page_of(
@@ -77,33 +73,6 @@ def page_of(
         parameter_rows(system.space, begun, belief),
     )
     return saved_page(found, heading)
-
-
-def strips(
-    system: System, logs: Sequence[Log], held_out: Sequence[Log], belief: Belief
-) -> Iterator[tuple[str, str]]:
-    """Name and picture of the worst and of the median clip that were not fitted, or of all if none was kept.
-
-    A model in which no body has a shape gives none.
-
-    Args:
-        system: The system.
-        logs: The logs that were fitted.
-        held_out: Further logs that were only used to validate.
-        belief: What was identified.
-    """
-    parts = list(_parts(system, logs, held_out))
-    kept = [part for part in parts if part[1]] or parts
-    z = {"nominal": np.zeros(len(system.space)), "identified": _identified(system, belief)}
-    found = viewing(system, kept, z, open_engine(system), _PICTURED)
-    if not any(geom.body >= 0 for geom in found.scene.geoms):
-        return  # nothing that moves has a shape, as of a URDF that was read without its meshes
-    rows = sorted({0, len(found.takes) // 2}) if found.takes else ()
-    for kind, row in zip(("worst", "median"), rows, strict=False):
-        take = found.takes[row]
-        costs = " → ".join(f"{cost:.3g}" for cost in take.costs)
-        name = found.recordings[take.recording].name
-        yield f"{kind}: {name} {take.start:.2f}-{take.stop:.2f} s, cost {costs}", strip(found, take)
 
 
 def _identified(system: System, belief: Belief) -> FloatArray:

@@ -2,12 +2,8 @@
 
 import json
 import re
-import runpy
-import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -17,8 +13,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.logs import LogWriter
-from amhe_cli.report.layouts.panels import Panels
-from amhe_cli.report.layouts.rerun import rerun_layout
 
 LOGS = Path(__file__).parents[2] / "examples" / "logs"
 #: Keys of a plot's path and of a plot, by PlotPath and PlotConfig of Lichtblick's suite-base.
@@ -35,7 +29,7 @@ CAMERA = {
 
 
 def foxglove(path: Path, system: amhe.System | None = None) -> dict[str, Any]:
-    return json.loads(amhe.layout(path, "foxglove", system))
+    return json.loads(amhe.layout(path, system=system))
 
 
 def panels_in(mosaic: Any) -> list[str]:
@@ -122,86 +116,19 @@ def test_the_topics_of_the_system_come_first_and_its_fields_alone(tmp_path: Path
     assert message_paths(known) == ["/drives.angle[1]", "/cmd.position[0]", "/aaa.data[0]", "/aaa.data[1]"]
 
 
-def test_odd_names_stand_in_quotes_and_act_nowhere(tmp_path: Path) -> None:
+def test_odd_names_stand_in_quotes(tmp_path: Path) -> None:
     table = tmp_path / 'a b";import os.csv'
     table.write_text('t,"the angle",<x>y&z\n' + "".join(f"{0.01 * i},{i},{i}\n" for i in range(20)))
     head = '"/a b\\";import os"'
     assert message_paths(foxglove(table)) == [f'{head}."the angle"', f'{head}."<x>y&z"']
-    curves = ElementTree.fromstring(amhe.layout(table, "plotjuggler")).iter("curve")
-    assert [curve.get("name") for curve in curves] == ["the angle", "<x>y&z"]
-    compile(amhe.layout(table, "rerun"), "layout", "exec")
-
-
-def test_a_layout_of_plotjuggler_suits_both_versions() -> None:
-    root = ElementTree.fromstring(amhe.layout(LOGS / "t1.mcap", "plotjuggler"))
-    assert root.tag == "root"
-    assert root.get("pj4_version") == "4"
-    window = root.find("tabbed_widget")
-    assert window is not None
-    assert window.get("parent") == "main_window"
-    assert window.find("currentTabIndex") is not None
-    for tab in window.iter("Tab"):
-        assert tab.get("containers") == str(len(tab.findall("Container")))
-        for splitter in tab.iter("DockSplitter"):
-            areas = splitter.findall("DockArea")
-            sizes = [float(size) for size in splitter.get("sizes", "").split(";")]
-            assert splitter.get("count") == str(len(areas)) == str(len(sizes))
-            assert sum(sizes) == pytest.approx(1.0, abs=1e-4)
-            assert splitter.get("orientation") in ("-", "|")
-            assert all(
-                area.find("plot") is not None and area[0].get("mode") == "TimeSeries" for area in areas
-            )
-    ids = [element.get("id") for element in root.iter() if element.get("id")]
-    assert len(ids) == len(set(ids))
-    for curve in root.iter("curve"):  # version 3 finds it by its name, version 4 by topic and field
-        assert curve.get("name") == f"{curve.get('topic')}/{curve.get('field')}"
-        assert re.fullmatch("#[0-9a-f]{6}", curve.get("color", ""))
-    names = {curve.get("name") for curve in root.iter("curve")}
-    assert {"/joint_states/FR_hip_joint/velocity", "/odom/pose/pose/position/x"} <= names
-
-
-def test_a_layout_of_rerun_is_a_script_that_builds_its_blueprint(monkeypatch, tmp_path: Path) -> None:
-    """The names are those of rerun-sdk 0.41, where the script was run and its blueprint looked at."""
-    made: list[tuple[str, dict[str, Any]]] = []
-    rerun, blueprint = ModuleType("rerun"), ModuleType("rerun.blueprint")
-    for name in (
-        "Blueprint",
-        "Horizontal",
-        "Vertical",
-        "Tabs",
-        "Spatial3DView",
-        "TimeSeriesView",
-        "DataframeView",
-    ):
-
-        def make(*parts: Any, _name: str = name, **about: Any) -> str:
-            made.append((_name, about))
-            return _name
-
-        setattr(blueprint, name, make)
-    rerun.blueprint = blueprint  # type: ignore[attr-defined]
-    rerun.TransformAxes3D = float  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "rerun", rerun)
-    monkeypatch.setitem(sys.modules, "rerun.blueprint", blueprint)
-    path = tmp_path / "layout.py"
-    assert run(["inspect", str(LOGS / "t1.mcap"), "--layout", "rerun", "-o", str(path)]) == 0
-    assert runpy.run_path(str(path))["blueprint"] == "Blueprint"
-    assert str((LOGS / "t1.mcap").resolve()) in path.read_text()  # it can be run in any folder
-    origins = {about["origin"] for name, about in made if name == "TimeSeriesView"}
-    assert {"/joint_states/position", "/joint_states/velocity", "/joint_commands/position", "/imu"} <= origins
-    (scene,) = (about for name, about in made if name == "Spatial3DView")
-    assert (scene["name"], scene["origin"]) == ("3-D", "/")
-    assert scene["overrides"] == {"/tf": 0.2}
-    still = rerun_layout(Panels(Path("a.mcap"), (), ("/tf",), "world"))
-    assert "spatial_information=rrb.SpatialInformation(target_frame='world')" in still
 
 
 def test_wrong_words_are_one_line(tmp_path: Path, capsys) -> None:
     log, out = str(LOGS / "pendulum.mcap"), str(tmp_path / "a.json")
     for arguments in (
         [log, "-o", out],
-        [log, "--layout", "rerun"],
-        [log, log, "--layout", "rerun", "-o", out],
+        [log, "--layout", "foxglove"],
+        [log, log, "--layout", "foxglove", "-o", out],
     ):
         assert run(["inspect", *arguments]) == 2
         assert "--layout" in capsys.readouterr().err
@@ -211,4 +138,4 @@ def test_wrong_words_are_one_line(tmp_path: Path, capsys) -> None:
         writer.diagnostics(0, 0, "nothing", {})
     (tmp_path / "words.csv").write_text("t,word\n" + "".join(f"{0.1 * i},on\n" for i in range(9)))
     with pytest.raises(amhe.AmheError, match="can be plotted"):
-        amhe.layout(tmp_path / "words.csv", "rerun")
+        amhe.layout(tmp_path / "words.csv")
