@@ -65,7 +65,8 @@ def simulated(
         noisy_start: Whether the very first state carries noise as well.
     """
     model = system.edits.apply(system.model, theta)
-    qpos, qvel, ctrl = _simulate(model, command, seconds, command_hz, settle)
+    late = system.edits.delays(theta[None])[0] / model.opt.timestep
+    qpos, qvel, ctrl = _simulate(model, command, seconds, command_hz, settle, late)
     every = round(1.0 / state_hz / model.opt.timestep)
     steps = len(qpos) - 1
     rows = np.arange(0, steps + 1, every)
@@ -84,20 +85,28 @@ def simulated(
 
 
 def _simulate(
-    model: mujoco.MjModel, command: Command, seconds: float, command_hz: float, settle: float
+    model: mujoco.MjModel,
+    command: Command,
+    seconds: float,
+    command_hz: float,
+    settle: float,
+    late: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """True states and inputs at every instant, the first one included."""
+    """True states and inputs at every instant, the first one included; inputs act `late` steps after it."""
     data = mujoco.MjData(model)
     data.ctrl[:] = command(0.0)
     for _ in range(round(settle / model.opt.timestep)):
         mujoco.mj_step(model, data)
     steps, hold = round(seconds / model.opt.timestep), round(1.0 / command_hz / model.opt.timestep)
     qpos, qvel = np.empty((steps + 1, model.nq)), np.empty((steps + 1, model.nv))
-    ctrl = np.empty((steps + 1, model.nu))
-    for k in range(steps + 1):
-        if k % hold == 0:
-            data.ctrl[:] = command(k * model.opt.timestep)
-        qpos[k], qvel[k], ctrl[k] = data.qpos, data.qvel, data.ctrl
+    instants = np.arange(steps + 1)
+    ctrl = np.array([command(k * model.opt.timestep) for k in instants[::hold]])[instants // hold]
+    # a delay interpolates commands, as the engine's does
+    lags = np.broadcast_to(late, model.nu)
+    acting = [np.interp(instants - lag, instants, column) for lag, column in zip(lags, ctrl.T, strict=True)]
+    for k in instants:
+        qpos[k], qvel[k] = data.qpos, data.qvel
+        data.ctrl[:] = [column[k] for column in acting]
         mujoco.mj_step(model, data)
     return qpos, qvel, ctrl
 
