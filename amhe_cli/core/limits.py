@@ -23,11 +23,14 @@ class Limits:
         growth: All pieces of a log, once unfolded, as a multiple of its size; `piece_mib` is granted in any
             case. Robot logs shrink to a half or a tenth when they are packed.
         topics: Topics of a log; large robots have a thousand.
+        messages: Messages of one topic, or rows of a table; two hours at 1 kHz are 7.2 million.
+        columns: Columns of all tables of a log; a ULog has some thousand.
         fields: Fields of one topic that are looked at one by one, because its messages differ in layout; a
             message has some hundred, and most topics have one layout.
         definition_mib: The definition of a message type with all that it consists of [MiB]; large ones have
             100 KiB.
-        yaml_mib: A YAML file [MiB]; a recording of ten thousand files has a metadata.yaml of 2 MiB.
+        yaml_mib: A YAML file, or a JSON file that describes a dataset [MiB]; a recording of ten thousand
+            files has a metadata.yaml of 2 MiB.
         model_mib: A model file, and what xacro makes of one [MiB]; large robots have one.
         xacro_seconds: Processor time of expanding a xacro file [s]; large robots take two.
         model_elements: Elements of an MJCF, also copies by <replicate> and <flexcomp>; a hand has a hundred.
@@ -38,6 +41,8 @@ class Limits:
     piece_mib: int = 256
     growth: int = 100
     topics: int = 5_000
+    messages: int = 10_000_000
+    columns: int = 100_000
     fields: int = 20_000_000
     model_mib: int = 64
     xacro_seconds: int = 20
@@ -51,6 +56,11 @@ class Limits:
     def piece(self) -> int:
         """`piece_mib` in bytes."""
         return self.piece_mib * 2**20
+
+    @property
+    def yaml(self) -> int:
+        """`yaml_mib` in bytes."""
+        return self.yaml_mib * 2**20
 
     @property
     def definition(self) -> int:

@@ -17,9 +17,8 @@ from amhe_cli.logs.collect import collect, missing
 from amhe_cli.logs.containers.folder import StoredLog, open_log
 from amhe_cli.logs.containers.raw import Batch, Connection, readable
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
-from amhe_cli.logs.containers.table_file import clock_of
+from amhe_cli.logs.containers.table_file import clock_among
 from amhe_cli.logs.containers.table_writer import Columns, joined, write_csv, write_npz
-from amhe_cli.logs.containers.text_dialect import Column
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.signal_writer import write_samples
 from amhe_cli.logs.messages.types import TYPES
@@ -203,8 +202,7 @@ def _tracks(
 def _of_table(connection: Connection) -> Signal:
     """A signal that holds all numbers of a table but its times."""
     fields = fields_of(connection)
-    kinds = [Column(name, "number" if size is None else "array") for name, size in fields.items()]
-    clock = None if (place := clock_of(kinds)) is None else kinds[place].name
+    clock = clock_among(fields)
     kept = {name: size for name, size in fields.items() if name != clock}
     if not kept:
         raise LogError(f"table {connection.topic!r} has no column of numbers but its times")

@@ -167,13 +167,10 @@ class _Scan:
                 return
 
     def samples(self) -> SignalSamples:
-        log_ns = np.concatenate([*self.log_ns, np.zeros(0, dtype=np.int64)])
-        order = np.argsort(log_ns, kind="stable")
-        publish_ns = np.concatenate([*self.publish_ns, log_ns[:0]])[order]
-        header_ns = np.concatenate([*self.header_ns, log_ns[:0]])[order]
-        return SignalSamples(
-            log_ns[order], publish_ns, header_ns, np.zeros_like(log_ns), {}, {}, self.has_header
-        )
+        stamps = (self.log_ns, self.publish_ns, self.header_ns)
+        log_ns, publish_ns, header_ns = (np.concatenate([*s, np.zeros(0, dtype=np.int64)]) for s in stamps)
+        samples = SignalSamples(log_ns, publish_ns, header_ns, np.zeros_like(log_ns), {}, {}, self.has_header)
+        return samples.pick(np.argsort(log_ns, kind="stable"))
 
 
 def survey(

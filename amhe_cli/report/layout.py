@@ -11,8 +11,7 @@ from amhe_cli.core.errors import ConfigError, LogError, one_of
 from amhe_cli.core.signals import QUANTITIES, Signal
 from amhe_cli.core.text import printable
 from amhe_cli.logs import Inspection, TopicSurvey
-from amhe_cli.logs.containers.table_file import clock_of
-from amhe_cli.logs.containers.text_dialect import Column
+from amhe_cli.logs.containers.table_file import clock_among
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
 
 #: Viewers with layouts; those of Foxglove are Lichtblick's, too.
@@ -166,8 +165,8 @@ def _curves(topic: TopicSurvey, signals: Sequence[Signal]) -> Mapping[str, list[
     fields = {quantity: paths for signal in signals for quantity, paths in signal.fields.items()}
     if topic.encoding == "table":
         columns = [_column(entry) for entry in topic.entries]
-        clock = clock_of([Column(name, "number" if count is None else "array") for name, count in columns])
-        shown = [column for row, column in enumerate(columns) if row != clock and column[0]]
+        clock = clock_among(dict(columns))
+        shown = [column for column in columns if column[0] not in ("", clock)]
         return {"": [curve for name, count in shown for curve in _expanded(name, count)]}
     if fields:
         return {

@@ -10,7 +10,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
 from unittest.mock import Mock
@@ -25,9 +25,8 @@ from mcap.writer import CompressionType, Writer
 from amhe_cli.core.errors import AmheError, LogError
 from amhe_cli.core.limits import limit
 from amhe_cli.logs import Survey, survey
-from amhe_cli.logs.containers.arrow_sizes import unfolded_sizes
+from amhe_cli.logs.containers.arrow_file import unfolded_size
 from amhe_cli.logs.containers.folder import open_log
-from amhe_cli.logs.containers.parquet_footer import unfolded_size
 from tests.logs.log_makers import ROS2, motion, write_rosbag2
 from tests.logs.test_lerobot import dataset
 
@@ -90,15 +89,15 @@ def zeros(kind: str, mib: int) -> bytes:
 
 @pytest.mark.parametrize("kind", ["zstd", "lz4"])
 def test_a_chunk_of_zeros(kind: str, tmp_path: Path) -> None:
-    packed = zeros(kind, 1024)
-    found = survey(mcap_of(tmp_path / "log", (kind, 2**30, packed)))
-    assert "a piece of 1024 MiB is beyond the limit piece_mib = 256 (`limit` piece_mib=1024" in damage(found)
-    within = zeros(kind, 200)
-    found = survey(mcap_of(tmp_path / "log", (kind, 200 * 2**20, within)))
-    assert "has no place there" in damage(found)
-    assert "beyond the limit growth = 100" in refused(
-        mcap_of(tmp_path / "log", *[(kind, 200 * 2**20, within)] * 2)
-    )
+    found = survey(mcap_of(tmp_path / "log", (kind, 257 * 2**20, zeros(kind, 257))))
+    assert "a piece of 257 MiB is beyond the limit piece_mib = 256 (`limit` piece_mib=1024" in damage(found)
+    within = zeros(kind, 24)
+    with limit(piece_mib=32):
+        found = survey(mcap_of(tmp_path / "log", (kind, 24 * 2**20, within)))
+        assert "has no place there" in damage(found)
+        assert "beyond the limit growth = 100" in refused(
+            mcap_of(tmp_path / "log", *[(kind, 24 * 2**20, within)] * 2)
+        )
 
 
 def test_empty_messages_without_end(tmp_path: Path) -> None:
@@ -222,7 +221,7 @@ def test_definitions_that_multiply_without_using_a_byte(tmp_path: Path) -> None:
 
 
 def test_messages_that_all_differ(tmp_path: Path) -> None:
-    payloads = [struct.pack("<I", 4000 + i) + bytes(4 * (4000 + i)) for i in range(200)]
+    payloads = [struct.pack("<I", 4000 + i) + bytes(4 * (4000 + i)) for i in range(20)]
     path = cdr_log(tmp_path / "log", "string[] s\n", payloads)
     with limit(fields=20_000):
         found = survey(path)
@@ -232,9 +231,9 @@ def test_messages_that_all_differ(tmp_path: Path) -> None:
 
 
 def test_more_topics_than_a_robot_has(tmp_path: Path) -> None:
-    path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 20_000, 20_000)
-    assert "20000 topics are beyond the limit topics = 5000 (`limit` topics=20000 raises it)" in refused(path)
-    path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 6000, 1500)
+    path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 5001, 5001)
+    assert "5001 topics are beyond the limit topics = 5000 (`limit` topics=20000 raises it)" in refused(path)
+    path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 3000, 1500)
     assert len(survey(path).topics) == 1500
 
 
@@ -363,7 +362,7 @@ def test_yaml_that_unfolds(name: str, tmp_path: Path) -> None:
 
 
 def _npz(path: Path) -> None:
-    zeros = np.zeros(2**24)
+    zeros = np.zeros(2**21)
     np.savez_compressed(path, allow_pickle=False, time=zeros, **{f"q{i}": zeros for i in range(3)})
 
 
@@ -377,7 +376,7 @@ def _parquet(path: Path) -> None:
     pa = pytest.importorskip("pyarrow")
     import pyarrow.parquet as parquet
 
-    zeros = pa.array(np.zeros(2**23))
+    zeros = pa.array(np.zeros(2**20))
     with parquet.ParquetWriter(path, pa.schema([("time", pa.float64())])) as file:
         for _ in range(8):
             file.write_table(pa.table({"time": zeros}))
@@ -385,19 +384,100 @@ def _parquet(path: Path) -> None:
 
 def _feather(path: Path) -> None:
     pa = pytest.importorskip("pyarrow")
-    batch = pa.record_batch({"time": np.zeros(2**22)})
+    batch = pa.record_batch({"time": np.zeros(2**20)})
     options = pa.ipc.IpcWriteOptions(compression="zstd")
     with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, batch.schema, options=options) as file:
         for _ in range(12):
             file.write_batch(batch)
 
 
-@pytest.mark.parametrize("write", [_npz, _hdf5, _parquet, _feather])
+def _lists(path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    zeros = pa.FixedSizeListArray.from_arrays(pa.array(np.zeros(2**22)), 2**10)
+    parquet.write_table(pa.table({"time": np.zeros(2**12), "q": zeros}), path, store_schema=False)
+
+
+@pytest.mark.parametrize("write", [_npz, _hdf5, _parquet, _lists, _feather])
 def test_tables_of_zeros(write: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / f"log{'.npz' if write is _npz else ''}"
     write(path)
-    assert path.stat().st_size < 2**20
-    assert "beyond the limit growth = 100" in refused(path)
+    assert path.stat().st_size < 2**18
+    with limit(piece_mib=30):
+        assert "beyond the limit growth = 100" in refused(path)
+
+
+def _ulog(path: Path, *formats: str, topics: int = 1) -> None:
+    records = [(b"F", text.encode()) for text in formats]
+    records += [(b"A", struct.pack("<BH", 0, i) + b"a") for i in range(topics)]
+    records += [(b"D", struct.pack("<HQ", 0, t) + bytes(8)) for t in range(10)]
+    body = b"".join(struct.pack("<Hc", len(data), kind) + data for kind, data in records)
+    path.write_bytes(b"ULog\x01\x125\x01" + bytes(8) + body)
+
+
+def _groups(path: Path, names: Iterable[str]) -> None:
+    with pytest.importorskip("h5py").File(path, "w") as file:
+        for name in names:
+            file.create_group(name)
+
+
+def _arrays(path: Path, count: int) -> None:
+    np.savez(path, allow_pickle=False, **{f"q{i}": np.zeros(1) for i in range(count)})
+    path.with_name("log.npz").rename(path)
+
+
+STAMP = "a:uint64_t timestamp;"
+DOUBLED = [f"l{i}:l{i + 1} a;l{i + 1} b;" for i in range(23)]
+#: Kind of a bomb -> writes it, and the limit that it is beyond.
+COUNTS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "formats that multiply": (
+        lambda path: _ulog(path, *DOUBLED, "l23:double x;", f"{STAMP}l0 x;"), "columns = 1000",
+    ),
+    "arrays of arrays": (
+        lambda path: _ulog(path, "l0:double[60000] x;", f"{STAMP}l0[60000] x;"), "columns = 1000",
+    ),
+    "a format in itself": (lambda path: _ulog(path, f"{STAMP}a x;"), "columns = 1000"),
+    "many subscriptions": (lambda path: _ulog(path, f"{STAMP}double[9] x;", topics=101), "columns = 1000"),
+    "arrays in an npz": (lambda path: _arrays(path, 1001), "its arrays are beyond the limit columns"),
+    "groups in an HDF5 file": (lambda path: _groups(path, map(str, range(1001))), "topics = 1000"),
+    "groups in 3000 levels": (lambda path: _groups(path, ["g/" * 3000]), "nested deeper than 50 levels"),
+    "rows behind an open quote": (
+        lambda path: path.write_bytes(b'time,q\n0,1\n"1,2\n' + b"1,2\n" * 2**17), "limit messages = 65536",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", COUNTS)
+def test_more_of_a_thing_than_a_log_has(kind: str, tmp_path: Path) -> None:
+    write, words = COUNTS[kind]
+    write(tmp_path / "log")
+    with limit(messages=2**16, columns=1000, topics=1000):
+        assert words in refused(tmp_path / "log")
+
+
+@pytest.mark.parametrize("name", ["info.json", "stats.json", "episodes_stats.jsonl"])
+def test_a_description_of_a_dataset_that_is_too_large(name: str, tmp_path: Path) -> None:
+    folder = dataset(tmp_path, "v2.1" if name != "stats.json" else "v3.0")
+    with (folder / "meta" / name).open("ab") as file:
+        file.truncate(3 * 2**30)
+    with pytest.raises(AmheError, match=f"{name}: its 3221225472 bytes are beyond the limit yaml_mib = 4"):
+        survey(Path(f"{folder}#0"))
+
+
+def test_a_list_of_episodes_that_is_too_large(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    import pyarrow.parquet as parquet
+
+    folder = dataset(tmp_path, "v3.0")
+    (episodes,) = (folder / "meta" / "episodes").rglob("*.parquet")
+    zeros = pa.array(np.zeros(2**22, np.int64))
+    table = pa.table(dict.fromkeys(("episode_index", "data/chunk_index", "data/file_index"), zeros))
+    with parquet.ParquetWriter(episodes, table.schema, compression="zstd") as file:
+        for _ in range(4):
+            file.write_table(table)
+    with pytest.raises(AmheError, match="beyond the limit growth = 100"):
+        survey(Path(f"{folder}#0"))
 
 
 def test_a_feather_batch_is_measured_before_it_is_unfolded(tmp_path: Path, monkeypatch) -> None:
@@ -418,20 +498,12 @@ def test_the_unfolded_size_of_a_feather_batch(tmp_path: Path, compression: str |
         pa.ipc.new_file(sink, batch.schema, options=options) as file,
     ):
         file.write_batch(batch)
-    assert list(unfolded_sizes(tmp_path / "log")) == [batch.nbytes]
-
-
-def test_the_unfolded_size_of_a_parquet_file(tmp_path: Path) -> None:
-    pa = pytest.importorskip("pyarrow")
-    import pyarrow.parquet as parquet
-
-    lists = np.random.default_rng(0).normal(size=(1000, 3)).tolist()
-    table = pa.table({"time": np.arange(1000.0), "q": lists, "on": [True, False] * 500, "text": ["x"] * 1000})
-    parquet.write_table(table, tmp_path / "log", row_group_size=300)
-    about = parquet.read_metadata(tmp_path / "log")
-    columns = [about.row_group(i).column(j) for i in range(4) for j in range(4)]
-    expected = sum(max(8 * one.num_values, one.total_uncompressed_size) for one in columns)
-    assert unfolded_size(tmp_path / "log") == expected
+    with pa.memory_map(str(tmp_path / "log")) as source:
+        source.seek(8)
+        found = [
+            unfolded_size(m) for m in pa.ipc.MessageReader.open_stream(source) if m.type == "record batch"
+        ]
+    assert found == [batch.nbytes]
 
 
 _EVERY_BYTE = """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
@@ -63,10 +64,14 @@ class StoredLog:
 
     def batches(self, topics: Collection[str] | None) -> Iterator[Batch]:
         """Yield the messages of the named topics (None: all)."""
-        unfolder = Unfolder(self.size)
+        unfolder, counts = Unfolder(self.size), Counter[str]()
         for file in self.files:
             for batch in file.batches(topics):
                 _check_topics(file)
+                counts[batch.connection.topic] += batch.starts.size
+                if counts[batch.connection.topic] > limits().messages:
+                    topic = batch.connection.topic
+                    raise LogError(beyond("messages", f"the {counts[topic]} messages of topic {topic!r} are"))
                 if self.watch is not None:
                     self.watch(batch)
                 if self.packed:

@@ -20,8 +20,10 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.files import check_regular
+from amhe_cli.core.limits import beyond, limits
+from amhe_cli.logs.containers.arrow_file import parquet_arrays
 from amhe_cli.logs.containers.table_file import TableFile
-from amhe_cli.logs.containers.table_formats import arrow_arrays, check_parquet, in_memory, needed
+from amhe_cli.logs.containers.table_formats import in_memory, needed
 
 logger = logging.getLogger(__name__)
 
@@ -31,6 +33,8 @@ _ANGLES = ("observation.state", "action")
 _COUNTERS = {"index", "frame_index", "episode_index", "task_index"}
 #: Angles beyond a turn [rad] are not in radians; LeRobot's normalised units end at 100, degrees at a turn.
 _TURN, _NORMALISED, _DEGREES = 2.0 * np.pi + 0.1, 100.5, 400.0
+#: What a damaged description raises.
+_WRONG = (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError)
 _UNITS = {"deg": "deg", "degree": "deg", "degrees": "deg", "rad": "rad", "radian": "rad", "radians": "rad"}
 
 
@@ -105,25 +109,28 @@ def open_dataset(folder: Path) -> Dataset:
     file = folder / "meta" / "info.json"
     check_regular(file, folder)
     try:
-        info = json.loads(file.read_text(encoding="utf-8"))
+        info = json.loads(_described(file))
         version = int(re.findall(r"\d+", str(info["codebase_version"]))[0])
         episodes, features = int(info["total_episodes"]), info["features"]
         usable = all(isinstance(feature, dict) for feature in features.values()) and episodes < 1_000_000
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        AttributeError,
-        LookupError,
-        OverflowError,
-        RecursionError,
-    ) as error:
+    except (*_WRONG, AttributeError, IndexError) as error:
         raise LogError(f"{file}: no description of a LeRobot dataset ({error!r})") from None
     if not usable:
         raise LogError(f"{file}: no description of a LeRobot dataset (its features)")
     if version not in (2, 3):
         raise LogError(f"{folder}: a LeRobot dataset of version {version}; versions 2 and 3 are read")
     return Dataset(folder, version, episodes, info)
+
+
+def _described(file: Path) -> str:
+    """The text of a description.
+
+    Raises:
+        LogError: It is beyond the limit `yaml_mib`.
+    """
+    if file.stat().st_size > limits().yaml:
+        raise LogError(f"{file}: {beyond('yaml_mib', f'its {file.stat().st_size} bytes are')}")
+    return file.read_text(encoding="utf-8")
 
 
 def _address(path: Path) -> tuple[Path | None, str]:
@@ -137,17 +144,12 @@ def _address(path: Path) -> tuple[Path | None, str]:
 
 def _rows(dataset: Dataset, number: int) -> dict[str, np.ndarray]:
     """The numbers of one episode, feature by feature."""
-    from pyarrow import parquet
-
     file = _file_of(dataset, number)
-    check_parquet(file)
-    there = parquet.read_schema(file).names
     wanted = [name for name, kind in _kinds(dataset).items() if kind not in ("video", "image", "string")]
-    own = [("episode_index", "=", number)] if "episode_index" in there else None
-    found = parquet.read_table(file, columns=[name for name in wanted if name in there], filters=own)
-    if not found.num_rows:
+    found = parquet_arrays(file, wanted, number)
+    if not any(array.size for array in found.values()):
         raise LogError(f"{dataset.folder}#{number}: {file.name} has no frame of this episode")
-    return arrow_arrays(found)
+    return found
 
 
 def _kinds(dataset: Dataset) -> dict[str, str]:
@@ -173,16 +175,13 @@ def _file_of(dataset: Dataset, number: int) -> Path:
 
 
 def _place_in_v3(folder: Path, number: int) -> dict[str, int]:
-    from pyarrow import parquet
-
     keys, episodes = ("data/chunk_index", "data/file_index"), folder / "meta" / "episodes"
     check_regular(episodes, folder)
     for file in sorted(episodes.rglob("*.parquet")):
         check_regular(file, folder)
-        own = [("episode_index", "=", number)]
-        found = parquet.read_table(file, columns=list(keys), filters=own).to_pylist()
-        if found:
-            return {key.removeprefix("data/"): int(found[0][key]) for key in keys}
+        found = parquet_arrays(file, keys, number)
+        if len(found) == len(keys) and found[keys[0]].size:
+            return {key.removeprefix("data/"): int(found[key][0]) for key in keys}
     raise LogError(f"{folder}#{number}: meta/episodes does not list it")
 
 
@@ -275,10 +274,10 @@ def _statistics(folder: Path) -> Sequence[Mapping[str, Any]]:
         check_regular(file, folder)
     try:
         if whole.is_file():
-            return [json.loads(whole.read_text(encoding="utf-8"))]
+            return [json.loads(_described(whole))]
         if each.is_file():
-            lines = each.read_text(encoding="utf-8").splitlines()
+            lines = _described(each).splitlines()
             return [json.loads(line)["stats"] for line in lines if line]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+    except _WRONG as error:
         logger.warning("%s: its statistics are damaged: units are not checked (%s)", folder, error)
     return []

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.units import FACTORS
 from amhe_cli.logs.containers.raw import Batch, Connection
-from amhe_cli.logs.containers.text_dialect import Column
 
 #: Type and encoding of a table's connection.
 TYPE, ENCODING = "table/msg/Row", "table"
@@ -32,6 +31,21 @@ _TIMES = ("time", "t", "timestamp", "stamp", "datetime", "date", "ts", "clock", 
 _NANOSECONDS = {"s": 1e9, "sec": 1e9, "seconds": 1e9, "ms": 1e6, "us": 1e3, "µs": 1e3, "ns": 1.0}
 _BRACKETS = re.compile(r"^(.*?)\s*[\[({<]\s*([^\d\])}>][^\])}>]*?)\s*[\])}>]$")
 _SUFFIX = re.compile(r"^(.+)_(deg|ms|us|ns|rpm|mm)$", re.IGNORECASE)
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column of a table.
+
+    Args:
+        name: Its name, a unit behind it.
+        kind: 'number', 'array' of numbers in one cell, 'date' [ns since 1970], or 'text', which is not read.
+        count: Numbers in one cell; 1 but for arrays.
+    """
+
+    name: str
+    kind: str
+    count: int = 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +148,8 @@ def _clock(path: Path, columns: Sequence[Column], rows: FloatArray) -> tuple[int
     if number is None:
         raise LogError(
             f"{path}: none of the columns {listed([unit_of(column.name)[0] for column in columns])} is a "
-            f"time: call the one that is `time`, or `time [ms]` if it is not in seconds"
+            "time: call the one that is `time`, or `time [ms]` if it is not in seconds. Dates as numbers, "
+            "with pandas: table['time [ns]'] = pandas.to_datetime(table['date']).astype('int64')"
         )
     place = sum(c.count for c in columns[:number])
     if columns[number].kind == "date":
@@ -157,9 +172,20 @@ def clock_of(columns: Sequence[Column]) -> int | None:
         found = [rank[word] for word in plain if word in rank]
         score = min(found) + 20 * (len(plain) > 1) if found else 50 if unit in _NANOSECONDS else None
         score = 100 if column.kind == "date" else score
-        if column.kind != "array" and score is not None and (best is None or score < best[0]):
+        if column.kind in ("number", "date") and score is not None and (best is None or score < best[0]):
             best = score, i
     return None if best is None else best[1]
+
+
+def clock_among(fields: Mapping[str, int | None]) -> str | None:
+    """Which column is a table's time.
+
+    Args:
+        fields: Name of each column -> how many numbers a cell holds, None for a single one.
+    """
+    columns = [Column(name, "number" if count is None else "array") for name, count in fields.items()]
+    number = clock_of(columns)
+    return None if number is None else columns[number].name
 
 
 def _guessed_unit(times: FloatArray) -> float:

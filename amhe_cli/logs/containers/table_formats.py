@@ -6,9 +6,12 @@ The last three need the extra [tables], ULog the extra [ulog].
 from __future__ import annotations
 
 import io
+import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import redirect_stdout
 from dataclasses import replace
+from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any
 from zipfile import BadZipFile, ZipFile
@@ -17,13 +20,12 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
+from amhe_cli.core.limits import beyond, limits
 from amhe_cli.core.text import printable
 from amhe_cli.logs.containers import text_table
-from amhe_cli.logs.containers.arrow_sizes import unfolded_sizes
+from amhe_cli.logs.containers.arrow_file import feather_arrays, parquet_arrays
 from amhe_cli.logs.containers.compression import check_growth
-from amhe_cli.logs.containers.parquet_footer import unfolded_size
-from amhe_cli.logs.containers.table_file import NumberTable, TableFile, is_time, listed
-from amhe_cli.logs.containers.text_dialect import Column, dialect_of, looks_like_text
+from amhe_cli.logs.containers.table_file import Column, NumberTable, TableFile, is_time, listed
 
 #: First bytes of the binary tables -> name of the format.
 MAGIC: Mapping[bytes, str] = {
@@ -37,6 +39,8 @@ MAGIC: Mapping[bytes, str] = {
 
 #: Rows of one batch of a table that is in memory.
 _ROWS = 2**16
+#: Groups of an HDF5 file within each other.
+_DEEPEST = 50
 
 
 def open_tables(path: Path) -> list[TableFile]:
@@ -49,9 +53,9 @@ def open_tables(path: Path) -> list[TableFile]:
         head = file.read(4096)
     format = next((name for magic, name in MAGIC.items() if head.startswith(magic)), None)
     if format is None:
-        if not looks_like_text(head):
+        if not text_table.looks_like_text(head):
             return []
-        dialect = dialect_of(path)
+        dialect = text_table.dialect_of(path)
         table = NumberTable(
             _stem(path), dialect.columns, lambda problems: text_table.blocks(path, dialect, problems),
             dialect.comments,
@@ -78,6 +82,8 @@ def _npy(path: Path) -> list[NumberTable]:
 def _npz(path: Path) -> list[NumberTable]:
     try:
         with ZipFile(path) as packed:
+            if len(packed.infolist()) > limits().columns:
+                raise LogError(f"{path}: {beyond('columns', 'its arrays are')}")
             check_growth(path, sum(part.file_size for part in packed.infolist()))
         with np.load(path, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -90,69 +96,12 @@ def _npz(path: Path) -> list[NumberTable]:
 
 def _parquet(path: Path) -> list[NumberTable]:
     needed(path, "pyarrow", "a parquet file")
-    import pyarrow.parquet
-
-    check_parquet(path)
-    wanted = number_columns(pyarrow.parquet.read_schema(path))
-    return [in_memory(path, _stem(path), arrow_arrays(pyarrow.parquet.read_table(path, columns=wanted)))]
-
-
-def check_parquet(path: Path) -> None:
-    """Refuse a parquet file whose numbers are too many for its size: a constant column takes no room.
-
-    Raises:
-        LogError: It is beyond the limits `piece_mib` and `growth`.
-    """
-    check_growth(path, unfolded_size(path))
+    return [in_memory(path, _stem(path), parquet_arrays(path))]
 
 
 def _feather(path: Path) -> list[NumberTable]:
     needed(path, "pyarrow", "a feather file")
-    import pyarrow as pa
-
-    size = 0
-    for batch in unfolded_sizes(path):
-        size += batch
-        check_growth(path, size)
-    with pa.memory_map(str(path)) as file:
-        reader = pa.ipc.open_file(file)
-        batches = [reader.get_batch(i) for i in range(reader.num_record_batches)]
-        for batch in batches:
-            batch.validate()  # one longer than its buffers would be read beyond their end
-    return [in_memory(path, _stem(path), arrow_arrays(pa.Table.from_batches(batches, reader.schema)))]
-
-
-def number_columns(schema: Any) -> list[str]:
-    """Columns of a pyarrow schema that `arrow_arrays` takes; texts, say, need not be unfolded."""
-    return [name for name, kind in zip(schema.names, schema.types, strict=True) if _of_numbers(kind)]
-
-
-def _of_numbers(kind: Any) -> bool:
-    import pyarrow as pa
-
-    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-        kind = kind.value_type
-    number = pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
-    return number or pa.types.is_timestamp(kind)
-
-
-def arrow_arrays(table: Any) -> dict[str, np.ndarray]:
-    """The columns of numbers, times and lists of numbers of one length, of a pyarrow table."""
-    import pyarrow as pa
-
-    arrays: dict[str, np.ndarray] = {}
-    for name in number_columns(table.schema):
-        column = table[name].combine_chunks()
-        kind = column.type
-        if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
-            flat = column.flatten().to_numpy(zero_copy_only=False)
-            if len(column) and flat.size % len(column) == 0:
-                arrays[name] = flat.reshape(len(column), -1)
-        elif pa.types.is_timestamp(kind):
-            arrays[name] = column.cast(pa.timestamp("ns")).to_numpy(zero_copy_only=False)
-        else:
-            arrays[name] = column.to_numpy(zero_copy_only=False)
-    return arrays
+    return [in_memory(path, _stem(path), feather_arrays(path))]
 
 
 def _hdf5(path: Path) -> list[NumberTable]:
@@ -161,9 +110,17 @@ def _hdf5(path: Path) -> list[NumberTable]:
 
     groups: dict[str, dict[str, np.ndarray]] = {}
     size = 0
+    met = Counter[bool]()
 
     def visit(name: str, item: object) -> None:
         nonlocal size
+        met[isinstance(item, h5py.Group)] += 1
+        if name.count("/") > _DEEPEST:
+            raise LogError(f"{path}: its groups are nested deeper than {_DEEPEST} levels")
+        if met[True] > limits().topics:
+            raise LogError(f"{path}: {beyond('topics', 'its groups are')}")
+        if met[False] > limits().columns:
+            raise LogError(f"{path}: {beyond('columns', 'its arrays are')}")
         if not isinstance(item, h5py.Dataset) or item.ndim not in (1, 2) or item.dtype.kind not in "fiub":
             return
         if item.external or item.is_virtual:
@@ -188,6 +145,7 @@ def _ulog(path: Path) -> list[NumberTable]:
 
     printed = io.StringIO()  # pyulog prints what it finds damaged
     with redirect_stdout(printed):
+        _check_formats(path, pyulog.ULog(str(path), parse_header_only=True).message_formats)
         log = pyulog.ULog(str(path))
     problems = ["parts of it are damaged and skipped"] if log.file_corruption or printed.getvalue() else []
     if log.dropouts:
@@ -204,6 +162,29 @@ def _ulog(path: Path) -> list[NumberTable]:
     if not found:
         raise LogError(f"{path}: a ULog without data")
     return [replace(found[0], notes=tuple(problems)), *found[1:]]
+
+
+def _check_formats(path: Path, formats: Mapping[str, Any]) -> None:
+    """Refuse a ULog whose topics have too many fields: formats within formats multiply, and so do topics.
+
+    Args:
+        path: The file.
+        formats: Name of each format -> what has its fields, of type, count and name.
+    """
+    most, sizes = limits().columns, dict[str, int]()
+
+    def size(name: str) -> int:
+        if name not in sizes:
+            sizes[name] = most + 1  # should it hold itself
+            fields = formats[name].fields if name in formats else ()
+            sizes[name] = min(most + 1, sum(max(n, 1) * size(kind) for kind, n, _ in fields)) or 1
+        return sizes[name]
+
+    names = b"|".join(re.escape(name.encode()) for name in sorted(formats, key=len, reverse=True))
+    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
+        topics = Counter(found[1] for found in re.finditer(b"A[\\s\\S]{3}(" + names + b")", content))
+    if sum(count * size(name.decode()) for name, count in topics.items() if name) > most:
+        raise LogError(f"{path}: {beyond('columns', 'the fields of its topics are')}")
 
 
 def _with_arrays(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

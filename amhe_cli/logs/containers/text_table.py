@@ -1,10 +1,16 @@
-"""Text tables: CSV and its relatives, read block by block, so that memory stays bounded."""
+"""Text tables: cells between commas, semicolons or tabs, a header, a row on each line.
+
+They are read block by block, so that memory stays bounded. What is written in another way is refused, with
+the line of pandas that rewrites it.
+"""
 
 from __future__ import annotations
 
+import csv
 import logging
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import BinaryIO
@@ -13,27 +19,98 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import LogError
-from amhe_cli.logs.containers.text_dialect import (
-    COMMENTS,
-    MISSING,
-    Column,
-    Dialect,
-    cells_of,
-    elements_of,
-    is_comment,
-    number_of,
-)
+from amhe_cli.logs.containers.table_file import Column
 
 logger = logging.getLogger(__name__)
 
-_BLOCK = 2**22
-_NULLS = sorted(case for word in MISSING for case in (word.decode(), word.decode().upper()))
+#: The first bytes of a file, by which it is judged.
+_HEAD = 2**16
+#: Bytes that are read at once.
+_BLOCK = 2**20
 #: A line that is longer than this does not belong to a table.
 _LONGEST_LINE = 2**20
+_DELIMITERS = (b",", b";", b"\t")
+_COMMENT = b"#"
+#: Words that stand for a missing number.
+_MISSING = {b"", b"na", b"n/a", b"nan", b"null", b"none", b"-", b"nil"}
+_NULLS = sorted(case for word in _MISSING for case in (word.decode(), word.decode().upper()))
+_ARRAY = re.compile(rb"^\s*[\[(](.*)[\])]\s*$")
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How a text table is written.
+
+    Args:
+        delimiter: Text between two cells.
+        decimal_comma: Numbers are written 1,5 instead of 1.5.
+        columns: All columns, in the order of the file.
+        start: Byte at which the first row begins.
+        comments: Comment lines before the first row, without their marks.
+    """
+
+    delimiter: bytes
+    decimal_comma: bool
+    columns: tuple[Column, ...]
+    start: int
+    comments: tuple[str, ...]
+
+    @property
+    def width(self) -> int:
+        """Numbers in one row, shape of `blocks`: words count one, and are NaN."""
+        return sum(column.count for column in self.columns)
+
+
+def looks_like_text(head: bytes) -> bool:
+    """Whether the first bytes of a file can be a text table: they hold no control characters."""
+    control = sum(byte < 9 or 13 < byte < 32 or byte == 127 for byte in head)
+    return bool(head) and not control
+
+
+def dialect_of(path: Path) -> Dialect:
+    """Find out how a text table is written.
+
+    Raises:
+        LogError: The file holds no table of numbers, or is written in another way.
+    """
+    lines = _first_lines(path)
+    comments = [line.lstrip(b"# ") for _, line in lines if line.startswith(_COMMENT)]
+    rows = [(start, line) for start, line in lines if not line.startswith(_COMMENT)]
+    if not rows:
+        raise LogError(f"{path}: a text file without a line of numbers")
+    delimiter = max(_DELIMITERS, key=rows[0][1].count)
+    cells = [_cells(line, delimiter) for _, line in rows]
+    comma = delimiter != b"," and _has_decimal_commas(cells[1:])
+    header = cells[0]
+    if all(_kind(cell, comma) != "text" for cell in header):
+        header = _cells(comments.pop(), delimiter) if comments else []  # as np.savetxt writes it
+        if len(header) != len(cells[0]):
+            raise LogError(f"{path}: its first line has no names; {_rewritten('names=[...]')}")
+    else:
+        rows, cells = rows[1:], cells[1:]
+    if len(header) < 2:
+        raise LogError(f"{path}: no comma, semicolon or tab in its header; {_rewritten('sep=...')}")
+    if not cells:
+        raise LogError(f"{path}: a table with a header and no rows")
+    full = [row for row in cells if len(row) == len(header)]
+    if 2 * len(full) < len(cells) or header[0].startswith(b"sep="):  # as Excel writes it
+        raise LogError(
+            f"{path}: a text file whose lines have different numbers of cells: no table, or one that begins "
+            f"further down: {_rewritten('skiprows=...')}"
+        )
+    columns = tuple(_column(_text(name), [row[i] for row in full], comma) for i, name in enumerate(header))
+    if not any(column.kind in ("number", "array") for column in columns):
+        raise LogError(f"{path}: a text file without a column of numbers")
+    if all(_kind(cell, comma) in ("text", "missing") for cell in cells[0]):
+        raise LogError(
+            f"{path}: the line under its header has no number; write units as `q1 [deg]` into the header; "
+            f"{_rewritten('skiprows=[1]')}"
+        )
+    return Dialect(delimiter, comma, columns, rows[0][0], tuple(map(_text, comments)))
 
 
 def blocks(path: Path, dialect: Dialect, problems: list[str]) -> Iterator[FloatArray]:
-    """Yield the rows in order, as arrays of shape (n, `dialect.width`); dates are nanoseconds of the epoch.
+    """Yield the rows in order, as arrays of shape (n, `dialect.width`).
 
     Args:
         path: The file.
@@ -64,14 +141,71 @@ def blocks(path: Path, dialect: Dialect, problems: list[str]) -> Iterator[FloatA
         problems.append(f"{lines} another number of cells than the header and {are} dropped")
 
 
+# -- the form -----------------------------------------------------------------------------------------
+
+
+def _first_lines(path: Path) -> list[tuple[int, bytes]]:
+    """Lines that are not blank, with the byte at which each begins; not the last where it may go on."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    mark = 3 if head.startswith(b"\xef\xbb\xbf") else 0
+    pieces = head[mark:].split(b"\n")
+    lines, place = [], mark
+    for line in pieces if len(head) < _HEAD else pieces[:-1]:
+        if line.strip():
+            lines.append((place, line.strip(b"\r ")))
+        place += len(line) + 1
+    return lines
+
+
+def _rewritten(how: str) -> str:
+    return f"with pandas: pandas.read_csv(PATH, {how}).to_csv('run.csv', index=False)"
+
+
+def _text(line: bytes) -> str:
+    """A name or comment, in UTF-8, else as Windows writes it."""
+    try:
+        return line.decode("utf-8").strip()
+    except UnicodeDecodeError:
+        return line.decode("cp1252", "replace").strip()
+
+
+def _has_decimal_commas(rows: Sequence[Sequence[bytes]]) -> bool:
+    cells = [cell for row in rows for cell in row]
+    return any(re.fullmatch(rb"[+-]?\d+,\d+([eE][+-]?\d+)?", cell) for cell in cells) and not any(
+        re.fullmatch(rb"[+-]?\d+\.\d+([eE][+-]?\d+)?", cell) for cell in cells
+    )
+
+
+def _column(name: str, cells: Sequence[bytes], comma: bool) -> Column:
+    kinds = [kind for cell in cells if (kind := _kind(cell, comma)) != "missing"]
+    kind = max(set(kinds), key=kinds.count) if kinds else "number"
+    if kind != "array":
+        return Column(name, kind)
+    sizes = [len(_elements(cell)) for cell in cells if _ARRAY.match(cell)]
+    return Column(name, "array", max(set(sizes), key=sizes.count))
+
+
+def _kind(cell: bytes, comma: bool) -> str:
+    """What a cell holds: 'number', 'array', 'text', or 'missing'."""
+    if cell.lower() in _MISSING:
+        return "missing"
+    if not np.isnan(_number(cell.replace(b",", b".") if comma else cell)):
+        return "number"
+    inside = [_number(part) for part in _elements(cell)] if _ARRAY.match(cell) else [np.nan]
+    return "text" if np.isnan(inside).all() else "array"
+
+
+# -- the rows -----------------------------------------------------------------------------------------
+
+
 def _quick_blocks(path: Path, dialect: Dialect) -> Iterator[FloatArray] | None:
     """The rows of a plain table by pyarrow, several times as fast; None where it is not plain or no pyarrow.
 
     The generator raises a ValueError where a row turns out not to be plain; the rows before it are right.
     """
     kinds = {column.kind for column in dialect.columns}
-    plain = len(dialect.delimiter) == 1 and dialect.delimiter != b" " and not dialect.decimal_comma
-    if not plain or not kinds <= {"number", "text"} or find_spec("pyarrow") is None:
+    if dialect.decimal_comma or "array" in kinds or find_spec("pyarrow") is None:
         return None
     return _by_pyarrow(path, dialect)
 
@@ -100,6 +234,7 @@ def _by_pyarrow(path: Path, dialect: Dialect) -> Iterator[FloatArray]:
 
 
 def _text_blocks(file: BinaryIO, path: Path) -> Iterator[bytes]:
+    """Whole lines, as many as are read at once."""
     left = b""
     while block := file.read(_BLOCK):
         end = block.rfind(b"\n") + 1
@@ -111,83 +246,55 @@ def _text_blocks(file: BinaryIO, path: Path) -> Iterator[bytes]:
         else:
             left += block
     if left.strip():
-        yield left + b"\n"
+        yield left
 
 
 def _parsed(text: bytes, dialect: Dialect) -> tuple[FloatArray, int]:
-    """Rows of one block, and how many lines were dropped."""
-    delimiter, columns = dialect.delimiter, dialect.columns
-    arrays_clash = any(c.kind == "array" for c in columns) and delimiter != b","
-    plain = (
-        delimiter != b" " and not arrays_clash and b"\n\n" not in text
-        and not any(mark in text for mark in COMMENTS)
-    )  # fmt: skip
-    if plain:
-        cells = (
-            text.translate(None, b'"[]()\r').removesuffix(b"\n").replace(b"\n", delimiter).split(delimiter)
-        )
-        count = text.count(b"\n")
-        if len(cells) == count * dialect.width:
-            rows = np.empty((count, dialect.width))
-            place = 0
-            for column in columns:
-                for _ in range(column.count):
-                    rows[:, place] = _numbers(cells[place :: dialect.width], column, dialect.decimal_comma)
-                    place += 1
-            if not np.isnan(rows).all(axis=1).any():
-                return rows, 0
-    return _parsed_by_line(text, dialect)
-
-
-def _parsed_by_line(text: bytes, dialect: Dialect) -> tuple[FloatArray, int]:
-    """Like `_parsed`, for blocks with comments, ragged lines, or quoted words."""
-    kept: list[list[bytes]] = []
-    dropped = 0
-    for line in text.splitlines():
-        if not line.strip() or is_comment(line):
-            continue
-        cells = cells_of(line, dialect.delimiter)
-        flat: list[bytes] = []
-        for cell, column in zip(cells, dialect.columns, strict=False):
-            parts = elements_of(cell) if column.kind == "array" else [cell]
-            flat += parts if len(parts) == column.count else [b""] * column.count
-        if len(cells) == len(dialect.columns):
-            kept.append(flat)
-        else:
-            dropped += 1
+    """Rows of some lines, and how many lines were dropped."""
+    lines = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith(_COMMENT)]
+    kept = [cells for line in lines if len(cells := _cells(line, dialect.delimiter)) == len(dialect.columns)]
     rows = np.empty((len(kept), dialect.width))
     place = 0
-    for column in dialect.columns:
-        for _ in range(column.count):
-            rows[:, place] = _numbers([row[place] for row in kept], column, dialect.decimal_comma)
-            place += 1
-    return rows, dropped
+    for column, cells in zip(dialect.columns, zip(*kept, strict=True), strict=bool(kept)):
+        block = _numbers(cells, column, dialect.decimal_comma)
+        rows[:, place : place + column.count] = block.reshape(len(kept), column.count)
+        place += column.count
+    return rows, len(lines) - len(kept)
+
+
+def _cells(line: bytes, delimiter: bytes) -> list[bytes]:
+    """The cells of a line, without quotes and spaces about them."""
+    if b'"' not in line:
+        return [cell.strip() for cell in line.split(delimiter)]
+    text = line.decode("latin-1")
+    cells = next(csv.reader([text], delimiter=delimiter.decode(), skipinitialspace=True), [])
+    return [cell.strip().encode("latin-1") for cell in cells]
+
+
+def _elements(cell: bytes) -> list[bytes]:
+    """The numbers of an array in a cell such as [0.1, 0.2]; any other cell is one element."""
+    inner = _ARRAY.match(cell)
+    return re.split(rb"[,;\s]+", inner.group(1).strip()) if inner else [cell]
 
 
 def _numbers(cells: Sequence[bytes], column: Column, comma: bool) -> FloatArray:
-    """Cells of one column as numbers, shape (n,); NaN where a cell holds none."""
+    """Cells of one column as numbers, shape (n * column.count,); NaN where a cell holds none."""
     if column.kind == "text":
         return np.full(len(cells), np.nan)
-    if column.kind == "date":
-        return np.array([_date(cell) for cell in cells])
+    if column.kind == "array":
+        arrays, blank = map(_elements, cells), [b""] * column.count
+        cells = [part for array in arrays for part in (array if len(array) == column.count else blank)]
     if comma:
         cells = [cell.replace(b",", b".") for cell in cells]
     try:
         return np.fromiter(map(float, cells), np.float64, len(cells))
     except ValueError:
-        return np.array([number_of(cell) for cell in cells])
+        return np.array([_number(cell) for cell in cells])
 
 
-def _date(cell: bytes) -> float:
-    """A date in nanoseconds of the epoch; one without a zone is taken as UTC."""
-    text = cell.strip().decode("ascii", "replace").replace(",", ".")
-    zone = re.search(r"(Z|[+-]\d\d:?\d\d)$", text) if len(text) > 10 else None
+def _number(cell: bytes) -> float:
+    """The number in a cell; 1 and 0 for true and false, NaN for anything else."""
     try:
-        ns = float(np.datetime64(text[: zone.start()] if zone else text, "ns").astype(np.int64))
+        return float(cell)
     except ValueError:
-        return np.nan
-    if not zone or zone.group() == "Z":
-        return ns
-    sign = 1.0 if zone.group()[0] == "+" else -1.0
-    hours, minutes = int(zone.group()[1:3]), int(zone.group()[-2:])
-    return ns - sign * (3600.0 * hours + 60.0 * minutes) * 1e9
+        return {b"true": 1.0, b"false": 0.0}.get(cell.strip().lower(), np.nan)

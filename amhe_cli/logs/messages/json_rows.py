@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.logs.containers.raw import Batch, Connection, batch_of
-from amhe_cli.logs.containers.table_file import clock_of
-from amhe_cli.logs.containers.text_dialect import Column
+from amhe_cli.logs.containers.table_file import clock_among
 from amhe_cli.logs.messages.layout import KEPT, MalformedMessageError
 from amhe_cli.logs.messages.rows import TIMES, Row
 
@@ -97,21 +96,20 @@ def schema_columns(schema: str) -> dict[str, int | None]:
 
 def rows_as_json(batch: Batch) -> Batch:
     """Rows of a table as JSON messages of the same stamps, their times left out; a blank cell is null."""
-    fields = list(json.loads(batch.connection.definition))
-    names = [Column(name, "number" if count is None else "array") for name, count in fields]
-    clock = clock_of(names)
-    number, properties, template = {"type": "number"}, {}, []
+    fields = json.loads(batch.connection.definition)
+    clock = clock_among(dict(fields))
+    properties, template, columns, place = {}, [], list[int](), 0
     for name, count in fields:
-        several = {"type": "array", "items": number, "minItems": count, "maxItems": count}
-        properties[name] = number if count is None else several
-        cells = "%s" if count is None else f"[{','.join(['%s'] * count)}]"
-        template.append(f"{json.dumps(name).replace('%', '%%')}:{cells}")
-    width = sum(count or 1 for _, count in fields)
-    rows = batch.buffer.view(np.float64).reshape(-1, width)
-    if clock is not None:
-        place = sum(count or 1 for _, count in fields[:clock])
-        rows = np.delete(rows, place, axis=1)
-        del properties[fields[clock][0]], template[clock]
+        size = count or 1
+        if name != clock:
+            number = {"type": "number"}
+            several = {"type": "array", "items": number, "minItems": count, "maxItems": count}
+            properties[name] = number if count is None else several
+            cells = "%s" if count is None else f"[{','.join(['%s'] * size)}]"
+            template.append(f"{json.dumps(name).replace('%', '%%')}:{cells}")
+            columns += range(place, place + size)
+        place += size
+    rows = batch.buffer.view(np.float64).reshape(-1, place)[:, columns]
     text = "{" + ",".join(template) + "}"
     payloads = [(text % tuple(map(_cell, row))).encode() for row in rows.tolist()]
     schema = json.dumps({"type": "object", "properties": properties})
