@@ -55,7 +55,11 @@ def parquet_arrays(
         for batch in file.iter_batches(_ROWS, columns=list({*wanted, _EPISODE} if there else wanted)):
             size += batch.nbytes
             check_growth(path, size)
-            batch = batch.filter(pa.array(batch[_EPISODE].to_numpy() == episode)) if there else batch
+            batch = (
+                batch.filter(pa.array(batch[_EPISODE].to_numpy(zero_copy_only=False) == episode))
+                if there
+                else batch
+            )
             if there and batches and not batch.num_rows:
                 break  # the rows of an episode are together
             batches += [batch.select(wanted)] if batch.num_rows else []
