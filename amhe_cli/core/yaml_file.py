@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.error import MarkedYAMLError
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import check_regular
@@ -20,22 +21,62 @@ from amhe_cli.core.limits import beyond, limits
 #: Keys and list indices from the top of a file to one of its values.
 Place = tuple[str | int, ...]
 
+#: Levels that values may be nested.
 _DEEPEST = 50
 _TOO_DEEP = f"nested deeper than {_DEEPEST} levels, or within itself"
 
 
 class _Loader(yaml.SafeLoader):
-    """SafeLoader with the scalars of YAML 1.2's core schema."""
+    """SafeLoader with the scalars of YAML 1.2's core schema, within the limits of a file.
+
+    A key that is given twice keeps its first value; `duplicates` has the others' places and what is wrong.
+    """
 
     yaml_implicit_resolvers: dict = {}  # noqa: RUF012 (PyYAML's own registry, filled below)
-    _values = 0
+
+    def __init__(self, text: str) -> None:
+        super().__init__(text)
+        self.duplicates: list[tuple[yaml.Mark, str]] = []
+        # values so far, those of aliases each time; depth here; height of what the value here holds so far
+        self._values, self._depth, self._height = 0, 0, 0
+        self._sizes: dict[int, tuple[int, int]] = {}
 
     def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Compose one value, within the limit of a file."""
-        self._values += 1
+        """Compose one value; refused where aliases unfold to too much, or where it is too deep."""
+        mark, before, beside = self.peek_event().start_mark, self._values, self._height
+        alias = self.check_event(yaml.AliasEvent)
+        self._depth, self._height = self._depth + 1, 0
+        self._check(mark)
+        node = super().compose_node(parent, index)
+        self._depth -= 1
+        # an alias of what is not yet complete would unfold without end
+        size, height = self._sizes.get(id(node), (0, _DEEPEST + 1)) if alias else (1, self._height + 1)
+        self._values, self._height = self._values + size, max(beside, height)
+        self._check(mark)
+        self._sizes[id(node)] = self._values - before, height
+        return node
+
+    def _check(self, mark: yaml.Mark) -> None:
         if self._values > limits().yaml_values:
             raise yaml.YAMLError(beyond("yaml_values", "its values are"))
-        return super().compose_node(parent, index)
+        if self._depth + self._height > _DEEPEST:
+            raise MarkedYAMLError(problem=_TOO_DEEP, problem_mark=mark)
+
+    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+        """Compose a mapping without the keys that it has already."""
+        node = super().compose_mapping_node(anchor)
+        first: dict[str, int] = {}
+        kept = []
+        for key, value in node.value:
+            name = str(key.value)
+            if name in first and name != "<<":
+                text = f"key {name!r} is here twice; its first value is in line {first[name]}"
+                self.duplicates.append((key.start_mark, text))
+            else:
+                first.setdefault(name, key.start_mark.line + 1)
+                kept.append((key, value))
+        node.value = kept
+        return node
 
     def construct_object(self, node: yaml.Node, deep: bool = False) -> Any:
         """The value of a node; a tag such as !!bool may stand before anything."""
@@ -92,10 +133,12 @@ class YamlFile:
         self.path = path
         self._overrides = overrides or {}
         self._problems: dict[str, tuple[int, int]] = {}
-        self._node = self._composed()
+        loader, self._node = self._composed()
+        for mark, text in loader.duplicates:
+            self._note(mark, text)
         if not patient:
             self.raise_problems()
-        self.own: dict[str, Any] = {} if self._node is None else self._constructed(self._node)
+        self.own: dict[str, Any] = {} if self._node is None else self._constructed(loader, self._node)
         if not isinstance(self.own, dict):
             raise ConfigError(f"{path}:1:1: this file must be a mapping of keys to values")
         self.data = merged(self.own, self._overrides)
@@ -104,92 +147,43 @@ class YamlFile:
         """Note a mistake at the value, or key, that `place` names; `raise_problems` reports all of them."""
         if self._is_override(place):
             name = ".".join(map(str, place)).removeprefix("settings.")
-            self._problems[f"setting {name}: {text}"] = (0, 0)
+            self._problems[f"setting {name}: {text}"] = (-1, 0)
             return
-        mark = self._mark(place, at_key)
-        line, column = mark.line + 1, mark.column + 1
-        self._problems[f"{self.path}:{line}:{column}: {text}"] = (line, column)
+        self._note(self._mark(place, at_key), text)
+
+    def _note(self, mark: yaml.Mark, text: str) -> None:
+        self._problems[f"{self._at(mark)}: {text}"] = (mark.line, mark.column)
+
+    def _at(self, mark: yaml.Mark) -> str:
+        return f"{self.path}:{mark.line + 1}:{mark.column + 1}"
 
     def raise_problems(self) -> None:
         """Raise one ConfigError that lists every noted mistake, a line each, in the file's order."""
         if self._problems:
             raise ConfigError("\n".join(sorted(self._problems, key=lambda text: self._problems[text])))
 
-    def _composed(self) -> yaml.Node | None:
+    def _composed(self) -> tuple[_Loader, yaml.Node | None]:
         check_regular(self.path)
         try:
             if self.path.stat().st_size > limits().yaml_mib * 2**20:
                 raise ConfigError(f"{self.path}: {beyond('yaml_mib', 'its size is')}")
-            node = yaml.compose(self.path.read_text(encoding="utf-8"), _Loader)
+            loader = _Loader(self.path.read_text(encoding="utf-8"))
+            return loader, loader.get_single_node()
         except OSError as error:
             raise ConfigError(f"{self.path}: {error.strerror or error}") from None
         except UnicodeDecodeError:
             raise ConfigError(f"{self.path}: not a text file (UTF-8)") from None
         except yaml.YAMLError as error:
             mark = getattr(error, "problem_mark", None)
-            where = f":{mark.line + 1}:{mark.column + 1}" if mark else ""
-            raise ConfigError(f"{self.path}{where}: not valid YAML: {_message_of(error)}") from None
-        except RecursionError:
-            raise ConfigError(f"{self.path}: {_TOO_DEEP}") from None
-        if node is not None:
-            self._check_size(node)
-            self._drop_duplicates(node)
-        return node
+            where = self._at(mark) if mark else self.path
+            raise ConfigError(f"{where}: not valid YAML: {_message_of(error)}") from None
 
-    def _constructed(self, node: yaml.Node) -> Any:
-        loader = _Loader("")
+    def _constructed(self, loader: _Loader, node: yaml.Node) -> Any:
         try:
             return loader.construct_document(node)
         except (yaml.YAMLError, ValueError, TypeError) as error:
             mark = getattr(error, "problem_mark", None) or node.start_mark
-            where = f"{self.path}:{mark.line + 1}:{mark.column + 1}"
-            raise ConfigError(f"{where}: not valid YAML: {_message_of(error)}") from None
-        finally:
-            loader.dispose()
-
-    def _check_size(self, root: yaml.Node) -> None:
-        """Refuse what aliases and merges unfold to too much; a node that many name counts each time."""
-        sizes: dict[int, int] = {}
-        waiting: list[tuple[yaml.Node, int]] = [(root, 0)]
-        while waiting:
-            node, depth = waiting.pop()
-            parts = node.value if isinstance(node, yaml.CollectionNode) else []
-            below = [one for part in parts for one in (part if isinstance(part, tuple) else (part,))]
-            missing = [one for one in below if id(one) not in sizes]
-            if missing and depth < _DEEPEST:
-                waiting += [(node, depth), *((one, depth + 1) for one in missing)]
-                continue
-            if missing:
-                mark = node.start_mark
-                raise ConfigError(f"{self.path}:{mark.line + 1}:{mark.column + 1}: {_TOO_DEEP}")
-            sizes[id(node)] = 1 + sum(sizes[id(one)] for one in below)
-        if sizes[id(root)] > limits().yaml_values:
-            raise ConfigError(f"{self.path}: {beyond('yaml_values', 'what its aliases unfold to is')}")
-
-    def _drop_duplicates(self, root: yaml.Node) -> None:
-        waiting, seen = [root], set()
-        while waiting:
-            node = waiting.pop()
-            if id(node) in seen:  # an alias of a node met before
-                continue
-            seen.add(id(node))
-            if isinstance(node, yaml.SequenceNode):
-                waiting.extend(node.value)
-            if not isinstance(node, yaml.MappingNode):
-                continue
-            first: dict[str, int] = {}
-            kept = []
-            for key, value in node.value:
-                mark, name = key.start_mark, str(key.value)
-                if name in first and name != "<<":
-                    text = f"key {name!r} is here twice; its first value is in line {first[name]}"
-                    place = (mark.line + 1, mark.column + 1)
-                    self._problems[f"{self.path}:{place[0]}:{place[1]}: {text}"] = place
-                    continue
-                first.setdefault(name, mark.line + 1)
-                kept.append((key, value))
-                waiting.append(value)
-            node.value = kept
+            raise ConfigError(f"{self._at(mark)}: not valid YAML: {_message_of(error)}") from None
 
     def _mark(self, place: Place, at_key: bool) -> yaml.Mark:
         """Start of the deepest part of `place` that the file has."""
