@@ -62,7 +62,7 @@ class _Loader(yaml.SafeLoader):
         if self._depth + self._height > _DEEPEST:
             raise MarkedYAMLError(problem=_TOO_DEEP, problem_mark=mark)
 
-    def compose_mapping_node(self, anchor: str | None) -> yaml.MappingNode:
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
         """Compose a mapping without the keys that it has already."""
         node = super().compose_mapping_node(anchor)
         first: dict[str, int] = {}

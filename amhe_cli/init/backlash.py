@@ -10,7 +10,7 @@ import mujoco
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.init.drives import KINDS, measured_joints
 from amhe_cli.init.signals import Guess, joint_of
-from amhe_cli.system.description.targets import names_of
+from amhe_cli.system.model.elements import names_of
 from amhe_cli.system.model.gaps import add_gaps
 
 #: Width of a gap before a log is read, its bounds and prior sd (log scale): of a hinge [rad], of a slide [m].

@@ -10,8 +10,8 @@ import numpy as np
 
 from amhe_cli.init.names import words
 from amhe_cli.init.signals import Guess, single_joints
-from amhe_cli.system.description.driven import commanded
 from amhe_cli.system.model.couplings import followers
+from amhe_cli.system.model.elements import commanded
 
 #: More actuated joints than this share one parameter of each kind.
 _OWN_PARAMETERS = 3

@@ -33,9 +33,8 @@ from amhe_cli.init.text import system_text
 from amhe_cli.logs import TopicSurvey, read_signals, survey
 from amhe_cli.logs.containers.table_file import TYPE as TABLE
 from amhe_cli.system.description.doubts import doubts_of
-from amhe_cli.system.description.driven import commanded
 from amhe_cli.system.description.folders import FILE_NAME
-from amhe_cli.system.description.targets import names_of
+from amhe_cli.system.model.elements import commanded, names_of
 from amhe_cli.system.model.files import compiled, read_spec
 from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 from amhe_cli.system.system import System

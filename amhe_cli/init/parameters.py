@@ -20,7 +20,7 @@ from amhe_cli.init.drives import (
 )
 from amhe_cli.init.names import words
 from amhe_cli.init.signals import Guess, free_bodies, joint_of
-from amhe_cli.system.description.targets import names_of
+from amhe_cli.system.model.elements import names_of
 
 #: More ends of chains than this are feet, not tools: their masses are known.
 _TOOLS = 2

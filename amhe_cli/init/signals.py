@@ -11,9 +11,8 @@ import mujoco
 
 from amhe_cli.init.names import is_command, matched, names_the_same, words
 from amhe_cli.init.paths import in_motor_order, joint_paths
-from amhe_cli.system.description.driven import commanded, driven_joint
-from amhe_cli.system.description.targets import names_of
 from amhe_cli.system.model.couplings import followers
+from amhe_cli.system.model.elements import commanded, driven_joint, names_of
 
 #: Default noise sd [SI]; an estimate from the log replaces it where there is one.
 NOISE = {

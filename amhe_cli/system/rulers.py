@@ -15,7 +15,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.parameters import Parameter, ParameterSpace
 from amhe_cli.system.description.data import Channel
-from amhe_cli.system.description.drive_targets import gain_cells
+from amhe_cli.system.description.targets import gain_cells
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.calibration import SignalCalibration
 from amhe_cli.system.parameters.cells import Cells, range_cells

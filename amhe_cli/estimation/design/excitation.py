@@ -10,8 +10,8 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.states import home
-from amhe_cli.system.description.driven import commanded
 from amhe_cli.system.model.couplings import floats
+from amhe_cli.system.model.elements import commanded
 from amhe_cli.system.system import System
 
 #: Lowest and highest frequency [Hz]: slow ones show gravity and friction, fast ones inertia.

@@ -41,7 +41,7 @@ from amhe_cli.logs import read_log
 from amhe_cli.logs.messages.signal_writer import message_type
 from amhe_cli.logs.messages.writer import StateDrawing
 from amhe_cli.matching.starts import first_states
-from amhe_cli.system.description.driven import driven_joint
+from amhe_cli.system.model.elements import driven_joint
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.model_edits import ModelEdits
 from amhe_cli.system.system import System

@@ -10,7 +10,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.estimation.design.excitation import FADE, LOWEST, SHARE, SINES, DrivenControls
-from amhe_cli.system.description.driven import commanded
+from amhe_cli.system.model.elements import commanded
 from amhe_cli.system.system import System
 
 #: Slowest and fastest frequency of a chirp [Hz], and the fastest of a multisine.

@@ -19,7 +19,7 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.result import HorizonError
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.windows import Observed
-from amhe_cli.system.description.signals import joint_of
+from amhe_cli.system.model.elements import joint_of
 from amhe_cli.system.system import System
 
 #: Horizons [s]; the last one is the end of the logs.

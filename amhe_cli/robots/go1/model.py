@@ -19,8 +19,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.robots.go1.kinematics import HOME, HOME_HEIGHT, JOINTS, LOWER, SERVOS, TORQUE_LIMIT, UPPER
 from amhe_cli.robots.go1.robot_file import RobotFile, read_robot
 from amhe_cli.system.description.folders import find_system
-from amhe_cli.system.model.boxes import resize
-from amhe_cli.system.model.files import compiled, read_spec
+from amhe_cli.system.model.files import compiled, read_spec, resize
 
 SYSTEM = "go1_push"
 #: Name of the pair whose sliding friction is the parameter `floor_friction`.

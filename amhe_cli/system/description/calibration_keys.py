@@ -12,7 +12,8 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.description.schema import Description, SignalEntry, TargetEntry
-from amhe_cli.system.description.targets import FRAME_AXES, id_of
+from amhe_cli.system.description.targets import FRAME_AXES
+from amhe_cli.system.model.elements import id_of
 from amhe_cli.system.model.gaps import gaps
 from amhe_cli.system.parameters.calibration import (
     CalibrationNumber,

@@ -15,7 +15,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.log import Log
 from amhe_cli.system.description.data import Input, SystemData
-from amhe_cli.system.description.driven import commanded
+from amhe_cli.system.model.elements import commanded
 from amhe_cli.system.model.gaps import gaps
 
 #: A state that is sampled more seldom [s] is no record of motion.

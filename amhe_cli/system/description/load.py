@@ -20,9 +20,8 @@ from amhe_cli.system.description.folders import FILE_NAME, find_system
 from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
 from amhe_cli.system.description.signals import draft_wiring
-from amhe_cli.system.description.targets import id_of
-from amhe_cli.system.model.boxes import resize_boxes
-from amhe_cli.system.model.files import compiled, read_spec, read_without_meshes, spec_of
+from amhe_cli.system.model.elements import id_of
+from amhe_cli.system.model.files import compiled, read_spec, read_without_meshes, resize_boxes, spec_of
 from amhe_cli.system.model.urdf import XACRO, UrdfOptions, is_urdf
 
 logger = logging.getLogger(__name__)

@@ -5,25 +5,51 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import mujoco
+import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.signals import QUANTITIES
-from amhe_cli.system.description import driven, measured
 from amhe_cli.system.description.schema import Description, SignalEntry, SystemEntry
-from amhe_cli.system.description.wiring import WiringDraft, chosen, signal_of
+from amhe_cli.system.description.wiring import (
+    Drive,
+    WiringDraft,
+    check_noise,
+    chosen,
+    names_of_log,
+    one_quantity,
+    signal_of,
+    state_channel,
+    unit_of,
+)
+from amhe_cli.system.model.elements import commanded, control_of, id_of, single_joints
 
+POSE = ("position", "orientation", "linear_velocity", "angular_velocity")
+#: Quantity at a site -> MuJoCo sensor.
+_SITE_SENSORS = {
+    "position": mujoco.mjtSensor.mjSENS_FRAMEPOS,
+    "orientation": mujoco.mjtSensor.mjSENS_FRAMEQUAT,
+    "linear_velocity": mujoco.mjtSensor.mjSENS_FRAMELINVEL,
+    "angular_velocity": mujoco.mjtSensor.mjSENS_GYRO,  # in the site's own frame, as logs have it
+    "linear_acceleration": mujoco.mjtSensor.mjSENS_ACCELEROMETER,
+    "force": mujoco.mjtSensor.mjSENS_FORCE,
+    "torque": mujoco.mjtSensor.mjSENS_TORQUE,
+}
+WRENCH = ("force", "torque")
+_CTRL = mujoco.mjtState.mjSTATE_CTRL
+_JOINT_FORCE = mujoco.mjtState.mjSTATE_QFRC_APPLIED
+_MOCAP = {"position": mujoco.mjtState.mjSTATE_MOCAP_POS, "orientation": mujoco.mjtState.mjSTATE_MOCAP_QUAT}
 #: Quantity that is read from a topic that is only read, by the end of its type's name.
 _CARRIED = {
     "JointState": ("position", "velocity", "effort"),
     "JointTrajectory": ("position",),
-    "Odometry": measured.POSE,
+    "Odometry": POSE,
     "PoseStamped": ("position", "orientation"),
     "PoseWithCovarianceStamped": ("position", "orientation"),
     "TransformStamped": ("position", "orientation"),
     "TFMessage": ("position", "orientation"),
     "TwistStamped": ("linear_velocity", "angular_velocity"),
     "Imu": ("orientation", "angular_velocity", "linear_acceleration"),
-    "WrenchStamped": driven.WRENCH,
+    "WrenchStamped": WRENCH,
 }
 
 
@@ -40,13 +66,6 @@ def draft_wiring(
             place = ("signals", name, signal.kind) if signal.kind else ("signals", name)
             file.problem(place, str(error))
     return draft
-
-
-def joint_of(model: mujoco.MjModel, column: int) -> tuple[str, str]:
-    """Name of the joint that a column of qpos belongs to, and the unit of its position."""
-    row = int((model.jnt_qposadr == column).nonzero()[0][0])
-    slides = model.jnt_type[row] == mujoco.mjtJoint.mjJNT_SLIDE
-    return model.joint(row).name, "m" if slides else "rad"
 
 
 def _read_only(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
@@ -86,14 +105,199 @@ def _check(entry: SignalEntry, entries: Mapping[str, SignalEntry]) -> None:
         raise ConfigError("reaction is for forces and torques: those of force_on, a site or a sensor")
 
 
+def _free_joint(model: mujoco.MjModel, body: int) -> int | None:
+    """The body's free joint."""
+    first = int(model.body_jntadr[body])
+    return first if first >= 0 and int(model.jnt_type[first]) == mujoco.mjtJoint.mjJNT_FREE else None
+
+
+def _measured_body(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
+    """Pose and twist of a body: part of the state if its joint is free, else measured by sensors."""
+    model, own = draft.model, str(entry.body)
+    row = id_of(model, "body", own)
+    if model.body_mocapid[row] >= 0:
+        raise ConfigError(f"body {own!r} is a mocap body, which a signal drives: write mocap: {own}")
+    joint = _free_joint(model, row)
+    if joint is None:
+        _at_site(draft, name, entry, draft.site_on(own), POSE)
+        return
+    check_noise(entry, POSE)
+    signal = signal_of(name, entry, POSE)
+    position, velocity = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
+    for quantity, source, first, width in (
+        ("position", "qpos", position, 3),
+        ("orientation", "qpos", position + 3, 4),
+        ("linear_velocity", "qvel", velocity, 3),
+        ("angular_velocity", "qvel", velocity + 3, 3),
+    ):
+        columns = range(first, first + width)
+        draft.state.append(
+            state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity))
+        )
+    draft.joints_set.add(joint)
+    draft.signals.append(signal)
+
+
+def _measured_site(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
+    """Motion or force at a site: an IMU, a tool, a force-torque sensor."""
+    id_of(draft.model, "site", str(entry.site))
+    _at_site(draft, name, entry, str(entry.site), tuple(_SITE_SENSORS))
+
+
+def _at_site(draft: WiringDraft, name: str, entry: SignalEntry, site: str, known: tuple[str, ...]) -> None:
+    """Compare quantities at a site with sensors that are added there."""
+    check_noise(entry, known)
+    compared = {quantity: sd for quantity, sd in entry.noise.items() if sd and entry.compares(quantity)}
+    if not compared:
+        raise ConfigError(f"give noise for what is to be compared: {', '.join(known)}")
+    signal = signal_of(name, entry, tuple(compared))
+    for quantity, sd in compared.items():
+        sensor = f"amhe/{name}/{quantity}"
+        draft.spec.add_sensor(
+            name=sensor, type=_SITE_SENSORS[quantity], objtype=mujoco.mjtObj.mjOBJ_SITE, objname=site
+        )
+        draft.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), [sensor]))
+    draft.signals.append(signal)
+
+
+def _measured_joints(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
+    """State of hinge and slide joints, and the effort of their actuators."""
+    check_noise(entry, ("position", "velocity", "effort"))
+    own, logged = names_of_log(entry.joints)
+    rows = single_joints(draft.model, own)
+    kinds = [int(draft.model.jnt_type[row]) for row in rows]
+    effort = entry.noise.get("effort")
+    signal = signal_of(name, entry, ("position", "velocity", *(["effort"] if effort else [])), logged)
+    for quantity, source, addresses in (
+        ("position", "qpos", draft.model.jnt_qposadr),
+        ("velocity", "qvel", draft.model.jnt_dofadr),
+    ):
+        columns = [int(addresses[row]) for row in rows]
+        draft.state.append(
+            state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity, kinds))
+        )
+    if effort:
+        sensors = [f"amhe/{name}/effort/{joint}" for joint in own]
+        kind = mujoco.mjtSensor.mjSENS_JOINTACTFRC
+        for sensor, joint in zip(sensors, own, strict=True):
+            draft.spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)
+        draft.sensed.append((signal.key("effort"), "effort", effort, unit_of("effort", kinds), sensors))
+    draft.joints_set.update(rows)
+    draft.signals.append(signal)
+
+
+def _measured_sensor(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
+    """Sensors that the model has itself."""
+    quantity = one_quantity(entry, "value")
+    check_noise(entry, (quantity,))
+    sd = entry.noise.get(quantity)
+    if sd is None:
+        raise ConfigError(f"give noise: {{{quantity}: SD}}, the standard deviation of the measurement")
+    sensors = [entry.sensor] if isinstance(entry.sensor, str) else list(entry.sensor or ())
+    for sensor in sensors:
+        id_of(draft.model, "sensor", sensor)
+    signal = signal_of(name, entry, (quantity,))
+    draft.sensed.append((signal.key(quantity), quantity, sd, unit_of(quantity), sensors))
+    draft.signals.append(signal)
+
+
+def _driven_actuators(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
+    """Commands: controls of actuators, held until the next message."""
+    own, logged = names_of_log(entry.actuators)
+    rows = [id_of(draft.model, "actuator", actuator) for actuator in own]
+    usual = "value" if str(entry.type).endswith("MultiArray") else commanded(draft.model, rows[0])
+    quantity = one_quantity(entry, usual)
+    for row in rows:
+        control_of(draft.model, row, quantity)  # refused where there is none
+    signal = signal_of(name, entry, (quantity,), logged, is_input=True)
+    draft.driven.append(Drive(signal.key(quantity), _CTRL, list(own), delayed=True))
+    draft.signals.append(signal)
+
+
+def _driven_joint_force(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
+    """Known forces or torques at joints, in addition to the actuators'."""
+    own, logged = names_of_log(entry.joint_force)
+    rows = single_joints(draft.model, own)
+    quantity = one_quantity(entry, "value" if str(entry.type).endswith("MultiArray") else "effort")
+    signal = signal_of(name, entry, (quantity,), logged, is_input=True)
+    columns: list[int | str] = [int(draft.model.jnt_dofadr[row]) for row in rows]
+    draft.driven.append(Drive(signal.key(quantity), _JOINT_FORCE, columns))
+    draft.signals.append(signal)
+
+
+def _driven_mocap(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
+    """Pose of a body that is moved from outside."""
+    row = int(draft.model.body_mocapid[id_of(draft.model, "body", str(entry.mocap))])
+    if row < 0:
+        raise ConfigError(f'body {entry.mocap!r} is no mocap body; give it mocap="true" in the model')
+    signal = signal_of(name, entry, chosen(entry, tuple(_MOCAP)))
+    for quantity in signal.quantities:
+        width = 3 if quantity == "position" else 4
+        columns: list[int | str] = list(range(width * row, width * (row + 1)))
+        frame = tuple(entry.frame) if isinstance(entry.frame, list) else ()
+        draft.driven.append(Drive(signal.key(quantity), _MOCAP[quantity], columns, frame=frame))
+    draft.signals.append(signal)
+
+
+def _driven_force_on(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
+    """Six actuators that act at a site: in its own frame, or in the world's if they refer to that."""
+    body = str(entry.force_on)
+    id_of(draft.model, "body", body)
+    moving = entry.at in draft.entries
+    if entry.at is not None and not moving:
+        id_of(draft.model, "site", entry.at)
+    site = draft.site_on(body) if entry.at is None or moving else entry.at
+    reference = {} if entry.frame == "body" else {"refsite": draft.site_on("world", entry.frame)}
+    signal = signal_of(name, entry, chosen(entry, WRENCH))
+    drives: list[tuple[str, str, tuple[str, str | None] | None]] = [(q, q, None) for q in signal.quantities]
+    if moving:
+        drives.append(("force", "torque", _arm(draft, entry)))
+    for quantity, acts_as, arm in drives:
+        label = quantity if acts_as == quantity else "moment"
+        actuators = [f"amhe/{name}/{label}/{axis}" for axis in "xyz"]
+        for axis, actuator in enumerate(actuators):
+            gear = np.zeros(6)
+            gear[axis + 3 * WRENCH.index(acts_as)] = -1.0 if entry.reaction else 1.0
+            draft.spec.add_actuator(
+                name=actuator,
+                trntype=mujoco.mjtTrn.mjTRN_SITE,
+                target=site,
+                gear=gear,
+                biastype=mujoco.mjtBias.mjBIAS_AFFINE,  # a bias of the log's numbers acts through it
+                **reference,
+            )
+        draft.driven.append(Drive(signal.key(quantity), _CTRL, list(actuators), arm=arm))
+    draft.signals.append(signal)
+
+
+def _arm(draft: WiringDraft, entry: SignalEntry) -> tuple[str, str | None]:
+    """Series of the point where a force acts, and of the origin of the body that it acts on.
+
+    The origin is where the log has the body, not where a rollout does: their difference is the residual.
+    """
+    point = str(entry.at)
+    if draft.entries[point].kind is not None or draft.entries[point].quantity != "position":
+        raise ConfigError(f"at: the signal {point!r} must be only read, with quantity: position")
+    if "force" not in chosen(entry, WRENCH) or entry.scale is not None or entry.bias:
+        raise ConfigError("at: a moving point needs the force, without scale and bias")
+    if entry.frame == "body":
+        return f"{point}.position", None
+    if entry.frame not in (None, "world"):
+        raise ConfigError("at: a moving point is in the world or in the body's frame")
+    poses = [key for key, one in draft.entries.items() if one.body == entry.force_on]
+    if not poses:
+        raise ConfigError(f"at: a moving point needs a signal of the body too: body: {entry.force_on}")
+    return f"{point}.position", f"{poses[0]}.position"
+
+
 _PLANNERS = {
-    "body": measured.body,
-    "joints": measured.joints,
-    "actuators": driven.actuators,
-    "mocap": driven.mocap,
-    "force_on": driven.force_on,
-    "joint_force": driven.joint_force,
-    "site": measured.site,
-    "sensor": measured.sensor,
+    "body": _measured_body,
+    "joints": _measured_joints,
+    "actuators": _driven_actuators,
+    "mocap": _driven_mocap,
+    "force_on": _driven_force_on,
+    "joint_force": _driven_joint_force,
+    "site": _measured_site,
+    "sensor": _measured_sensor,
     None: _read_only,
 }

@@ -2,40 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from math import inf
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.system.description import drive_targets as drives
-from amhe_cli.system.description.drive_targets import CellsOf
 from amhe_cli.system.description.schema import TargetEntry
-from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.model.elements import id_of, matching_rows
+from amhe_cli.system.model.gaps import gaps
+from amhe_cli.system.parameters.cells import Cells, range_cells
 from amhe_cli.system.parameters.inertia import principal_axis
 
-_OBJECTS = {
-    "body": mujoco.mjtObj.mjOBJ_BODY,
-    "geom": mujoco.mjtObj.mjOBJ_GEOM,
-    "pair": mujoco.mjtObj.mjOBJ_PAIR,
-    "joint": mujoco.mjtObj.mjOBJ_JOINT,
-    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
-    "site": mujoco.mjtObj.mjOBJ_SITE,
-    "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
-    "keyframe": mujoco.mjtObj.mjOBJ_KEY,
-}
-_COUNTS = {
-    "body": "nbody",
-    "geom": "ngeom",
-    "pair": "npair",
-    "joint": "njnt",
-    "actuator": "nactuator",
-    "site": "nsite",
-    "sensor": "nsensor",
-    "keyframe": "nkey",
+#: From a model, the row of an element and a target to the numbers that the target sets; raises ConfigError
+#: where they would have no effect.
+CellsOf = Callable[[mujoco.MjModel, int, TargetEntry], list[Cells]]
+
+_DC_MOTOR, _PID = int(mujoco.mjtGain.mjGAIN_DCMOTOR), int(mujoco.mjtGain.mjGAIN_PID)
+_AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
+#: Where a <pid>, and the controller of a <dcmotor>, have their numbers: field and column.
+_CONTROLLERS = {
+    "gain": {_PID: ("actuator_biasprm", 1), _DC_MOTOR: ("actuator_gainprm", 4)},
+    "actuator_damping": {_PID: ("actuator_biasprm", 2), _DC_MOTOR: ("actuator_gainprm", 6)},
+    "integral_gain": {_PID: ("actuator_gainprm", 0), _DC_MOTOR: ("actuator_gainprm", 5)},
+    "integral_limit": {_PID: ("actuator_dynprm", 0), _DC_MOTOR: ("actuator_dynprm", 8)},
+    "slew_limit": {_PID: ("actuator_dynprm", 1), _DC_MOTOR: ("actuator_dynprm", 7)},
 }
 #: Axis of a target -> columns.
 _AXES = {"x": (0,), "y": (1,), "z": (2,), "all": (0, 1, 2)}
@@ -63,40 +56,10 @@ class Setter:
     axes: str | None = None
 
 
-def names_of(model: mujoco.MjModel, kind: str) -> list[str]:
-    """Names of all elements of a kind, without the unnamed ones."""
-    count = getattr(model, _COUNTS[kind])
-    names = (mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count))
-    return [name for name in names if name and not name.startswith("amhe/")]
-
-
-def id_of(model: mujoco.MjModel, kind: str, name: str) -> int:
-    """Row of a named element.
-
-    Raises:
-        ConfigError: There is none; the text lists those there are.
-    """
-    row = mujoco.mj_name2id(model, _OBJECTS[kind], name)
-    if row < 0:
-        raise ConfigError(one_of(kind, name, names_of(model, kind)))
-    return row
-
-
-def _matching(model: mujoco.MjModel, kind: str, pattern: str) -> list[int]:
-    """Rows of the elements that a name or a glob such as 'foot_*' means."""
-    names = names_of(model, kind)
-    if pattern in names or not any(sign in pattern for sign in "*?["):
-        return [id_of(model, kind, pattern)]
-    rows = [id_of(model, kind, name) for name in names if fnmatchcase(name, pattern)]
-    if not rows:
-        raise ConfigError(one_of(f"{kind} that matches", pattern, names))
-    return rows
-
-
 def _pair_rows(model: mujoco.MjModel, pair: str | list[str]) -> list[int]:
     """Rows of contact pairs, by the pair's name or by the names of its two geoms."""
     if isinstance(pair, str):
-        return _matching(model, "pair", pair)
+        return matching_rows(model, "pair", pair)
     wanted = {id_of(model, "geom", name) for name in pair}
     for row in range(model.npair):
         if {int(model.pair_geom1[row]), int(model.pair_geom2[row])} == wanted:
@@ -127,7 +90,7 @@ def selector_of(entry: TargetEntry) -> str | None:
 def rows_of(model: mujoco.MjModel, entry: TargetEntry, selector: str) -> list[int]:
     """Rows of the elements that the target selects."""
     name = getattr(entry, selector)
-    return _pair_rows(model, name) if selector == "pair" else _matching(model, selector, name)
+    return _pair_rows(model, name) if selector == "pair" else matching_rows(model, selector, name)
 
 
 def cells_of(model: mujoco.MjModel, entry: TargetEntry) -> list[Cells]:
@@ -207,7 +170,116 @@ def _joint(field: str, columns: tuple[int, ...] = ()) -> Mapping:
 
 def _motor(array: str, column: int, attribute: str) -> Mapping[str, CellsOf]:
     """Setters of a number of a DC motor."""
-    return {"actuator": drives.motor(f"actuator_{array}", column, attribute)}
+    return {"actuator": _of_motor(f"actuator_{array}", column, attribute)}
+
+
+def _of_motor(field: str, column: int, attribute: str) -> CellsOf:
+    """A number of a DC motor; one that is zero switches a part of MuJoCo's model off."""
+
+    def cells(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+        name = model.actuator(row).name
+        if int(model.actuator_gaintype[row]) != _DC_MOTOR:
+            raise ConfigError(f"actuator {name!r} is no <dcmotor>")
+        if not getattr(model, field)[row, column]:
+            raise ConfigError(f"the <dcmotor> {name!r} has no {attribute} in the model; give it one")
+        if entry.carry_limit:
+            _force_limit(model, row, entry)  # refused where there is none
+        return [Cells(field, row, (column,))]
+
+    return cells
+
+
+def _controller(word: str) -> CellsOf:
+    """A number of a <pid>, or of the controller of a <dcmotor>."""
+
+    def cells(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+        name, kind = model.actuator(row).name, int(model.actuator_gaintype[row])
+        if kind not in _CONTROLLERS[word]:
+            raise ConfigError(f"actuator {name!r} is no <pid>, and no <dcmotor> with a controller")
+        field, column = _CONTROLLERS[word][kind]
+        if not getattr(model, field)[row, column]:
+            raise ConfigError(f"actuator {name!r} has no {word} in the model; give it one to start from")
+        return [Cells(field, row, (column,), -1.0 if field == "actuator_biasprm" else 1.0)]
+
+    return cells
+
+
+def _gain(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Gain of a motor or servo."""
+    if entry.carry_limit:
+        _force_limit(model, row, entry)  # refused where there is none
+    cells = gain_cells(model, row)
+    if not cells:
+        name = model.actuator(row).name
+        raise ConfigError(f"actuator {name!r} has no fixed gain: only motors and servos have one to set")
+    return cells
+
+
+def gain_cells(model: mujoco.MjModel, row: int) -> list[Cells]:
+    """Gain of an actuator; none where it is not fixed.
+
+    A servo's bias holds the same gain, negated, and must follow it.
+    """
+    kind = int(model.actuator_gaintype[row])
+    if kind in _CONTROLLERS["gain"]:
+        field, column = _CONTROLLERS["gain"][kind]
+        factor = -1.0 if field == "actuator_biasprm" else 1.0
+        return [Cells(field, row, (column,), factor)] if getattr(model, field)[row, column] else []
+    if kind != mujoco.mjtGain.mjGAIN_FIXED:
+        return []
+    own, bias = model.actuator_gainprm[row, 0], model.actuator_biasprm[row]
+    cells = [Cells("actuator_gainprm", row, (0,))]
+    if int(model.actuator_biastype[row]) == _AFFINE and own:
+        tied = next((column for column in (1, 2) if np.isclose(bias[column], -own)), None)
+        cells += [Cells("actuator_biasprm", row, (tied,), -1.0)] if tied else []
+    return cells
+
+
+def _actuator_damping(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Velocity term of a servo."""
+    if int(model.actuator_gaintype[row]) == _DC_MOTOR:
+        return _controller("actuator_damping")(model, row, entry)
+    if int(model.actuator_biastype[row]) != _AFFINE:
+        name = model.actuator(row).name
+        raise ConfigError(
+            f"actuator {name!r} is a motor, which has no velocity term; set the joint's damping"
+        )
+    return [Cells("actuator_biasprm", row, (2,), -1.0)]
+
+
+def _force_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Both ends of an actuator's range of forces."""
+    if not model.actuator_forcelimited[row]:
+        raise ConfigError(
+            f"actuator {model.actuator(row).name!r} has no forcerange in the model; give it one"
+        )
+    return range_cells(model, "actuator_forcerange", row)
+
+
+def _joint_force_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Both ends of a joint's range of actuator forces."""
+    if not model.jnt_actfrclimited[row]:
+        raise ConfigError(
+            f"joint {model.joint(row).name!r} has no actuatorfrcrange in the model; give it one"
+        )
+    return range_cells(model, "jnt_actfrcrange", row)
+
+
+def _ctrl_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Both ends of an actuator's range of controls."""
+    ctrl = int(model.actuator_ctrladr[row])
+    if model.actuator_ctrlnum[row] != 1 or not model.actuator_ctrllimited[ctrl]:
+        raise ConfigError(f"actuator {model.actuator(row).name!r} has no ctrlrange in the model; give it one")
+    return range_cells(model, "actuator_ctrlrange", ctrl)
+
+
+def _backlash(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Width of the gap between a joint and its drive: half of it is on either side."""
+    tendon = next((gap.tendon for gap in gaps(model) if row in (gap.drive, gap.link)), None)
+    if tendon is None:
+        name = model.joint(row).name
+        raise ConfigError(f"joint {name!r} has no gap in the model; `amhe init --backlash {name}` writes one")
+    return [Cells("tendon_range", tendon, (1,), 0.5), Cells("tendon_range", tendon, (0,), -0.5)]
 
 
 #: Words of `set:` that set plain numbers.
@@ -226,12 +298,12 @@ SETTERS: Mapping[str, Setter] = {
     "armature": Setter("kg m^2", _joint("dof_armature")),
     "friction_loss": Setter("N m", _joint("dof_frictionloss")),
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
-    "backlash": Setter("rad", {"joint": drives.backlash}, positive=True),
-    "gain": Setter("-", {"actuator": drives.gain}, positive=True),
-    "actuator_damping": Setter("-", {"actuator": drives.actuator_damping}),
-    "integral_gain": Setter("-", {"actuator": drives.controller("integral_gain")}, positive=True),
-    "integral_limit": Setter("rad s", {"actuator": drives.controller("integral_limit")}, positive=True),
-    "slew_limit": Setter("rad/s", {"actuator": drives.controller("slew_limit")}, positive=True),
+    "backlash": Setter("rad", {"joint": _backlash}, positive=True),
+    "gain": Setter("-", {"actuator": _gain}, positive=True),
+    "actuator_damping": Setter("-", {"actuator": _actuator_damping}),
+    "integral_gain": Setter("-", {"actuator": _controller("integral_gain")}, positive=True),
+    "integral_limit": Setter("rad s", {"actuator": _controller("integral_limit")}, positive=True),
+    "slew_limit": Setter("rad/s", {"actuator": _controller("slew_limit")}, positive=True),
     "motor_constant": Setter("N m/A", _motor("gainprm", 1, "motorconst"), positive=True),
     "resistance": Setter("ohm", _motor("gainprm", 0, "resistance"), positive=True),
     "bristle_stiffness": Setter("N m/rad", _motor("dynprm", 5, "lugre"), positive=True),
@@ -243,10 +315,8 @@ SETTERS: Mapping[str, Setter] = {
     "bias": Setter("-", {}, lower=-inf),
     "frame": Setter("-", {}, lower=-inf),
     "band": Setter("Hz", {}, positive=True),
-    "force_limit": Setter(
-        "N m", {"actuator": drives.force_limit, "joint": drives.joint_force_limit}, positive=True
-    ),
-    "ctrl_limit": Setter("-", {"actuator": drives.ctrl_limit}, positive=True),
+    "force_limit": Setter("N m", {"actuator": _force_limit, "joint": _joint_force_limit}, positive=True),
+    "ctrl_limit": Setter("-", {"actuator": _ctrl_limit}, positive=True),
 }
 #: Words that need more than plain numbers, with their selectors.
 SPECIAL: Mapping[str, list[str]] = {"pseudo_inertia": ["body"], "command_delay": ["actuator"]}

@@ -20,18 +20,10 @@ from amhe_cli.core.signals import QUANTITIES, Signal
 from amhe_cli.system.description.calibration_keys import CalibrationDraft
 from amhe_cli.system.description.data import Channel, Input
 from amhe_cli.system.description.schema import SignalEntry
-from amhe_cli.system.description.targets import id_of
 from amhe_cli.system.model.couplings import couplings
+from amhe_cli.system.model.elements import control_of, id_of
 from amhe_cli.system.model.gaps import gaps
 from amhe_cli.system.parameters.delays import CommandDelays
-
-#: Actuators whose controls have quantities, and the bit of `actuator_ctrlspec` of each.
-_CONTROLLERS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
-_INPUTS = {
-    mujoco.mjtCtrlInput.mjINPUT_POS: "position",
-    mujoco.mjtCtrlInput.mjINPUT_VEL: "velocity",
-    mujoco.mjtCtrlInput.mjINPUT_FF: "effort",
-}
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,34 +128,6 @@ class WiringDraft:
         return name
 
 
-def control_of(model: mujoco.MjModel, row: int, quantity: str) -> int:
-    """Address of an actuator's control; where it has several, as a <pid> has, of the one for a quantity.
-
-    The numbers of an array, of the quantity `value`, are for the first.
-
-    Raises:
-        ConfigError: It has several, and none for this quantity.
-    """
-    first = int(model.actuator_ctrladr[row])
-    if model.actuator_ctrlnum[row] == 1:
-        return first
-    inputs, name = inputs_of(model, row), model.actuator(row).name
-    if not inputs:
-        raise ConfigError(f"actuator {name!r} takes several controls, not one")
-    if quantity == "value":
-        return first
-    if quantity not in inputs:
-        raise ConfigError(one_of(f"quantity that actuator {name!r} takes", quantity, inputs))
-    return first + inputs.index(quantity)
-
-
-def inputs_of(model: mujoco.MjModel, row: int) -> list[str]:
-    """Quantities that a <pid>, or the controller of a <dcmotor>, takes, in the order of its controls."""
-    if int(model.actuator_gaintype[row]) not in _CONTROLLERS:
-        return []
-    return [quantity for bit, quantity in _INPUTS.items() if int(model.actuator_ctrlspec[row]) & int(bit)]
-
-
 def split_key(key: str) -> tuple[str, str]:
     """Signal and quantity of a series' key."""
     signal, quantity = key.rsplit(".", 1)
@@ -266,16 +230,3 @@ def one_quantity(entry: SignalEntry, usual: str) -> str:
     if len(given) > 1:
         raise ConfigError(f"one quantity drives this, not {', '.join(given)}")
     return given[0]
-
-
-def single_joints(model: mujoco.MjModel, names: Iterable[str]) -> list[int]:
-    """Rows of hinge and slide joints."""
-    rows = [id_of(model, "joint", name) for name in names]
-    for row in rows:
-        if int(model.jnt_type[row]) in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
-            body = model.body(model.jnt_bodyid[row]).name
-            raise ConfigError(
-                f"joint {model.joint(row).name!r} has no single position; only hinge and slide joints do. "
-                f"Measure its body instead: body: {body}"
-            )
-    return rows

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import logging
+import re
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from weakref import WeakKeyDictionary
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import ConfigError
-from amhe_cli.system.model.size import check_model
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.files import check_regular
+from amhe_cli.core.limits import beyond, limits
 from amhe_cli.system.model.urdf import UrdfOptions, is_urdf, urdf_text
 
 logger = logging.getLogger(__name__)
@@ -24,6 +28,10 @@ logger = logging.getLogger(__name__)
 _THIN = 1e-3
 #: Half edge of a box where nothing suggests one [m].
 _UNKNOWN = 0.05
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_FOLDERS = ("meshdir", "texturedir", "assetdir")
+#: Attributes that together say how many numbers an element holds.
+_SIZES = (("nrow", "ncol"), ("width", "height"))
 
 
 def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
@@ -192,3 +200,81 @@ def _in_our_words(what: str) -> Iterator[None]:
             raise ConfigError(f"{what}: {' '.join(str(error).split()) or 'out of memory'}") from None
     for text in dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught):
         logger.warning("MuJoCo: %s", text)
+
+
+def resize_boxes(spec: mujoco.MjSpec, boxes: Mapping[str, Sequence[float]]) -> None:
+    """Give box geoms of a spec their edge lengths [m].
+
+    Raises:
+        ConfigError: The model has no box geom of that name.
+    """
+    known = [geom.name for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX and geom.name]
+    for name, edges in boxes.items():
+        if name not in known:
+            raise ConfigError(one_of("box geom", name, known))
+        resize(spec.geom(name), edges)
+
+
+def resize(geom: mujoco.MjsGeom, edges: Sequence[float]) -> None:
+    """Give a box geom its edge lengths [m]; its body's other shapes keep their places on it.
+
+    Where the body has an inertia of its own, it becomes that of a solid cuboid of the same mass.
+    """
+    half, body = 0.5 * np.asarray(edges, dtype=float), geom.parent
+    ratio = half / geom.size
+    for part in body.geoms:
+        part.size, part.pos = part.size * ratio, part.pos * ratio
+    if body.explicitinertial:
+        squares = (2.0 * half) ** 2
+        body.inertia = body.mass / 12.0 * (squares.sum() - squares)
+
+
+def check_model(path: Path) -> None:
+    """Refuse a model whose elements multiply beyond the limits, or that names a pipe or a device.
+
+    Raises:
+        ConfigError: It is such a model; what is no XML is left to MuJoCo to refuse.
+    """
+    waiting, seen = [path], set[Path]()
+    while waiting:
+        file = waiting.pop()
+        check_regular(file)
+        if file in seen or not file.is_file():
+            continue
+        seen.add(file)
+        try:
+            text = file.read_text(encoding="utf-8", errors="replace")
+            root = ElementTree.fromstring(_COMMENT.sub("", text))
+        except ElementTree.ParseError:
+            continue
+        _check_elements(root, file)
+        waiting += [path.parent / one.get("file", "") for one in root.iter("include")]
+        folders = {one.get(key, "") for one in root.iter("compiler") for key in _FOLDERS}
+        for name in {name for one in root.iter() if (name := one.get("file"))}:
+            for folder in ("", *folders):
+                check_regular(path.parent / folder / name)
+
+
+def _check_elements(root: ElementTree.Element, path: Path) -> None:
+    waiting, elements = [(root, 1)], 0
+    while waiting:
+        one, times = waiting.pop()
+        copies = prod(map(_number, one.get("count", "1").split()))
+        elements += times * copies
+        below = times * copies if one.tag == "replicate" else times
+        numbers = max(prod(_number(one.get(name, "1")) for name in names) for names in _SIZES)
+        if one.tag == "size":
+            numbers = max(map(_number, one.attrib.values()), default=1)
+        if elements > limits().model_elements:
+            raise ConfigError(f"{path}: {beyond('model_elements', 'its elements are')}")
+        if numbers > limits().model_numbers:
+            raise ConfigError(f"{path}: <{one.tag}>: {beyond('model_numbers', f'{numbers} numbers are')}")
+        waiting += [(child, below) for child in one]
+
+
+def _number(text: str) -> int:
+    """A number in an attribute; 1 for what is none, as MuJoCo refuses it."""
+    try:
+        return max(1, int(text))
+    except ValueError:
+        return 1

@@ -1,0 +1,137 @@
+"""Elements of a MuJoCo model by name, and what an actuator is: the quantity that it takes, its joint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from fnmatch import fnmatchcase
+
+import mujoco
+
+from amhe_cli.core.errors import ConfigError, one_of
+
+#: Kind of element -> MuJoCo's number of the kind.
+_OBJECTS = {
+    "body": mujoco.mjtObj.mjOBJ_BODY,
+    "geom": mujoco.mjtObj.mjOBJ_GEOM,
+    "pair": mujoco.mjtObj.mjOBJ_PAIR,
+    "joint": mujoco.mjtObj.mjOBJ_JOINT,
+    "actuator": mujoco.mjtObj.mjOBJ_ACTUATOR,
+    "site": mujoco.mjtObj.mjOBJ_SITE,
+    "sensor": mujoco.mjtObj.mjOBJ_SENSOR,
+    "keyframe": mujoco.mjtObj.mjOBJ_KEY,
+}
+#: Kind of element -> field of MjModel with their number.
+_COUNTS = {
+    "body": "nbody",
+    "geom": "ngeom",
+    "pair": "npair",
+    "joint": "njnt",
+    "actuator": "nactuator",
+    "site": "nsite",
+    "sensor": "nsensor",
+    "keyframe": "nkey",
+}
+#: Kinds of actuators whose controls have quantities.
+_CONTROLLERS = (int(mujoco.mjtGain.mjGAIN_PID), int(mujoco.mjtGain.mjGAIN_DCMOTOR))
+#: Bit of `actuator_ctrlspec` -> the quantity of that control.
+_INPUTS = {
+    mujoco.mjtCtrlInput.mjINPUT_POS: "position",
+    mujoco.mjtCtrlInput.mjINPUT_VEL: "velocity",
+    mujoco.mjtCtrlInput.mjINPUT_FF: "effort",
+}
+
+
+def names_of(model: mujoco.MjModel, kind: str) -> list[str]:
+    """Names of all elements of a kind, without the unnamed ones."""
+    count = getattr(model, _COUNTS[kind])
+    names = (mujoco.mj_id2name(model, _OBJECTS[kind], i) for i in range(count))
+    return [name for name in names if name and not name.startswith("amhe/")]
+
+
+def id_of(model: mujoco.MjModel, kind: str, name: str) -> int:
+    """Row of a named element.
+
+    Raises:
+        ConfigError: There is none; the text lists those there are.
+    """
+    row = mujoco.mj_name2id(model, _OBJECTS[kind], name)
+    if row < 0:
+        raise ConfigError(one_of(kind, name, names_of(model, kind)))
+    return row
+
+
+def matching_rows(model: mujoco.MjModel, kind: str, pattern: str) -> list[int]:
+    """Rows of the elements that a name or a glob such as 'foot_*' means."""
+    names = names_of(model, kind)
+    if pattern in names or not any(sign in pattern for sign in "*?["):
+        return [id_of(model, kind, pattern)]
+    rows = [id_of(model, kind, name) for name in names if fnmatchcase(name, pattern)]
+    if not rows:
+        raise ConfigError(one_of(f"{kind} that matches", pattern, names))
+    return rows
+
+
+def single_joints(model: mujoco.MjModel, names: Iterable[str]) -> list[int]:
+    """Rows of hinge and slide joints."""
+    rows = [id_of(model, "joint", name) for name in names]
+    for row in rows:
+        if int(model.jnt_type[row]) in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            body = model.body(model.jnt_bodyid[row]).name
+            raise ConfigError(
+                f"joint {model.joint(row).name!r} has no single position; only hinge and slide joints do. "
+                f"Measure its body instead: body: {body}"
+            )
+    return rows
+
+
+def joint_of(model: mujoco.MjModel, column: int) -> tuple[str, str]:
+    """Name of the joint that a column of qpos belongs to, and the unit of its position."""
+    row = int((model.jnt_qposadr == column).nonzero()[0][0])
+    slides = model.jnt_type[row] == mujoco.mjtJoint.mjJNT_SLIDE
+    return model.joint(row).name, "m" if slides else "rad"
+
+
+def driven_joint(model: mujoco.MjModel, actuator: int) -> str | None:
+    """Name of the joint that an actuator drives; None where it drives something else, or a nameless one."""
+    at_joint = {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)}
+    if int(model.actuator_trntype[actuator]) not in at_joint:
+        return None
+    return model.joint(int(model.actuator_trnid[actuator, 0])).name or None
+
+
+def commanded(model: mujoco.MjModel, row: int) -> str:
+    """What an actuator's control is: a servo's target or a motor's effort."""
+    if inputs := inputs_of(model, row):
+        return inputs[0]
+    bias = model.actuator_biasprm[row]
+    if int(model.actuator_biastype[row]) == mujoco.mjtBias.mjBIAS_AFFINE:
+        return "position" if bias[1] else "velocity"
+    return "effort"
+
+
+def inputs_of(model: mujoco.MjModel, row: int) -> list[str]:
+    """Quantities that a <pid>, or the controller of a <dcmotor>, takes, in the order of its controls."""
+    if int(model.actuator_gaintype[row]) not in _CONTROLLERS:
+        return []
+    return [quantity for bit, quantity in _INPUTS.items() if int(model.actuator_ctrlspec[row]) & int(bit)]
+
+
+def control_of(model: mujoco.MjModel, row: int, quantity: str) -> int:
+    """Address of an actuator's control; where it has several, as a <pid> has, of the one for a quantity.
+
+    The numbers of an array, of the quantity `value`, are for the first.
+
+    Raises:
+        ConfigError: It has several, and none for this quantity.
+    """
+    first = int(model.actuator_ctrladr[row])
+    if model.actuator_ctrlnum[row] == 1:
+        return first
+    inputs, name = inputs_of(model, row), model.actuator(row).name
+    if not inputs:
+        raise ConfigError(f"actuator {name!r} takes several controls, not one")
+    if quantity == "value":
+        return first
+    if quantity not in inputs:
+        raise ConfigError(one_of(f"quantity that actuator {name!r} takes", quantity, inputs))
+    return first + inputs.index(quantity)
