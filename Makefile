@@ -7,11 +7,13 @@ PIP := $(BIN)/python -m pip --quiet --quiet --disable-pip-version-check
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-lowest lint format docs results-report bench clean
+.PHONY: help demo test test-fast test-lowest lint format docs results-report bench clean
 
 help:
 	@echo "make demo    identify a pushed box from the bundled Go1 log, print the table, write the report"
 	@echo "make test    run the whole test suite"
+	@echo "make test-fast"
+	@echo "             run it without its slow tests"
 	@echo "make test-lowest"
 	@echo "             run the fast tests with the lowest versions that pyproject.toml allows (Python 3.11)"
 	@echo "make lint    ruff and pyright"
@@ -27,6 +29,9 @@ demo: .venv/.installed
 
 test: .venv/.installed-dev
 	$(BIN)/python -m pytest -q -n auto
+
+test-fast: .venv/.installed-dev
+	$(BIN)/python -m pytest -q -n auto -m "not slow"
 
 test-lowest: .venv-lowest/.installed
 	.venv-lowest/bin/python -m pytest -q -n auto -m "not slow"

@@ -30,11 +30,6 @@ def off(name: str, offset: tuple[float, ...]) -> list[str]:
     return ["--set", f"go1.{name}_offset=[{','.join(map(str, offset))}]"]
 
 
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.mark.slow
 def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
     pytest.importorskip("natnet")
@@ -55,20 +50,12 @@ def test_offsets_are_found_again_and_make_the_robot_fit_to_run(capsys) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("more", "message"),
-    [
-        (["--fault", "yup=1"], "up axis z"),
-        (["--fault", "swap=1"], "check its name"),
-        (["--fault", "high=1"], "high-level mode"),
-    ],
-)
-def test_what_cannot_be_is_refused(capfd, more: list[str], message: str) -> None:
+def test_what_cannot_be_is_refused(capfd) -> None:
     pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=2", *more) as emulated:
+    with emulating("--set", "go1.slow=2", "--fault", "yup=1") as emulated:
         assert run(["calibrate", "--yes", *at(emulated)]) == 1
     err = capfd.readouterr().err
-    assert message in err
+    assert "up axis z" in err
     assert sum("error:" in line for line in err.splitlines()) == 1
     assert list(Path().glob("*/*/*")) == []
 
@@ -89,12 +76,6 @@ def test_the_operator_is_waited_for() -> None:
     assert pressed.stderr.count("then press Enter") == 2
     assert nobody.returncode == 2
     assert "give --yes" in nobody.stderr
-
-
-@pytest.mark.parametrize("text", ["1,2,3", "a,b,c,d,e,f", "0,0,0,0,0,.nan"])
-def test_an_offset_that_is_none_is_refused(capsys, text: str) -> None:
-    assert run(["emulate", "--set", f"go1.box_offset=[{text}]"]) == 2
-    assert "go1.box_offset" in capsys.readouterr().err
 
 
 def test_no_offset_is_found_where_there_is_none() -> None:

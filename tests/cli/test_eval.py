@@ -30,11 +30,6 @@ QUICK = ["--duration", "0.1", "--set", "control.samples=5", "--set", "control.ho
 GRID = ["--tasks", "t1,t5", "--modes", "true,baseline", "--seeds", "1", "--workers", "1"]
 
 
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output of one quick study; the cells failed in nothing but their task, so the exit code is 0."""
@@ -205,41 +200,12 @@ def breaking(request):
     return blank(request, "SimulationError: it broke") if broken else record(request)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (["--ablate", "sampels=8,16"], "no parameter 'sampels' (did you mean 'samples'?); there is: "),
-        (["--ablate", "control.sampels=8"], "no key 'sampels' (did you mean 'samples'?); there is: elites"),
-        (["--ablate", "samples"], "write KEY=VALUE,VALUE"),
-        (["--ablate", "samples=many"], "samples is 'many'"),
-        (["--tasks", "t9"], "no task 't9'"),
-        (["--modes", "truth"], "no mode 'truth' (did you mean 'true'?)"),
-        (["--tasks", "t1", "--modes", "stale"], "nothing to run"),
-        (["--belief", "t1"], "TASK=FILE"),
-        (["--belief", "t1=nowhere.yaml"], "no file 'nowhere.yaml'"),
-        (["--report", "nowhere"], "nowhere"),
-        (["--cluster", "nonsense://here:1"], "nonsense"),
-        (["--engine", "abacus"], "no engine 'abacus'; there is: cpu, gpu, auto"),
-    ],
-)
-def test_a_wrong_option_is_refused_in_one_line_before_anything_is_run(capsys, options, message: str) -> None:
-    pytest.importorskip("distributed")
-    assert run(["eval", "-q", "-o", "out", *options]) == 2
-    assert message in the_line(capsys)
-    assert not list(Path().rglob("*.json")) or "--cluster" in options
-
-
 def test_each_result_is_shown_with_the_time_left() -> None:
     shown = _counted(4)
     shown(result(Cell("t4", "baseline", 0)))
     state, count, total = shown(result(Cell("t4", "true", 2)))
     assert re.fullmatch(r"2/4: .*t4.*: success, 0\.022 m from the goal, 14\.1 s; about 0 min left", state)
     assert (count, total) == (2, 4)
-
-
-def test_resume_needs_a_folder_to_go_on_in(capsys) -> None:
-    assert run(["eval", "--resume"]) == 2
-    assert "-o OUT" in the_line(capsys)
 
 
 @pytest.mark.usefixtures("no_figures")
@@ -258,6 +224,8 @@ def test_where_no_scheduler_answers_the_command_fails_in_one_line(monkeypatch, c
     monkeypatch.setattr("amhe_cli.study.executors.PATIENCE", 0.5)
     assert run(["eval", *GRID, "-q", "-o", "out", "--cluster", "tcp://127.0.0.1:9"]) == 1
     assert "no scheduler answers at tcp://127.0.0.1:9" in the_line(capsys)
+    assert run(["eval", *GRID, "-q", "-o", "other", "--cluster", "nonsense://here:1"]) == 2
+    assert "nonsense" in the_line(capsys)
 
 
 def test_a_worker_of_other_code_refuses_to_run() -> None:

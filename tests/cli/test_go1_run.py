@@ -31,6 +31,7 @@ from amhe_cli.logs import read_metadata, survey
 from amhe_cli.robots.go1.link.mail import Phase
 from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import KINDS
+from amhe_cli.robots.go1.probing.motions import STEADY
 from tests.robots.go1.emulator.emulating import Emulated, emulating
 from tests.robots.go1.poses.streaming import free_port
 
@@ -50,11 +51,6 @@ def at(emulated: Emulated, slow: int = 2) -> list[str]:
     here = ["--host", "127.0.0.1", "--port", str(emulated.port)]
     eyes = ["--pose-host", "127.0.0.1", "--pose-port", str(emulated.mocap_port)]
     return [*ROBOT, *here, *eyes, "--set", f"go1.slow={slow}", "--set", "go1.arm=auto", *QUICK]
-
-
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
 
 
 def test_the_choices_are_those_of_the_library() -> None:
@@ -85,10 +81,12 @@ def test_a_robot_is_checked_without_moving_and_then_runs_as_in_simulation(capsys
 
 
 @pytest.mark.slow
-def test_its_log_is_identified_and_replayed_with_no_options(capsys) -> None:
+def test_its_log_is_identified_and_replayed_with_no_options(capsys, monkeypatch) -> None:
     pytest.importorskip("natnet")
     with emulating("--set", "go1.slow=4") as emulated:
         assert run([*at(emulated, slow=4), "--duration", "4", "-o", "out"]) == 0, capsys.readouterr().err
+    for setting, few in {"IDENTIFY__ITERATIONS": 4, "IDENTIFY__PROFILE_POINTS": 0, "CLIPS__COUNT": 8}.items():
+        monkeypatch.setenv(f"AMHE_{setting}", str(few))
     found = {}
     for command in ("identify", "mhe-replay"):
         assert run([command, "out/log.mcap"]) == 0, capsys.readouterr().err
@@ -316,40 +314,6 @@ def test_at_a_terminal_enter_arms_and_a_key_stops() -> None:
     assert not survey(Path("out/log.mcap")).problems
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([*ROBOT[:-1], "true"], "adaptive or baseline"),
-        ([*ROBOT, "--plant", "robot.xml"], "--plant is the robot of a simulation"),
-        ([*ROBOT, "--video", "--set", "go1.arm=operator"], "--video films a simulated plant"),
-        ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.arm=auto"], "for the emulator"),
-        ([*ROBOT, "--host", "192.0.2.1", "--set", "go1.slow=2"], "go1.slow is for the emulator"),
-        (["calibrate", "--host", "192.0.2.1", "--set", "go1.slow=2"], "go1.slow is for the emulator"),
-        ([*ROBOT, "--pose", "motioncapture"], "vicon:"),
-        ([*ROBOT, "--set", "go1.box=go1"], "same name"),
-        ([*ROBOT, "--pose", "ros2", "--pose-host", "lab"], "number of a DDS domain"),
-        ([*ROBOT, "--set", "go1.trips.tilt=-1"], "go1.trips.tilt"),
-        ([*ROBOT, "--set", "go1.trips.tilt=3"], "go1.trips.tilt"),
-        ([*ROBOT, "--set", "go1.trips.state_age=1000"], "go1.trips.state_age"),
-        ([*ROBOT, "--set", "go1.damping=0.05"], "go1.damping"),
-        ([*ROBOT, "--set", "go1.kd=[2,3,0.06]"], "go1.kd"),
-        (["run", "--task", "t1", "--pose-port", "5"], "--pose-port is of a real robot"),
-        (["run", "--task", "t1", "--dry-run"], "--dry-run is of a real robot"),
-        (["probe", "--host", "192.0.2.1"], "--host is of a real robot"),
-        (["probe", "--target", "go1", "--plant", "robot.xml"], "--plant is the robot of a simulation"),
-        (["probe", "--target", "go1", "--system", "pendulum"], "leave out --system pendulum"),
-        (["emulate", "--fault", "los=1"], "did you mean 'loss'"),
-    ],
-)
-def test_a_mistake_is_one_line_and_leaves_nothing(capsys, arguments: list[str], message: str) -> None:
-    Path("robot.xml").write_text("<mujoco/>")
-    assert run(arguments) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert len(err.splitlines()) == 1
-    assert [path.name for path in Path().iterdir()] == ["robot.xml"]
-
-
 @pytest.mark.parametrize("mode", ["baseline", pytest.param("adaptive", marks=pytest.mark.slow)])
 def test_a_robot_that_is_not_there_is_one_line_and_leaves_no_process(capfd, mode: str) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
@@ -388,7 +352,8 @@ def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys) -> None:
     assert log.duration == pytest.approx(2.0, abs=0.3)
 
 
-def test_a_probe_without_its_robot_keeps_its_plan(capfd) -> None:
+def test_a_probe_without_its_robot_keeps_its_plan(capfd, monkeypatch) -> None:
+    monkeypatch.setattr("amhe_cli.robots.go1.probing.probe.MOTIONS", (STEADY,))  # one rehearsal is enough
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
         deaf.bind(("127.0.0.1", 0))
         port = str(deaf.getsockname()[1])

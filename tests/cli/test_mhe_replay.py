@@ -24,12 +24,6 @@ PENDULUM = str(LOGS / "pendulum.mcap")
 NAMES = ("box_mass", "box_inertia_scale", "floor_friction")
 
 
-@pytest.fixture(autouse=True)
-def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Commands write below the folder that they are run in."""
-    monkeypatch.chdir(tmp_path)
-
-
 @pytest.fixture(scope="module")
 def pushed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Output of three seconds of the bundled log of a Go1."""
@@ -223,26 +217,6 @@ def test_a_belief_is_started_from() -> None:
 
 
 # -- input that is not as it should be ------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (["--prior-weight", "mass=1"], 2, "did you mean 'load_mass'?"),
-        (["--prior-weight", "load_mass"], 2, "NAME=W"),
-        (["--prior-weight", "load_mass=-1"], 2, "a number of at least 0"),
-        (["--set", "mhe.widow=1"], 2, "window"),
-        (["--system", "go1_push"], 4, "about pendulum, not go1_push"),
-        (["--topic", "joints=/nothing"], 4, "no topic '/nothing'"),
-        (["--to", "0.004"], 1, "no window"),
-    ],
-)
-def test_what_cannot_be_replayed_is_reported_in_one_line(capsys, arguments, code: int, message: str) -> None:
-    assert run(["mhe-replay", PENDULUM, "-o", "out", *arguments]) == code
-    err = capsys.readouterr().err
-    assert message in err
-    assert len(err.splitlines()) == 1
-    assert not Path("out").exists()
 
 
 def test_of_a_log_shorter_than_the_window_all_is_used_and_that_is_reported(capsys) -> None:
