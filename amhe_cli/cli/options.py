@@ -282,7 +282,8 @@ def _spread(default: Callable[[], int] | None, shown: str) -> Callable[[F], F]:
         click.option(
             "--cluster",
             metavar="tcp://HOST:PORT",
-            help="A dask scheduler whose workers do it instead; needs the extra [cluster].",
+            help="A dask scheduler whose workers do it instead; needs the extra [cluster]. Whoever reaches "
+            "its port can run any code as you (docs/scaling.md).",
         ),
     )
 

@@ -6,10 +6,12 @@ and by clips too where there are few candidates; only the wanted numbers come ba
 
 from __future__ import annotations
 
+import logging
 import pickle
+import time
 import zlib
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, CancelledError, Executor, Future, wait
 from functools import lru_cache
 from typing import Any, TypeVar
 
@@ -17,7 +19,7 @@ import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray
-from amhe_cli.core.errors import AmheError
+from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.engine.cpu import CpuEngine, hush_mujoco
 from amhe_cli.engine.rollout import (
     Predicted,
@@ -29,9 +31,19 @@ from amhe_cli.engine.rollout import (
     predicted_in_parts,
 )
 from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.provenance import versions
+
+logger = logging.getLogger(__name__)
 
 #: A part of a call has at least so many rollouts, and a call at most so many parts.
 _LEAST, _MOST = 8, 64
+#: Silence of all workers after which Ctrl-C ends a call at once [s].
+_QUIET = 5.0
+#: Silence of all workers that is warned of [s].
+_DOUBTED = 60.0
+#: Silence of all workers after which they are given up [s]; dask gives work of one that hangs to another
+#: after 300 s.
+_LOST = 600.0
 
 T = TypeVar("T")
 
@@ -52,7 +64,8 @@ class SpreadEngine:
     ) -> None:
         self._executor, self._edits, self._input_spec, self._sensors = executor, edits, input_spec, sensors
         # a model is megabytes, nearly all of it zeros; it goes with each part, since workers come and go
-        self._blueprint = zlib.compress(pickle.dumps((model, edits, input_spec, sensors)), 1)
+        packed = zlib.compress(pickle.dumps((model, edits, input_spec, sensors)), 1)
+        self._blueprint = pickle.dumps((versions(), packed))
 
     precision, device_bytes = float(np.finfo(np.float64).eps), 0
 
@@ -101,11 +114,39 @@ class SpreadEngine:
         """Results of all parts, in their order."""
         try:
             futures = [self._executor.submit(function, self._blueprint, *part) for part in parts]
+            _wait(futures)
             return [future.result() for future in futures]
         except (BrokenExecutor, CancelledError):
             raise AmheError(
                 "the workers are gone: start them again; a search with a checkpoint goes on where it was"
             ) from None
+
+
+def _wait(futures: Sequence[Future[Any]]) -> None:
+    """Wait for all, as long as one or other is answered.
+
+    Raises:
+        AmheError: No worker has answered for long, or for some seconds when Ctrl-C came.
+        Exception: What a worker raised.
+    """
+    waiting, last, doubted = set(futures), time.monotonic(), False
+    silence = 0.0
+    try:
+        while waiting:
+            done, waiting = wait(waiting, 1.0, FIRST_COMPLETED)
+            for future in done:
+                future.result()
+            last = time.monotonic() if done else last
+            silence = time.monotonic() - last
+            if silence > _LOST:
+                raise AmheError(f"no worker has answered for {silence:.0f} s: start them again")
+            if silence > _DOUBTED and not doubted:
+                logger.warning("no worker has answered for %.0f s: one may hang; Ctrl-C gives up", silence)
+                doubted = True
+    except KeyboardInterrupt:
+        if silence > _QUIET:  # what is found is no result yet, and to conclude takes workers
+            raise AmheError(f"interrupted while no worker had answered for {silence:.0f} s") from None
+        raise
 
 
 def _rollout(blueprint: bytes, *arguments: Any) -> Rollouts:
@@ -118,7 +159,17 @@ def _predict(blueprint: bytes, *arguments: Any) -> Predicted:
 
 @lru_cache(maxsize=2)
 def _engine(blueprint: bytes) -> CpuEngine:
-    """The engine of a worker, kept from call to call."""
+    """The engine of a worker, kept from call to call.
+
+    Raises:
+        ConfigError: The worker has other versions than the process that asks: results would be mixed.
+    """
     hush_mujoco()
-    model, edits, input_spec, sensors = pickle.loads(zlib.decompress(blueprint))
+    wanted, packed = pickle.loads(blueprint)
+    for name, there in versions().items():
+        if name != "python" and there != wanted[name]:
+            raise ConfigError(
+                f"a worker runs {name} {there}, and this command {wanted[name]}: install the same everywhere"
+            )
+    model, edits, input_spec, sensors = pickle.loads(zlib.decompress(packed))
     return CpuEngine(model, edits, input_spec, 1, sensors)

@@ -113,7 +113,8 @@ def remote(address: str) -> Iterator[Executor]:
     with client:
         if not client.scheduler_info()["workers"]:
             logger.warning(
-                "the scheduler has no workers yet: start some with `dask worker %s --nthreads 1`", address
+                "the scheduler has no workers yet, and this waits for some: `dask worker %s --nthreads 1`",
+                address,
             )
         executor = client.get_executor(pure=False)
         try:

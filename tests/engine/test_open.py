@@ -1,13 +1,15 @@
 """Opening engines, and what the engines of one process and of many do with a call."""
 
-from concurrent.futures import BrokenExecutor, Executor, ProcessPoolExecutor, ThreadPoolExecutor
+import signal
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
+from threading import Timer
 
 import numpy as np
 import pytest
 
 from amhe_cli.core.errors import AmheError, ConfigError
-from amhe_cli.engine import cpu
+from amhe_cli.engine import cpu, spread
 from amhe_cli.engine.open import contact_variants, open_engine
 from tests.engine.test_contract import CUBE, PENDULUM, clips, some
 
@@ -52,6 +54,45 @@ def test_a_prediction_is_spread_by_candidates_and_those_of_few_by_clips(
     np.testing.assert_array_equal(spread.completed, alone.completed)
     for one, other in zip(spread.values, alone.values, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+def test_a_worker_with_another_version_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    with ThreadPoolExecutor(1) as executor:
+        engine = open_engine(PENDULUM, executor=executor)
+        theirs = {**spread.versions(), "python": "3", "mujoco": "3.9"}
+        monkeypatch.setattr(spread, "versions", lambda: theirs)
+        spread._engine.cache_clear()
+        with pytest.raises(ConfigError, match=r"a worker runs mujoco 3\.9, and this command \d"):
+            engine.rollout(*some(8))
+        monkeypatch.undo()
+        assert engine.rollout(*some(8)).completed.all()
+
+
+class Hanging(Executor):
+    """Answers nothing."""
+
+    def submit(self, fn, /, *args, **kwargs):
+        return Future()
+
+
+def test_workers_that_hang_are_warned_of_and_given_up(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(spread, "_DOUBTED", 0.5)
+    monkeypatch.setattr(spread, "_LOST", 1.5)
+    with pytest.raises(AmheError, match=r"no worker has answered for \d s: start them again"):
+        open_engine(PENDULUM, executor=Hanging()).rollout(*some(8))
+    assert caplog.text.count("one may hang") == 1
+
+
+def test_ctrl_c_ends_a_call_whose_workers_hang(monkeypatch: pytest.MonkeyPatch) -> None:
+    """To conclude a search takes workers: a KeyboardInterrupt would begin that, and wait again."""
+    monkeypatch.setattr(spread, "_QUIET", 0.5)
+    press = Timer(2.5, lambda: signal.raise_signal(signal.SIGINT))
+    press.start()
+    with pytest.raises(AmheError, match="interrupted while no worker had answered"):
+        open_engine(PENDULUM, executor=Hanging()).rollout(*some(8))
+    press.join()
 
 
 def test_sums_of_what_other_processes_predict_are_the_same_to_the_bit() -> None:
