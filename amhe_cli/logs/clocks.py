@@ -1,17 +1,21 @@
-"""Choosing one of a message's three stamps, and dropping those that cannot be true."""
+"""When samples were taken: one of each message's three stamps, without those that are wrong, on one clock."""
 
 from __future__ import annotations
 
 import logging
 from bisect import bisect_left
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
+from amhe_cli.core.errors import LogError
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.raw import messages
 from amhe_cli.logs.messages.decode import SignalSamples
 
@@ -25,15 +29,21 @@ Stamp = Literal["auto", "header", "publish", "log"]
 _WILD_HEADER = 60.0
 #: Any stamp this far [s] from the middle of its log is wild, if such stamps are few.
 _WILD = 86400.0
-#: Clocks that differ by more [s] are worth a warning; offsets between topics above OFFSET are reported.
+#: Clocks that differ by more [s] are worth a warning.
 _DISAGREE = 1.0
-OFFSET = 0.005
-#: A header clock that steps is judged by this many messages on either side, and by no fewer than
+#: Offsets between topics that are larger [s] are reported.
+_OFFSET = 0.005
+#: A smaller offset between two topics [s], or one of less than half a period, may be their transport's.
+_LATENCY = 0.02
+#: A header clock that steps is judged by this many messages on either side.
 _STEP_MESSAGES = 50
+#: It is judged by no fewer messages than these.
 _STEP_ENOUGH = 10
-#: It steps by at least so much [s], so many of the topic's periods, and so many sd of its jitter.
+#: It steps by at least so much [s].
 _STEP_LEAST = 0.02
+#: It steps by at least so many of the topic's periods.
 _STEP_PERIODS = 3.0
+#: It steps by at least so many sd of its jitter.
 _STEP_JITTERS = 6.0
 
 
@@ -54,6 +64,99 @@ class Timeline:
     kept: IntArray
     lag: float
     notes: tuple[str, ...]
+
+    @property
+    def period(self) -> float:
+        """Median period [s]; 0 for a single sample."""
+        return float(np.median(np.diff(self.stamps_ns))) / 1e9 if self.stamps_ns.size > 1 else 0.0
+
+
+def on_one_clock(
+    path: Path, signals: Sequence[Signal], samples: Mapping[str, SignalSamples], settings: LogSettings
+) -> dict[str, Timeline]:
+    """Choose the stamps of each signal, and bring them onto one clock.
+
+    Large offsets between clocks are corrected always, small ones between topics if the settings say so, and
+    those that a signal states. What is dropped or moved is logged.
+
+    Args:
+        path: The log, for the messages.
+        signals: The signals.
+        samples: Name of each signal -> its samples.
+        settings: The clock to use, and whether to align topics.
+
+    Raises:
+        LogError: A topic has no usable stamp.
+    """
+    stamp = _trusted(path, signals, samples, settings.stamp)
+    chosen = {signal.name: _chosen(path, signal, samples[signal.name], stamp) for signal in signals}
+    lags = {s.topic: chosen[s.name].lag for s in signals if chosen[s.name].clock == "header"}
+    middle = float(np.median(list(lags.values()))) if lags else 0.0
+    _log_offsets(path, [s for s in signals if s.topic in lags], chosen, settings.align)
+    for signal in signals:
+        times, shift = chosen[signal.name], signal.offset
+        if signal.topic in lags:
+            # A topic whose stamps run ahead reaches the recorder early by its own clock: its lag is small.
+            # Transport takes part of the lag, so this cannot tell a slow network from a slow clock.
+            shift += lags[signal.topic] - middle if settings.align else 0.0
+        elif abs(middle) > _DISAGREE:
+            shift -= middle
+            logger.warning(
+                "%s: topic %r: its %s stamps are moved by %.6g s onto the header clock of the other topics",
+                path, signal.topic, times.clock, -middle,
+            )  # fmt: skip
+        chosen[signal.name] = replace(times, stamps_ns=times.stamps_ns + round(shift * 1e9))
+    return chosen
+
+
+def _trusted(
+    path: Path, signals: Sequence[Signal], samples: Mapping[str, SignalSamples], stamp: Stamp
+) -> Stamp:
+    """The clock to use: the recorder's for all topics if one's header clock was set while it ran.
+
+    The topics' headers have no common clock then, whichever side of the step is right.
+    """
+    if stamp not in ("auto", "header"):
+        return stamp
+    steps = {signal.topic: header_steps(samples[signal.name]) for signal in signals}
+    stepping = {topic: found for topic, found in steps.items() if found}
+    remedy = (
+        "the recorder's stamps are used for all topics"
+        if stamp == "auto"
+        else "data on its two sides do not belong together; use `logs.stamp=log`"
+    )
+    for topic, found in stepping.items():
+        logger.warning("%s: topic %r: %s: %s", path, topic, step_words(found), remedy)
+    return "log" if stepping and stamp == "auto" else stamp
+
+
+def _chosen(path: Path, signal: Signal, samples: SignalSamples, stamp: Stamp) -> Timeline:
+    times = timeline(samples, stamp)
+    for note in times.notes:
+        logger.warning("%s: topic %r: %s", path, signal.topic, note)
+    if times.kept.size == 0:
+        raise LogError(f"{path}: topic {signal.topic!r}: no message has a usable {times.clock} stamp")
+    if not samples.has_header and stamp == "auto":
+        logger.info("%s: topic %r: no header, %s stamps are used", path, signal.topic, times.clock)
+    return times
+
+
+def _log_offsets(path: Path, stamped: Sequence[Signal], chosen: Mapping[str, Timeline], align: bool) -> None:
+    """Log the offsets between header clocks; warn of those that transport cannot explain, unless corrected.
+
+    An offset that the system states counts as corrected.
+    """
+    lags = {signal.topic: chosen[signal.name].lag - signal.offset for signal in stamped}
+    periods = {signal.topic: chosen[signal.name].period for signal in stamped}
+    for (late, early, apart), words in zip(_offset_pairs(lags), offset_words(lags), strict=True):
+        if align:
+            logger.info("%s: %s (corrected)", path, words)
+        elif apart > max(_LATENCY, 0.5 * min(periods[late], periods[early])):
+            logger.warning(
+                "%s: %s: if both were measured at once, correct it with `logs.align=true`", path, words
+            )
+        else:
+            logger.info("%s: %s", path, words)
 
 
 def timeline(samples: SignalSamples, forced: Stamp = "auto") -> Timeline:
@@ -212,26 +315,11 @@ def _longest_run(stamps: list[int]) -> list[bool]:
     return keep
 
 
-def offsets(lags: Mapping[str, float]) -> dict[str, float]:
-    """Estimated clock offset of each topic [s]: its stamps minus those of the median topic.
-
-    A topic whose stamps run ahead reaches the recorder early by its own clock, so its lag is small.
-    Transport takes part of the lag, so this cannot tell a slow network from a slow clock.
-
-    Args:
-        lags: Topic -> median of recorder's stamp minus header stamp [s].
-    """
-    if not lags:
-        return {}
-    middle = float(np.median(list(lags.values())))
-    return {topic: middle - lag for topic, lag in lags.items()}
-
-
-def offset_pairs(lags: Mapping[str, float]) -> list[tuple[str, str, float]]:
+def _offset_pairs(lags: Mapping[str, float]) -> list[tuple[str, str, float]]:
     """Topics with neighbouring lags that differ: (stamped later, stamped earlier, by how much [s])."""
     ordered = sorted(lags, key=lambda topic: lags[topic])
     pairs = [(first, second, lags[second] - lags[first]) for first, second in pairwise(ordered)]
-    return [pair for pair in pairs if pair[2] > OFFSET]
+    return [pair for pair in pairs if pair[2] > _OFFSET]
 
 
 def offset_words(lags: Mapping[str, float]) -> list[str]:
@@ -239,7 +327,7 @@ def offset_words(lags: Mapping[str, float]) -> list[str]:
     return [
         f"topic {late!r} is stamped {1e3 * apart:.0f} ms later than {early!r} "
         "(judged by when the recorder got them)"
-        for late, early, apart in offset_pairs(lags)
+        for late, early, apart in _offset_pairs(lags)
     ]
 
 

@@ -1,28 +1,30 @@
-"""Decode the topics of some signals in one pass, from any file format."""
+"""The samples of some signals, decoded in one pass over a log of any format."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Sequence
 from difflib import get_close_matches
+from pathlib import Path
 
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.signals import Signal
 from amhe_cli.logs.containers.folder import StoredLog
 from amhe_cli.logs.containers.raw import Connection, messages
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
-from amhe_cli.logs.messages.decode import SignalDecoder
+from amhe_cli.logs.messages.decode import SignalDecoder, SignalSamples
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.split import Splitter
+from amhe_cli.logs.physics import checked
 
 logger = logging.getLogger(__name__)
 
 
-def collect(log: StoredLog, signals: Sequence[Signal], definitions: Definitions) -> dict[str, SignalDecoder]:
-    """Decode the signals' topics in one pass; damage is logged as warnings.
+def collect(log: StoredLog, signals: Sequence[Signal], definitions: Definitions) -> dict[str, SignalSamples]:
+    """Decode the signals' topics in one pass; damage and impossible values are logged as warnings.
 
     Returns:
-        Name of each signal -> its decoder, which has at least one message.
+        Name of each signal -> its samples, at least one.
 
     Raises:
         LogError: If a topic is absent, of another type, or none of its messages can be read.
@@ -48,7 +50,14 @@ def collect(log: StoredLog, signals: Sequence[Signal], definitions: Definitions)
     for signal in signals:
         if signal.name not in decoders:
             raise LogError(f"{log.path}: {missing(log, signal)}")
-    return decoders
+    return {signal.name: _checked(log.path, signal, decoders[signal.name]) for signal in signals}
+
+
+def _checked(path: Path, signal: Signal, decoder: SignalDecoder) -> SignalSamples:
+    def warn(text: str) -> None:
+        logger.warning("%s: topic %r: %s", path, signal.topic, text)
+
+    return checked(decoder.samples(), signal, warn)
 
 
 def _warn(

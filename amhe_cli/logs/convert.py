@@ -13,7 +13,7 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.files import filling
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import QUANTITIES, Measured, Signal, remapped
-from amhe_cli.logs.collect import collect, missing
+from amhe_cli.logs.collect import missing
 from amhe_cli.logs.containers.folder import StoredLog, open_log
 from amhe_cli.logs.containers.raw import Batch, Connection, readable
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
@@ -25,7 +25,7 @@ from amhe_cli.logs.messages.types import TYPES
 from amhe_cli.logs.messages.writer import LogWriter
 from amhe_cli.logs.survey import Survey, TopicSurvey, read_metadata, survey
 from amhe_cli.logs.tables import fields_of, signals_on_tables, table_columns, table_name
-from amhe_cli.logs.tracks import SignalTrack, on_one_clock, tracks_of
+from amhe_cli.logs.tracks import SignalTrack, read_tracks
 
 logger = logging.getLogger(__name__)
 
@@ -194,9 +194,7 @@ def _tracks(
 ) -> list[SignalTrack]:
     """Samples of the signals on one clock; a system's own offsets are left for those who read the result."""
     plain = [replace(signal, offset=0.0) for signal in signals]
-    there = signals_on_tables(log.connections, plain)
-    decoders = collect(log, there, definitions)
-    return on_one_clock(log.path, tracks_of(log.path, there, decoders, settings), settings)
+    return read_tracks(log, plain, definitions, settings)
 
 
 def _of_table(connection: Connection) -> Signal:

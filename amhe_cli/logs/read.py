@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -10,30 +9,18 @@ from typing import overload
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.corrections import corrected
-from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, warn_of
-from amhe_cli.core.resample import longest_bridge, resample
 from amhe_cli.core.series import Series
 from amhe_cli.core.settings import LogSettings
-from amhe_cli.core.signals import DERIVED, Measured, Signal, remapped
-from amhe_cli.logs.collect import collect
+from amhe_cli.core.signals import Measured, Signal, remapped
 from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.raw import readable
 from amhe_cli.logs.data_set import is_data_set, members, only_member
 from amhe_cli.logs.messages.definitions import Definitions
-from amhe_cli.logs.physics import twist_looks_global
 from amhe_cli.logs.survey import Inspection, SignalCheck, survey
-from amhe_cli.logs.tables import signals_on_tables
-from amhe_cli.logs.tracks import SignalTrack, grid_of, on_one_clock, tracks_of
-
-logger = logging.getLogger(__name__)
-
-#: A signal that is missing for a larger share of the log is worth a warning, which names so many gaps.
-_LOSS = 0.05
-_GAPS_SHOWN = 3
+from amhe_cli.logs.tracks import grid_of, read_tracks, series_of, warn_of_gaps
 
 
 @overload
@@ -188,85 +175,12 @@ def read_signals(
         raise ConfigError("reading a log takes at least one signal and a positive time step")
     with readable(path):
         log = open_log(path)
-        signals = signals_on_tables(log.connections, signals)
-        decoders = collect(log, signals, Definitions(msg_path))
-        tracks = on_one_clock(path, tracks_of(path, signals, decoders, settings), settings)
+        tracks = read_tracks(log, signals, Definitions(msg_path), settings)
         grid, start_ns = grid_of(path, tracks, dt, start, end)
         series: dict[str, Series] = {}
         for track in tracks:
-            found = _series(path, track, grid, start_ns, settings)
-            _warn_of_gaps(path, track.signal, found, dt)
-            series |= found
+            of_signal = series_of(path, track, grid, start_ns, settings.max_gap)
+            warn_of_gaps(path, track.signal, of_signal, dt)
+            series |= of_signal
     begun = 0.0 if start is None else dt * np.ceil(start / dt - 1e-6)
     return Log(dt, corrected(series, signals, dt, begun), str(path), start_ns, log.metadata, path)
-
-
-def _series(
-    path: Path, track: SignalTrack, grid: FloatArray, start_ns: int, settings: LogSettings
-) -> dict[str, Series]:
-    signal = track.signal
-    times = (track.times.stamps_ns - start_ns) / 1e9
-    bridge = longest_bridge(times, settings.max_gap, signal.held)
-    series: dict[str, Series] = {}
-    for quantity in signal.quantities:
-        values, columns, derived = _values(path, track, quantity, times, bridge)
-        values.setflags(write=False)  # nobody else has them: the log need not copy them
-        series[signal.key(quantity)] = resample(
-            times,
-            values,
-            columns,
-            grid,
-            bridge=bridge,
-            hold=signal.held,
-            rotation=quantity == "orientation",
-            derived=derived,
-        )
-    return series
-
-
-def _warn_of_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: float) -> None:
-    """Warn where a signal is missing for more than a small part of the log."""
-    missing = ~np.all([one.valid for one in series.values()], axis=0)
-    if missing.mean() <= _LOSS:
-        return
-    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
-    gaps = sorted(edges.reshape(-1, 2).tolist(), key=lambda gap: gap[0] - gap[1])
-    shown = [
-        f"from {dt * begin:.2f} to {dt * end:.2f} s ({dt * (end - begin):.2f} s)"
-        for begin, end in sorted(gaps[:_GAPS_SHOWN])
-    ]
-    rest = f" and in {len(gaps) - len(shown)} shorter gaps" if len(gaps) > len(shown) else ""
-    logger.warning(
-        "%s: topic %r: no data of signal %r %s%s, in all %s of %s s: no clip crosses it",
-        path, signal.topic, signal.name, ", ".join(shown), rest,
-        f"{dt * missing.sum():.2f}", f"{dt * missing.size:.2f}",
-    )  # fmt: skip
-
-
-def _values(
-    path: Path, track: SignalTrack, quantity: str, times: FloatArray, bridge: float
-) -> tuple[FloatArray, tuple[str, ...], bool]:
-    """Bring one quantity into our convention; differentiate it where the topic lacks it.
-
-    Returns:
-        Samples (m, k), names of the columns, whether they were differentiated.
-    """
-    known: Mapping[str, FloatArray] = track.samples.values
-    values = track.converted(quantity)
-    if values is not None:
-        turned = quantity == "linear_velocity" and track.twist_in_child
-        if turned and twist_looks_global(times, known, values):
-            logger.warning(
-                "%s: topic %r: its twist fits its positions better as a velocity in the world frame, but "
-                "ROS defines it in the child frame, and so it was read",
-                path,
-                track.signal.topic,
-            )
-        return values, track.samples.columns[quantity], False
-    source = DERIVED.get(quantity, "")
-    values = track.converted(source)
-    if values is None:
-        raise LogError(f"{path}: topic {track.signal.topic!r} carries no {quantity}")
-    logger.info("%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source)
-    columns = ("x", "y", "z") if source == "orientation" else track.samples.columns[source]
-    return differentiated(times, values, source, bridge), columns, True

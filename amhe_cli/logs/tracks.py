@@ -1,40 +1,37 @@
-"""Signals of one log with their stamps: which clock counts, bringing all onto one, and the rows it gives."""
+"""The signals of one log: their samples with their times, and the rows that these give on a uniform clock."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.core.resample import common_rows, too_many
+from amhe_cli.core.resample import common_rows, longest_bridge, resample, too_many
+from amhe_cli.core.series import Series
 from amhe_cli.core.settings import LogSettings
-from amhe_cli.core.signals import Signal
+from amhe_cli.core.signals import DERIVED, Signal
 from amhe_cli.core.units import unwrapped
-from amhe_cli.logs.clocks import (
-    Stamp,
-    Timeline,
-    header_steps,
-    offset_pairs,
-    offset_words,
-    offsets,
-    step_words,
-    timeline,
-)
-from amhe_cli.logs.messages.decode import SignalDecoder, SignalSamples
-from amhe_cli.logs.physics import checked
+from amhe_cli.logs.clocks import Timeline, on_one_clock
+from amhe_cli.logs.collect import collect
+from amhe_cli.logs.containers.folder import StoredLog
+from amhe_cli.logs.messages.decode import SignalSamples
+from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.physics import twist_looks_global
+from amhe_cli.logs.tables import signals_on_tables
 
 logger = logging.getLogger(__name__)
 
-#: Header-less topics are moved onto the others' header clock where that is off by more than this [s].
-_SAME_CLOCK = 1.0
-#: A smaller offset between two topics [s], or one of less than half a period, may be their transport's.
-_LATENCY = 0.02
+#: A signal that is missing for a larger share of the log is worth a warning.
+_LOSS = 0.05
+#: Gaps that the warning names.
+_GAPS_SHOWN = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,25 +42,18 @@ class SignalTrack:
         signal: The signal of the system.
         times: Stamps of the m samples that count.
         samples: Values of these samples.
-        twist_in_child: Twists are in the child frame's axes, as in an odometry.
     """
 
     signal: Signal
     times: Timeline
     samples: SignalSamples
-    twist_in_child: bool
-
-    @property
-    def period(self) -> float:
-        """Median period [s]; 0 for a single sample."""
-        return float(np.median(np.diff(self.times.stamps_ns))) / 1e9 if self.times.stamps_ns.size > 1 else 0.0
 
     def carried(self, quantity: str) -> FloatArray | None:
         """Values of a quantity, shape (m, k), velocities in the world; None where the topic lacks it."""
         values = self.samples.values.get(quantity)
         if values is None or not np.isfinite(values).any():
             return None
-        if quantity == "linear_velocity" and self.twist_in_child:
+        if quantity == "linear_velocity" and self.samples.twist_in_child:
             return rotations.rotate(self.samples.values["orientation"], values)
         return values
 
@@ -76,106 +66,19 @@ class SignalTrack:
             values = unwrapped(values)
         return values
 
-    def moved(self, seconds: float) -> SignalTrack:
-        """The same track, with stamps later by `seconds`."""
-        stamps_ns = self.times.stamps_ns + round(seconds * 1e9)
-        return replace(self, times=replace(self.times, stamps_ns=stamps_ns))
 
-
-def tracks_of(
-    path: Path, signals: Sequence[Signal], decoders: Mapping[str, SignalDecoder], settings: LogSettings
+def read_tracks(
+    log: StoredLog, signals: Sequence[Signal], definitions: Definitions, settings: LogSettings
 ) -> list[SignalTrack]:
-    """Check the signals' samples and choose their stamps."""
-    samples = {}
-    for signal in signals:
-        warn = _Warner(path, signal.topic)
-        samples[signal.name] = checked(decoders[signal.name].samples(), signal, warn)
-    stamp = _trusted(path, signals, samples, settings.stamp)
-    return [_track(path, signal, decoders[signal.name], samples[signal.name], stamp) for signal in signals]
+    """Read signals of a log onto one clock.
 
-
-def _trusted(
-    path: Path, signals: Sequence[Signal], samples: Mapping[str, SignalSamples], stamp: Stamp
-) -> Stamp:
-    """The clock to use: the recorder's for all topics if one's header clock was set while it ran.
-
-    The topics' headers have no common clock then, whichever side of the step is right.
+    Raises:
+        LogError: The log lacks a topic, joint or quantity, or a topic has no usable stamp.
     """
-    if stamp not in ("auto", "header"):
-        return stamp
-    steps = {signal.topic: header_steps(samples[signal.name]) for signal in signals}
-    stepping = {topic: found for topic, found in steps.items() if found}
-    remedy = (
-        "the recorder's stamps are used for all topics"
-        if stamp == "auto"
-        else "data on its two sides do not belong together; use `logs.stamp=log`"
-    )
-    for topic, found in stepping.items():
-        _Warner(path, topic)(f"{step_words(found)}: {remedy}")
-    return "log" if stepping and stamp == "auto" else stamp
-
-
-@dataclass(frozen=True, slots=True)
-class _Warner:
-    """Warns of anomalies of one topic."""
-
-    path: Path
-    topic: str
-
-    def __call__(self, text: str) -> None:
-        logger.warning("%s: topic %r: %s", self.path, self.topic, text)
-
-
-def _track(
-    path: Path, signal: Signal, decoder: SignalDecoder, samples: SignalSamples, stamp: Stamp
-) -> SignalTrack:
-    times = timeline(samples, stamp)
-    for note in times.notes:
-        _Warner(path, signal.topic)(note)
-    if times.kept.size == 0:
-        raise LogError(f"{path}: topic {signal.topic!r}: no message has a usable {times.clock} stamp")
-    if not samples.has_header and stamp == "auto":
-        logger.info("%s: topic %r: no header, %s stamps are used", path, signal.topic, times.clock)
-    return SignalTrack(signal, times, samples.pick(times.kept), decoder.info.twist_in_child)
-
-
-def on_one_clock(path: Path, tracks: list[SignalTrack], settings: LogSettings) -> list[SignalTrack]:
-    """Bring the topics onto one clock: large offsets always, small ones if the settings say so."""
-    lags = {t.signal.topic: t.times.lag for t in tracks if t.times.clock == "header"}
-    shifts = offsets(lags) if settings.align else {}
-    middle = float(np.median(list(lags.values()))) if lags else 0.0
-    _log_offsets(path, tracks, settings.align)
-    moved = []
-    for track in tracks:
-        topic = track.signal.topic
-        shift = track.signal.offset - shifts.get(topic, 0.0)
-        if topic not in lags and abs(middle) > _SAME_CLOCK:
-            shift -= middle
-            logger.warning(
-                "%s: topic %r: its %s stamps are moved by %.6g s onto the header clock of the other topics",
-                path, topic, track.times.clock, -middle,
-            )  # fmt: skip
-        moved.append(track.moved(shift))
-    return moved
-
-
-def _log_offsets(path: Path, tracks: Sequence[SignalTrack], align: bool) -> None:
-    """Log the offsets between header clocks; warn of those that transport cannot explain, unless corrected.
-
-    An offset that the system states counts as corrected.
-    """
-    stamped = [track for track in tracks if track.times.clock == "header"]
-    lags = {t.signal.topic: t.times.lag - t.signal.offset for t in stamped}
-    periods = {t.signal.topic: t.period for t in stamped}
-    for (late, early, apart), words in zip(offset_pairs(lags), offset_words(lags), strict=True):
-        if align:
-            logger.info("%s: %s (corrected)", path, words)
-        elif apart > max(_LATENCY, 0.5 * min(periods[late], periods[early])):
-            logger.warning(
-                "%s: %s: if both were measured at once, correct it with `logs.align=true`", path, words
-            )
-        else:
-            logger.info("%s: %s", path, words)
+    signals = signals_on_tables(log.connections, signals)
+    samples = collect(log, signals, definitions)
+    times = on_one_clock(log.path, signals, samples, settings)
+    return [SignalTrack(s, times[s.name], samples[s.name].pick(times[s.name].kept)) for s in signals]
 
 
 def grid_of(
@@ -209,3 +112,86 @@ def _no_overlap(tracks: Sequence[SignalTrack]) -> str:
         for t in tracks
     )
     return f"the topics do not overlap in time: {spans}"
+
+
+def series_of(
+    path: Path, track: SignalTrack, grid: FloatArray, start_ns: int, max_gap: float
+) -> dict[str, Series]:
+    """Series of each quantity of a signal at the instants of a grid.
+
+    Args:
+        path: The log, for the messages.
+        track: The signal.
+        grid: Instants [s], shape (T,).
+        start_ns: Stamp of instant 0 [ns].
+        max_gap: Longest silence that is bridged [s].
+
+    Raises:
+        LogError: The topic carries nothing that a quantity could be computed from.
+    """
+    signal = track.signal
+    times = (track.times.stamps_ns - start_ns) / 1e9
+    bridge = longest_bridge(times, max_gap, signal.held)
+    series: dict[str, Series] = {}
+    for quantity in signal.quantities:
+        values, columns, derived = _values(path, track, quantity, times, bridge)
+        values.setflags(write=False)  # nobody else has them: the log need not copy them
+        series[signal.key(quantity)] = resample(
+            times,
+            values,
+            columns,
+            grid,
+            bridge=bridge,
+            hold=signal.held,
+            rotation=quantity == "orientation",
+            derived=derived,
+        )
+    return series
+
+
+def warn_of_gaps(path: Path, signal: Signal, series: Mapping[str, Series], dt: float) -> None:
+    """Warn where a signal is missing for more than a small part of the log."""
+    missing = ~np.all([one.valid for one in series.values()], axis=0)
+    if missing.mean() <= _LOSS:
+        return
+    edges = np.flatnonzero(np.diff(missing, prepend=False, append=False))
+    gaps = sorted(edges.reshape(-1, 2).tolist(), key=lambda gap: gap[0] - gap[1])
+    shown = [
+        f"from {dt * begin:.2f} to {dt * end:.2f} s ({dt * (end - begin):.2f} s)"
+        for begin, end in sorted(gaps[:_GAPS_SHOWN])
+    ]
+    rest = f" and in {len(gaps) - len(shown)} shorter gaps" if len(gaps) > len(shown) else ""
+    logger.warning(
+        "%s: topic %r: no data of signal %r %s%s, in all %s of %s s: no clip crosses it",
+        path, signal.topic, signal.name, ", ".join(shown), rest,
+        f"{dt * missing.sum():.2f}", f"{dt * missing.size:.2f}",
+    )  # fmt: skip
+
+
+def _values(
+    path: Path, track: SignalTrack, quantity: str, times: FloatArray, bridge: float
+) -> tuple[FloatArray, tuple[str, ...], bool]:
+    """Bring one quantity into our convention; differentiate it where the topic lacks it.
+
+    Returns:
+        Samples (m, k), names of the columns, whether they were differentiated.
+    """
+    known: Mapping[str, FloatArray] = track.samples.values
+    values = track.converted(quantity)
+    if values is not None:
+        turned = quantity == "linear_velocity" and track.samples.twist_in_child
+        if turned and twist_looks_global(times, known, values):
+            logger.warning(
+                "%s: topic %r: its twist fits its positions better as a velocity in the world frame, but "
+                "ROS defines it in the child frame, and so it was read",
+                path,
+                track.signal.topic,
+            )
+        return values, track.samples.columns[quantity], False
+    source = DERIVED.get(quantity, "")
+    values = track.converted(source)
+    if values is None:
+        raise LogError(f"{path}: topic {track.signal.topic!r} carries no {quantity}")
+    logger.info("%s: topic %r: %s is differentiated from %s", path, track.signal.topic, quantity, source)
+    columns = ("x", "y", "z") if source == "orientation" else track.samples.columns[source]
+    return differentiated(times, values, source, bridge), columns, True

@@ -33,6 +33,7 @@ class SignalSamples:
         values: quantity -> (n, k), NaN where a message lacks the value.
         columns: quantity -> names of the k columns.
         has_header: Whether the message type carries a stamp.
+        twist_in_child: Whether twists are in the child frame's axes, as in an odometry.
     """
 
     log_ns: IntArray
@@ -42,6 +43,7 @@ class SignalSamples:
     values: Mapping[str, FloatArray]
     columns: Mapping[str, tuple[str, ...]]
     has_header: bool
+    twist_in_child: bool = False
 
     def pick(self, index: NDArray) -> SignalSamples:
         """The same for some of the messages: a mask or an order, shape (n,) or (m,)."""
@@ -55,6 +57,7 @@ class SignalSamples:
             {quantity: values[index] for quantity, values in self.values.items()},
             self.columns,
             self.has_header,
+            self.twist_in_child,
         )
 
 
@@ -165,6 +168,7 @@ class SignalDecoder:
             {quantity: values.whole() for quantity, values in parts.values.items()},
             self._columns,
             self._has_header,
+            self.info.twist_in_child,
         )
         order = parts.order.whole()
         if np.all(np.diff(joined.log_ns) >= 0) and np.all(np.diff(order) > 0):  # as in most logs
