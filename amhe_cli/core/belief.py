@@ -102,12 +102,12 @@ class Belief(Displayed):
         factor, away = np.exp(np.where(self.log, far, 0.0)), np.where(self.log, 0.0, far)
         return self.estimate / factor - away, self.estimate * factor + away
 
-    def sample(self, n: int, rng: np.random.Generator | int = 0) -> FloatArray:
+    def sample(self, n: int, rng: np.random.Generator | int | None = None) -> FloatArray:
         """Draw parameters from the belief.
 
         Args:
             n: Number of draws.
-            rng: Generator, or a seed for one.
+            rng: Generator, or a seed for one; None: other draws each time.
 
         Returns:
             Parameters in their units, shape (n, d), columns in the order of `names`. Bounds of the search

@@ -121,6 +121,7 @@ def test_draws_have_the_moments_of_the_belief() -> None:
     np.testing.assert_allclose((draws.mean(axis=0) - np.log(belief.estimate)) / sd, 0.0, atol=0.03)
     np.testing.assert_allclose(np.cov(draws.T), belief.covariance, atol=0.03 * sd.max() ** 2)
     np.testing.assert_array_equal(belief.sample(3, 1), belief.sample(3, np.random.default_rng(1)))
+    assert (belief.sample(3) != belief.sample(3)).all(), "without a seed each call draws anew"
 
 
 def system(**changes: object) -> Any:

@@ -106,7 +106,7 @@ def test_a_belief_shows_estimates_and_correlations(system: amhe.System) -> None:
     known = belief_of(system, np.zeros(d), 0.01 * (np.eye(d) + 0.5 * (np.ones((d, d)) - np.eye(d))))
     shown = page(known)
     cells = texts(shown)
-    low, high = np.quantile(known.sample(40_000), [0.05, 0.95], axis=0)
+    low, high = np.quantile(known.sample(40_000, 0), [0.05, 0.95], axis=0)
     for i, name in enumerate(known.names):
         interval = cells[cells.index(name) + 3]
         assert [float(end) for end in interval.split(" to ")] == pytest.approx([low[i], high[i]], rel=0.03)
