@@ -3,6 +3,7 @@
 import os
 import shutil
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import hypothesis
@@ -23,6 +24,15 @@ for variable in ("COLUMNS", "LINES", "NO_COLOR", "FORCE_COLOR"):
 # What takes long on a busy machine is no failure.
 hypothesis.settings.register_profile("unhurried", deadline=None)
 hypothesis.settings.load_profile("unhurried")
+
+
+@pytest.fixture
+def hangs_up() -> Iterator[None]:
+    """SIGHUP ends a process, as in a terminal: `nohup make test` ignores it, and hands that on."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
 
 MODELS = Path(__file__).parents[1] / "models"
 

@@ -220,6 +220,7 @@ def test_a_full_disk_lets_the_robot_down_and_keeps_a_readable_log(monkeypatch, c
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("hangs_up")
 def test_a_terminal_that_is_closed_damps_and_keeps_what_there_is() -> None:
     pytest.importorskip("natnet")
     keys, terminal = os.openpty()

@@ -80,6 +80,7 @@ def test_a_full_disk_is_no_bug(trial, capsys) -> None:
     assert capsys.readouterr().err == "amhe trial: error: out/report.html: No space left on device\n"
 
 
+@pytest.mark.usefixtures("hangs_up")
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGHUP, 143)]
 )

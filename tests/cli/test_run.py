@@ -185,6 +185,7 @@ def test_the_table_is_on_stdout_and_progress_on_stderr(capsys) -> None:
     assert not Path("MUJOCO_LOG.TXT").exists()
 
 
+@pytest.mark.usefixtures("hangs_up")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGHUP, 143)])
 def test_an_interrupted_run_keeps_what_it_has(number: int, code: int) -> None:
     command = [sys.executable, "-m", "amhe_cli", "run", "--task", "t1", "-o", "out", "--threads", "1"]

@@ -233,6 +233,7 @@ def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -
     assert link.report.reason == "key"
 
 
+@pytest.mark.usefixtures("hangs_up")
 @pytest.mark.parametrize(
     ("number", "reason", "stop"),
     [
