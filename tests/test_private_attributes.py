@@ -1,7 +1,11 @@
 """Private attributes of other packages that we use: a version that changes one is named here."""
 
 import inspect
+import re
+import tomllib
 from importlib.metadata import version
+from itertools import chain
+from pathlib import Path
 
 import cmaes
 import mujoco
@@ -13,6 +17,10 @@ from amhe_cli.estimation.offline.cma import memory_of, restore
 from amhe_cli.robots.go1.poses.natnet import _listening_to
 from amhe_cli.robots.go1.poses.source import PoseError
 from amhe_cli.system.parameters.model_edits import inputs_of_set_const
+
+PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+#: What pyproject.toml asks for, in all extras.
+REQUIREMENTS = [*PROJECT["dependencies"], *chain(*PROJECT["optional-dependencies"].values())]
 
 
 def test_mujoco_lists_the_inputs_of_its_derived_constants() -> None:
@@ -56,3 +64,9 @@ def test_natnet_makes_its_sockets_where_we_replace_them() -> None:
 def test_a_natnet_that_makes_its_sockets_elsewhere_is_refused() -> None:
     with pytest.raises(PoseError, match="install natnet 0.3"):
         _listening_to("127.0.0.1", type("NatNetClient", (), {}))
+
+
+@pytest.mark.parametrize("package", ["cmaes", "mujoco", "natnet", "xacro"])
+def test_a_package_whose_private_attributes_we_use_has_an_upper_bound(package: str) -> None:
+    (wanted,) = {text for text in REQUIREMENTS if re.match(rf"{package}\b(?!-)", text) and "[" not in text}
+    assert re.search(r"<\d", wanted), f"{wanted}: a later version may lack them"
