@@ -8,7 +8,6 @@ every log is not searched, and one of which each log has a value of its own beco
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -18,20 +17,15 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import ParameterSpace, Rows, rows_of
 
 
-def owned(name: str, owner: str) -> str:
-    """Name of the unknown that is an owner's value of a parameter."""
-    return f"{name}[{owner}]"
-
-
 def owner_free(name: str) -> str:
-    """Name of the parameter that an unknown is a value of; see `owned`."""
+    """Name of the parameter that an unknown is a value of; of a `Parameter` itself, `of_model` knows it."""
     return name.partition("[")[0]
 
 
 def named(logs: Sequence[Log]) -> list[Log]:
     """The logs, with names for the values of their own: those of their files, numbered if need be."""
     taken = {owner for log in logs for owner in log.own.values() if owner}
-    done = []
+    labelled = []
     for log in logs:
         if "" in log.own.values():
             plain = log.source if log.file is None else log.file.stem
@@ -40,8 +34,8 @@ def named(logs: Sequence[Log]) -> list[Log]:
                 count += 1
             taken.add(label)
             log = log.with_(own={name: owner or label for name, owner in log.own.items()})
-        done.append(log)
-    return done
+        labelled.append(log)
+    return labelled
 
 
 def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
@@ -61,7 +55,7 @@ def searched(space: ParameterSpace, logs: Sequence[Log]) -> ParameterSpace:
         unknown = [log for log in logs if parameter.name not in log.known]
         owners = dict.fromkeys(log.own[parameter.name] for log in unknown if parameter.name in log.own)
         columns += [-1] * len(owners) if owners else [column] * bool(unknown)
-        parameters += [replace(parameter, name=owned(parameter.name, owner)) for owner in owners]
+        parameters += [parameter.owned_by(owner) for owner in owners]
         parameters += [parameter] * bool(unknown and not owners)
     if tuple(parameters) == space.parameters:
         return space
@@ -118,17 +112,16 @@ def acting(log: Log, model: ParameterSpace, space: ParameterSpace) -> BoolArray:
 
 def _columns(log: Log, model: ParameterSpace, space: ParameterSpace) -> list[list[int]]:
     """For each parameter of the model the unknowns whose mean it is on one log; none where it is fixed."""
-    column = {name: i for i, name in enumerate(space.names)}
-    found = []
-    for name in model.names:
-        own = owned(name, log.own.get(name, ""))
-        if name in log.known:
-            found.append([])
-        elif own in column or name in column:
-            found.append([column[own if own in column else name]])
-        else:
-            found.append([k for other, k in column.items() if other.startswith(f"{name}[")])
-    return found
+    columns: dict[str, dict[str, int]] = {name: {} for name in model.names}  # parameter -> owner -> column
+    for i, unknown in enumerate(space.parameters):
+        columns.get(unknown.of_model, {})[unknown.owner] = i
+    return [[] if name in log.known else _of(log.own.get(name, ""), columns[name]) for name in model.names]
+
+
+def _of(owner: str, columns: Mapping[str, int]) -> list[int]:
+    """Columns of an owner's value: its own, that of all logs, or those of all owners."""
+    alone = next((columns[one] for one in (owner, "") if one in columns), None)
+    return list(columns.values()) if alone is None else [alone]
 
 
 def same_values(log: Log) -> tuple[object, ...]:

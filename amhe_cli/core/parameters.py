@@ -35,6 +35,8 @@ class Parameter:
         prior_sd: Prior standard deviation of log(theta) if `log`, else of theta.
         drift: How much it may change while the system works, per square root of a second: a share of its
             value if `log`, else of its prior sd. Only the online estimator allows for it.
+        owner: Whose value it is, where logs have values of their own; '': it is that of all logs. The name of
+            an owner's value is made by `owned_by`.
     """
 
     name: str
@@ -45,6 +47,16 @@ class Parameter:
     log: bool
     prior_sd: float
     drift: float = 0.05
+    owner: str = ""
+
+    def owned_by(self, owner: str) -> Parameter:
+        """An owner's value of this parameter, such as friction[run1], with the same prior."""
+        return replace(self, name=f"{self.name}[{owner}]", owner=owner)
+
+    @property
+    def of_model(self) -> str:
+        """Name of the model's parameter that it is a value of."""
+        return self.name.removesuffix(f"[{self.owner}]") if self.owner else self.name
 
 
 def phi_of(log: ArrayLike, theta: FloatArray) -> FloatArray:
