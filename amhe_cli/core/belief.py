@@ -192,12 +192,14 @@ def completed(belief: Belief, system: Described) -> Belief:
     return belief_of(system, *system.space.gaussian_of(belief), dict(belief.provenance), systematic)
 
 
+#: Version of the layout of belief files.
 SCHEMA_VERSION = 1
 #: An estimate may end on a bound, and rounding may leave it beyond by this share of the range.
 _ROUNDING = 1e-9
 #: Share of its variances by which rounding may leave a part of a covariance outside of it.
 _PART = 1e-6
 
+#: Comment at the top of belief files.
 _HEADER = """\
 # What is believed of the parameters of a system: an estimate, and how sure it is.
 # `covariance` is of log(estimate) where scale is log, of the estimate where it is linear;

@@ -9,9 +9,11 @@ import numpy as np
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
 
-#: Neighbours to each side, at least; and half of the time [s] that a window spans, at least.
+#: Neighbours to each side, at least.
 _NEIGHBOURS = 3
+#: Half of the time that a window spans, at least [s].
 _HALF_WINDOW = 0.02
+#: Neighbours to each side, at most.
 _MOST_NEIGHBOURS = 50
 #: Samples that are differentiated at once: long logs take no more memory than what is made of them.
 _ROWS = 2**15

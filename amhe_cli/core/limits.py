@@ -68,6 +68,7 @@ class Limits:
         return self.definition_mib * 2**20
 
 
+#: The limits that hold where the code runs.
 _LIMITS: ContextVar[Limits] = ContextVar("limits", default=Limits())  # noqa: B039 (it is frozen)
 
 

@@ -12,8 +12,12 @@ from amhe_cli.core.series import Series
 
 #: A topic may stay silent for this many of its own median periods.
 _PERIODS = 5.0
-#: A clock has at most so many rows, unless it is short, and no more for each sample.
-_MOST_ROWS, _FEW_ROWS, _ROWS_PER_SAMPLE = 10_000_000, 1_000_000, 1000
+#: A clock has at most so many rows.
+_MOST_ROWS = 10_000_000
+#: A clock of so few rows is never refused.
+_FEW_ROWS = 1_000_000
+#: A longer clock has at most so many rows for each sample.
+_ROWS_PER_SAMPLE = 1000
 
 
 def longest_bridge(times: FloatArray, max_gap: float, hold: bool = False) -> float:

@@ -23,6 +23,7 @@ Place = tuple[str | int, ...]
 
 #: Levels that values may be nested.
 _DEEPEST = 50
+#: What is wrong with a file that is nested too deeply.
 _TOO_DEEP = f"nested deeper than {_DEEPEST} levels, or within itself"
 
 
@@ -92,6 +93,7 @@ def _decimal(loader: yaml.SafeLoader, node: Any) -> int:
     return int(loader.construct_scalar(node))
 
 
+#: Pattern of a number that is no integer, by YAML 1.2's core schema.
 _FLOAT = r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)"
 for _tag, _pattern, _first in (
     ("bool", "true|True|TRUE|false|False|FALSE", "tTfF"),

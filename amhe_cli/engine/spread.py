@@ -35,8 +35,10 @@ from amhe_cli.system.provenance import versions
 
 logger = logging.getLogger(__name__)
 
-#: A part of a call has at least so many rollouts, and a call at most so many parts.
-_LEAST, _MOST = 8, 64
+#: A part of a call has at least so many rollouts.
+_LEAST = 8
+#: A call has at most so many parts.
+_MOST = 64
 #: Silence of all workers after which Ctrl-C ends a call at once [s].
 _QUIET = 5.0
 #: Silence of all workers that is warned of [s].

@@ -20,8 +20,10 @@ from amhe_cli.init.drives import (
 from amhe_cli.init.signals import Guess
 from amhe_cli.system.model.couplings import floats
 
-#: Prior sd and largest zero of an encoder, of a hinge [rad] and of a slide [m].
-_HINGE, _SLIDE = (0.05, 0.3), (0.005, 0.03)
+#: Prior sd and largest zero of the encoder of a hinge [rad].
+_HINGE = (0.05, 0.3)
+#: Prior sd and largest zero of the encoder of a slide [m].
+_SLIDE = (0.005, 0.03)
 #: Numbers of an actuator that are equal where drives are.
 _OF_ACTUATOR = ("gaintype", "biastype", "gainprm", "biasprm", "forcelimited", "forcerange", "gear")
 

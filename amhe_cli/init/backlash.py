@@ -13,8 +13,11 @@ from amhe_cli.init.signals import Guess, joint_of
 from amhe_cli.system.model.elements import names_of
 from amhe_cli.system.model.gaps import add_gaps
 
-#: Width of a gap before a log is read, its bounds and prior sd (log scale): of a hinge [rad], of a slide [m].
-_HINGE, _SLIDE = (0.01, 0.0002, 0.1), (0.0005, 0.00001, 0.01)
+#: Width of a hinge's gap before a log is read, and its bounds [rad].
+_HINGE = (0.01, 0.0002, 0.1)
+#: Width of a slide's gap before a log is read, and its bounds [m].
+_SLIDE = (0.0005, 0.00001, 0.01)
+#: Prior sd of the logarithm of a gap's width.
 _SD = 1.0
 
 

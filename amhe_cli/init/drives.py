@@ -15,19 +15,26 @@ from amhe_cli.system.model.elements import commanded
 
 #: More actuated joints than this share one parameter of each kind.
 _OWN_PARAMETERS = 3
-#: Prior sd (log scale) and range of a number that the model gives, and of one that it leaves at zero.
-_KNOWN, _UNKNOWN = (0.5, 10.0), (1.0, 100.0)
+#: Prior sd (log scale) and range, as a factor, of a number that the model gives.
+_KNOWN = (0.5, 10.0)
+#: Prior sd (log scale) and range, as a factor, of a number that the model leaves at zero.
+_UNKNOWN = (1.0, 100.0)
 #: Prior sd (log scale) of the gains that a model file gives its actuators.
 GAIN_SD = 0.1
 #: Prior sd (log scale) of a servo's gains that nobody has measured: a factor of 4.5 either way at one sd.
 _GUESSED_GAIN = 1.5
 #: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and models leave it out.
-_DELAY, _DELAY_SD, _LONGEST_DELAY = 0.01, 0.01, 0.1
+_DELAY = 0.01
+#: Prior sd of that delay [s].
+_DELAY_SD = 0.01
+#: Upper bound of that delay [s].
+_LONGEST_DELAY = 0.1
 #: Words that tell one of several parts alike.
 _SIDES = {
     *("fl", "fr", "rl", "rr", "lf", "rf", "lr", "lh", "rh", "hl", "hr", "bl", "br", "l", "r"),
     *("left", "right", "front", "rear", "hind", "back"),
 }
+#: What is unknown of every joint: its word in `set:`, its field of MjModel, and what it means.
 KINDS = (
     ("damping", "dof_damping", "viscous: torque per speed"),
     ("friction_loss", "dof_frictionloss", "dry: torque against any motion"),

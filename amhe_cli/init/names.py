@@ -20,6 +20,7 @@ KINDS = {
     "free",
     "freejoint",
 }
+#: Words in the name of a topic or column that holds commands.
 COMMANDS = {
     *("cmd", "cmds", "command", "commands", "commanded", "goal", "goals", "desired", "target", "targets"),
     *("setpoint", "setpoints", "reference", "ref", "control", "controls", "ctrl", "action", "actions"),

@@ -24,10 +24,14 @@ from amhe_cli.system.model.elements import names_of
 
 #: More ends of chains than this are feet, not tools: their masses are known.
 _TOOLS = 2
-#: Words in the name of a body that is carried, and the share of its link's mass that it must have.
-_CARRIED, _WORTHWHILE = {"payload", "load", "tool"}, 0.05
-#: Word in the name of a body that people put on a robot, and how well they know its place [m].
-_PAYLOAD, _PLACE_SD = "payload", 0.01
+#: Words in the name of a body that is carried.
+_CARRIED = {"payload", "load", "tool"}
+#: Share of the mass of its link that a body must have to count as carried.
+_WORTHWHILE = 0.05
+#: Word in the name of a body that people put on a robot.
+_PAYLOAD = "payload"
+#: How well people know the place of such a body [m].
+_PLACE_SD = 0.01
 
 
 def guess_parameters(model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool) -> list[Guess]:

@@ -21,6 +21,7 @@ _QUANTITIES = {
 }
 #: Words that only say that a number was measured, the best first; any other word ranks behind them.
 _MEASURED = ("", "measured", "meas", "actual", "act", "state", "raw", "filtered", "filt")
+#: Words in the name of a column that holds commands.
 _COMMANDED = {*COMMANDS, "con", "des", "soll"}
 #: How LeRobot calls the measured and the commanded positions of joints.
 _LEROBOT = re.compile(r"^(observation\.state|action)(\.|$|\[)")

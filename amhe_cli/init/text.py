@@ -11,6 +11,7 @@ import yaml
 from amhe_cli.core.text import printable
 from amhe_cli.init.signals import Guess
 
+#: Comment above a signal that is to be completed by hand.
 _SKELETON = "this type is not built in: correct the paths of its numbers to use it"
 
 

@@ -15,6 +15,7 @@ logger = logging.getLogger(__name__)
 
 #: Contact dimension that a friction column needs: sliding, torsional, rolling.
 _NEEDED = (3, 4, 6)
+#: Names of the columns of a friction, in the order of `_NEEDED`.
 _WORDS = ("sliding", "torsional", "rolling")
 
 

@@ -20,30 +20,45 @@ from amhe_cli.system.model.gaps import gaps
 
 #: A state that is sampled more seldom [s] is no record of motion.
 _SLOW = 0.5
-#: Larger values [rad], [rad/s] look like degrees; also those beyond a turn and so many times a joint's range.
-_LARGEST, _LARGEST_RATE, _BEYOND = 50.0, 100.0, 3.0
+#: Larger positions [rad] look like degrees.
+_LARGEST = 50.0
+#: Larger velocities [rad/s] look like degrees per second.
+_LARGEST_RATE = 100.0
+#: Positions beyond a turn and so many times a joint's range look like degrees, too.
+_BEYOND = 3.0
 #: A jump is a turn within this [rad].
 _TURN = 0.3
 #: Time [s] over which positions are compared with velocities.
 _SPAN = 0.05
-#: Slope of the first over the second -> which of them is in another unit.
+#: Degrees in a radian.
 _DEGREES = 180.0 / np.pi
+#: Slope of the positions over the velocities -> what it means, and the remedy.
 _OF_VELOCITY = {
     _DEGREES: ("the position looks like degrees", {"unit": {"position": "deg"}}),
     1.0 / _DEGREES: ("the velocity looks like degrees per second", {"unit": {"velocity": "deg/s"}}),
     np.pi / 30.0: ("the velocity looks like rpm", {"unit": {"velocity": "rpm"}}),
 }
+#: Slope of the commands over the positions -> what it means, and the remedy.
 _OF_COMMAND = {
     _DEGREES: ("the command looks like degrees", {"unit": "deg"}),
     1.0 / _DEGREES: ("the position looks like degrees", {}),
 }
-#: A slope is taken for one of these within this share of it, where the two are so well correlated.
-_NEAR, _ALIKE = 0.25, 0.9
-#: Another order of the joints is better where each joint that moves in it is correlated so well with its
-#: command, by so much better, and at such a share of the mean squared error.
-_BETTER, _MARGIN, _ERROR = 0.8, 0.3, 0.25
-#: Commands lead the joints by at most this [s]; samples that are compared, at least and at most.
-_LEAD, _FEW, _MANY = 0.3, 100, 20_000
+#: A slope is taken for one of these within this share of it.
+_NEAR = 0.25
+#: Two series must be so well correlated for their slope to count.
+_ALIKE = 0.9
+#: In a better order of the joints, each that moves in it is correlated so well with its command.
+_BETTER = 0.8
+#: It is correlated by so much better than in the order that is given.
+_MARGIN = 0.3
+#: Its mean squared error is below this share of that in the order that is given.
+_ERROR = 0.25
+#: Commands lead the joints by at most this [s].
+_LEAD = 0.3
+#: Fewer samples are not compared.
+_FEW = 100
+#: No more samples than about these are compared.
+_MANY = 20_000
 
 #: A joint -> its measured positions and where they are valid, shape (T,).
 _Positions = Mapping[int, tuple[FloatArray, BoolArray]]

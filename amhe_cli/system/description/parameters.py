@@ -26,8 +26,10 @@ from amhe_cli.system.parameters.model_edits import ModelEdits
 LOG_PRIOR_SD = 0.5
 #: Bounds where none are given: this factor below and above the nominal value.
 LOG_RANGE = 10.0
-#: Bounds and prior sd of the ten numbers of a pseudo-inertia: one sd is about a quarter of the size.
-PSEUDO_BOUNDS, PSEUDO_PRIOR_SD = (-1.0, 1.0), 0.25
+#: Bounds of the ten numbers of a pseudo-inertia.
+PSEUDO_BOUNDS = (-1.0, 1.0)
+#: Prior sd of the ten numbers of a pseudo-inertia: one sd is about a quarter of the size.
+PSEUDO_PRIOR_SD = 0.25
 #: Targets that need the general form of a body's equations of motion (MuJoCo's simple="false").
 _GENERAL = ("center_of_mass", "pseudo_inertia")
 #: Mass and gain first, because the inertia and the limit that they carry along may be set afterwards.

@@ -305,7 +305,9 @@ _EXAMPLES = {
     "active": "times such as [[0.5, 3.0]], or a signal and its value such as {torque_on: 1}",
     "length": "[shortest, longest]",
 }
+#: Names that pydantic has for a type's limit.
 _LIMITS = ("gt", "ge", "lt", "le", "min_length", "max_length")
+#: Mistakes of a shape, which an example explains best.
 _SHAPES = ("dict_type", "list_type", "tuple_type", "too_short", "too_long", "missing")
 
 

@@ -23,6 +23,7 @@ from amhe_cli.system.description.wiring import (
 )
 from amhe_cli.system.model.elements import commanded, control_of, id_of, single_joints
 
+#: Quantities of a body.
 POSE = ("position", "orientation", "linear_velocity", "angular_velocity")
 #: Quantity at a site -> MuJoCo sensor.
 _SITE_SENSORS = {
@@ -34,9 +35,13 @@ _SITE_SENSORS = {
     "force": mujoco.mjtSensor.mjSENS_FORCE,
     "torque": mujoco.mjtSensor.mjSENS_TORQUE,
 }
+#: Quantities of a force that acts at a site.
 WRENCH = ("force", "torque")
+#: State bit of the controls.
 _CTRL = mujoco.mjtState.mjSTATE_CTRL
+#: State bit of the forces at joints.
 _JOINT_FORCE = mujoco.mjtState.mjSTATE_QFRC_APPLIED
+#: Quantity of a mocap body -> its state bit.
 _MOCAP = {"position": mujoco.mjtState.mjSTATE_MOCAP_POS, "orientation": mujoco.mjtState.mjSTATE_MOCAP_QUAT}
 #: Quantity that is read from a topic that is only read, by the end of its type's name.
 _CARRIED = {
@@ -290,6 +295,7 @@ def _arm(draft: WiringDraft, entry: SignalEntry) -> tuple[str, str | None]:
     return f"{point}.position", f"{poses[0]}.position"
 
 
+#: Kind of a signal -> what adds it to the draft.
 _PLANNERS = {
     "body": _measured_body,
     "joints": _measured_joints,

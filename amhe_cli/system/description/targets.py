@@ -20,7 +20,11 @@ from amhe_cli.system.parameters.inertia import principal_axis
 #: where they would have no effect.
 CellsOf = Callable[[mujoco.MjModel, int, TargetEntry], list[Cells]]
 
-_DC_MOTOR, _PID = int(mujoco.mjtGain.mjGAIN_DCMOTOR), int(mujoco.mjtGain.mjGAIN_PID)
+#: MuJoCo's number of the gain of a <dcmotor>.
+_DC_MOTOR = int(mujoco.mjtGain.mjGAIN_DCMOTOR)
+#: MuJoCo's number of the gain of a <pid>.
+_PID = int(mujoco.mjtGain.mjGAIN_PID)
+#: MuJoCo's number of the bias that servos have.
 _AFFINE = int(mujoco.mjtBias.mjBIAS_AFFINE)
 #: Where a <pid>, and the controller of a <dcmotor>, have their numbers: field and column.
 _CONTROLLERS = {

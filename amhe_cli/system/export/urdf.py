@@ -25,8 +25,10 @@ logger = logging.getLogger(__name__)
 _FREE, _HINGE, _SLIDE = (
     int(getattr(mujoco.mjtJoint, f"mjJNT_{kind}")) for kind in ("FREE", "HINGE", "SLIDE")
 )
-#: Limits that a URDF demands where the model has none [N m or N, rad/s or m/s].
-_EFFORT, _VELOCITY = 1000.0, 100.0
+#: Limit of effort that a URDF demands where the model has none [N m or N].
+_EFFORT = 1000.0
+#: Limit of velocity that a URDF demands where the model has none [rad/s or m/s].
+_VELOCITY = 100.0
 #: Mass of a link between two joints of one body [kg]: simulators refuse none.
 _NOTHING = 1e-6
 _WORLD = "world"

@@ -28,7 +28,9 @@ logger = logging.getLogger(__name__)
 _THIN = 1e-3
 #: Half edge of a box where nothing suggests one [m].
 _UNKNOWN = 0.05
+#: A comment in XML.
 _COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+#: Attributes of <compiler> that name folders of files.
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 #: Attributes that together say how many numbers an element holds.
 _SIZES = (("nrow", "ncol"), ("width", "height"))

@@ -20,8 +20,10 @@ from amhe_cli.system.model.files import compiled
 _ROTOR = 1e-6
 #: Inertia of a drive that has no armature, as a share of the link's.
 _ARMATURE = 0.1
-#: Stops of a gap are as hard as the time step allows: a time constant in steps, and the impedance.
-_STOP_STEPS, _STOP_IMPEDANCE = 2.0, (0.99, 0.999, 0.001, 0.5, 2.0)
+#: Time constant of the stops of a gap, in time steps: as hard as these allow.
+_STOP_STEPS = 2.0
+#: Impedance of the stops of a gap.
+_STOP_IMPEDANCE = (0.99, 0.999, 0.001, 0.5, 2.0)
 #: A load [N m or N] below this leaves the drive in the middle of the gap.
 _NO_LOAD = 1e-6
 

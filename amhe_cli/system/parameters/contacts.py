@@ -9,7 +9,9 @@ import numpy as np
 
 from amhe_cli.system.parameters.cells import Cells
 
+#: Fields that act at contacts only.
 _CONTACT = ("geom_friction", "geom_solref", "pair_friction", "pair_solref")
+#: Fields of the inertia of a body.
 _INERTIAL = ("body_mass", "body_inertia", "body_ipos", "body_iquat")
 
 

@@ -14,6 +14,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.inertia import body_numbers, log_cholesky, pseudo_inertia, upper_factor
 
+#: Fields of the inertia of a body, in the order of `body_numbers`.
 _BODY_FIELDS = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 
 

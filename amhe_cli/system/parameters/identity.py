@@ -42,6 +42,7 @@ _FIELDS = {
     ),
     "equalities": "eq_ type obj1id obj2id active0 data solref solimp",
 }
+#: Fields of `opt` that decide the motion.
 _OPTIONS = (
     "timestep gravity wind density viscosity integrator cone impratio solver disableflags enableflags "
     "o_margin o_solref o_solimp o_friction"
