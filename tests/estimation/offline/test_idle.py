@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 
+from amhe_cli.core.each_log import searched
 from amhe_cli.core.log import Log
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Predicted, Rollouts
@@ -151,3 +153,11 @@ def test_rounding_behind_contacts_is_no_effect_of_a_parameter() -> None:
     assert dict(zip(cube.space.names, active, strict=True)) == {
         "friction": True, "inertia_scale": True, "contact_damping": True, "mass": False,
     }  # fmt: skip
+
+
+def test_of_many_logs_each_value_of_its_own_is_seen(pendulum: System, swing) -> None:
+    """Clips that show what moves what are few, and some of each log with a value of its own."""
+    logs = [swing(1.5, seed=i).with_(own={"friction_loss": f"servo {i}"}) for i in range(20)]
+    system = replace(pendulum, space=searched(pendulum.space, logs))
+    pool = ClipPool(system, [whole(log) for log in logs], system.settings.clips)
+    assert Problem(system, pool, open_engine(system), 0).active.all()
