@@ -14,7 +14,8 @@ from amhe_cli.cli.session import Session, stopping
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
     from amhe_cli.cli.settings import Overrides
-    from amhe_cli.estimation.design.design import Accuracy
+    from amhe_cli.estimation.design.design import Accuracy, ProbePlan
+    from amhe_cli.estimation.design.probe import Probe, ProbeOptions, Say
 
 
 @click.command(cls=parsing.Command, short_help="Design and record the most informative motion.")
@@ -83,13 +84,11 @@ def probe(
     from amhe_cli.core.files import filling, plain
     from amhe_cli.estimation.design.design import known_record, plan_record
     from amhe_cli.estimation.design.files import log_name
-    from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
+    from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions
     from amhe_cli.report.probe import print_achieved, print_plan
     from amhe_cli.robots.go1.probing.probe import Go1OnLink, open_probe, robot_to_probe
     from amhe_cli.system.description.folders import bundled_systems, find_system
     from amhe_cli.system.provenance import provenance
-    from amhe_cli.view.scene import scene_of
-    from amhe_cli.view.scene_log import SceneLog
 
     session.hush_mujoco()
     folder = out.reserve("probe")
@@ -99,8 +98,7 @@ def probe(
     )
     link: dict[str, Any] = {}
     reached = at_the_robot.wire_of(target, wire)
-    attend = at_the_robot.attendant(session, link)
-    robot = Go1OnLink(reached, attend) if reached else None
+    robot = Go1OnLink(reached, at_the_robot.attendant(session, link)) if reached else None
     if robot and dry_run:
         return at_the_robot.dry_run(session, robot_to_probe(chosen, robot))
     opened = open_probe(chosen, robot)
@@ -113,27 +111,15 @@ def probe(
         "fixed": opened.system.fixed,
         "provenance": provenance(session.command_line, seed, "probe", opened.system, inputs, ()),
     }  # fmt: skip
-    record = plain(session.record(**about, **plan_record(plan)))
+    record, error = plain(session.record(**about, **plan_record(plan))), None
     if not session.json:
         print_plan(record, session.console())
-    error = None
     with filling(folder, keep=True, force=out.force) as scratch:
         _write(scratch / "plan.json", record)
         if recipe and isinstance(opened, ActuatorProbe):
             opened.excitation().write(scratch)
         if not dry_run:
-            with stopping(session) as stopped:
-                ending = opened.run(plan, scratch / log, stopped, say, SceneLog(scene_of(opened.system)))
-            session.interrupted, error = ending.interrupted, ending.error
-            if isinstance(error, OSError):  # as on a full disk
-                raise error
-            known: dict[str, Accuracy | None] = {"expected": plan.expected, "plain": plan.plain}
-            if not session.interrupted and error is None:
-                say("computing the achieved accuracy")
-                try:
-                    known["achieved"] = achieved(opened.system, scratch / log, chosen)
-                except KeyboardInterrupt:  # it must not cost the log
-                    session.interrupted = True
+            error, known = _played(session, opened, plan, scratch / log, chosen, say)
             record = plain(session.record(**about, **(plan_record(plan) | known_record(known)), **link))
             record |= {"interrupted": session.interrupted, "error": None if error is None else str(error)}
             _write(scratch / "result.json", record)
@@ -150,6 +136,29 @@ def probe(
     session.failed = at_the_robot.is_trip(error)
     if error and not session.failed:
         raise error
+
+
+def _played(
+    session: Session, probe: Probe, plan: ProbePlan, log: Path, chosen: ProbeOptions, say: Say
+) -> tuple[Exception | None, dict[str, Accuracy | None]]:
+    """Play a plan into its log: what went wrong, and how well the parameters are known, by what."""
+    from amhe_cli.estimation.design.probe import achieved
+    from amhe_cli.view.scene import scene_of
+    from amhe_cli.view.scene_log import SceneLog
+
+    with stopping(session) as stopped:
+        ending = probe.run(plan, log, stopped, say, SceneLog(scene_of(probe.system)))
+    session.interrupted = ending.interrupted
+    if isinstance(ending.error, OSError):  # as on a full disk
+        raise ending.error
+    known: dict[str, Accuracy | None] = {"expected": plan.expected, "plain": plan.plain}
+    if not session.interrupted and ending.error is None:
+        say("computing the achieved accuracy")
+        try:
+            known["achieved"] = achieved(probe.system, log, chosen)
+        except KeyboardInterrupt:  # it must not cost the log
+            session.interrupted = True
+    return ending.error, known
 
 
 def _write(path: Path, record: object) -> None:

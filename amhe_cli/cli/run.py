@@ -19,6 +19,10 @@ if TYPE_CHECKING:
     from amhe_cli.cli.settings import Overrides
     from amhe_cli.core.errors import Ending
     from amhe_cli.live.episode import Cycle
+    from amhe_cli.report.run import TaskFacts
+    from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.run import Run
+    from amhe_cli.robots.go1.video import Film
 
 _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
@@ -82,59 +86,30 @@ def run(
     diverges, or the task is not done within its own time; a run that --duration cut short is no failure.
     A real robot (--target go1): read docs/go1.md first.
     """
-    from amhe_cli.cli.progress import progress
     from amhe_cli.core.files import filling
-    from amhe_cli.live.loop import drive
-    from amhe_cli.report.run import TaskFacts, print_run, verdict, write_run
-    from amhe_cli.robots.go1.history import History
-    from amhe_cli.robots.go1.judge import CLOSE_ENOUGH, ON_TIME
+    from amhe_cli.report.run import print_run, verdict, write_run
     from amhe_cli.robots.go1.record import run_record
-    from amhe_cli.robots.go1.recording import film_of, recorder_of
+    from amhe_cli.robots.go1.recording import film_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
-    from amhe_cli.robots.go1.settings import settings_of
     from amhe_cli.system.provenance import run_provenance
-    from amhe_cli.view.scene import scene_of
-    from amhe_cli.view.scene_log import SceneLog
 
     if mode != "adaptive" and "method" in overrides.chosen.get("mhe", {}):
         raise click.UsageError("--method is for the online estimator, which only --mode adaptive runs")
+    if dry_run and target != "go1":
+        raise click.UsageError("--dry-run is of a real robot: give --target go1 too")
     session.hush_mujoco()
     folder = out.reserve("run")
     chosen = RunOptions(
         task, mode, target, belief, seed, duration=duration, plant=plant, settings=overrides.all, **how
     )
-    if dry_run and target != "go1":
-        raise click.UsageError("--dry-run is of a real robot: give --target go1 too")
     opened = at_the_robot.opened(chosen, wire) or open_run(chosen)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
     click.get_current_context().with_resource(closing(opened.episode.belief))
     if dry_run:
         return at_the_robot.dry_run(session, opened)
     film = film_of(opened) if video else None
-    history, drawing = History(opened.task), SceneLog(scene_of(opened.system))
     with stopping(session) as stopped, filling(folder, keep=True, force=out.force) as scratch:
-        with ExitStack() as stack:
-            recorder = stack.enter_context(recorder_of(opened, scratch / "log.mcap", drawing))
-            shoot = (
-                stack.enter_context(film.shooting(scratch / "video.mp4", later=opened.live)) if film else None
-            )
-
-            watching = stack.enter_context(watching_run(session, opened)) if watch else None
-
-            def go() -> Ending:
-                with progress(session, f"{task} {mode}", _shown(), stays=opened.plant is None) as show:
-
-                    def on_cycle(cycle: Cycle, row: dict[str, float]) -> None:
-                        show(row)
-                        if watching:
-                            watching(cycle, row)
-                        if shoot and opened.plant:
-                            shoot(row["time"], opened.plant.qpos)
-
-                    return drive(opened.episode, recorder, history, stopped, on_cycle)
-
-            ending = at_the_robot.attended(opened.target, session, go)
-            link = at_the_robot.link_record(opened.target, recorder, history)
+        ending, history, link = _driven(session, opened, scratch, stopped, film, watch)
         if isinstance(ending.error, OSError):  # as on a full disk: no page either, but the log is kept
             raise ending.error
         session.interrupted = ending.interrupted
@@ -146,16 +121,7 @@ def run(
         origin = run_provenance(session.command_line, seed, opened.system, [p for p in (belief, plant) if p])
         error = ending.error
         try:
-            facts = TaskFacts(
-                opened.task.title,
-                opened.task.floor,
-                opened.task.change_texts(),
-                ON_TIME * opened.task.nominal_time,
-                CLOSE_ENOUGH,
-                {p.name: p.unit for p in opened.system.space.parameters},
-                settings_of(opened.system).control.period * link.get("link", {}).get("slow", 1.0),
-            )
-            write_run(scratch, facts, history.columns(), record, origin)
+            write_run(scratch, _facts(opened, link), history.columns(), record, origin)
         except Exception as fault:  # a fault of the page must not cost the log
             error = error or fault
     if session.json:
@@ -171,6 +137,56 @@ def run(
     session.failed = tone == "bad"
     if session.failed:
         session.say("error", f"{text}; the log is kept in {folder}")
+
+
+def _driven(
+    session: Session, run: Run, folder: Path, stopped: Callable[[], bool], film: Film | None, watch: bool
+) -> tuple[Ending, History, dict[str, Any]]:
+    """Drive a run to its end, with its log, film and live page; how it ended, its history, and its link."""
+    from amhe_cli.cli.progress import progress
+    from amhe_cli.live.loop import drive
+    from amhe_cli.robots.go1.history import History
+    from amhe_cli.robots.go1.recording import recorder_of
+    from amhe_cli.view.scene import scene_of
+    from amhe_cli.view.scene_log import SceneLog
+
+    history, title = History(run.task), f"{run.options.task} {run.options.mode}"
+    with ExitStack() as stack:
+        drawing = SceneLog(scene_of(run.system))
+        recorder = stack.enter_context(recorder_of(run, folder / "log.mcap", drawing))
+        shoot = stack.enter_context(film.shooting(folder / "video.mp4", later=run.live)) if film else None
+        watching = stack.enter_context(watching_run(session, run)) if watch else None
+
+        def go() -> Ending:
+            with progress(session, title, _shown(), stays=run.plant is None) as show:
+
+                def on_cycle(cycle: Cycle, row: dict[str, float]) -> None:
+                    show(row)
+                    if watching:
+                        watching(cycle, row)
+                    if shoot and run.plant:
+                        shoot(row["time"], run.plant.qpos)
+
+                return drive(run.episode, recorder, history, stopped, on_cycle)
+
+        ending = at_the_robot.attended(run.target, session, go)
+        return ending, history, at_the_robot.link_record(run.target, recorder, history)
+
+
+def _facts(run: Run, link: Mapping[str, Any]) -> TaskFacts:
+    from amhe_cli.report.run import TaskFacts
+    from amhe_cli.robots.go1.judge import CLOSE_ENOUGH, ON_TIME
+    from amhe_cli.robots.go1.settings import settings_of
+
+    return TaskFacts(
+        run.task.title,
+        run.task.floor,
+        run.task.change_texts(),
+        ON_TIME * run.task.nominal_time,
+        CLOSE_ENOUGH,
+        {p.name: p.unit for p in run.system.space.parameters},
+        settings_of(run.system).control.period * link.get("link", {}).get("slow", 1.0),
+    )
 
 
 def _shown() -> Callable[[Mapping[str, float]], Shown]:
