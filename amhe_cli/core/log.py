@@ -18,7 +18,7 @@ from amhe_cli.core.arrays import BoolArray
 from amhe_cli.core.errors import LogError
 from amhe_cli.core.from_arrays import series_of
 from amhe_cli.core.series import Series
-from amhe_cli.core.shown import Displayed, SavedView, page_of
+from amhe_cli.core.shown import Displayed
 from amhe_cli.core.signals import Measured
 
 logger = logging.getLogger(__name__)
@@ -134,10 +134,6 @@ class Log(Displayed):
         except KeyError:
             known = ", ".join(self.series)
             raise LogError(f"{self.source}: no signal {key!r}; there is: {known}") from None
-
-    def plot(self) -> SavedView:
-        """All series over time, and a table of them; a notebook shows it."""
-        return page_of(self)
 
     def digest(self) -> str:
         """Hash (SHA-256) of all that was measured."""

@@ -6,6 +6,7 @@ import html
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 from amhe_cli.core.files import write_whole
 
@@ -42,21 +43,12 @@ class Displayed:
     """A value that a notebook shows as a page with tables and figures."""
 
     __slots__ = ()
+    #: Makes the page of a value. The package sets it, as nothing below may know the room that draws.
+    painter: ClassVar[Callable[[Displayed], SavedView]]
+
+    def plot(self) -> SavedView:
+        """The value as a page of tables and figures; a notebook shows it."""
+        return Displayed.painter(self)
 
     def _repr_html_(self) -> str:
-        return page_of(self)._repr_html_()
-
-
-Painter = Callable[[Displayed], SavedView]
-#: Loads the painter; the package names it, as nothing below may know the room that draws.
-_loaders: list[Callable[[], Painter]] = []
-
-
-def painted_by(load: Callable[[], Painter]) -> None:
-    """Say what loads the function that makes the page of a value."""
-    _loaders[:] = [load]
-
-
-def page_of(value: Displayed) -> SavedView:
-    """The page of a value, as `_repr_html_` shows it."""
-    return _loaders[0]()(value)
+        return self.plot()._repr_html_()

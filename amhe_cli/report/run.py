@@ -72,8 +72,8 @@ def print_run(record: Mapping[str, Any], title: str, folder: Path, console: Cons
         console: Console on stdout.
     """
     tone, text = verdict(record)
-    if str(record["error"]).startswith("trip "):  # its reason was printed when it came
-        text = f"stopped by {record['error'].partition(':')[0]}"
+    if record["trip"]:  # its reason was printed when it came
+        text = f"stopped by trip {record['trip']}"
     style = {"good": "green", "mixed": "yellow", "bad": "red"}[tone]
     line = Text.assemble((f"{record['task']} ({title}), mode {record['mode']}: "), (text, style))
     console.print(line, soft_wrap=True)

@@ -11,7 +11,8 @@ from amhe_cli.core.floor import Floor
 from amhe_cli.report.run import TaskFacts, measure_table, print_run, run_page, statements, verdict
 
 RECORD: dict[str, Any] = {
-    "error": None, "fell": False, "interrupted": False, "success": True, "arrived": True, "on_time": True,
+    "error": None, "trip": None,
+    "fell": False, "interrupted": False, "success": True, "arrived": True, "on_time": True,
     "goal_error_m": 0.02, "time_s": 14.0, "duration": 40.0, "cut_short": False, "lock_step": True,
     "cycles": 500, "deadline_misses": 100, "cycle_ms": {"p50": 19.0, "p99": 25.0}, "speed_rmse": 0.03,
     "path_rmse_m": 0.01, "cost": 1200.0, "diverged": 0, "rollouts": 4000, "least_rollouts": 4,
@@ -71,7 +72,7 @@ def test_the_verdict_is_one_of_a_few(changed: dict[str, Any], expected: tuple[st
 
 
 def test_what_is_printed_names_a_trip_and_a_truth_only_where_there_is_one(tmp_path: Path, capsys) -> None:
-    trip = {"task": "t1", "mode": "baseline"} | {"error": "trip plan_lost: no plan for 92 ms", "truth": {}}
+    trip = {"task": "t1", "mode": "baseline"} | {"error": "no plan", "trip": "plan_lost", "truth": {}}
     print_run(RECORD | trip, "straight", tmp_path, Console(width=200))
     out = capsys.readouterr().out
     assert "stopped by trip plan_lost\n" in out

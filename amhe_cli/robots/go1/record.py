@@ -31,6 +31,7 @@ def run_record(measures: Measures, history: History, ending: Ending) -> dict[str
             **numbers,
             "interrupted": ending.interrupted,
             "error": None if ending.error is None else str(ending.error),
+            "trip": getattr(ending.error, "trip", "") or None,
             "cost_terms": terms,
             "belief": history.belief,
             "estimator": _estimator(history),

@@ -13,7 +13,16 @@ _OPERATOR = ("key", "the terminal is gone", "SIGINT", "SIGTERM", "SIGHUP", "SIGQ
 
 
 class StoppedError(AmheError):
-    """A trip ended the run; the robot has been let down, or is being."""
+    """A trip ended the run; the robot has been let down, or is being.
+
+    Args:
+        reason: Why, in words.
+        trip: Name of the trip; '': none ended it.
+    """
+
+    def __init__(self, reason: str, trip: str = "") -> None:
+        super().__init__(f"trip {trip}: {reason}" if trip else reason)
+        self.trip = trip
 
 
 @dataclass(slots=True)
@@ -35,4 +44,4 @@ class SenderReport:
         """Why the run ended before its end, as an error to raise."""
         if self.trip == "remote" or self.reason in _OPERATOR:
             return OperatorStopError(f"stopped by the operator: {self.reason}")
-        return StoppedError(f"trip {self.trip}: {self.reason}" if self.trip else "the run was ended")
+        return StoppedError(self.reason, self.trip) if self.trip else StoppedError("the run was ended")

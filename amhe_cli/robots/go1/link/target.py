@@ -272,8 +272,9 @@ class Go1Target:
         self._doubtful = self._doubtful + 1 if step.diverged > _DIVERGED * step.rollouts else 0
         if self._doubtful >= _CYCLES:
             self._diverged = StoppedError(
-                f"trip diverged: {step.diverged} of {step.rollouts} rollouts diverged, and too many in each "
-                f"of {_CYCLES} cycles"
+                f"{step.diverged} of {step.rollouts} rollouts diverged, and too many in each of "
+                f"{_CYCLES} cycles",
+                "diverged",
             )
             raise self._diverged
 
