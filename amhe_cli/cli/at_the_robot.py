@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from amhe_cli.live.recorder import Recorder
     from amhe_cli.robots.go1.history import History
     from amhe_cli.robots.go1.link.open import WireOptions
-    from amhe_cli.robots.go1.run import Run, RunOptions
+    from amhe_cli.robots.go1.run import Run
 
 POSES = ("natnet", "motioncapture", "ros2", "udp")
 _PORT = parsing.WholeNumber(1, 65535)
@@ -49,20 +49,6 @@ CHECKS = "go1: check robot, poses, box and this computer's pace; send nothing th
 def dry_run_option(about: str) -> Callable[[parsing.F], parsing.F]:
     """Nothing moves."""
     return click.option("--dry-run", is_flag=True, help=about)
-
-
-def opened(chosen: RunOptions, wire: Mapping[str, Any]) -> Run | None:
-    """The run on a real robot; None: it is to be simulated.
-
-    Raises:
-        ConfigError: Options that do not go together.
-    """
-    reached = wire_of(chosen.target, wire)
-    if reached is None:
-        return None
-    from amhe_cli.robots.go1.link.open import open_go1_run
-
-    return open_go1_run(chosen, reached)
 
 
 def wire_of(target: str, wire: Mapping[str, Any]) -> WireOptions | None:

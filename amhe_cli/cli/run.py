@@ -102,7 +102,12 @@ def run(
     chosen = RunOptions(
         task, mode, target, belief, seed, duration=duration, plant=plant, settings=overrides.all, **how
     )
-    opened = at_the_robot.opened(chosen, wire) or open_run(chosen)
+    if reached := at_the_robot.wire_of(target, wire):
+        from amhe_cli.robots.go1.link.open import open_go1_run  # a simulation loads no link
+
+        opened = open_go1_run(chosen, reached)
+    else:
+        opened = open_run(chosen)
     # the estimator's process has begun: it ends with the command, whatever step of opening fails
     click.get_current_context().with_resource(closing(opened.episode.belief))
     if dry_run:

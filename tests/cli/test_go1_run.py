@@ -6,22 +6,18 @@ import json
 import multiprocessing
 import os
 import re
-import resource
 import select
-import signal
 import socket
 import subprocess
 import sys
 import termios
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from unittest.mock import MagicMock, Mock
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 
 from amhe_cli.cli import at_the_robot
 from amhe_cli.cli.main import run
@@ -182,41 +178,6 @@ def test_what_stopped_a_robot_is_said_before_it_is_let_down(capsys, report, line
     with at_the_robot.ready(target, Session()):
         pass
     assert before == ["" if line is None else f"amhe: {line}\n"]
-
-
-@pytest.mark.slow
-def test_an_interrupted_run_damps_and_keeps_what_it_has() -> None:
-    pytest.importorskip("natnet")
-    with emulating("--set", "go1.slow=2") as emulated:
-        command = [sys.executable, "-m", "amhe_cli", *at(emulated), "-o", "out"]
-        command.remove("-q")
-        environment = os.environ | {"PYTHONPATH": str(ROOT)}
-        with subprocess.Popen(command, text=True, env=environment, stderr=subprocess.PIPE) as process:
-            assert process.stderr is not None
-            while "from the goal" not in (line := process.stderr.readline()):
-                assert line, "it ended before it ran"
-            process.send_signal(signal.SIGINT)
-            process.communicate(timeout=60)
-    assert process.returncode == 130
-    record = json.loads(Path("out/result.json").read_text())
-    assert record["interrupted"] is True
-    assert record["link"]["reason"] == "SIGINT"
-    assert not survey(Path("out/log.mcap")).problems
-
-
-@pytest.mark.slow
-def test_a_full_disk_lets_the_robot_down_and_keeps_a_readable_log(monkeypatch, capsys) -> None:
-    pytest.importorskip("natnet")
-    monkeypatch.setattr("amhe_cli.logs.messages.mcap_writer.Writer", partial(Writer, chunk_size=20_000))
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    with emulating("--set", "go1.slow=2") as emulated:
-        try:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, before[1]))
-            assert run([*at(emulated), "--duration", "8", "-o", "out"]) == 1
-        finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    assert capsys.readouterr().err.endswith("/out/log.mcap: File too large\n")
-    assert sum(topic.count for topic in survey(Path("out/log.mcap")).topics) > 10
 
 
 @pytest.mark.slow
