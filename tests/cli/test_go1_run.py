@@ -292,8 +292,9 @@ def test_a_robot_that_is_not_there_is_one_line_and_leaves_no_process(capfd, mode
 
 
 @pytest.mark.slow
-def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys) -> None:
+def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys, monkeypatch) -> None:
     pytest.importorskip("natnet")
+    monkeypatch.setattr("amhe_cli.robots.go1.probing.probe.MOTIONS", (STEADY,))
     few = ["--for", "2", "--set", "probe.pairs=0", "--set", "control.substeps=1"]
     with emulating("--set", "go1.slow=2") as emulated:
         probe = ["probe", *at(emulated)[1:], *few]
