@@ -13,7 +13,7 @@ help:
 	@echo "make demo    identify a pushed box from the bundled Go1 log, print the table, write the report"
 	@echo "make test    run the whole test suite"
 	@echo "make test-fast"
-	@echo "             run it without its slow tests"
+	@echo "             run what takes less than a second each, for every change"
 	@echo "make test-lowest"
 	@echo "             run the fast tests with the lowest versions that pyproject.toml allows (Python 3.11)"
 	@echo "make lint    ruff and pyright"
@@ -31,7 +31,7 @@ test: .venv/.installed-dev
 	$(BIN)/python -m pytest -q -n auto
 
 test-fast: .venv/.installed-dev
-	$(BIN)/python -m pytest -q -n auto -m "not slow"
+	$(BIN)/python -m pytest -q -n auto -m "not slow and not medium"
 
 test-lowest: .venv-lowest/.installed
 	.venv-lowest/bin/python -m pytest -q -n auto -m "not slow"

@@ -93,11 +93,13 @@ def test_the_package_imports_nothing_heavy(tmp_path: Path) -> None:
     assert python(text, tmp_path).strip() == "[]"
 
 
+@pytest.mark.medium
 def test_identify_imports_no_search_that_it_does_not_use(tmp_path: Path) -> None:
     text = "import sys, amhe_cli.api.identify; print([m for m in ('cmaes', 'scipy') if m in sys.modules])"
     assert python(text, tmp_path).strip() == "[]"
 
 
+@pytest.mark.medium
 def test_the_examples_of_the_docs_run(tmp_path: Path) -> None:
     printed = python(blocks(ROOT / "docs" / "api.md"), tmp_path)
     assert "no signal 'joint'" in printed
@@ -106,6 +108,7 @@ def test_the_examples_of_the_docs_run(tmp_path: Path) -> None:
     }  # fmt: skip
 
 
+@pytest.mark.medium
 def test_the_script_in_the_readme_runs(tmp_path: Path) -> None:
     (tmp_path / "examples").symlink_to(ROOT / "examples")
     text = blocks(ROOT / "README.md")
@@ -113,11 +116,13 @@ def test_the_script_in_the_readme_runs(tmp_path: Path) -> None:
     assert "load_mass" in python(text, tmp_path)
 
 
+@pytest.mark.medium
 def test_the_example_script_runs(tmp_path: Path) -> None:
     printed = python((ROOT / "examples" / "identify_arrays.py").read_text(encoding="utf-8"), tmp_path)
     assert re.search(r"damping +0\.0(29|30)\d*", printed), printed
 
 
+@pytest.mark.medium
 def test_the_notebook_runs(tmp_path: Path) -> None:
     notebook = json.loads((ROOT / "examples" / "notebook.ipynb").read_text(encoding="utf-8"))
     cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
@@ -127,6 +132,7 @@ def test_the_notebook_runs(tmp_path: Path) -> None:
     assert "damping" in python(text, tmp_path)
 
 
+@pytest.mark.medium
 def test_a_result_has_what_the_command_prints(result: amhe.Result) -> None:
     mass = result.parameters["load_mass"]
     assert mass.interval == (mass.lower, mass.upper) and mass.lower < mass.estimate < mass.upper
@@ -150,6 +156,7 @@ def test_the_model_has_the_identified_values(result: amhe.Result) -> None:
     assert model.body("load").mass[0] == pytest.approx(result.parameters["load_mass"].estimate)
 
 
+@pytest.mark.medium
 def test_save_writes_what_the_command_writes(result: amhe.Result, tmp_path: Path) -> None:
     result.save(tmp_path / "out")
     record = json.loads((tmp_path / "out" / "result.json").read_text(encoding="utf-8"))
@@ -162,6 +169,7 @@ def test_save_writes_what_the_command_writes(result: amhe.Result, tmp_path: Path
     result.save(tmp_path / "out", force=True)
 
 
+@pytest.mark.medium
 def test_a_belief_that_was_made_from_the_same_log_counts_it_twice(
     result: amhe.Result, system: amhe.System, log: amhe.Log, tmp_path: Path
 ) -> None:
@@ -177,6 +185,7 @@ def test_a_belief_that_was_made_from_the_same_log_counts_it_twice(
     )
 
 
+@pytest.mark.medium
 def test_system_and_logs_without_files_are_saved_as_well(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -203,6 +212,7 @@ def test_system_and_logs_without_files_are_saved_as_well(
     assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
 
 
+@pytest.mark.medium
 def test_an_identification_is_the_commands(result: amhe.Result, system: amhe.System, log: amhe.Log) -> None:
     assert amhe.identify(system, [log], threads=2).belief.estimate.tolist() == result.belief.estimate.tolist()
 

@@ -82,6 +82,7 @@ def swing(zero: float, seconds: float = 6.0) -> dict[str, Any]:
     return {"joints": {"time": time, "position": angle}, "command": {"time": time, "position": command}}
 
 
+@pytest.mark.medium
 def test_the_zero_of_an_encoder_is_found_with_commands_in_its_frame() -> None:
     """Gravity shows where down is."""
     arm = system(
@@ -111,6 +112,7 @@ def result_xml(result: amhe.Result) -> str:
     return identified_xml(result.system, result.belief.estimate)
 
 
+@pytest.mark.medium
 def test_a_known_zero_is_said_in_the_signal() -> None:
     signals = {
         "joints": {"joints": ["hinge"], "noise": {"position": 0.001}, "bias": {"position": 0.12}},
@@ -150,6 +152,7 @@ def wrist(**said: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.medium
 def test_scale_bias_and_band_of_a_force_sensor_are_found() -> None:
     def of_wrist(word: str, **more: Any) -> dict[str, Any]:
         return {"targets": [{"signal": "wrist", "set": word, **more}]}

@@ -14,6 +14,7 @@ QUICK = {
 }
 
 
+@pytest.mark.medium
 def test_the_model_that_can_follow_the_logs_wins(tmp_path: Path, pendulum_log: Path) -> None:
     free = amhe.System.load("pendulum", QUICK)
     stiff = free.fixing({"damping": 0.4})

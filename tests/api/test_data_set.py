@@ -75,6 +75,7 @@ def swing(gain: float, seed: int) -> np.ndarray:
     return np.array(rows).T
 
 
+@pytest.mark.medium
 def test_a_servo_at_four_gains_is_one_identification(folder: Path) -> None:
     system = amhe.System.load(folder / "arm")
     logs = amhe.read_log([folder / "runs.yaml"], system)
@@ -91,6 +92,7 @@ def test_a_servo_at_four_gains_is_one_identification(folder: Path) -> None:
     assert wrong.found.held_out.cost > 10.0 * result.found.held_out.cost
 
 
+@pytest.mark.medium
 def test_the_command_takes_the_file(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     text = (folder / "runs.yaml").read_text().replace("logs/", f"{folder}/logs/").splitlines()
     text[4] = text[4].replace("{log", "{held_out: true, log")
@@ -105,6 +107,7 @@ def test_the_command_takes_the_file(folder: Path, tmp_path: Path, capsys: pytest
     assert all(f"run{i}.npz" in belief for i in range(4)) and "runs.yaml" in belief
 
 
+@pytest.mark.medium
 def test_parameters_that_logs_know_or_own_can_be_fixed(folder: Path, tmp_path: Path) -> None:
     system = amhe.System.load(folder / "arm", {"identify": {"iterations": 2}})
     logs = amhe.read_log([folder / "runs.yaml"], system)
@@ -129,6 +132,7 @@ def test_parameters_that_logs_know_or_own_can_be_fixed(folder: Path, tmp_path: P
         found(logs, only=["gain"])
 
 
+@pytest.mark.medium
 def test_fix_and_only_go_with_the_file(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     command = ["identify", str(folder / "runs.yaml"), "--system", str(folder / "arm"), "--json", "--force"]
     command += ["-o", str(folder / "only"), "--threads", "1", "--set", "identify.iterations=2"]

@@ -144,6 +144,7 @@ def from_whole_logs(truth: str, start: str, size: float, **words: float) -> amhe
     return found(start, unknowns, *logs, clips={"length": [9.0, 9.0]})
 
 
+@pytest.mark.medium
 def test_the_stiction_of_a_dc_motor_is_found() -> None:
     """Friction falls from its static to its Coulomb value as the joint gets faster."""
     words = ("bristle_stiffness", "coulomb_friction", "static_friction", "stribeck_velocity")
@@ -153,6 +154,7 @@ def test_the_stiction_of_a_dc_motor_is_found() -> None:
     close(result, **dict(zip(words, truth, strict=True)))
 
 
+@pytest.mark.medium
 def test_the_damping_of_a_dc_motors_bristles_is_found() -> None:
     true, wrong = (arm(LUGRE % (10.0, damping, 0.15, 0.3, 0.2)) for damping in (2.0, 1.0))
     close(from_whole_logs(true, wrong, 4.0, bristle_damping=1.0), bristle_damping=2.0)
@@ -166,11 +168,13 @@ def test_the_limit_of_a_dc_motors_current_is_found() -> None:
     close(found(arm(motor % 2.0), target, log), limit=0.5 * 1.2)
 
 
+@pytest.mark.medium
 def test_the_limited_slew_of_a_pid_is_found() -> None:
     result = from_whole_logs(arm(PID % 'slewmax="3"'), arm(PID % 'slewmax="4"'), 0.8, slew_limit=4.0)
     close(result, slew_limit=3.0)
 
 
+@pytest.mark.medium
 def test_the_terms_of_a_pid_are_found_where_the_log_begins_with_its_integral() -> None:
     result = from_whole_logs(
         arm(PID % 'ki="20" imax="0.06"'),
@@ -192,6 +196,7 @@ def test_a_torque_constant_is_the_gain_of_a_motor_whose_commands_are_currents() 
     close(result, constant=0.8)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("side", ["shoulder", "shoulder_drive"])
 def test_a_backlash_is_found_from_an_encoder_on_either_side_of_the_gap(side: str) -> None:
     def spec(width: float) -> mujoco.MjSpec:

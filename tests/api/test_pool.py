@@ -38,6 +38,7 @@ def test_beliefs_that_agree_become_one(tmp_path: Path, capsys: pytest.CaptureFix
     assert set(belief.provenance["logs"]) == {"mon.mcap", "tue.mcap", "wed.mcap"}  # type: ignore[arg-type]
 
 
+@pytest.mark.medium
 def test_what_rests_on_a_gain_is_known_no_better_from_two_runs() -> None:
     system = pendulum(50.0, gain=0.1, time_step=0.0)
     runs = [
@@ -50,6 +51,7 @@ def test_what_rests_on_a_gain_is_known_no_better_from_two_runs() -> None:
     assert 0.9 < pooled.systematic[0, 0] / pooled.covariance[0, 0] <= 1.0
 
 
+@pytest.mark.medium
 def test_a_belief_that_rests_on_a_gain_as_prior_says_nothing_of_the_gain() -> None:
     """The gain is 12 % off, in both logs: the second knows no better what the first did not know."""
     system = pendulum(50.0, gain=0.1, time_step=0.0)

@@ -115,6 +115,7 @@ def test_the_report_is_made_again_of_the_cells_alone(done: Path, capsys) -> None
         assert (Path("out") / path).read_bytes() == (done / path).read_bytes()
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("no_figures")
 def test_a_cluster_gives_the_same_cells_as_this_machine(done: Path, tmp_path: Path) -> None:
     pytest.importorskip("distributed")
@@ -161,6 +162,7 @@ def test_a_cluster_behind_tls(done: Path, tmp_path: Path, certificates: dict[str
     assert cells_of(Path("out")) == cells_of(done)
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("no_figures")
 def test_ctrl_c_keeps_what_is_done_and_a_study_goes_on(done: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "amhe_cli", "eval", *GRID, *QUICK, "-o", "out"]

@@ -315,6 +315,7 @@ def test_a_probe_is_planned_first_and_then_done_on_the_robot(capsys, monkeypatch
     assert log.duration == pytest.approx(2.0, abs=0.3)
 
 
+@pytest.mark.medium
 def test_a_probe_without_its_robot_keeps_its_plan(capfd, monkeypatch) -> None:
     monkeypatch.setattr("amhe_cli.robots.go1.probing.probe.MOTIONS", (STEADY,))  # one rehearsal is enough
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:

@@ -77,6 +77,7 @@ def test_the_belief_says_where_it_came_from(done: Path, pendulum_log: Path) -> N
     assert {"amhe", "mujoco"} <= set(origin["versions"])
 
 
+@pytest.mark.medium
 def test_the_belief_is_a_prior_for_the_next_run(done: Path, pendulum_log: Path, capsys) -> None:
     arguments = ["identify", str(pendulum_log), "--belief", str(done / "belief.yaml"), "-q", "--json", *QUICK]
     assert run(arguments) == 0
@@ -85,6 +86,7 @@ def test_the_belief_is_a_prior_for_the_next_run(done: Path, pendulum_log: Path, 
     assert record["parameters"][0]["prior"] == pytest.approx(before["parameters"][0]["estimate"])
 
 
+@pytest.mark.medium
 def test_the_table_is_on_stdout_and_progress_on_stderr(pendulum_log: Path, capsys) -> None:
     assert run(["identify", str(pendulum_log), "--no-color", *QUICK]) == 0
     out, err = capsys.readouterr()
@@ -108,6 +110,7 @@ def test_a_folder_that_cannot_be_written_is_refused_before_any_work(pendulum_log
     assert "/proc" in capsys.readouterr().err
 
 
+@pytest.mark.medium
 def test_max_time_and_checkpoint(pendulum_log: Path, capsys) -> None:
     arguments = [
         "identify",
@@ -167,6 +170,7 @@ def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: in
     assert json.loads(Path("out/result.json").read_text())["interrupted"] is True
 
 
+@pytest.mark.medium
 def test_workers_find_the_same_parameters_to_the_bit(tmp_path: Path, pendulum_log: Path) -> None:
     few = ("identify.iterations=1", "identify.bootstrap=0", "identify.profile_points=0", "clips.count=8")
     quick = ["--to", "3", "-q", *(word for setting in few for word in ("--set", setting))]
@@ -178,6 +182,7 @@ def test_workers_find_the_same_parameters_to_the_bit(tmp_path: Path, pendulum_lo
     assert here == there
 
 
+@pytest.mark.medium
 def test_fixed_parameters_are_listed_and_condition_the_belief(done: Path, pendulum_log: Path, capsys) -> None:
     command = ["identify", str(pendulum_log), "-q", "--seed", "3", *QUICK, "--json", "-o", "out"]
     narrow = ["--belief", str(done / "belief.yaml"), "--only", "load_*", "--fix", "damping=0.05"]

@@ -166,6 +166,7 @@ def test_the_options_tell_the_defaults_of_the_library_and_of_go1_push() -> None:
     assert go1.iteration_count == 1
 
 
+@pytest.mark.medium
 def test_options_become_settings_and_overrule_set(capsys) -> None:
     options = ["--window", "0.4", "--set", "mhe.window=1", "--samples", "12", "--iterations", "2"]
     options += ["--learning-rate", "0.3", "--prior-weight", "damping=2", "--prior-weight", "load_mass=0"]
@@ -181,11 +182,13 @@ def test_options_become_settings_and_overrule_set(capsys) -> None:
     assert result["windows"] == 3
 
 
+@pytest.mark.medium
 def test_an_option_that_does_nothing_is_reported(capsys) -> None:
     assert run(["mhe-replay", PENDULUM, "--to", "1", "-o", "out", "--learning-rate", "0.3", "--strict"]) == 3
     assert "mhe.learning_rate does nothing with the method linearised" in capsys.readouterr().err
 
 
+@pytest.mark.medium
 def test_a_seed_gives_the_same_estimates_whatever_the_threads() -> None:
     tables = []
     for threads in ("1", "2"):
@@ -226,6 +229,7 @@ def test_of_a_log_shorter_than_the_window_all_is_used_and_that_is_reported(capsy
     assert record("out")["windows"] == record("out")["updated"] == 1
 
 
+@pytest.mark.medium
 def test_gaps_are_marked_counted_and_warned_of_once(capsys, tmp_path: Path) -> None:
     log = write_pendulum_log(tmp_path / "log.mcap", 4.0, silent=(1.55, 2.15), system="pendulum")
     assert run(["mhe-replay", str(log), "-q", "-o", "out", "--set", "mhe.update_period=0.1"]) == 0
@@ -248,6 +252,7 @@ def test_a_log_of_gaps_alone_is_replayed_to_its_end(capsys, tmp_path: Path) -> N
     assert "no window was used" in capsys.readouterr().err
 
 
+@pytest.mark.medium
 def test_an_update_that_takes_longer_than_its_period_is_reported_with_the_number(capsys) -> None:
     arguments = ["mhe-replay", PENDULUM, "--update-period", "0.002", "--to", "0.52", "-q", "-o", "out"]
     assert run([*arguments, "--strict"]) == 3
@@ -281,6 +286,7 @@ def test_an_interrupted_replay_keeps_what_there_is(monkeypatch, capsys) -> None:
     assert "interrupted" in capsys.readouterr().out
 
 
+@pytest.mark.medium
 def test_a_longer_window_has_a_longer_update_period_unless_that_is_given(capsys) -> None:
     def period(*more: str) -> float:
         assert run(["mhe-replay", PENDULUM, "--to", "1.5", "-q", "-o", "out", "--force", *more]) == 0

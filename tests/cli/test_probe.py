@@ -69,6 +69,7 @@ def test_a_plan_is_written_alone_and_expects_more_than_plain_motion_would_tell(c
     assert "load_mass" in capsys.readouterr().out
 
 
+@pytest.mark.medium
 def test_the_probes_log_identifies_another_pendulum() -> None:
     plant = other_pendulum(Path("other.xml"))
     assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
@@ -91,6 +92,7 @@ def test_the_probes_log_identifies_another_pendulum() -> None:
         assert 0.4 < achieved[name]["achieved_sd"] / (row["sd"] / row["estimate"]) < 2.5, "as identify has it"
 
 
+@pytest.mark.medium
 def test_a_plants_step_need_not_divide_the_commands_period() -> None:
     plant = other_pendulum(Path("other.xml"))
     text = plant.read_text()
@@ -104,6 +106,7 @@ def test_a_plants_step_need_not_divide_the_commands_period() -> None:
     assert 1e-9 * (last - first) == pytest.approx(3.0, abs=0.04)
 
 
+@pytest.mark.medium
 def test_the_next_command_names_a_system_of_ones_own(capsys) -> None:
     shutil.copytree(MODELS / "pendulum", "mine")
     own = ["mine" if word == "pendulum" else word for word in PENDULUM]
@@ -151,6 +154,7 @@ def test_plain_motion_that_cannot_be_done_is_no_number(monkeypatch, capsys) -> N
     assert "plain_sd" not in json.loads(Path("plan/plan.json").read_text())["parameters"][0]
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("_one_motion")
 def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:
     assert run(["probe", "--for", "2", "--box", "3.5", "0.5", "-o", "probe", "--json", *QUICK]) == 0
@@ -169,6 +173,7 @@ def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:
     assert {"/amhe/scene", "/amhe/frames"} <= topics
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("_one_motion")
 def test_a_fall_is_a_failure_that_keeps_its_log(monkeypatch, capsys) -> None:
     rehearsed = PushProbe.run

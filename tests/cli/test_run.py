@@ -64,6 +64,7 @@ def test_result_json_has_the_keys_of_every_command_and_its_own(done: Path) -> No
     assert record["success"] is record["fell"] is record["interrupted"] is False
 
 
+@pytest.mark.medium
 def test_an_adaptive_run_tells_of_its_estimator(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     more = ["--duration", "1.3", "--set", "mhe.update_period=0.3", "--set", "mhe.samples=6"]
@@ -96,6 +97,7 @@ def test_the_report_is_one_page_that_needs_no_network(done: Path) -> None:
         assert loading not in page
 
 
+@pytest.mark.medium
 def test_a_seed_gives_the_same_result_whatever_the_threads(done: Path) -> None:
     assert (
         run(["run", "--task", "t1", "--mode", "true", "--seed", "3", "-o", "again", "--threads", "2", *QUICK])
@@ -107,6 +109,7 @@ def test_a_seed_gives_the_same_result_whatever_the_threads(done: Path) -> None:
     assert first == again
 
 
+@pytest.mark.medium
 def test_a_belief_of_a_file_is_believed(tmp_path: Path) -> None:
     Path("belief.yaml").write_text(BELIEF.format(system="go1_push", mass=5.5))
     arguments = ["run", "--task", "t1", "--mode", "baseline", "--belief", "belief.yaml", "-o", "out", *QUICK]
@@ -165,6 +168,7 @@ def test_without_an_encoder_a_film_is_refused_before_the_run(monkeypatch, capsys
     assert names(".") == []
 
 
+@pytest.mark.medium
 def test_a_film_lies_beside_the_log() -> None:
     pytest.importorskip("imageio_ffmpeg")
     try:
@@ -176,6 +180,7 @@ def test_a_film_lies_beside_the_log() -> None:
     assert Path("out/video.mp4").stat().st_size > 1000
 
 
+@pytest.mark.medium
 def test_the_table_is_on_stdout_and_progress_on_stderr(capsys) -> None:
     assert run(["run", "--task", "t1", *(word for word in QUICK if word != "-q")]) == 0
     out, err = capsys.readouterr()
@@ -203,6 +208,7 @@ def test_an_interrupted_run_keeps_what_it_has(number: int, code: int) -> None:
     assert run(["inspect", "out/log.mcap", "--strict"]) == 0
 
 
+@pytest.mark.medium
 def test_an_estimator_that_is_late_is_warned_of(capsys) -> None:
     few = ["--duration", "0.9", "--threads", "1", *QUICK, "-o", "late", "--strict"]
     often = ["--set", "mhe.update_period=0.05", "--set", "mhe.latency=0.12"]
@@ -228,6 +234,7 @@ def test_a_full_disk_ends_a_run_and_keeps_its_log(monkeypatch, capsys, size: int
     assert sum(topic.count for topic in survey(Path("out/log.mcap")).topics) >= messages
 
 
+@pytest.mark.medium
 def test_the_advice_of_a_limit_is_an_option_of_the_command(capsys) -> None:
     Path("belief.yaml").write_text(BELIEF.format(system="pendulum", mass=5.5))
     arguments = ["--task", "t1", "--mode", "baseline", "--belief", "belief.yaml", "-q"]

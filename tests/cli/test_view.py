@@ -73,6 +73,7 @@ def test_a_result_shows_both_ghosts_and_its_held_out_clips_first(result: Path, t
     assert 0.2 < sum(held) / len(held) < 0.6
 
 
+@pytest.mark.medium
 def test_a_replay_shows_its_estimates_over_time_and_the_last_one_as_a_ghost(
     pendulum_log: Path, result: Path, tmp_path: Path
 ) -> None:

@@ -95,6 +95,7 @@ def test_ctrl_c_ends_a_call_whose_workers_hang(monkeypatch: pytest.MonkeyPatch) 
     press.join()
 
 
+@pytest.mark.medium
 def test_sums_of_what_other_processes_predict_are_the_same_to_the_bit() -> None:
     """The rounding of a sum depends on the layout of its array in memory, which a pickle does not keep."""
     starts, wanted = clips(CUBE, 24)

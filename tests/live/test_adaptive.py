@@ -69,6 +69,7 @@ def test_a_belief_takes_effect_after_the_latency_and_between_plans(
     assert np.diff([e.time for _, e in news(run)]) == pytest.approx(0.1)
 
 
+@pytest.mark.medium
 def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(
     adaptive: tuple[Path, list[Cycle]], tmp_path: Path
 ) -> None:
@@ -126,6 +127,7 @@ def test_the_estimator_begins_with_what_the_controller_believes() -> None:
     assert first.theta == pytest.approx([3.3, 1.0, 0.44])
 
 
+@pytest.mark.medium
 def test_the_estimator_of_a_run_works_in_a_process(adaptive: tuple[Path, list[Cycle]]) -> None:
     system = System.load("go1_push", QUICK)
     log = read_log(adaptive[0], system)

@@ -104,6 +104,7 @@ def test_a_truth_that_will_change_is_no_metadata(tmp_path: Path) -> None:
     assert "/amhe/truth" in {topic.name for topic in survey(tmp_path / "log.mcap").topics}
 
 
+@pytest.mark.medium
 def test_a_seed_gives_the_same_log_whatever_the_threads(log, tmp_path: Path) -> None:
     record(tmp_path / "again.mcap", threads=2)
     record(tmp_path / "other.mcap", seed=1)

@@ -87,6 +87,7 @@ def zeros(kind: str, mib: int) -> bytes:
         )
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("kind", ["zstd", "lz4"])
 def test_a_chunk_of_zeros(kind: str, tmp_path: Path) -> None:
     found = survey(mcap_of(tmp_path / "log", (kind, 257 * 2**20, zeros(kind, 257))))
@@ -213,6 +214,7 @@ def cdr_log(path: Path, definition: str, payloads: list[bytes], channels: int = 
     return path
 
 
+@pytest.mark.medium
 def test_definitions_that_multiply_without_using_a_byte(tmp_path: Path) -> None:
     levels = "".join(f"\n{'=' * 80}\nMSG: a/L{i}\nL{i + 1}[100] x\n" for i in range(5))
     definition = f"L0[100] x\n{levels}{'=' * 80}\nMSG: a/L5\nfloat64[0] s\n"
@@ -230,6 +232,7 @@ def test_messages_that_all_differ(tmp_path: Path) -> None:
     assert "beyond" not in damage(survey(path))
 
 
+@pytest.mark.medium
 def test_more_topics_than_a_robot_has(tmp_path: Path) -> None:
     path = cdr_log(tmp_path / "log", "float64 x\n", [bytes(8)] * 5001, 5001)
     assert "5001 topics are beyond the limit topics = 5000 (`limit` topics=20000 raises it)" in refused(path)
@@ -399,6 +402,7 @@ def _lists(path: Path) -> None:
     parquet.write_table(pa.table({"time": np.zeros(2**12), "q": zeros}), path, store_schema=False)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("write", [_npz, _hdf5, _parquet, _lists, _feather])
 def test_tables_of_zeros(write: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / f"log{'.npz' if write is _npz else ''}"
@@ -526,6 +530,7 @@ print("survived")
 """
 
 
+@pytest.mark.medium
 def test_a_damaged_footer_of_a_parquet_file_does_not_end_the_process(tmp_path: Path) -> None:
     """pyarrow aborts where it is asked for a column whose statistics do not fit the schema."""
     pa = pytest.importorskip("pyarrow")

@@ -174,6 +174,7 @@ def test_what_is_missing_or_of_another_version_is_named(tmp_path: Path) -> None:
         survey(Path(f"{path}#0"))
 
 
+@pytest.mark.medium
 def test_damage_is_reported_in_one_line(tmp_path: Path) -> None:
     path = dataset(tmp_path, "v3.0")
     rng = np.random.default_rng(3)

@@ -95,6 +95,7 @@ def test_cut_at_every_percent(
         assert steps[50] > STEPS // 4
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("name", FORMATS)
 def test_flipped_bits(
     name: str, originals: dict[str, bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture

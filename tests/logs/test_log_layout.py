@@ -54,6 +54,7 @@ def at(message: Any, path: str) -> Any:
     return message
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
 def test_every_bundled_type_is_read_as_rosbags_reads_it(encoding: str) -> None:
     store = ROS2 if encoding == "cdr" else ROS1

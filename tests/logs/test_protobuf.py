@@ -246,6 +246,7 @@ def numbers(message: Any, prefix: str = "") -> dict[str, float]:
     return found
 
 
+@pytest.mark.medium
 @settings(max_examples=150, deadline=None)
 @given(st.lists(MESSAGE, min_size=1, max_size=4))
 def test_every_number_is_that_of_google_protobuf(contents: list[dict[str, Any]]) -> None:

@@ -110,6 +110,7 @@ def test_numbers_of_the_csv_are_not_rounded(groups: Groups) -> None:
     assert float(cost["low"]) < 1040.0 < float(cost["high"])
 
 
+@pytest.mark.medium
 def test_every_figure_is_written_twice_and_drawn_for_the_page(groups: Groups, tmp_path: Path) -> None:
     pictures = drawn(drawings(groups, ablations(groups, DEFAULTS), TASKS), tmp_path)
     names = {picture.name for picture in pictures}

@@ -63,6 +63,7 @@ def html() -> str:
     return page(identification(), ("a gap of 0.6 s & more",))
 
 
+@pytest.mark.medium
 def test_the_page_needs_no_network(html: str) -> None:
     links = re.findall(r"""(?:src|href)=["']([^"']+)""", html)
     assert all(link.startswith("#") for link in links), links
@@ -87,6 +88,7 @@ def test_a_script_that_got_into_the_page_does_not_run(html: str, tmp_path: Path)
         assert one.run("document.querySelector('.tip') !== null"), "its own runs"
 
 
+@pytest.mark.medium
 def test_a_mesh_that_is_not_found_costs_no_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -106,6 +108,7 @@ def test_the_page_stays_small(html: str) -> None:
     assert len(html) < 2_000_000
 
 
+@pytest.mark.medium
 def test_the_page_of_a_robot_with_many_joints_stays_small() -> None:
     rng = np.random.default_rng(0)
     fits = []

@@ -196,6 +196,7 @@ def test_every_control_has_a_name(opened: Browser) -> None:
     assert opened.run("document.documentElement.lang") == "en"
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_is_wider_than_the_window(opened: Browser, page: Path, width: int, dark: bool) -> None:

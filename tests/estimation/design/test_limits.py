@@ -11,6 +11,7 @@ from amhe_cli.robots.go1.settings import TripSettings
 from amhe_cli.robots.go1.tasks import Believed, find_task
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("motion", MOTIONS, ids=lambda motion: motion.name)
 def test_no_motion_takes_joint_targets_to_where_a_robots_link_trips(motion: Motion) -> None:
     own = Believed(4.0, 0.6)

@@ -58,6 +58,7 @@ def test_a_fixed_coordinate_and_one_that_is_not_searched_have_their_values() -> 
     assert found["link.com_x"].estimate == pytest.approx(0.1)
 
 
+@pytest.mark.medium
 def test_table_record_and_page_have_them() -> None:
     result = replace(
         identification(),

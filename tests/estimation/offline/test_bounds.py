@@ -39,6 +39,7 @@ def bounded(pendulum: System) -> System:
     return replace(pendulum, space=space)
 
 
+@pytest.mark.medium
 def test_a_search_with_a_value_at_its_bound_settles_where_the_others_fit_best(
     bounded: System, swing: Callable[..., Log]
 ) -> None:
@@ -52,6 +53,7 @@ def test_a_search_with_a_value_at_its_bound_settles_where_the_others_fit_best(
     np.testing.assert_allclose(theta[:3], others, rtol=0.05)  # a search settles within 0.3 sd
 
 
+@pytest.mark.medium
 def test_a_value_at_its_bound_is_no_search_cut_short(
     bounded: System, swing: Callable[..., Log], caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -82,6 +82,7 @@ def test_one_of_many_parameters_drifts_only_where_chance_does_not_explain_it(cap
     assert "friction0 drifts within the logs" in caplog.text
 
 
+@pytest.mark.medium
 def test_a_search_is_unsettled_only_while_its_cost_still_falls(caplog, pendulum, swing) -> None:
     """The samples of a short search are still wide; its estimate moves no more."""
     identify(pendulum, [swing(3.0)], None, IdentifyOptions())
@@ -106,6 +107,7 @@ def at_truth(pendulum: System, log: Log) -> tuple[Problem, SearchState]:
     return problem, search.restart(problem, pendulum.space.z_of(TRUTH))
 
 
+@pytest.mark.medium
 def test_a_clip_that_is_left_out_and_contradicts_the_others_speaks_against_every_value(
     pendulum, swing, caplog
 ) -> None:

@@ -30,6 +30,7 @@ def at_truth() -> System:
     return System.load("pendulum", {**CHEAP, "parameters": nominal})
 
 
+@pytest.mark.medium
 def test_a_prior_at_the_truth_is_no_alarm(at_truth, swing, caplog) -> None:
     """Its cost has a floor: sensors four times as noisy as declared, and first states as recorded."""
     result = identify(at_truth, [swing(5.0, noise=4.0)], None, IdentifyOptions())
@@ -40,6 +41,7 @@ def test_a_prior_at_the_truth_is_no_alarm(at_truth, swing, caplog) -> None:
     assert "held-out" not in caplog.text
 
 
+@pytest.mark.medium
 def test_a_log_that_another_load_held_out_is_model_sensitive(pendulum, swing, caplog) -> None:
     """The held-out log has the prior's own load: the fitted one leads away from it."""
     prior, plain = pendulum.space.nominal, pendulum.settings.identify
@@ -52,6 +54,7 @@ def test_a_log_that_another_load_held_out_is_model_sensitive(pendulum, swing, ca
     assert "no value is called identified" in caplog.text
 
 
+@pytest.mark.medium
 def test_a_load_that_no_fitted_log_carried_does_not_carry_over(pendulum, swing) -> None:
     heavy = TRUTH * [1.15, 1.0, 1.0, 1.0]
     result = identify(pendulum, [swing(4.0)], [swing(2.5, seed=5, theta=heavy)], IdentifyOptions())
@@ -59,6 +62,7 @@ def test_a_load_that_no_fitted_log_carried_does_not_carry_over(pendulum, swing) 
     assert any("of held-out clips" in reason for reason in result.unexplained)
 
 
+@pytest.mark.medium
 def test_errors_are_told_for_each_channel_over_time(pendulum, swing) -> None:
     result = identify(pendulum, [swing(5.0)], None, IdentifyOptions())
     held_out = result.held_out
@@ -76,12 +80,14 @@ def test_errors_are_told_for_each_channel_over_time(pendulum, swing) -> None:
     assert angles[0].identified_fitted == pytest.approx(0.002 * np.sqrt(2.0 / np.pi), rel=0.3)
 
 
+@pytest.mark.medium
 def test_a_noise_that_was_declared_too_small_is_no_difference_between_clips(pendulum, swing) -> None:
     result = identify(pendulum, [swing(5.0, noise=7.0)], None, IdentifyOptions())
     assert result.noise_scale["joints.position"] > 5.0
     assert not any("held-out" in text for text in result.unexplained)
 
 
+@pytest.mark.medium
 def test_what_the_model_misses_says_what_to_do(pendulum, swing) -> None:
     log = swing(4.0)
     command = log["command.position"]

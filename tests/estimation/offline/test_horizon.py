@@ -49,6 +49,7 @@ def test_the_truth_misses_by_noise_and_the_prior_by_more(system: amhe.System, lo
     assert found.moved.max() > 0.1
 
 
+@pytest.mark.medium
 def test_the_table_is_in_degrees(system: amhe.System, log: amhe.Log) -> None:
     result = amhe.identify(system, log, only=["load_mass"], fix={k: PENDULUM_TRUTH[k] for k in ("damping",)})
     held_out = result.found.held_out

@@ -34,11 +34,13 @@ def test_recovers_the_truth_within_its_own_interval(pendulum, swing):
     assert not result.interrupted
 
 
+@pytest.mark.medium
 def test_noise_free_logs_give_the_exact_answer(pendulum, swing):
     result = identify(pendulum, [swing(4.0, noise=0.0)], None, IdentifyOptions())
     assert result.belief.estimate == pytest.approx(TRUTH, rel=2e-3)
 
 
+@pytest.mark.medium
 def test_cmaes_finds_the_same(pendulum, swing):
     log = swing(4.0)
     result = identify(pendulum, [log], None, IdentifyOptions(method="cmaes"))
@@ -47,6 +49,7 @@ def test_cmaes_finds_the_same(pendulum, swing):
     assert found(result, "armature").estimate == pytest.approx(TRUTH[3], rel=0.1)
 
 
+@pytest.mark.medium
 def test_the_seed_decides_and_threads_do_not(pendulum, swing):
     log = swing(3.0)
     one = identify(pendulum, [log], None, IdentifyOptions(seed=5, threads=1))
@@ -57,6 +60,7 @@ def test_the_seed_decides_and_threads_do_not(pendulum, swing):
     assert (one.belief.estimate != other.belief.estimate).any()
 
 
+@pytest.mark.medium
 def test_what_the_model_has_wrong_is_added_and_moves_nothing(pendulum, swing):
     log, identify_settings = swing(3.0), pendulum.settings.identify
     wrong = identify_settings.model_copy(update={"model_error": {"load_mass": 0.05}})
@@ -76,6 +80,7 @@ class CutError(RuntimeError):
     """Stands for a machine that goes down."""
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("method", ["linearised", "cmaes"])
 def test_a_checkpoint_resumes_to_the_bit(pendulum, swing, tmp_path, method):
     log, file = swing(3.0), tmp_path / "search.json"
@@ -93,6 +98,7 @@ def test_a_checkpoint_resumes_to_the_bit(pendulum, swing, tmp_path, method):
     assert whole.iterations == resumed.iterations
 
 
+@pytest.mark.medium
 def test_a_finished_search_without_first_states_is_gone_on_with(pendulum, swing, tmp_path):
     """Nothing is known of them, and nothing is what must come back."""
     settings = pendulum.settings
@@ -103,6 +109,7 @@ def test_a_finished_search_without_first_states_is_gone_on_with(pendulum, swing,
     np.testing.assert_array_equal(first.belief.covariance, again.belief.covariance)
 
 
+@pytest.mark.medium
 def test_a_checkpoint_of_another_problem_is_refused(pendulum, swing, tmp_path):
     file = tmp_path / "search.json"
     identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file, max_time=1e-9))
@@ -212,6 +219,7 @@ def fall(system, noise: float = 1e-4) -> Log:
     return Log(system.model.opt.timestep, series, "fall")
 
 
+@pytest.mark.medium
 def test_a_parameter_that_drifts_within_the_log_is_reported(pendulum, swing, caplog):
     heavier = TRUTH * [1.4, 1.0, 1.0, 1.0]
     result = identify(pendulum, [swing(10.0, later=heavier)], None, IdentifyOptions())
@@ -238,6 +246,7 @@ def test_a_still_log_is_refused_in_words(pendulum):
         identify(pendulum, [still], None, IdentifyOptions())
 
 
+@pytest.mark.medium
 def test_a_belief_is_a_prior(pendulum, swing):
     first = identify(pendulum, [swing(4.0, seed=1)], None, IdentifyOptions())
     second = identify(pendulum, [swing(4.0, seed=2)], None, IdentifyOptions(prior=first.belief))
@@ -245,6 +254,7 @@ def test_a_belief_is_a_prior(pendulum, swing):
     assert found(second, "load_mass").sd < found(first, "load_mass").sd
 
 
+@pytest.mark.medium
 def test_a_command_delay_is_found(swing, delayed):
     """The same swing logged with commands 13 ms early: the delay is the shift."""
     log = swing(6.0)
@@ -270,6 +280,7 @@ def test_ctrl_c_while_concluding_still_gives_a_result(pendulum, swing, monkeypat
     assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.05)
 
 
+@pytest.mark.medium
 def test_a_model_that_does_not_explain_the_log_is_reported(pendulum, swing, caplog):
     """Commands that act 40 ms late, which the model does not know of: no number is called identified."""
     log = swing(5.0)

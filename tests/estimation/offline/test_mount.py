@@ -107,6 +107,7 @@ def reported(result: amhe.Result) -> list[float]:
     return [float(one[1]) for one in found if one]
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("stiffness", [2500.0, 5500.0])
 def test_a_mount_that_rocks_is_told_at_its_frequency(stiffness: float) -> None:
     xml = arm(0.8, stiffness)
@@ -114,11 +115,13 @@ def test_a_mount_that_rocks_is_told_at_its_frequency(stiffness: float) -> None:
     assert found == pytest.approx(frequency(xml), rel=0.1)
 
 
+@pytest.mark.medium
 def test_a_rigid_base_is_no_mount(caplog) -> None:
     with caplog.at_level(logging.WARNING):
         assert not reported(identified(arm(0.8)))
 
 
+@pytest.mark.medium
 def test_another_lack_of_the_model_is_no_mount() -> None:
     """Servos that are a third weaker than modelled leave residuals that repeat, and do not ring."""
     assert not reported(identified(arm(0.8).replace('kp="120"', 'kp="80"')))

@@ -87,6 +87,7 @@ def test_only_the_ratio_of_gain_and_mass_is_known(system):
     assert sharp.sd < 0.01
 
 
+@pytest.mark.medium
 def test_an_error_of_the_mass_alone_leaves_the_ratio_known(system):
     """The model's error of the mass was a factor on its sd once, and bent gain / mass to gain / mass^0.3."""
     log = drive(system, [3.0, 1.0])
@@ -99,6 +100,7 @@ def test_an_error_of_the_mass_alone_leaves_the_ratio_known(system):
     assert after == pytest.approx(np.hypot(before, 1.0), rel=0.02), "the gain with the mass"
 
 
+@pytest.mark.medium
 def test_a_belief_hands_the_ratio_on(system):
     """The ratio that one log knows is still known to the next, though each parameter is not."""
     first = identify(system, [drive(system, [3.0, 1.0])], None, IdentifyOptions())

@@ -37,6 +37,7 @@ def differing(monkeypatch: pytest.MonkeyPatch, steps: np.ndarray) -> dict[str, A
     return runs_that_differ(problem, each(steps))
 
 
+@pytest.mark.medium
 def test_chance_names_no_pair(monkeypatch: pytest.MonkeyPatch) -> None:
     rng = np.random.default_rng(0)
     named = [bool(differing(monkeypatch, rng.normal(0.0, 0.1, (4, 3)))) for _ in range(100)]
@@ -80,6 +81,7 @@ def test_two_runs_are_left_to_the_checks(monkeypatch: pytest.MonkeyPatch) -> Non
     assert differing(monkeypatch, np.array([[0.0, 0.0, 0.0], [5.0, 5.0, 5.0]])) == {}
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("dampings", [(0.033, 0.035, 0.041), (0.033, 0.041)])
 def test_runs_are_told_apart_in_the_result(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, dampings: tuple[float, ...]

@@ -160,6 +160,7 @@ def test_a_lossy_late_line_loses_delays_and_damages() -> None:
     port.close()
 
 
+@pytest.mark.medium
 def test_a_line_is_good_until_its_faults_begin() -> None:
     with (
         emulating("--fault", "loss=1,after=0.2") as emulated,
@@ -323,6 +324,7 @@ def test_the_vendors_own_client_stands_the_robot_up_through_it() -> None:
         assert emulator.counts[1] == 0
 
 
+@pytest.mark.medium
 def test_the_command_serves_says_where_and_ends_in_order() -> None:
     with emulating("--task", "t4", "--mocap", "natnet") as emulated:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:

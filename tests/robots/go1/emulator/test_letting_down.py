@@ -51,6 +51,7 @@ def worst_tilt(walked: float, then: str) -> float:
     raise AssertionError(f"it never came to an end: {machine.phase.name}")
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("then", "walked"), [("finish", 1.08), ("finish", 1.38), ("plan lost", 1.02)])
 def test_a_robot_that_walks_puts_its_feet_down_before_it_sits(then: str, walked: float) -> None:
     assert worst_tilt(walked, then) < 0.25

@@ -63,6 +63,7 @@ def puppet() -> Iterator[Puppet]:
         yield it
 
 
+@pytest.mark.medium
 def test_a_check_says_what_it_found_and_moves_nothing(puppet: Puppet) -> None:
     with a_target(puppet) as (target, _):
         found = target.check()
@@ -84,6 +85,7 @@ def test_what_has_no_real_time_priority_is_one_note(puppet: Puppet) -> None:
         assert Link.late.fget(Mock(report=late.report, _watch=late)) == ["sender", "watch"]  # type: ignore[misc]
 
 
+@pytest.mark.medium
 def test_what_is_not_by_default_is_reported_before_arming(puppet: Puppet) -> None:
     assert deviations(Go1Settings()) == ""
     settings = Go1Settings.model_validate({"kd": (2, 3, 4), "trips": {"tilt": 1.2}})
@@ -117,6 +119,7 @@ def test_what_cannot_be_is_refused_before_anything_moves(puppet: Puppet, stage: 
     assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
 
 
+@pytest.mark.medium
 def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> None:
     with a_target(puppet) as (target, cameras):
         target.check()
@@ -148,6 +151,7 @@ def test_a_run_measures_on_its_own_clock_and_plays_its_plans(puppet: Puppet) -> 
     assert cameras.trunk is TRUNK
 
 
+@pytest.mark.medium
 def test_a_first_plan_in_the_midst_of_a_stride_is_no_jump(puppet: Puppet) -> None:
     stride = HOME + np.tile([0.0, 0.1, -0.65], 4)
     with a_target(puppet) as (target, _):
@@ -160,6 +164,7 @@ def test_a_first_plan_in_the_midst_of_a_stride_is_no_jump(puppet: Puppet) -> Non
         np.testing.assert_allclose(puppet.received[-1][1].position, stride, atol=1e-3)
 
 
+@pytest.mark.medium
 def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: pytest.MonkeyPatch) -> None:
     handed: list[float] = []
     with a_target(puppet, SETTINGS.model_copy(update={"pose_delay": 0.2})) as (target, _):
@@ -171,6 +176,7 @@ def test_the_delay_of_poses_counts_for_their_age(puppet: Puppet, monkeypatch: py
     assert handed[0] - target._start == pytest.approx(measured["trunk.position"][0][-1], abs=0.1)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("gone", "message"), [("box", "the task wants it"), ("poses", "does not begin")])
 def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone: str, message: str) -> None:
     trips = PATIENT.model_copy(update={"pose_age": 0.5 if gone == "poses" else 1.0})
@@ -191,6 +197,7 @@ def test_box_and_poses_are_looked_at_again_before_it_begins(puppet: Puppet, gone
     np.testing.assert_allclose(driven[-1], np.tile([0.0, 1.2, -2.6], 4), atol=0.05)  # it has sat down again
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("lost", ["poses", "robot", "feed dies", "feed hangs"])
 def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str) -> None:
     with a_target(puppet) as (target, cameras):
@@ -219,6 +226,7 @@ def test_a_fault_during_the_run_stops_it_and_says_why(puppet: Puppet, lost: str)
         puppet.wait(damps)
 
 
+@pytest.mark.medium
 def test_rollouts_that_diverge_sit_the_robot_down(puppet: Puppet) -> None:
     """More than a quarter of them in five cycles in a row; four are forgiven."""
     with a_target(puppet) as (target, _):
@@ -242,6 +250,7 @@ def test_rollouts_that_diverge_sit_the_robot_down(puppet: Puppet) -> None:
     np.testing.assert_allclose(driven[-1], np.tile([0.0, 1.2, -2.6], 4), atol=0.05)
 
 
+@pytest.mark.medium
 def test_a_rehearsal_measures_on_the_runs_clock_and_sends_nothing(puppet: Puppet) -> None:
     with a_target(puppet) as (target, _):
         target.check()
@@ -264,6 +273,7 @@ def walk_on(target: Go1Target, cycles: int) -> list[np.ndarray]:
     return seen
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "datagram",
     [
@@ -285,6 +295,7 @@ def test_one_datagram_that_cannot_be_true_changes_nothing(puppet: Puppet, datagr
     np.testing.assert_allclose(seen, np.tile(BOX, (len(seen), 1)), atol=1e-6)
 
 
+@pytest.mark.medium
 def test_many_poses_that_cannot_be_true_let_the_robot_down(puppet: Puppet) -> None:
     with a_target(puppet) as (target, cameras):
         target.check()

@@ -91,6 +91,7 @@ class Player(threading.Thread):
                 self.link.play(Targets(CLOCK.now(), 0.02, rows), self._pose)
 
 
+@pytest.mark.medium
 def test_a_whole_day_of_a_robot(puppet: Puppet) -> None:
     with a_link(puppet) as link:
         running(link)
@@ -115,6 +116,7 @@ def test_a_whole_day_of_a_robot(puppet: Puppet) -> None:
     assert {int(sample["phase"]) for sample in samples} >= {Phase.CONNECT, Phase.STAND, Phase.RUN}
 
 
+@pytest.mark.medium
 def test_the_robots_clock_begins_again_at_its_end(puppet: Puppet) -> None:
     begun = CLOCK.now()
     puppet.change = lambda sent: replace(sent, tick=(sent.tick + 2**32 - 600) % 2**32)
@@ -212,6 +214,7 @@ def test_an_operator_who_stops(puppet: Puppet, how: str) -> None:
     assert link.report.trip == "order"
 
 
+@pytest.mark.medium
 def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -> None:
     """A child's own standard input is another one."""
     keys, terminal = socket.socketpair()
@@ -353,6 +356,7 @@ def test_a_sender_that_hangs_before_anything_moved_is_one_line(puppet: Puppet) -
     assert not any(map(damps, [command for _, command in puppet.received]))
 
 
+@pytest.mark.medium
 def test_a_sender_that_stalled_damps_when_it_goes_on(puppet: Puppet) -> None:
     """Fresh states may have come by the time that it has read the old ones."""
     with a_link(puppet) as link:
@@ -410,6 +414,7 @@ with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
 """
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "number",
     [
@@ -461,6 +466,7 @@ with Link("127.0.0.1", int(sys.argv[1]), QUICK, Clock()) as link:
 """
 
 
+@pytest.mark.medium
 def test_neither_the_first_nor_the_second_ctrl_c_cuts_off_who_stands_in_for_the_sender(
     puppet: Puppet,
 ) -> None:

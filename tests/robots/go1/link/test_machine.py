@@ -113,6 +113,7 @@ def test_it_waits_for_the_operator_and_then_for_the_first_plan() -> None:
     assert robot.machine.phase == Phase.RUN
 
 
+@pytest.mark.medium
 def test_fifty_armings_on_a_busy_computer_begin_smoothly() -> None:
     """The first plan comes late, in the midst of a stride, and the next ones come late too."""
     rng = np.random.default_rng(0)

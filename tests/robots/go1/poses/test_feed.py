@@ -239,6 +239,7 @@ def test_a_source_that_tells_nobody_takes_estimates_without_harm() -> None:
         assert set(feed.first()) == set(BODIES)
 
 
+@pytest.mark.medium
 @settings(deadline=None, max_examples=50)
 @given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
 def test_rubbish_is_no_pose(message: bytes) -> None:
