@@ -107,7 +107,7 @@ def watching_robot(
 @contextmanager
 def watching_replay(session: Session, problem: ReplayProblem) -> Iterator[Callable[[Estimate], None]]:
     """Show each window of a replay with ghosts under the first belief and under its own estimate."""
-    from amhe_cli.view.live_takes import TakesShown
+    from amhe_cli.view.live import TakesShown
 
     page = TakesShown(problem)
     with page:

@@ -9,11 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from amhe_cli.report.study import curves, formats, tables
-from amhe_cli.report.study.drawing import drawn
-from amhe_cli.report.study.figures import drawings
+from amhe_cli.report.study import formats, tables
+from amhe_cli.report.study.figures import drawings, drawn, one_leg_figure, over_time, since_change
 from amhe_cli.report.study.page import study_page
-from amhe_cli.report.study.paths import one_leg_figure
 from amhe_cli.robots.go1.tasks import TASKS
 from amhe_cli.study.ablations import ablations
 from amhe_cli.study.cells import Cell, Setting, setting_of
@@ -135,7 +133,7 @@ def test_a_mean_over_seeds_ends_where_most_of_them_have_ended() -> None:
     short = type(short)(
         short.cell, short.code, None, short.outcome, {n: v[:20] for n, v in short.trace.items()}, 1.0
     )
-    time, mean, sd = curves.over_time([long, short, short], lambda r: r.trace["box_x"])
+    time, mean, sd = over_time([long, short, short], lambda r: r.trace["box_x"])
     assert time[-1] == pytest.approx(4.0)
     assert np.isfinite(mean).all()
     assert (sd >= 0.0).all()
@@ -144,7 +142,7 @@ def test_a_mean_over_seeds_ends_where_most_of_them_have_ended() -> None:
 def test_time_is_counted_from_the_change() -> None:
     changed = result(Cell("t4", "true", 0))
     assert change_of(changed) == pytest.approx(6.2)
-    assert curves.since_change(changed) == pytest.approx(6.2)
-    time, truth, _ = curves.over_time([changed], lambda r: r.trace["truth/box_mass"], curves.since_change)
+    assert since_change(changed) == pytest.approx(6.2)
+    time, truth, _ = over_time([changed], lambda r: r.trace["truth/box_mass"], since_change)
     assert truth[np.argmin(np.abs(time))] == pytest.approx(6.0)
     assert truth[np.argmin(np.abs(time)) - 1] == pytest.approx(4.0)

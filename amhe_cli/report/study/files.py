@@ -10,8 +10,7 @@ from typing import Any
 
 from amhe_cli.core.files import plain
 from amhe_cli.report.folder import write_page
-from amhe_cli.report.study.drawing import StudyTask, drawn
-from amhe_cli.report.study.figures import drawings
+from amhe_cli.report.study.figures import StudyTask, drawings, drawn
 from amhe_cli.report.study.formats import FORMATS, text
 from amhe_cli.report.study.page import study_page
 from amhe_cli.report.study.tables import tables
