@@ -21,13 +21,36 @@ from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 from mcap.writer import CompressionType
 
 from amhe_cli.core.errors import AmheError
 from amhe_cli.logs import inspect_log
 from tests.logs.log_makers import ROS1, ROS2, write_bag, write_mcap
-from tests.logs.test_every_format import FORMATS, SYSTEM, messages
+from tests.logs.test_every_format import FORMATS, SYSTEM, TABLE, messages
+from tests.logs.test_hostile_logs import STAMP, write_records
+from tests.logs.test_lerobot import dataset
+
+
+def _arrays(path: Path) -> Path:
+    """A CSV with arrays in quotes."""
+    rows = [
+        f'{time:.3f},"[{", ".join(map(repr, numbers))}]"'
+        for time, *numbers in zip(*TABLE.values(), strict=True)
+    ]
+    path.write_text("\n".join(["time,q", *rows]) + "\n")
+    return path
+
+
+def _groups(path: Path) -> Path:
+    """An HDF5 file of groups in groups, each with a table."""
+    with h5py.File(path, "w") as file:
+        for depth in range(1, 20):
+            for name, values in TABLE.items():
+                file["/".join(["g"] * depth) + f"/{name}"] = values[:50]
+    return path
+
 
 MAKERS: dict[str, Callable[[Path], Path]] = {
     **FORMATS,
@@ -36,6 +59,13 @@ MAKERS: dict[str, Callable[[Path], Path]] = {
     ),
     "mcap, no chunks": lambda folder: write_mcap(folder / "log.mcap", messages(ROS2), use_chunking=False),
     "bag, lz4": lambda folder: write_bag(folder / "log.bag", messages(ROS1), "lz4"),
+    "csv, arrays": lambda folder: _arrays(folder / "log.csv"),
+    "hdf5, groups": lambda folder: _groups(folder / "log.h5"),
+    "ulog, nested": lambda folder: write_records(
+        folder / "log.ulg", "l0:l1 a;", "l1:double x;", f"{STAMP}l0 x;", topics=3
+    ),
+    "lerobot 2": lambda folder: dataset(folder, "v2.1"),
+    "lerobot 3": lambda folder: dataset(folder, "v3.0"),
 }
 MEMORY, SECONDS = 4 * 2**30, 60
 READ, REFUSED, TRACEBACK = 0, 1, 2
@@ -106,6 +136,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             forked(lambda maker=maker, folder=folder: bool(not maker(Path(folder))))
             path = next(Path(folder).iterdir())
+            path = Path(f"{path}#0") if (path / "meta").is_dir() else path
             files = sorted(file for file in Path(folder).rglob("*") if file.is_file())
             originals = [file.read_bytes() for file in files]
             found, peak, longest = Counter[int](), 0.0, 0.0

@@ -412,12 +412,14 @@ def test_tables_of_zeros(write: Callable[[Path], None], tmp_path: Path) -> None:
         assert "beyond the limit growth = 100" in refused(path)
 
 
-def _ulog(path: Path, *formats: str, topics: int = 1) -> None:
+def write_records(path: Path, *formats: str, topics: int = 1) -> Path:
+    """A ULog of records of one topic `a`, whose format is one of those given."""
     records = [(b"F", text.encode()) for text in formats]
     records += [(b"A", struct.pack("<BH", 0, i) + b"a") for i in range(topics)]
     records += [(b"D", struct.pack("<HQ", 0, t) + bytes(8)) for t in range(10)]
     body = b"".join(struct.pack("<Hc", len(data), kind) + data for kind, data in records)
     path.write_bytes(b"ULog\x01\x125\x01" + bytes(8) + body)
+    return path
 
 
 def _groups(path: Path, names: Iterable[str]) -> None:
@@ -436,13 +438,15 @@ DOUBLED = [f"l{i}:l{i + 1} a;l{i + 1} b;" for i in range(23)]
 #: Kind of a bomb -> writes it, and the limit that it is beyond.
 COUNTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "formats that multiply": (
-        lambda path: _ulog(path, *DOUBLED, "l23:double x;", f"{STAMP}l0 x;"), "columns = 1000",
+        lambda path: write_records(path, *DOUBLED, "l23:double x;", f"{STAMP}l0 x;"), "columns = 1000",
     ),
     "arrays of arrays": (
-        lambda path: _ulog(path, "l0:double[60000] x;", f"{STAMP}l0[60000] x;"), "columns = 1000",
+        lambda path: write_records(path, "l0:double[60000] x;", f"{STAMP}l0[60000] x;"), "columns = 1000",
     ),
-    "a format in itself": (lambda path: _ulog(path, f"{STAMP}a x;"), "columns = 1000"),
-    "many subscriptions": (lambda path: _ulog(path, f"{STAMP}double[9] x;", topics=101), "columns = 1000"),
+    "a format in itself": (lambda path: write_records(path, f"{STAMP}a x;"), "columns = 1000"),
+    "many subscriptions": (
+        lambda path: write_records(path, f"{STAMP}double[9] x;", topics=101), "columns = 1000",
+    ),
     "arrays in an npz": (lambda path: _arrays(path, 1001), "its arrays are beyond the limit columns"),
     "groups in an HDF5 file": (lambda path: _groups(path, map(str, range(1001))), "topics = 1000"),
     "groups in 3000 levels": (lambda path: _groups(path, ["g/" * 3000]), "nested deeper than 50 levels"),

@@ -23,7 +23,6 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.init.folder import init_system
 from amhe_cli.logs import read_signals, survey
 from amhe_cli.logs.containers.raw import Connection, batch_of
-from amhe_cli.logs.messages.decode import SignalDecoder
 from amhe_cli.logs.messages.definitions import Definitions
 from amhe_cli.logs.messages.split import Splitter
 from tests.logs.test_json import SECOND_POSE
@@ -247,7 +246,7 @@ def numbers(message: Any, prefix: str = "") -> dict[str, float]:
 
 
 @pytest.mark.medium
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(MESSAGE, min_size=1, max_size=4))
 def test_every_number_is_that_of_google_protobuf(contents: list[dict[str, Any]]) -> None:
     messages = [WHOLE(**content) for content in contents]
@@ -271,20 +270,6 @@ def test_every_number_is_that_of_google_protobuf(contents: list[dict[str, Any]])
             assert np.isnan(rest).all()  # of messages that are not there
     assert seen == set(range(len(messages)))
     assert splitter.damaged == 0
-
-
-def test_a_layout_for_every_message_is_still_read() -> None:
-    """Varints of random widths: thousands of layouts of one length."""
-    rng = np.random.default_rng(1)
-    values = [(1 << rng.integers(0, 31, size=12)).tolist() for _ in range(3000)]
-    data = [WHOLE(many_int32=value, many_uint32=value).SerializeToString() for value in values]
-    stamps = (10**7 * np.arange(len(data)) + 1).tolist()
-    batch = batch_of(CONNECTION, stamps, stamps, data)
-    splitter = Splitter(CONNECTION, Definitions())
-    signal = Signal("s", "/x", ("value",), fields={"value": ("many_int32", "many_uint32")})
-    decoder = SignalDecoder(signal, CONNECTION)
-    decoder.feed(batch, list(splitter.split(batch)))
-    np.testing.assert_array_equal(decoder.samples().values["value"], np.tile(values, 2))
 
 
 def test_damaged_messages_are_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -366,11 +351,11 @@ def test_init_guesses_from_foxglove_types(
     assert {key: signal[key] for key in entry} == entry
 
 
-def test_integers_of_any_width_are_read_at_once(tmp_path: Path) -> None:
-    """Hundreds of layouts, packed and nested: the numbers are google's, damage is counted."""
+def test_integers_of_any_width_share_a_layout() -> None:
+    """Packed and nested: the numbers are google's, damage is counted."""
     rng = np.random.default_rng(3)
-    sizes = 2 ** rng.integers(0, 30, size=(600, 5))
-    rows = (rng.normal(size=(600, 5)) * sizes).astype(int).tolist()
+    sizes = 2 ** rng.integers(0, 30, size=(100, 5))
+    rows = (rng.normal(size=(100, 5)) * sizes).astype(int).tolist()
     contents = [
         {
             "timestamp": abs(a), "mode": abs(b), "raw": [c, -d], "extra": {"ticks": e, "q": 0.5},
@@ -379,21 +364,21 @@ def test_integers_of_any_width_are_read_at_once(tmp_path: Path) -> None:
         for a, b, c, d, e in rows
     ]  # fmt: skip
     payloads = [CLASS("Robot")(**content).SerializeToString() for content in contents]
-    payloads[400] = payloads[400][:-1] + b"\xff"
+    payloads[40] = payloads[40][:-1] + b"\xff"
     connection = Connection(
         "/data", "foxglove.Robot", "protobuf", SET.SerializeToString().decode("latin-1"), ""
     )
-    stamps = list(range(600))
+    stamps = list(range(100))
     batch = batch_of(connection, stamps, stamps, payloads)
     splitter = Splitter(connection, Definitions())
     groups = list(splitter.split(batch))
-    assert len(groups) < 60
+    assert len(groups) < 10
     found = {}
     paths = ("mode", "raw[0]", "raw[1]", "extra.ticks", "motors[0].ticks", "motors[1].ticks", "motors[1].q")
     for group in groups:
         values = [group.layout.columns(path)[0].read(group.rows) for path in paths]
         found |= {int(i): [float(v[n]) for v in values] for n, i in enumerate(group.members)}
     assert splitter.damaged == 1
-    del rows[400]
-    kept = [found[i] for i in range(600) if i != 400]
+    del rows[40]
+    kept = [found[i] for i in range(100) if i != 40]
     assert kept == [[abs(b), c, -d, e, b, c, 1.5] for a, b, c, d, e in rows]

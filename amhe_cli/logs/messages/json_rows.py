@@ -68,7 +68,7 @@ class _JsonRow(Row):
         """Note a name, or a time that is written out."""
         last = path.split(".")[-1].split("[")[0]
         if last in KEPT:
-            self.name(path, text)
+            self.strings[path] = text
         if last not in ("stamp", "time"):
             return
         try:

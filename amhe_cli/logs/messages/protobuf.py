@@ -182,15 +182,15 @@ class _MessageRow(Row):
             self.array(path, value)
 
     def _texts(self, path: str, field: _Field, value: Any) -> None:
-        if field.repeated:
+        if not field.repeated:
+            if field.kind == "name":
+                self.strings[path] = value
+        elif field.kind == "text":
             self.counts[path] = len(value)
-        if field.kind == "name" and not field.repeated:
-            self.name(path, value)
-        elif field.kind == "name":
-            if len(value) > _LONGEST:
-                raise MalformedMessageError(f"it holds {len(value)} names")
-            for i, text in enumerate(value):
-                self.name(f"{path}[{i}]", text)
+        elif len(value) > _LONGEST:
+            raise MalformedMessageError(f"it holds {len(value)} names")
+        else:
+            self.names[path] = tuple(value)
 
     def _absent(
         self, leaves: dict[str, Leaf], prefix: str, field: _Field, value: float, within: tuple[str, ...]

@@ -39,6 +39,7 @@ class Row:
         shape: Path of each number, and None; of each array, and its length.
         counts: Path of an array of structures or strings -> number of its elements.
         strings: Path -> content; only names and frames.
+        names: Path of an array of names -> its content.
     """
 
     def __init__(self) -> None:
@@ -46,6 +47,7 @@ class Row:
         self.shape: list[tuple[str, int | None]] = []
         self.counts: dict[str, int] = {}
         self.strings: dict[str, str] = {}
+        self.names: dict[str, tuple[str, ...]] = {}
 
     def number(self, path: str, value: float) -> None:
         """Note a number."""
@@ -56,16 +58,6 @@ class Row:
         """Note an array of numbers."""
         self.shape.append((path, len(values)))
         self.numbers += values
-
-    def name(self, path: str, text: str) -> None:
-        """Note a name.
-
-        Raises:
-            MalformedMessageError: It is too long for one.
-        """
-        if len(text) > LONGEST_NAME:
-            raise MalformedMessageError(f"{path} has {len(text)} characters")
-        self.strings[path] = text
 
     def time(self, path: str, value: float) -> None:
         """Note a time that is one number: s, or by its size ms, us or ns since 1970."""
@@ -85,10 +77,21 @@ class Row:
 
     def key(self) -> tuple:
         """Equal for two messages of one layout."""
-        return tuple(self.shape), tuple(self.counts.items()), tuple(self.strings.items())
+        texts = (tuple(self.strings.items()), tuple(self.names.items()))
+        return tuple(self.shape), tuple(self.counts.items()), *texts
 
     def layout(self) -> Layout:
-        """Where each number lies in the row."""
+        """Where each number lies in the row.
+
+        Raises:
+            MalformedMessageError: A name is too long.
+        """
+        for path, names in self.names.items():
+            self.counts[path] = len(names)
+            self.strings |= {f"{path}[{i}]": name for i, name in enumerate(names)}
+        for path, name in self.strings.items():
+            if len(name) > LONGEST_NAME:
+                raise MalformedMessageError(f"{path} has {len(name)} characters")
         leaves, offset = {}, 0
         for path, count in self.shape:
             leaves[path] = Leaf(offset, _F8, count)
