@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
 from yaml.error import MarkedYAMLError
 
 from amhe_cli.core.errors import ConfigError
@@ -27,7 +28,11 @@ _DEEPEST = 50
 _TOO_DEEP = f"nested deeper than {_DEEPEST} levels, or within itself"
 
 
-class _Loader(yaml.SafeLoader):
+#: PyYAML's loader, with its parser in C where it has one; values are composed in Python, to be counted.
+_BASES: Any = (Composer, yaml.CSafeLoader) if yaml.__with_libyaml__ else (yaml.SafeLoader,)
+
+
+class _Loader(*_BASES):
     """SafeLoader with the scalars of YAML 1.2's core schema, within the limits of a file.
 
     A key that is given twice keeps its first value; `duplicates` has the others' places and what is wrong.
@@ -36,7 +41,8 @@ class _Loader(yaml.SafeLoader):
     yaml_implicit_resolvers: dict = {}  # noqa: RUF012 (PyYAML's own registry, filled below)
 
     def __init__(self, text: str) -> None:
-        super().__init__(text)
+        _BASES[-1].__init__(self, text)
+        Composer.__init__(self)
         self.duplicates: list[tuple[yaml.Mark, str]] = []
         # values so far, those of aliases each time; depth here; height of what the value here holds so far
         self._values, self._depth, self._height = 0, 0, 0
