@@ -33,8 +33,12 @@ class Limits:
             files has a metadata.yaml of 2 MiB.
         model_mib: A model file, and what xacro makes of one [MiB]; large robots have one.
         xacro_seconds: Processor time of expanding a xacro file [s]; large robots take two.
-        model_elements: Elements of an MJCF, also copies by <replicate> and <flexcomp>; a hand has a hundred.
-        model_numbers: Numbers of a height field, a texture or a size; one of 4096 x 4096 has 16,800,000.
+        model_elements: Elements of a model, also copies by <replicate> and <flexcomp>, a body as four; a hand
+            has some hundred, a kitchen some thousand.
+        model_numbers: Numbers of all height fields, textures and sizes of a model, where its images are not
+            large themselves (`growth`); a texture of 4096 x 4096 has 16,800,000.
+        model_iterations: Iterations of the solver in a step, each with those of its line search; MuJoCo's
+            default is 5,000.
         yaml_values: Values in a YAML file, those that an alias repeats each time; that recording has 100,000.
     """
 
@@ -47,8 +51,9 @@ class Limits:
     model_mib: int = 64
     xacro_seconds: int = 20
     definition_mib: int = 1
-    model_elements: int = 100_000
-    model_numbers: int = 50_000_000
+    model_elements: int = 10_000
+    model_numbers: int = 25_000_000
+    model_iterations: int = 1_000_000
     yaml_mib: int = 4
     yaml_values: int = 300_000
 

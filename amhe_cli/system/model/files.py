@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import logging
-import re
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from math import prod
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from weakref import WeakKeyDictionary
-from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.core.files import check_regular
-from amhe_cli.core.limits import beyond, limits
+from amhe_cli.system.model.cost import check_model
 from amhe_cli.system.model.urdf import UrdfOptions, is_urdf, urdf_text
 
 logger = logging.getLogger(__name__)
@@ -28,12 +24,6 @@ logger = logging.getLogger(__name__)
 _THIN = 1e-3
 #: Half edge of a box where nothing suggests one [m].
 _UNKNOWN = 0.05
-#: A comment in XML.
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-#: Attributes of <compiler> that name folders of files.
-_FOLDERS = ("meshdir", "texturedir", "assetdir")
-#: Attributes that together say how many numbers an element holds.
-_SIZES = (("nrow", "ncol"), ("width", "height"))
 
 
 def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
@@ -229,54 +219,3 @@ def resize(geom: mujoco.MjsGeom, edges: Sequence[float]) -> None:
     if body.explicitinertial:
         squares = (2.0 * half) ** 2
         body.inertia = body.mass / 12.0 * (squares.sum() - squares)
-
-
-def check_model(path: Path) -> None:
-    """Refuse a model whose elements multiply beyond the limits, or that names a pipe or a device.
-
-    Raises:
-        ConfigError: It is such a model; what is no XML is left to MuJoCo to refuse.
-    """
-    waiting, seen = [path], set[Path]()
-    while waiting:
-        file = waiting.pop()
-        check_regular(file)
-        if file in seen or not file.is_file():
-            continue
-        seen.add(file)
-        try:
-            text = file.read_text(encoding="utf-8", errors="replace")
-            root = ElementTree.fromstring(_COMMENT.sub("", text))
-        except ElementTree.ParseError:
-            continue
-        _check_elements(root, file)
-        waiting += [path.parent / one.get("file", "") for one in root.iter("include")]
-        folders = {one.get(key, "") for one in root.iter("compiler") for key in _FOLDERS}
-        for name in {name for one in root.iter() if (name := one.get("file"))}:
-            for folder in ("", *folders):
-                check_regular(path.parent / folder / name)
-
-
-def _check_elements(root: ElementTree.Element, path: Path) -> None:
-    waiting, elements = [(root, 1)], 0
-    while waiting:
-        one, times = waiting.pop()
-        copies = prod(map(_number, one.get("count", "1").split()))
-        elements += times * copies
-        below = times * copies if one.tag == "replicate" else times
-        numbers = max(prod(_number(one.get(name, "1")) for name in names) for names in _SIZES)
-        if one.tag == "size":
-            numbers = max(map(_number, one.attrib.values()), default=1)
-        if elements > limits().model_elements:
-            raise ConfigError(f"{path}: {beyond('model_elements', 'its elements are')}")
-        if numbers > limits().model_numbers:
-            raise ConfigError(f"{path}: <{one.tag}>: {beyond('model_numbers', f'{numbers} numbers are')}")
-        waiting += [(child, below) for child in one]
-
-
-def _number(text: str) -> int:
-    """A number in an attribute; 1 for what is none, as MuJoCo refuses it."""
-    try:
-        return max(1, int(text))
-    except ValueError:
-        return 1

@@ -22,6 +22,7 @@ import numpy as np
 
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.limits import beyond, limits
+from amhe_cli.system.model.cost import check_elements, check_size
 from amhe_cli.system.model.packages import Places
 
 logger = logging.getLogger(__name__)
@@ -64,12 +65,14 @@ def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
         ConfigError: It is no XML, xacro fails, a mass or inertia is no number, or a mesh is missing or of a
             kind that MuJoCo cannot read.
     """
+    check_size(path, limits().model_mib, "model_mib")
     source = _expanded(path, options) if path.suffix.lower() == XACRO else path.read_bytes()
     try:
         parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
         root = ElementTree.fromstring(source, parser)
     except ElementTree.ParseError as error:
         raise ConfigError(f"{path}: not a URDF: {error}") from None
+    check_elements(root, path)
     compiler = _compiler(root)
     folder = path.absolute().parent
     places = Places(folder, folder / compiler.pop("meshdir", ""), options.packages)
