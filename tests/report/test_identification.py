@@ -7,6 +7,7 @@ from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -45,6 +46,9 @@ ORIGIN = {
 }
 
 
+WARNED = ("a gap of 0.6 s & more",)
+#: A result without what takes long to draw, for what a page says elsewhere.
+PLAIN: dict[str, Any] = {"fits": (), "iterations": ()}
 TRUTH = {"load_mass": 0.74, "damping": 0.06, "another": 1.0}
 
 
@@ -60,7 +64,7 @@ def stated(result: Identification) -> str:
 
 @pytest.fixture(scope="module")
 def html() -> str:
-    return page(identification(), ("a gap of 0.6 s & more",))
+    return page(identification(), WARNED)
 
 
 @pytest.mark.medium
@@ -102,6 +106,13 @@ def test_a_mesh_that_is_not_found_costs_no_result(
     write_identification(tmp_path / "out", system, result, result.belief, record, ORIGIN)
     assert (tmp_path / "out" / "belief.yaml").is_file()
     assert "identified.xml needs assets/a.stl beside it" in caplog.text
+
+
+def test_the_page_names_the_command_that_shows_its_result() -> None:
+    result = identification(**PLAIN)
+    common = {"command": "identify", "version": "0.1.0", "seconds": 1.5, "warnings": []}
+    record = common | identification_record(result, TRUTH) | {"out": "my result"}
+    assert "<li>amhe view &#39;my result&#39;</li>" in identification_page(result, record, ORIGIN)
 
 
 def test_the_page_stays_small(html: str) -> None:
@@ -154,8 +165,8 @@ def test_the_page_is_well_formed(html: str) -> None:
     assert open_tags == []
 
 
-def test_the_same_result_gives_the_same_page() -> None:
-    assert page(identification()) == page(identification())
+def test_the_same_result_gives_the_same_page(html: str) -> None:
+    assert page(identification(), WARNED) == html
 
 
 def test_a_profile_is_seen_to_its_ends_and_a_share_has_no_unit() -> None:
@@ -196,7 +207,7 @@ def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
     runaway = np.array(one.initial)
     runaway[100:] = np.inf
     runaway[50:100] = 1e12
-    html = page(identification(fits=(replace(one, initial=runaway),)))
+    html = page(identification(fits=(replace(one, initial=runaway),), iterations=()))
     assert "inf" not in html.split("<svg")[1].split("</svg>")[0].lower()
 
 
@@ -237,7 +248,7 @@ def test_a_reason_of_many_parameters_is_said_once() -> None:
         for share in ("8%", "22%", "11%")
     ]
     rows = (*(with_reasons(i, text) for i, text in enumerate(rests)), with_reasons(3, "it is alone"))
-    html = page(identification(parameters=rows))
+    html = page(identification(parameters=rows, **PLAIN))
     assert html.count("it rests on the time step") == 1
     assert (
         "1: it rests on the time step of 2 ms: a finer one leaves 8 to 22% open: load_mass (8%), "
@@ -263,11 +274,9 @@ def test_digits_of_correlations_can_be_read() -> None:
     assert "0.58" in correlation_figure(names, values)
 
 
-def test_dropped_clips_are_named_only_where_there_are_any() -> None:
-    assert "2 because nothing moves in them and 1 because they contain a gap were dropped" in page(
-        identification()
-    )
-    none = page(identification(clips=ClipCount(18, 6, 0, 0), diverged=0))
+def test_dropped_clips_are_named_only_where_there_are_any(html: str) -> None:
+    assert "2 because nothing moves in them and 1 because they contain a gap were dropped" in html
+    none = page(identification(clips=ClipCount(18, 6, 0, 0), diverged=0, **PLAIN))
     assert "dropped" not in none and "rollouts diverged" not in none
 
 
@@ -309,7 +318,7 @@ def test_error_against_horizon_is_in_degrees_and_millimetres() -> None:
         *line("arm.position", "hinge", "rad", [(0.1, 0.02), (0.2, 0.04), (0.4, np.pi / 180)]),
         *line("box.position", "", "m", [(0.01, 0.002), (0.02, 0.003), (np.inf, 0.004)]),
     )
-    known = identification()
+    known = identification(**PLAIN)
     assert known.held_out is not None
     found = page(replace(known, held_out=replace(known.held_out, horizons=horizons)))
     section = found.partition("<h2>Error against horizon")[2].partition("</section>")[0]
