@@ -84,8 +84,14 @@ class Viewed:
         return self.folder / "belief.yaml" if self.record.command == "identify" else None
 
     def open(self) -> System:
-        """The system, boxes in place of missing meshes; a note names the files that a result chooses."""
+        """The system, boxes in place of missing meshes; a note names the files that a result chooses.
+
+        Raises:
+            ConfigError: The result was made from arrays, or its system cannot be opened.
+        """
         logs, system = self.made.logs, self.inputs.system
+        if not logs:
+            raise ConfigError(f"{self.folder}: no log of this result is a file: it was made from arrays")
         if self.record.command:
             files = [*(str(log.path) for log in logs), f"system {system}" if system else "the log's system"]
             messages = {
@@ -174,8 +180,10 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     if record.command == "mhe-replay":  # estimates of a part of a log stand in the whole log
         made.logs = [log.model_copy(update={"start": None, "end": None}) for log in made.logs]
     inputs = replace(inputs, system=inputs.system or made.system)
+    if inputs.system is None:
+        raise ConfigError(f"{path}: its system has no folder; make one, and give it with --system DIR")
     try:
-        find_system(inputs.system or "")
+        find_system(inputs.system)
     except ConfigError:
         gone = f"{inputs.system}: the system of this result is not there; give its folder with --system DIR"
         raise ConfigError(gone) from None

@@ -134,7 +134,9 @@ def numbers(text: str) -> np.ndarray:
         ({"fixed": {"damping": None}}, "is no result of this amhe"),
         ({"command": "eval"}, "of `amhe eval`"),
         ({"inputs": None}, "run `amhe identify` again"),
-        ({"inputs": {"system": None, "settings": {}, "logs": []}}, "give its folder with --system"),
+        ({"inputs": {"system": None, "settings": {}, "logs": []}}, "give it with --system"),
+        ({"inputs": {"system": "gone", "settings": {}, "logs": []}}, "give its folder with --system"),
+        ({"inputs": {"system": "pendulum", "settings": {}, "logs": []}}, "it was made from arrays"),
         ({"inputs": {"system": "pendulum", "settings": {}, "logs": [{"path": "gone.mcap"}]}}, "gone.mcap"),
     ],
 )
