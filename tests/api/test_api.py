@@ -25,7 +25,10 @@ ROOT = Path(__file__).parents[2]
 #: Few clips and iterations: these tests are about the calls.
 CHEAP = {
     "clips": {"count": 6, "length": [0.4, 0.8]},
-    "identify": {"iterations": 4, "bootstrap": 20, "profile_points": 3},
+    "identify": {
+        **{"iterations": 4, "bootstrap": 20, "profile_points": 3},
+        **{"cmaes_iterations": 4, "cmaes_starts": 1},
+    },
 }
 
 
