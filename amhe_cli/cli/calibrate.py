@@ -52,7 +52,7 @@ def calibrate(
     assert reached is not None
     chosen = RunOptions(task, target="go1", settings=overrides.all)
     calibration = open_calibration(chosen, reached)
-    folder = out.reserve("calibrate")
+    folder = out.reserve()
     with calibration:
         found = calibration.offsets(_asking(session, yes), seconds)
     text = _settings(found)

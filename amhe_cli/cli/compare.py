@@ -64,7 +64,7 @@ def compare(
     session.hush_mujoco()
     systems, more = _parted(given)
     logs = logs + log_path.episodes(click.get_current_context(), click.Argument(["logs"]), more)
-    folder = out.reserve("compare")
+    folder = out.reserve()
     inputs = [Inputs(name, {}, msg_path, None, None) for name in systems]
     opened = [one.open(logs, overrides) for one in inputs]
     read = [one.read(system, logs) for one, system in zip(inputs, opened, strict=True)]

@@ -122,7 +122,7 @@ def evaluate(
     chosen = EvalOptions(settings=overrides.all, **wanted)
     study = study_of(chosen, session.command_line, now(), machine())
     cells = planned(chosen, study)
-    store = start(out.folder or out.reserve("eval"), study, resume, out.force, cells)
+    store = start(out.folder or out.reserve(), study, resume, out.force, cells)
     missing = store.missing(cells)
     if len(missing) < len(cells):
         session.say("", f"{len(cells) - len(missing)} of {len(cells)} cells are done already")

@@ -62,7 +62,7 @@ def export(
     from amhe_cli.cli.viewed import system_of_result
 
     files = write(
-        belief, to, out.reserve("export"), system=system or system_of_result(belief), force=out.force, **how
+        belief, to, out.reserve(), system=system or system_of_result(belief), force=out.force, **how
     )
     if session.json:
         session.print_json(session.record(files=[str(file) for file in files]))

@@ -84,7 +84,7 @@ def identify(
     from amhe_cli.study.executors import executor_of
 
     session.hush_mujoco()
-    folder = out.reserve("identify")
+    folder = out.reserve()
     _check_apart(logs, held_out)
     opened = inputs.open(logs, overrides)
     known: Any = {"fix": fix, "only": only, "belief_anyway": belief_anyway}

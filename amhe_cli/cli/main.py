@@ -110,10 +110,8 @@ def run(arguments: Sequence[str]) -> int:
             code = amhe.main(list(arguments), prog_name="amhe", standalone_mode=False, obj=session)
             return code if isinstance(code, int) else session.exit_code
         except (click.Abort, KeyboardInterrupt):  # click makes an Abort of Ctrl-C
-            command = amhe.commands.get(session.command.split()[-1])
-            writes = command is None or any(option.name == "out" for option in command.params)
             lost = f"; the results are in {session.folder}" if session.written else "; nothing was written"
-            session.say("", f"interrupted{lost if writes else ''}")
+            session.say("", f"interrupted{lost if 'out' in session.options else ''}")
             return TERMINATED if session.terminated else INTERRUPTED
         except Exception as error:
             return _failed(session, error)
@@ -130,7 +128,6 @@ def _failed(session: Session, error: Exception) -> int:
         error.show()
         return USAGE
     if isinstance(error, click.UsageError):
-        session.command = error.ctx.command_path if error.ctx else session.command
         text = " ".join(error.format_message().split())  # click lists choices over many lines
         session.say("error", f"{text.rstrip('.')} (see '{session.command} --help')")
         return USAGE

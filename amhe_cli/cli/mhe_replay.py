@@ -72,7 +72,7 @@ def mhe_replay(
     from amhe_cli.view.scene_log import measured_scene
 
     session.hush_mujoco()
-    folder = out.reserve("mhe-replay")
+    folder = out.reserve()
     path = log or bundled_log()
     opened = inputs.open([path], overrides)
     chosen = overrides.all.get("mhe") or {}

@@ -306,15 +306,13 @@ class Output:
     folder: Path | None
     force: bool
 
-    def reserve(self, command: str) -> Path:
+    def reserve(self) -> Path:
         """The folder to write to; it is refused before any work is done if it cannot be written."""
         from amhe_cli.report.folder import reserve
 
-        session = click.get_current_context().find_object(Session)
-        folder = reserve(self.folder, command, self.force)
-        if session is not None:
-            session.folder = folder
-        return folder
+        session = click.get_current_context().ensure_object(Session)
+        session.folder = reserve(self.folder, session.name, self.force)
+        return session.folder
 
 
 out = bundled(

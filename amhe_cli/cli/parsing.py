@@ -74,7 +74,8 @@ class Command(click.Command):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Read the options; of one that is no more, say what replaced it."""
-        ctx.ensure_object(Session).options = options_of(self)
+        session = ctx.ensure_object(Session)
+        session.name, session.command, session.options = str(self.name), ctx.command_path, options_of(self)
         try:
             return super().parse_args(ctx, args)
         except click.NoSuchOption as error:
@@ -86,7 +87,7 @@ class Command(click.Command):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command's body."""
-        ctx.ensure_object(Session).begin(ctx.command_path)
+        ctx.ensure_object(Session).begin()
         return super().invoke(ctx)
 
 

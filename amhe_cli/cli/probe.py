@@ -91,7 +91,7 @@ def probe(
     from amhe_cli.system.provenance import provenance
 
     session.hush_mujoco()
-    folder = out.reserve("probe")
+    folder = out.reserve()
     settings, schema = overrides.suited(find_system(system or "go1_push"))
     chosen = ProbeOptions(
         system, belief=belief, plant=plant, recipe=recipe, seed=seed, settings=settings, schema=schema, **how

@@ -98,7 +98,7 @@ def run(
     if dry_run and target != "go1":
         raise click.UsageError("--dry-run is of a real robot: give --target go1 too")
     session.hush_mujoco()
-    folder = out.reserve("run")
+    folder = out.reserve()
     chosen = RunOptions(
         task, mode, target, belief, seed, duration=duration, plant=plant, settings=overrides.all, **how
     )

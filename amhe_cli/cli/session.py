@@ -40,6 +40,7 @@ class Session:
     """One run of one command.
 
     Attributes:
+        name: Name of the command.
         command: 'amhe identify': how every line on stderr begins.
         options: What the user types for the arguments of the library: see `wording.options_of`.
         command_line: What the user typed, for provenance.
@@ -51,7 +52,7 @@ class Session:
     """
 
     def __init__(self, arguments: Sequence[str] = ()) -> None:
-        self.command = "amhe"
+        self.name = self.command = "amhe"
         self.options: Mapping[str, str] = {}
         self.command_line = shlex.join(["amhe", *arguments])
         self.started = time.monotonic()
@@ -105,11 +106,10 @@ class Session:
                 f"{self.command}: {label}{first}", *(f"  {line}" for line in rest), sep="\n", file=sys.stderr
             )
 
-    def begin(self, command: str) -> None:
+    def begin(self) -> None:
         """Start listening to the library's log, before a command's body runs."""
         import logging
 
-        self.command = command
         logging.captureWarnings(True)  # a library's RuntimeWarning is for us, not for users
         logger = logging.getLogger("amhe_cli")
         logger.handlers[:] = [_listener(self)]
@@ -153,7 +153,7 @@ class Session:
 
         return {
             "schema_version": 1,
-            "command": self.command.split()[-1],
+            "command": self.name,
             "version": __version__,
             "seconds": round(self.seconds, 3),
             "warnings": list(self.warnings),

@@ -109,7 +109,7 @@ def test_an_interruption_after_results_were_written_says_where_they_are(
     @options.out
     @options.common
     def trial(out: options.Output, late: bool) -> None:
-        folder = out.reserve("trial")
+        folder = out.reserve()
         if late:
             (folder / "result.json").write_text("{}")
         raise KeyboardInterrupt
