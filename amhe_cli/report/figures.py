@@ -27,8 +27,18 @@ from amhe_cli.report.page import Key
 
 logging.getLogger("matplotlib").setLevel(logging.ERROR)  # its notes on its font cache are of no use to users
 
-INK, MUTED, RULE = "#1e293b", "#64748b", "#e2e8f0"
-IDENTIFIED, INITIAL, MEASURED = "#2563eb", "#d97706", "#475569"
+#: Colour of texts and of what is true.
+INK = "#1e293b"
+#: Colour of what stands back.
+MUTED = "#64748b"
+#: Colour of rules and grids.
+RULE = "#e2e8f0"
+#: Colour of what identified parameters predict.
+IDENTIFIED = "#2563eb"
+#: Colour of what initial parameters predict.
+INITIAL = "#d97706"
+#: Colour of what was measured.
+MEASURED = "#475569"
 
 #: Colours as in report.css.
 FONTS = "Inter, 'Segoe UI', 'Helvetica Neue', Arial, 'DejaVu Sans', sans-serif"
@@ -53,8 +63,10 @@ MAX_PANELS = 9
 #: Points of one line: a clip has thousands, but a panel is only hundreds of pixels wide.
 MAX_POINTS = 240
 
-#: Coordinates in paths, and their digits below a hundredth of a point, which are too small to see.
-_PATH, _DIGITS = re.compile(r' d="[^"]*"'), re.compile(r"(\.\d\d)\d+")
+#: Coordinates in paths.
+_PATH = re.compile(r' d="[^"]*"')
+#: Digits below a hundredth of a point, which are too small to see.
+_DIGITS = re.compile(r"(\.\d\d)\d+")
 
 _STYLE = {
     "path.simplify": False,  # it would drop lines without length

@@ -22,11 +22,15 @@ from amhe_cli.report.parameters import parameter_section
 from amhe_cli.report.sampled import sampled_sections, sampled_statements
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
-#: Clips whose fit is drawn, and how many of them are open at once.
-MAX_CLIPS, OPEN_CLIPS = 3, 2
+#: Clips whose fit is drawn.
+MAX_CLIPS = 3
+#: How many of them are open at once.
+OPEN_CLIPS = 2
 
-#: Residuals of more than this many times the declared noise are pointed out, and the bars' right end.
-LARGE_RESIDUAL, LARGEST_RESIDUAL = 2.0, 5.0
+#: Residuals of more than this many times the declared noise are pointed out.
+LARGE_RESIDUAL = 2.0
+#: Right end of the bars of residuals, in times the declared noise.
+LARGEST_RESIDUAL = 5.0
 
 #: Combinations that are named outside their own table.
 MAX_COMBINATIONS = 3

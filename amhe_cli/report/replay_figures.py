@@ -13,8 +13,12 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.report.figures import IDENTIFIED, INITIAL, INK, MEASURED, Grid, styled, svg, thinned
 
-#: Colour of the line at a jump, and of the background where windows were skipped.
-JUMP, STILL, LOST = "#b45309", "#e8edf3", "#fee2e2"
+#: Colour of the line at a jump.
+JUMP = "#b45309"
+#: Background where windows had too little excitation.
+STILL = "#e8edf3"
+#: Background where a signal was missing, or rollouts diverged.
+LOST = "#fee2e2"
 _SHADES = {"still": STILL, "gap": LOST, "diverged": LOST}
 _BAND = "#dbeafe"
 

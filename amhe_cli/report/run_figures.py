@@ -27,9 +27,16 @@ from amhe_cli.report.figures import (
 
 Columns: TypeAlias = Mapping[str, FloatArray]
 
-GOAL, BOX, BAND = "#15803d", "#b45309", "#dbeafe"
-#: Greatest height of the view from above [inch], and the least that it shows [m].
-_HIGHEST, _LEAST = 6.0, 1.2
+#: Colour of the goal.
+GOAL = "#15803d"
+#: Colour of the box.
+BOX = "#b45309"
+#: Colour of 90 % intervals.
+BAND = "#dbeafe"
+#: Greatest height of the view from above [inch].
+_HIGHEST = 6.0
+#: The least width that it shows [m].
+_LEAST = 1.2
 #: Outlines of the box along its path.
 _OUTLINES = 5
 

@@ -9,8 +9,10 @@ import rich.box
 import rich.table
 from rich.text import Text
 
-#: Look of a column of numbers, and of the one that matters most.
-NUMBER, STRONG = "number", "number strong"
+#: Look of a column of numbers.
+NUMBER = "number"
+#: Look of the numbers that matter most.
+STRONG = "number strong"
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,8 +34,10 @@ _BYTES = 3_200_000
 _CLIPS = 0.65
 #: Pairs of bodies that usually touch, at most.
 _TOUCHING = 4
-#: Most steps of all clips that are rolled out, and most clips.
-_STEPS, _TAKES = 36_000, 150
+#: Most steps of all clips that are rolled out.
+_STEPS = 36_000
+#: Most clips.
+_TAKES = 150
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -37,8 +37,10 @@ logger = logging.getLogger(__name__)
 
 #: Time between two frames [s].
 STEP = 0.04
-#: Items that wait, and messages that a browser gets that comes late.
-_WAITING, _KEPT = 50, 15_000
+#: Items that wait to be drawn.
+_WAITING = 50
+#: Messages that a browser gets that comes late.
+_KEPT = 15_000
 
 T = TypeVar("T")
 

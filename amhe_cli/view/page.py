@@ -27,10 +27,14 @@ from amhe_cli.view.scene import Scene
 
 #: How far ghosts may leave the measured places, before they stop at an edge [m].
 _BEYOND = 2.0
-#: The number that stands for no value, and the largest one of a value.
-_NONE, _MOST = -32768, 32767
-#: Largest force that is drawn, in weights of the scene, and the gravity of that weight [m/s^2].
-_STRONGEST, _GRAVITY = 10.0, 9.81
+#: The 16-bit number that stands for no value.
+_NONE = -32768
+#: The largest 16-bit number of a value.
+_MOST = 32767
+#: Largest force that is drawn, in weights of the scene.
+_STRONGEST = 10.0
+#: Gravity of that weight [m/s^2].
+_GRAVITY = 9.81
 #: Most points of a curve.
 _POINTS = 4000
 #: Files of the page's script, in their order.

@@ -19,10 +19,14 @@ from amhe_cli.system.system import System
 from amhe_cli.view.ghosts import MeasuredLog
 from amhe_cli.view.scene import Geom, Scene, scene_of
 
-#: Topics of the geoms and of the frames that they are fixed to.
-GEOMS, FRAMES = "/amhe/scene", "/amhe/frames"
-#: Most messages of frames in a second, and of one replay.
-RATE, MOST = 50.0, 20_000
+#: Topic of the geoms.
+GEOMS = "/amhe/scene"
+#: Topic of the frames that they are fixed to.
+FRAMES = "/amhe/frames"
+#: Most messages of frames in a second.
+RATE = 50.0
+#: Most messages of frames of one replay.
+MOST = 20_000
 #: Before the names of bodies: a signal may be called as a body is, and has measured poses of its own on /tf.
 _PREFIX = "scene/"
 

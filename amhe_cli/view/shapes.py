@@ -12,8 +12,10 @@ from amhe_cli.core.arrays import FloatArray, IntArray
 
 #: Half the edge of what stands for a plane without edges [m].
 ENDLESS = 30.0
-#: Faces around a round shape, and cells along a drawn height field.
-_ROUND, _HILLY = 20, 64
+#: Faces around a round shape.
+_ROUND = 20
+#: Cells along a drawn height field.
+_HILLY = 64
 
 _TYPES = mujoco.mjtGeom
 

@@ -25,7 +25,12 @@ from amhe_cli.study.summary import Group, Groups
 
 #: Colour of each mode, everywhere; a mode of another name is grey.
 COLORS = {"true": INK, "baseline": "#d97706", "stale": "#b91c1c", "adaptive": "#2563eb"}
-TRUTH, DEFAULT, PATH = "#15803d", "#15803d", "#94a3b8"
+#: Colour of what is true or wanted.
+TRUTH = "#15803d"
+#: Colour of the operating point.
+DEFAULT = "#15803d"
+#: Colour of the path that the box is to take.
+PATH = "#94a3b8"
 #: Height of the legend below the panels [inch].
 _STRIP = 0.34
 
