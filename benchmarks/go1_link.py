@@ -185,7 +185,7 @@ class Robot:
         options = EmulatorOptions(find_task("t1"), port=0, mocap="none")
         self.emulator = Emulator(options, lambda when, sent: self.received.append((when, sent)))
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve, daemon=True)
+        self._thread = threading.Thread(target=_serve, args=(self.emulator, self._stop), daemon=True)
         self._thread.start()
         port = str(self.emulator.address[1])
         self.process = subprocess.Popen(
@@ -197,11 +197,6 @@ class Robot:
         self.runs = "running" in words
         self.sender = int(words[-1]) if self.runs else 0
 
-    def _serve(self) -> None:
-        # a robot's own computer does nothing else either: what is measured is the sender, not this thread
-        take_priority(ROBOT, anywhere=True)
-        self.emulator.serve(self._stop.is_set)
-
     def close(self) -> str:
         """End both; returns what the program printed last."""
         self.process.send_signal(signal.SIGCONT)
@@ -211,6 +206,12 @@ class Robot:
         self._thread.join()
         self.emulator.__exit__()
         return words
+
+
+def _serve(emulator: Emulator, stop: threading.Event) -> None:
+    # a robot's own computer does nothing else either: what is measured is the sender, not this thread
+    take_priority(ROBOT, anywhere=True)
+    emulator.serve(stop.is_set)
 
 
 @contextmanager
@@ -253,12 +254,11 @@ def _walked_on(changed: Faults) -> float:
     options = EmulatorOptions(find_task("t1"), port=0, mocap="udp", mocap_port=port, slow=_SLOW)
     stop, begun, first = threading.Event(), 0.0, 0
     with Emulator(options, lambda when, sent: received.append((when, sent))) as emulator:
-        served = threading.Thread(target=emulator.serve, args=(stop.is_set,), daemon=True)
+        served = threading.Thread(target=_serve, args=(emulator, stop), daemon=True)
         served.start()
-        where = (
-            f"--host 127.0.0.1 --port {emulator.address[1]} --pose udp --pose-port {port} --slow {_SLOW:g}"
-        )
-        what = "run --task t1 --target go1 --mode baseline -q --set go1.arm=auto --set go1.trips.pose_age=1"
+        where = f"--host 127.0.0.1 --port {emulator.address[1]} --pose udp --pose-port {port}"
+        what = f"run --set go1.slow={_SLOW:g} --task t1 --target go1 --mode baseline -q --set go1.arm=auto"
+        what += " --set go1.trips.state_age=0.5 --set go1.trips.plan_age=1"
         with tempfile.TemporaryDirectory() as folder:
             command = f"{sys.executable} -m amhe_cli {what} {where} -o {folder}/run"
             with subprocess.Popen(command.split(), stderr=subprocess.DEVNULL) as program:

@@ -129,7 +129,7 @@ def is_trip(error: Exception | None) -> bool:
     """Whether an error is a trip of the robot, which was printed when it came."""
     if error is None:
         return False
-    from amhe_cli.robots.go1.link.report import StoppedError
+    from amhe_cli.robots.go1.link.mail import StoppedError
 
     return isinstance(error, StoppedError)
 

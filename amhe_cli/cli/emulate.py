@@ -63,8 +63,8 @@ def emulate(
     It speaks the robot's own UDP protocol, with MuJoCo physics behind it, and streams the poses of "go1" and
     "box" as motion capture does. Try `amhe run --target go1 --host 127.0.0.1` on it. Of the settings that
     `amhe run` takes, boxes.box makes the box another one, go1.trunk, go1.box, go1.trunk_offset and
-    go1.box_offset the rigid bodies, go1.crc the checksums, go1.slow the pace, and go1.poses.key signs poses
-    by udp: the same --config suits both.
+    go1.box_offset the rigid bodies, go1.crc the checksums, and go1.slow the pace: the same --config suits
+    both.
     """
     from amhe_cli.robots.go1.emulator.emulator import Emulator, EmulatorOptions
     from amhe_cli.robots.go1.emulator.faults import parse_faults
@@ -81,7 +81,7 @@ def emulate(
     emulated = EmulatorOptions(
         measured, host, port, mocap, pose_port, parse_faults(fault), s.slow, seed,  # type: ignore[arg-type]
         (s.trunk, s.box), (s.trunk_offset, s.box_offset),
-        s.crc, udp.read_key(s.poses.key),
+        s.crc,
     )  # fmt: skip
     with stopping(session) as stopped, Emulator(emulated) as emulator:
         robot, cameras = emulator.address, emulator.mocap_address

@@ -88,7 +88,7 @@ def run(
     """
     from amhe_cli.core.files import filling
     from amhe_cli.report.run import print_run, verdict, write_run
-    from amhe_cli.robots.go1.record import run_record
+    from amhe_cli.robots.go1.history import run_record
     from amhe_cli.robots.go1.recording import film_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.system.provenance import run_provenance

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import News
-from amhe_cli.live.episode import BeliefSource, Cycle
+from amhe_cli.live.episode import Cycle
 
 
 class FixedBelief:
@@ -38,10 +38,16 @@ class AdaptiveBelief:
     Args:
         start: Parameters by name before the first estimate.
         tracker: Tracker that estimates them.
+        on_estimate: Called with each new estimate.
     """
 
-    def __init__(self, start: Mapping[str, float], tracker: Tracker) -> None:
-        self._belief, self._tracker = dict(start), tracker
+    def __init__(
+        self,
+        start: Mapping[str, float],
+        tracker: Tracker,
+        on_estimate: Callable[[Estimate], None] | None = None,
+    ) -> None:
+        self._belief, self._tracker, self._on_estimate = dict(start), tracker, on_estimate
 
     def at(self, time: float) -> dict[str, float]:
         """See `BeliefSource`: line 9 of Algorithm 1."""
@@ -53,36 +59,10 @@ class AdaptiveBelief:
         for estimate in news:
             if isinstance(estimate, Estimate):
                 self._belief |= zip(estimate.belief.names, estimate.theta.tolist(), strict=True)
+                if self._on_estimate:
+                    self._on_estimate(estimate)
         return news
 
     def close(self) -> None:
         """See `BeliefSource`."""
         self._tracker.close()
-
-
-class SharedBelief:
-    """A belief whose estimates are also passed on.
-
-    Args:
-        source: The belief.
-        on_estimate: Called with each new estimate.
-    """
-
-    def __init__(self, source: BeliefSource, on_estimate: Callable[[Estimate], None]) -> None:
-        self._source, self._on_estimate = source, on_estimate
-
-    def at(self, time: float) -> dict[str, float]:
-        """See `BeliefSource`."""
-        return self._source.at(time)
-
-    def learn(self, cycle: Cycle) -> tuple[News, ...]:
-        """See `BeliefSource`."""
-        news = self._source.learn(cycle)
-        for estimate in news:
-            if isinstance(estimate, Estimate):
-                self._on_estimate(estimate)
-        return news
-
-    def close(self) -> None:
-        """See `BeliefSource`."""
-        self._source.close()

@@ -15,8 +15,7 @@ from amhe_cli.core.errors import ConfigError, Ending
 from amhe_cli.core.yaml_file import nested
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.estimation.online.horizon import Estimate
-from amhe_cli.robots.go1.history import History
-from amhe_cli.robots.go1.record import run_record
+from amhe_cli.robots.go1.history import History, run_record
 from amhe_cli.robots.go1.run import RunOptions, open_run
 from amhe_cli.robots.go1.settings import settings_of
 from amhe_cli.study.cells import Cell, cell_of

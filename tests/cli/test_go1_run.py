@@ -24,8 +24,7 @@ from amhe_cli.cli.main import run
 from amhe_cli.cli.session import Session
 from amhe_cli.core.errors import Ending
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.robots.go1.link.mail import Phase
-from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
+from amhe_cli.robots.go1.link.mail import Phase, SenderReport, StoppedError
 from amhe_cli.robots.go1.poses.feed import KINDS
 from amhe_cli.robots.go1.probing.motions import STEADY
 from tests.robots.go1.emulator.emulating import Emulated, emulating

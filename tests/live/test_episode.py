@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from unittest.mock import Mock
 
 import mujoco
 import numpy as np
@@ -54,9 +55,8 @@ def test_it_ends_in_time_and_has_not_fallen(second: list[Cycle]) -> None:
     assert all(cycle.misses == 0 and cycle.plan_ms > 0.0 for cycle in second)
 
 
-@pytest.mark.parametrize("threads", [1, 2])
-def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(threads: int, second: list[Cycle]) -> None:
-    again = cycles_of(duration=0.3, seed=3, threads=threads)
+def test_the_same_seed_gives_the_same_run_on_any_number_of_threads(second: list[Cycle]) -> None:
+    again = cycles_of(duration=0.3, seed=3, threads=2)
     np.testing.assert_array_equal(targets(again), targets(second)[:15])
     for a, b in zip(again, second, strict=False):
         np.testing.assert_array_equal(a.samples["joints.position"][1], b.samples["joints.position"][1])
@@ -73,7 +73,11 @@ def test_another_seed_starts_elsewhere_and_measures_and_samples_otherwise() -> N
     assert (a.plan.targets != b.plan.targets).any()
 
 
-def test_starts_differ_by_three_centimetres_and_three_degrees_at_most_and_nearly_so() -> None:
+def test_starts_differ_by_three_centimetres_and_three_degrees_at_most_and_nearly_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    for unneeded in ("controller_for", "belief_source"):
+        monkeypatch.setattr(f"amhe_cli.robots.go1.run.{unneeded}", Mock())
     shifts, turns = [], []
     for seed in range(10):
         state = opened(seed=seed).plant.state

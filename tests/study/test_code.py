@@ -25,7 +25,7 @@ print(*(name for name in sys.modules if name.startswith("amhe_cli.")))
 def test_every_module_that_runs_in_a_cell_is_covered() -> None:
     loaded = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True, check=True).stdout
     covered = imported_by(_RUNS_CELLS, PACKAGE)
-    assert {"amhe_cli.robots.go1.record", "amhe_cli.study.results", "amhe_cli.matching.cost"} <= set(covered)
+    assert {"amhe_cli.robots.go1.history", "amhe_cli.study.results", "amhe_cli.matching.cost"} <= set(covered)
     assert set(loaded.split()) - set(covered) == set()
 
 

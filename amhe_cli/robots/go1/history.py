@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.errors import Ending
+from amhe_cli.core.files import plain
 from amhe_cli.core.rotations import rotate, yaw_of
+from amhe_cli.core.statistics import quantiles
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.episode import Cycle
+from amhe_cli.robots.go1.judge import Measures
 from amhe_cli.robots.go1.kinematics import feet
 from amhe_cli.robots.go1.state import State, heading_velocity
 from amhe_cli.robots.go1.tasks import Task
@@ -129,4 +135,51 @@ def _planning(cycle: Cycle) -> dict[str, float]:
         "effective_samples": step.effective_samples if step else np.nan,
         "rollouts": step.rollouts if step else 0,
         "diverged": step.diverged if step else 0,
+    }
+
+
+def run_record(measures: Measures, history: History, ending: Ending) -> dict[str, Any]:
+    """Outcome of a run as plain values, ready for JSON; numbers that do not exist are None.
+
+    Args:
+        measures: Success, errors and cost of the run.
+        history: Cycles and online estimates of the run.
+        ending: How the loop ended.
+    """
+    numbers = asdict(measures)
+    terms = numbers.pop("terms")
+    columns = history.columns()
+    return plain(
+        {
+            **numbers,
+            "interrupted": ending.interrupted,
+            "error": None if ending.error is None else str(ending.error),
+            "trip": getattr(ending.error, "trip", "") or None,
+            "cost_terms": terms,
+            "belief": history.belief,
+            "estimator": _estimator(history),
+            "truth": history.truth,
+            "cycles": history.cycles,
+            "cycle_ms": quantiles(columns.get("plan_ms", np.empty(0))),
+            "deadline_misses": history.misses,
+            "rollouts": int(columns["rollouts"].sum()) if columns else 0,
+            "least_rollouts": int(columns["rollouts"].min()) if columns else 0,
+            "diverged": int(columns["diverged"].sum()) if columns else 0,
+        }
+    )
+
+
+def _estimator(history: History) -> dict[str, Any] | None:
+    """Updates, times and troubles of the online estimator; None if the run had none."""
+    found = history.estimates
+    if not found:
+        return None
+    last = found[-1]
+    return {
+        "updates": len(found),
+        "marks": Counter(e.mark for e in found),
+        "sd": dict(zip(last.belief.names, last.sd, strict=True)),
+        "update_ms": quantiles(np.array([e.update_ms for e in found if e.rollouts])),
+        "diverged": sum(e.diverged for e in found),
+        "troubles": history.troubles,
     }

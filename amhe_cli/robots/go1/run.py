@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
+from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon, check_window
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import PATIENCE, InProcess, InStep
 from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
@@ -28,9 +28,9 @@ from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.model import SYSTEM, Box, home, layout, planner_model, plant_model
 from amhe_cli.robots.go1.plant import Plant
-from amhe_cli.robots.go1.robot import Go1
 from amhe_cli.robots.go1.sampling import Sampler
 from amhe_cli.robots.go1.settings import PushSettings, settings_of
+from amhe_cli.robots.go1.state import Go1
 from amhe_cli.robots.go1.state_estimator.estimator import StateEstimator
 from amhe_cli.robots.go1.tasks import LONGEST, Task, find_task
 from amhe_cli.system.system import System
@@ -210,7 +210,12 @@ def system_of(options: RunOptions, task: Task) -> System:
 
 
 def belief_source(
-    options: RunOptions, task: Task, system: System, plant: Plant | None, slow: float = 1.0
+    options: RunOptions,
+    task: Task,
+    system: System,
+    plant: Plant | None,
+    slow: float = 1.0,
+    on_estimate: Callable[[Estimate], None] | None = None,
 ) -> BeliefSource:
     """Source of the controller's belief: the plant, where there is one, fixed parameters, or an estimator.
 
@@ -221,6 +226,7 @@ def belief_source(
         plant: Plant behind a simulated target; None for a real robot.
         slow: How many seconds of the wall clock one second of the run takes: the estimator has that much
             longer.
+        on_estimate: Called with each new estimate.
 
     Raises:
         ConfigError: Unknown mode, or a belief that does not suit.
@@ -241,7 +247,7 @@ def belief_source(
     budget = slow * (mhe.budget or mhe.update_period)
     live = _live(options, system)
     worker = InProcess(factory, budget, slow * PATIENCE) if live else InStep(factory, mhe.latency)
-    return AdaptiveBelief(fixed, Tracker(system, worker))
+    return AdaptiveBelief(fixed, Tracker(system, worker), on_estimate)
 
 
 def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:

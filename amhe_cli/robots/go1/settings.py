@@ -83,8 +83,6 @@ class PoseSettings(SettingsGroup):
     """natnet: port from which Motive sends its frames, besides its command port; others are ignored."""
     peer: str = ""
     """udp: ADDRESS:PORT that poses are taken from; by default the first that sends one."""
-    key: str = ""
-    """udp: file with a key that the sender has too; each datagram must then be signed with it."""
     interface: str = "127.0.0.1"
     """ros2: address of the network interface that DDS uses."""
     peers: tuple[str, ...] = ()

@@ -24,7 +24,7 @@ def film():
     film.close()
 
 
-def test_a_frame_shows_robot_box_and_floor(film) -> None:
+def test_a_frame_shows_robot_box_and_floor_and_the_camera_follows(film) -> None:
     frame = film.frame(home(film._model))
     assert frame.shape == (90, 160, 3)
     red, blue = (frame[..., i].astype(int) for i in (0, 2))
@@ -32,10 +32,7 @@ def test_a_frame_shows_robot_box_and_floor(film) -> None:
     assert ((red - blue) > 40).sum() > 100  # cardboard
     assert ((blue - red) > 60).sum() > 10  # the path
 
-
-def test_the_camera_follows(film) -> None:
-    qpos = home(film._model)
-    first = film.frame(qpos).astype(int)
+    first, qpos = frame.astype(int), home(film._model)
     qpos[film._at.trunk][0] += 1.0
     qpos[film._at.box][0] += 1.0
     second = film.frame(qpos).astype(int)  # the floor has moved on, robot and box have not

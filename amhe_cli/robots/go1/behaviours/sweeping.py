@@ -17,7 +17,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
 from amhe_cli.robots.go1.behaviours.course import Course, Plane
 from amhe_cli.robots.go1.behaviours.gait import Gait, box_friction, neutral_feet, standing
 from amhe_cli.robots.go1.behaviours.objective import Reference, SweepWeights, lean_terms, sweep_terms
-from amhe_cli.robots.go1.behaviours.tripod import Tripod, stand_on_three, support_margin
+from amhe_cli.robots.go1.behaviours.tripod import FREE, SHIFT, Tripod, stand_on_three, support_margin
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, feet
 from amhe_cli.robots.go1.state import Body, State
 
@@ -141,7 +141,7 @@ class Sweeping:
         path: Path of the box.
         half_width: Distance from the box's middle to the face that is pushed [m].
         taper: Last distance of the path over which the speed goes to zero [m].
-        gait, tripod: Shape of the stance, and how a front leg becomes free.
+        gait, tripod: Shape of the stance, and how the leg becomes free.
         shape: How the leg sweeps.
         weights: Weights of the cost.
         trunk_height: Desired height of the trunk [m].
@@ -185,7 +185,7 @@ class Sweeping:
     def standing(self, times: FloatArray) -> BoolArray:
         """Which feet should stand at times [s] (...), shape (..., 4)."""
         stands = np.ones((*np.shape(times), 4), dtype=np.bool_)
-        stands[..., self.tripod.index] = times < self.tripod.shift_time
+        stands[..., FREE] = times < self.tripod.shift_time
         return stands
 
     def move(self, state: State, belief: Mapping[str, float]) -> SweepMove:
@@ -199,7 +199,7 @@ class Sweeping:
             return self._prepare(self._stance, state, line, face, at)
         seen, passed = self._see_feet(self._stance, state), state.time - self._last_time
         self._follow(seen, passed)
-        foot = np.array([line, seen[self.tripod.index, 1], self.shape.height - self.gait.height])
+        foot = np.array([line, seen[FREE, 1], self.shape.height - self.gait.height])
         trunk = self._stance.pose(state.trunk)
         self._note_progress(foot[1], begun, at.speed)
         speed, push = self._pace(trunk, foot[1], face, at.speed, box_friction(belief))
@@ -257,7 +257,7 @@ class Sweeping:
         s = self.shape
         if self._over:
             return -float(np.clip(self._start_y - y, 0.0, s.return_speed)), 0.0
-        if support_margin(self._planted, self.tripod, trunk) < s.margin:
+        if support_margin(self._planted, trunk) < s.margin:
             return 0.0, 0.0
         if y - face >= s.touching:
             return commanded, 0.0
@@ -280,7 +280,7 @@ class Sweeping:
 
     def _lean_in_world(self, stance: Plane, time: float, y: float) -> FloatArray:
         lean = self.lean(np.array(time), np.array(y))
-        lean[:2] += min(1.0, time / self.tripod.shift_time) * self.tripod.shift
+        lean[:2] += min(1.0, time / self.tripod.shift_time) * SHIFT
         return stance.in_world(lean)
 
     def _aim(self, passed: float, y: float, speed: float) -> float:
@@ -313,5 +313,5 @@ class Sweeping:
     def _follow(self, seen: FloatArray, passed: float) -> None:
         """Update where the standing feet are after they have slipped; they stay on the floor."""
         share = np.full((4, 1), min(1.0, passed / self.shape.slip_time))
-        share[self.tripod.index] = 0.0
+        share[FREE] = 0.0
         self._planted = self._planted + share * (seen - self._planted) * (1.0, 1.0, 0.0)

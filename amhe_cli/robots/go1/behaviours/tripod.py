@@ -1,4 +1,4 @@
-"""Standing on three legs while a front leg is free to push.
+"""Standing on three legs while the front right one is free to push.
 
 The trunk first moves over the triangle of the other feet, then the leg is lifted: in the other order the
 robot falls towards it.
@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.robots.go1.behaviours.gait import Gait, LegTargets, ground_forces, leg_targets, neutral_feet
-from amhe_cli.robots.go1.kinematics import LEGS
 
-#: How far the trunk goes back, and away from the free leg [m].
-SHIFT_BACK, SHIFT_ASIDE = 0.05, 0.04
+#: Places of the free leg among the four, and of the two at the ends of the long side of their triangle.
+FREE, _FRONT, _REAR = 0, 1, 2
+#: How far the trunk goes ahead and left, away from the free leg [m].
+SHIFT = sealed([-0.05, 0.04])
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,28 +25,12 @@ class Tripod:
     """How a front leg becomes free.
 
     Args:
-        leg: 'FR' or 'FL'.
         shift_time: The trunk moves over the other three feet in this time [s].
         lift_time: The free foot then goes to its first place in this time [s].
     """
 
-    leg: str = "FR"
     shift_time: float = 1.0
     lift_time: float = 0.6
-
-    def __post_init__(self) -> None:
-        if self.leg not in ("FR", "FL"):
-            raise ConfigError(one_of("front leg", self.leg, ("FR", "FL")))
-
-    @property
-    def index(self) -> int:
-        """Place of the free leg among the four."""
-        return LEGS.index(self.leg)
-
-    @property
-    def shift(self) -> FloatArray:
-        """Where the trunk goes, ahead and left of neutral [m]."""
-        return np.array([-SHIFT_BACK, SHIFT_ASIDE if self.leg == "FR" else -SHIFT_ASIDE])
 
 
 def stand_on_three(
@@ -66,7 +50,7 @@ def stand_on_three(
 
     Args:
         gait: Height and servo gain; the rest is not used.
-        tripod: Which leg is free, and how fast.
+        tripod: How fast the leg becomes free.
         time: Time since the start of the shift [s], shape (...).
         foot: Place of the free foot [m], shape (..., 3).
         trunk: Further movement of the trunk: ahead, left [m], turn [rad], shape (..., 3).
@@ -81,47 +65,44 @@ def stand_on_three(
     batch = np.broadcast_shapes(time.shape, foot.shape[:-1], trunk.shape[:-1], push.shape[:-1])
     shifted = _smooth(time / tripod.shift_time)
     lifted = _smooth((time - tripod.shift_time) / tripod.lift_time)[..., None]
-    leg = tripod.index
     planted = neutral_feet(gait) if planted is None else planted
     places = np.broadcast_to(planted, (*batch, 4, 3)).copy()
-    places[..., leg, :] += lifted * (foot - places[..., leg, :])
-    moved = shifted[..., None] * tripod.shift + trunk[..., :2]
+    places[..., FREE, :] += lifted * (foot - places[..., FREE, :])
+    moved = shifted[..., None] * SHIFT + trunk[..., :2]
     feet = _from_trunk(places, np.broadcast_to(moved, (*batch, 2)), np.broadcast_to(trunk[..., 2], batch))
     seen = feet
     if trunk_now is not None:
         now = np.asarray(trunk_now, dtype=np.float64)
         seen = _from_trunk(places, now[:2], now[2])
-        feet[..., leg, :] = seen[..., leg, :]
+        feet[..., FREE, :] = seen[..., FREE, :]
 
     load = np.ones((*batch, 4))
-    load[..., leg] = 1.0 - shifted
-    height = gait.height + places[..., leg, 2]
-    forces = _forces(seen, load, np.broadcast_to(push, (*batch, 2)), leg, height)
+    load[..., FREE] = 1.0 - shifted
+    height = gait.height + places[..., FREE, 2]
+    forces = _forces(seen, load, np.broadcast_to(push, (*batch, 2)), height)
     contact = np.ones((*batch, 4), dtype=np.bool_)
-    contact[..., leg] = np.broadcast_to(time < tripod.shift_time, batch)
+    contact[..., FREE] = np.broadcast_to(time < tripod.shift_time, batch)
     return leg_targets(gait, feet, np.zeros_like(feet), forces, contact)
 
 
-def support_margin(planted: FloatArray, tripod: Tripod, trunk: FloatArray) -> float:
+def support_margin(planted: FloatArray, trunk: FloatArray) -> float:
     """How far the trunk is inside the triangle of the other feet, from the side of the free leg [m].
 
     Args:
         planted: See `stand_on_three`, shape (4, 3).
-        tripod: Which leg is free.
         trunk: Place ahead and left of neutral [m], shape (2,) or more.
     """
-    side = 1.0 if tripod.leg == "FR" else -1.0  # the triangle's long side runs from the other front foot
-    front, rear = planted[[1, 2] if tripod.leg == "FR" else [0, 3], :2]
+    front, rear = planted[[_FRONT, _REAR], :2]
     along = (front - rear) / np.linalg.norm(front - rear)
     place = np.asarray(trunk)[:2] - rear
-    return side * float(along[0] * place[1] - along[1] * place[0])
+    return float(along[0] * place[1] - along[1] * place[0])
 
 
-def _forces(feet: FloatArray, load: FloatArray, push: FloatArray, leg: int, height: FloatArray) -> FloatArray:
+def _forces(feet: FloatArray, load: FloatArray, push: FloatArray, height: FloatArray) -> FloatArray:
     """Three feet carry the robot and push back on the floor; the free one has the push upon it."""
     forces = ground_forces(feet, load, push, height)
-    free = load[..., leg] == 0.0
-    forces[..., leg, :2] = np.where(free[..., None], -push, forces[..., leg, :2])
+    free = load[..., FREE] == 0.0
+    forces[..., FREE, :2] = np.where(free[..., None], -push, forces[..., FREE, :2])
     return forces
 
 

@@ -18,14 +18,10 @@ from amhe_cli.robots.go1.tasks import Task
 STEP = 0.001
 #: Damping of a motor that is not driven [N m s/rad].
 _IDLE = 0.3
-#: Heating of a motor by its torque [K / (N m)^2 / s] and loss to the air [1/s], of our own making: standing
-#: stays cool, holding the torque limit does not. Air, and where a motor switches itself off [deg C].
-_HEATING, _COOLING, _AIR, _SWITCH_OFF = 0.0015, 0.004, 28.0, 90.0
+#: Temperature of the motors [deg C], and charge of the battery [%]; faults have others.
+_WARM, _CHARGE = 32.0, 85
 #: Foot sensors give so many counts per newton, and have a zero of their own.
 _PER_NEWTON, _ZERO = 1.2, np.array([12.0, -7.0, 20.0, 3.0])
-#: Charge at the start [%], what 100 % hold [J], what electronics draw [W] and motors in standstill
-#: [W / (N m)^2], of our own making: one that stands empties its battery in an hour or so.
-_CHARGE, _CAPACITY, _STANDBY, _COPPER = 85.0, 4.7e5, 50.0, 0.25
 #: A box that has moved so far has begun to be pushed [m]: from then on the task's clock runs.
 _MOVED = 0.005
 _SERIAL, _VERSION = (0x0304, 0), (0x00010205, 0)
@@ -46,8 +42,6 @@ class EmulatedBody:
         self._pending = list(task.changes)
         self._box_start = self._plant.state.box.position[:2]
         self._moving_since: float | None = None
-        self._temperatures = np.full(12, _AIR + 4.0)
-        self._charge = _CHARGE
         self._modes = np.full(12, wire.DAMPED)
 
     @property
@@ -84,14 +78,11 @@ class EmulatedBody:
         position = self._drive(command)
         measured = self._plant.advance(position, STEP)
         torques = self._plant.torques
-        self._warm_up(torques)
-        self._discharge(torques, measured["joints.velocity"][1][-1])
         self._change_what_is_due()
         return self._state(measured, torques), measured
 
     def _drive(self, command: MotorCommand) -> FloatArray:
-        hot = self._temperatures > _SWITCH_OFF
-        self._modes = np.where(hot, wire.OVERHEATED, command.mode)
+        self._modes = np.full(12, command.mode)
         live = self._modes == wire.SERVO
         follows = live & (np.abs(command.position) < 1e6)
         damps = live & (np.abs(command.velocity) < wire.VELOCITY_OFF)
@@ -100,15 +91,6 @@ class EmulatedBody:
         forward = np.where(live, command.torque, 0.0) + np.where(damps, command.kd * command.velocity, 0.0)
         self._plant.drive(position, forward, np.where(follows, command.kp, 0.0), kd)
         return position
-
-    def _warm_up(self, torques: FloatArray) -> None:
-        heat = _HEATING * torques**2 - _COOLING * (self._temperatures - _AIR)
-        self._temperatures += STEP * heat
-
-    def _discharge(self, torques: FloatArray, rates: FloatArray) -> None:
-        mechanical = np.maximum(torques * rates, 0.0)  # braking does not charge the battery
-        power = _STANDBY + float(mechanical.sum() + _COPPER * np.sum(torques**2))
-        self._charge = max(0.0, self._charge - 100.0 * STEP * power / _CAPACITY)
 
     def _change_what_is_due(self) -> None:
         if not self._pending:
@@ -132,9 +114,9 @@ class EmulatedBody:
             joints=measured["joints.position"][1][-1],
             joint_rates=measured["joints.velocity"][1][-1],
             torques=torques,
-            temperatures=np.floor(self._temperatures),
+            temperatures=np.full(12, _WARM),
             foot_force=_ZERO + _PER_NEWTON * self._plant.foot_forces,
-            charge=round(self._charge),
+            charge=_CHARGE,
             serial=_SERIAL,
             version=_VERSION,
         )

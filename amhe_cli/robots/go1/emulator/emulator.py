@@ -50,7 +50,6 @@ class EmulatorOptions:
         bodies: Names of trunk and box.
         offsets: Offsets of both in their rigid bodies, as `go1.trunk_offset` and `go1.box_offset`.
         crc: Form of the states' checksums; commands are accepted with either.
-        key: Key that signs poses by udp; empty: they are not signed.
     """
 
     task: Task
@@ -64,7 +63,6 @@ class EmulatorOptions:
     bodies: tuple[str, str] = ("go1", "box")
     offsets: tuple[Offset, Offset] = (NO_OFFSET, NO_OFFSET)
     crc: CrcForm = "plain"
-    key: bytes = b""
 
 
 class Emulator:
@@ -196,15 +194,11 @@ class _UdpCameras(_Cameras):
     def __init__(self, options: EmulatorOptions) -> None:
         self._socket = bound(options.host, 0)
         self._to, self._names = (options.host, options.mocap_port), options.bodies
-        self._key, self._counter = options.key, time.time_ns()  # later runs count on
 
     def show(self, poses: list[Pose], now: float) -> None:
         for name, (position, orientation) in zip(self._names, poses, strict=True):
-            message = udp.datagram(name, now, position, orientation)
-            self._counter += 1
-            message = udp.signed(message, self._key, self._counter) if self._key else message
             try:
-                self._socket.sendto(message, self._to)
+                self._socket.sendto(udp.datagram(name, now, position, orientation), self._to)
             except OSError:  # nobody listens yet
                 return
 

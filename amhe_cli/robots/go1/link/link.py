@@ -15,9 +15,8 @@ from typing import Any
 from amhe_cli.robots.go1.link import mail, wire
 from amhe_cli.robots.go1.link.child import Child
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.mail import Phase, SenderReport
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.report import SenderReport
 from amhe_cli.robots.go1.link.robot_socket import connected
 from amhe_cli.robots.go1.link.watch import SenderWatch
 from amhe_cli.robots.go1.link.wire import LinkError
@@ -111,11 +110,11 @@ class Link:
         """Let the robot stand up."""
         if self._watch:
             self._watch.driven = True
-        self._order(mail.STAND)
+        self._order(stand=True)
 
     def arm(self) -> None:
         """Let plans take effect, as the operator's key does."""
-        self._order(mail.ARM)
+        self._order(arm=True)
 
     def reached(self, phase: Phase) -> bool:
         """Whether the sender has reached a phase.
@@ -140,11 +139,11 @@ class Link:
 
     def doubt(self, why: str) -> None:
         """Say why poses cannot be believed any more: a robot that runs holds, and sits down."""
-        self._order(mail.DOUBT + why.encode())
+        self._order(doubt=why)
 
     def contradict(self, why: str) -> None:
         """Say what contradicts the poses: the motors of a robot that runs are damped."""
-        self._order(mail.CONTRADICTION + why.encode())
+        self._order(contradiction=why)
 
     def samples(self) -> list[Any]:
         """States that arrived since the last call, as records of `mail.SAMPLE`."""
@@ -152,12 +151,12 @@ class Link:
 
     def stop(self) -> None:
         """Damp the motors now."""
-        self._order(mail.STOP)
+        self._order(stop="asked to stop")
 
     def finish(self) -> SenderReport:
         """Let the robot sit down and switch its motors off; wait until this is done."""
         s = self._settings
-        self._order(mail.FINISH)
+        self._order(finish=True)
         longest = s.hold_time + s.sit_time + s.damp_time + 2.0
         end = time.monotonic() + longest * max(1.0, self._clock.slow)
         while self.report.phase != Phase.OVER and time.monotonic() < end:
@@ -171,9 +170,9 @@ class Link:
         while not (self.report.contact or self.report.reason) and time.monotonic() < end:
             time.sleep(_STEP)
 
-    def _order(self, order: bytes) -> None:
+    def _order(self, **orders: bool | str) -> None:
         if self._child:
-            self._child.pipe.send(order)
+            self._child.pipe.send(mail.order_message(**orders))
 
     def _check_contact(self) -> None:
         host, port = self._where

@@ -13,7 +13,7 @@ from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link import wire
 from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.mail import Inbox, Phase
 from amhe_cli.robots.go1.link.motion import Targets, allowed, eased, travel_time
 from amhe_cli.robots.go1.link.state import Remote, RobotState
 from amhe_cli.robots.go1.link.trips import NO_JUMP, View, power, tripped
@@ -30,39 +30,6 @@ _LANDING = 0.2
 _AT_REST = sealed(np.zeros(12))
 #: How a planned end begins where the robot does not stand: nothing has moved yet; it lies, or is half way up.
 _ENDS = {Phase.CONNECT: Phase.OVER, Phase.HOLD: Phase.DAMP, Phase.STAND: Phase.DAMP}
-
-
-@dataclass(slots=True, eq=False)
-class Inbox:
-    """The newest of all that has arrived; the sender's loop fills it.
-
-    Args:
-        state: Newest state of the robot; None: none yet.
-        state_time: Time after which it arrived [s].
-        bad_packets: Damaged datagrams since the last good one.
-        share: Share of the robot's last states that reached us.
-        plan: Newest plan.
-        plan_time: Time at which the program sent it [s].
-        pose_time: Time of the older one of the newest poses of trunk and box [s].
-        doubt: Why poses cannot be believed any more; '' if they can.
-        contradiction: What contradicts the poses; '' if nothing does.
-        stand, arm, finish: Whether the operator, or the program, wants this.
-        stop: Why motors are to be damped at once; '' if they are not.
-    """
-
-    state: RobotState | None = None
-    state_time: float = -np.inf
-    bad_packets: int = 0
-    share: float = 1.0
-    plan: Targets | None = None
-    plan_time: float = -np.inf
-    pose_time: float = -np.inf
-    doubt: str = ""
-    contradiction: str = ""
-    stand: bool = False
-    arm: bool = False
-    finish: bool = False
-    stop: str = ""
 
 
 @dataclass(slots=True, eq=False)
@@ -169,19 +136,15 @@ class Machine:
         grace = self._since + _FIRST_PLAN if inbox.plan is None else -np.inf
         return View(
             phase=self.phase,
-            gap=self._gap if self._drives else 0.0,
+            inbox=inbox,
             state=state,
+            gap=self._gap if self._drives else 0.0,
             state_age=now - inbox.state_time,
             plan_age=now - max(inbox.plan_time, grace),
             pose_age=now - max(inbox.pose_time, grace),
             over_power=self._over_power,
-            bad_packets=inbox.bad_packets,
-            share=inbox.share,
             jump=self._jump,
             targets=wanted,
-            doubt=inbox.doubt,
-            contradiction=inbox.contradiction,
-            order=inbox.stop,
         )
 
     def _armed(self, remote: Remote) -> bool:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
 import numpy as np
 
+from amhe_cli.core.errors import AmheError, OperatorStopError
 from amhe_cli.robots.go1.link.motion import Targets
+from amhe_cli.robots.go1.link.state import RobotState
 
 
 class Phase(IntEnum):
@@ -34,12 +37,41 @@ class Phase(IntEnum):
     """The last packet that does nothing has been sent."""
 
 
-#: One-byte orders.
-STAND, ARM, FINISH, STOP = b"S", b"A", b"F", b"X"
-#: Each begins the reason why poses cannot be believed any more: too many of them cannot be true, or the robot
-#: itself contradicts them.
-DOUBT, CONTRADICTION = b"D", b"C"
-_PLAN, _SAMPLE, _REPORT = b"P", b"s", b"r"
+_PLAN, _ORDER, _SAMPLE, _REPORT = b"P", b"o", b"s", b"r"
+
+
+@dataclass(slots=True, eq=False)
+class Inbox:
+    """The newest of all that has arrived; the sender's loop fills it.
+
+    Args:
+        state: Newest state of the robot; None: none yet.
+        state_time: Time after which it arrived [s].
+        bad_packets: Damaged datagrams since the last good one.
+        share: Share of the robot's last states that reached us.
+        plan: Newest plan.
+        plan_time: Time at which the program sent it [s].
+        pose_time: Time of the older one of the newest poses of trunk and box [s].
+        doubt: Why poses cannot be believed any more; '' if they can.
+        contradiction: What contradicts the poses; '' if nothing does.
+        stand, arm, finish: Whether the operator, or the program, wants this.
+        stop: Why motors are to be damped at once; '' if they are not.
+    """
+
+    state: RobotState | None = None
+    state_time: float = -np.inf
+    bad_packets: int = 0
+    share: float = 1.0
+    plan: Targets | None = None
+    plan_time: float = -np.inf
+    pose_time: float = -np.inf
+    doubt: str = ""
+    contradiction: str = ""
+    stand: bool = False
+    arm: bool = False
+    finish: bool = False
+    stop: str = ""
+
 
 #: A state of the robot, on our clock, with the phase in which it arrived and the joint targets followed then.
 SAMPLE: Any = np.dtype(
@@ -58,10 +90,21 @@ def plan_message(plan: Targets, pose_time: float, now: float) -> bytes:
     return _PLAN + header.tobytes() + np.ascontiguousarray(plan.rows, dtype=np.float64).tobytes()
 
 
-def read_plan(message: bytes) -> tuple[Targets, float, float] | None:
-    """The inverse of `plan_message`; None: the message is not a plan."""
-    if message[:1] != _PLAN:
-        return None
+def order_message(**orders: bool | str) -> bytes:
+    """What the sender is to do, or to know: fields of `Inbox`."""
+    return _ORDER + json.dumps(orders).encode()
+
+
+def take(message: bytes, inbox: Inbox) -> None:
+    """Put a plan, or orders, into an inbox; the first reason to stop stays."""
+    if message[:1] == _PLAN:
+        inbox.plan, inbox.pose_time, inbox.plan_time = _read_plan(message)
+    elif message[:1] == _ORDER:
+        for name, value in json.loads(message[1:]).items():
+            setattr(inbox, name, getattr(inbox, name) or value)
+
+
+def _read_plan(message: bytes) -> tuple[Targets, float, float]:
     end = 1 + _HEADER.itemsize
     header = np.frombuffer(message[1:end], dtype=_HEADER)[0]
     rows = np.frombuffer(message[end:], dtype=np.float64).reshape(-1, 12)
@@ -84,3 +127,42 @@ def read(message: bytes) -> Any:
     if message[:1] == _SAMPLE:
         return np.frombuffer(message[1:], dtype=SAMPLE)[0]
     return json.loads(message[1:]) if message[:1] == _REPORT else None
+
+
+#: What the operator stops a run with, as the sender names it.
+_OPERATOR = ("key", "the terminal is gone", "SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT")
+
+
+class StoppedError(AmheError):
+    """A trip ended the run; the robot has been let down, or is being.
+
+    Args:
+        reason: Why, in words.
+        trip: Name of the trip; '': none ended it.
+    """
+
+    def __init__(self, reason: str, trip: str = "") -> None:
+        super().__init__(f"trip {trip}: {reason}" if trip else reason)
+        self.trip = trip
+
+
+@dataclass(slots=True)
+class SenderReport:
+    """The newest report of the sender: see `sender.Sender._report`."""
+
+    phase: Phase = Phase.CONNECT
+    trip: str = ""
+    reason: str = ""
+    contact: dict[str, Any] = field(default_factory=dict)
+    refused: int = 0
+    intervals: dict[str, float] = field(default_factory=dict)
+    robot: dict[str, Any] = field(default_factory=dict)
+    realtime: bool = True
+    unfit: str = ""
+
+    @property
+    def stop(self) -> AmheError:
+        """Why the run ended before its end, as an error to raise."""
+        if self.trip == "remote" or self.reason in _OPERATOR:
+            return OperatorStopError(f"stopped by the operator: {self.reason}")
+        return StoppedError(self.reason, self.trip) if self.trip else StoppedError("the run was ended")

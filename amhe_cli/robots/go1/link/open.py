@@ -9,7 +9,6 @@ from functools import partial
 
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.estimation.online.horizon import Estimate
-from amhe_cli.live.belief import SharedBelief
 from amhe_cli.live.episode import Episode
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.link.calibration import Calibration
@@ -76,8 +75,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
         threads = min(options.threads, cores)
         controller = controller_for(task, behaviour, system, samples, threads, options.engine)
     judge = Judge(task, behaviour.running_cost, period, options.duration)
-    believed = belief_source(options, task, system, None, settings.slow)
-    belief = SharedBelief(believed, partial(_publish, feed))
+    belief = belief_source(options, task, system, None, settings.slow, partial(_publish, feed))
     episode = Episode(target, StateEstimator(behaviour.standing), controller, belief, Sampler(period), judge)
     return Run(options, task, system, episode, target, None, judge, {})
 

@@ -16,7 +16,6 @@ import signal
 import socket
 import sys
 import traceback
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -29,8 +28,8 @@ from amhe_cli.robots.go1.link.child import SENDER, Pipe, begun, take_priority
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap, ticks_ahead
 from amhe_cli.robots.go1.link.command import MotorCommand, encode
 from amhe_cli.robots.go1.link.first_contact import Contact, Share
-from amhe_cli.robots.go1.link.machine import Inbox, Machine
-from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.machine import Machine
+from amhe_cli.robots.go1.link.mail import Inbox, Phase
 from amhe_cli.robots.go1.link.motion import Sent
 from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
 from amhe_cli.robots.go1.link.state import RobotState
@@ -187,15 +186,7 @@ class Sender:
 
     def _read_pipe(self) -> None:
         for message in self._pipe.received():
-            plan = mail.read_plan(message)
-            if plan is not None:
-                self._inbox.plan, self._inbox.pose_time, self._inbox.plan_time = plan
-            elif message[:1] == mail.DOUBT:
-                self._inbox.doubt = message[1:].decode()
-            elif message[:1] == mail.CONTRADICTION:
-                self._inbox.contradiction = message[1:].decode()
-            elif message in _ORDERS:
-                _ORDERS[message](self._inbox)
+            mail.take(message, self._inbox)
         if not self._pipe.open:
             self.stop("the program has died")
 
@@ -256,27 +247,6 @@ def next_tick(due: float, now: float, period: float) -> float:
     Lost time is not made up for: two packets at once are of no use.
     """
     return max(due + period, now + 0.5 * period)
-
-
-def _stand(inbox: Inbox) -> None:
-    inbox.stand = True
-
-
-def _arm(inbox: Inbox) -> None:
-    inbox.arm = True
-
-
-def _finish(inbox: Inbox) -> None:
-    inbox.finish = True
-
-
-def _stop(inbox: Inbox) -> None:
-    inbox.stop = inbox.stop or "asked to stop"
-
-
-_ORDERS: dict[bytes, Callable[[Inbox], None]] = {
-    mail.STAND: _stand, mail.ARM: _arm, mail.FINISH: _finish, mail.STOP: _stop
-}  # fmt: skip
 
 
 def _sample(time: float, phase: Phase, read: RobotState, followed: FloatArray) -> Any:

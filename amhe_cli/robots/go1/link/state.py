@@ -13,23 +13,8 @@ from amhe_cli.robots.go1.link.wire import JOINTS
 
 #: Bits of the remote control's keys.
 _KEYS = (
-    "R1",
-    "L1",
-    "start",
-    "select",
-    "R2",
-    "L2",
-    "F1",
-    "F2",
-    "A",
-    "B",
-    "X",
-    "Y",
-    "up",
-    "right",
-    "down",
-    "left",
-)
+    "R1", "L1", "start", "select", "R2", "L2", "F1", "F2", "A", "B", "X", "Y", "up", "right", "down", "left",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

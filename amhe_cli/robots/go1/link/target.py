@@ -25,9 +25,8 @@ from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.child import planning_first
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.mail import SAMPLE, Phase
+from amhe_cli.robots.go1.link.mail import SAMPLE, Phase, SenderReport, StoppedError
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
 from amhe_cli.robots.go1.model import Box
 from amhe_cli.robots.go1.poses.feed import PoseFeed, TimedPose
 from amhe_cli.robots.go1.poses.frame import World, check_axes, check_place, offset_pose, tilt_offset

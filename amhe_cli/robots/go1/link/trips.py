@@ -13,7 +13,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, sealed
 from amhe_cli.robots.go1.kinematics import JOINTS
 from amhe_cli.robots.go1.link import wire
-from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.mail import Inbox, Phase
 from amhe_cli.robots.go1.link.motion import beyond
 from amhe_cli.robots.go1.link.state import Remote, RobotState
 from amhe_cli.robots.go1.settings import TripSettings
@@ -25,39 +25,33 @@ class View:
 
     Args:
         phase: Present phase.
-        gap: Time since the packet before [s].
+        inbox: All that is known at this tick.
         state: Newest state of the robot.
-        state_age: Time since it arrived [s].
+        gap: Time since the packet before [s].
+        state_age: Time since the newest state arrived [s].
         plan_age: Time since the newest plan was sent [s].
         pose_age: Time since the older one of the newest poses of trunk and box [s].
         over_power: States with too much power, less those without, as `Machine` counts them.
-        bad_packets: Number of consecutive damaged datagrams.
-        share: Share of the robot's last states that reached us.
         jump: Step from the targets in force to a plan that is new in this tick, or between two of its rows,
             the larger one for each joint [rad], shape (12,).
         targets: Joint targets to send, before they are clipped [rad], shape (12,).
-        doubt: Why poses cannot be believed any more; '' if they can.
-        contradiction: What contradicts the poses; '' if nothing does.
-        order: Why the program or the operator has ordered a stop; '' if none has.
     """
 
     phase: Phase
-    gap: float
+    inbox: Inbox
     state: RobotState
+    gap: float
     state_age: float
     plan_age: float
     pose_age: float
     over_power: int
-    bad_packets: int
-    share: float
     jump: FloatArray
     targets: FloatArray
-    doubt: str
-    contradiction: str
-    order: str
 
 
+#: The reason of a trip in words; '' or None if there is none.
 Trip = Callable[[View, TripSettings], str | None]
+_STOPS, _NO_POSE = "remote control: L2+B or select", "no pose of trunk or box"
 
 
 def power(state: RobotState) -> float:
@@ -72,33 +66,25 @@ def tilt(quaternion: FloatArray) -> float:
     return float(np.arccos(min(1.0, max(-1.0, upright))))
 
 
-def _ordered(view: View, limits: TripSettings) -> str | None:
-    return view.order or None
-
-
-def _remote(view: View, limits: TripSettings) -> str | None:
-    return "remote control: L2+B or select" if Remote.of(view.state.remote).stops else None
-
-
-def _stalled(view: View, limits: TripSettings) -> str | None:
-    late = view.gap > limits.packet_gap
-    return f"the sender stalled: no packet for {1e3 * view.gap:.0f} ms" if late else None
-
-
-def _state_lost(view: View, limits: TripSettings) -> str | None:
-    late = view.state_age > limits.state_age
-    return f"no state of the robot for {1e3 * view.state_age:.0f} ms" if late else None
-
-
 def _damaged(view: View, limits: TripSettings) -> str | None:
-    many = view.bad_packets >= limits.bad_packets
-    return f"{view.bad_packets} damaged packets one after the other" if many else None
+    count = view.inbox.bad_packets
+    return f"{count} damaged packets one after the other" if count >= limits.bad_packets else None
+
+
+def _powerful(view: View, limits: TripSettings) -> str | None:
+    return f"power of {power(view.state):.0f} W" if view.over_power >= limits.power_ticks else None
+
+
+def _flat(view: View, limits: TripSettings) -> str | None:
+    charge = view.state.charge
+    return f"the battery is at {charge} %" if charge < limits.charge else None
 
 
 def _shared(view: View, limits: TripSettings) -> str | None:
-    if view.share >= limits.share:
+    share = view.inbox.share
+    if share >= limits.share:
         return None
-    arrive = f"only {100 * view.share:.0f} % of the robot's states arrive"
+    arrive = f"only {100 * share:.0f} % of the robot's states arrive"
     return f"{arrive}: another program talks to it, or the network loses packets"
 
 
@@ -121,11 +107,6 @@ def _fast(view: View, limits: TripSettings) -> str | None:
     return f"{JOINTS[worst]} moves at {view.state.joint_rates[worst]:.1f} rad/s" if ratio[worst] > 1 else None
 
 
-def _powerful(view: View, limits: TripSettings) -> str | None:
-    long = view.over_power >= limits.power_ticks
-    return f"power of {power(view.state):.0f} W" if long else None
-
-
 def _hot(view: View, limits: TripSettings) -> str | None:
     worst = int(view.state.temperatures.argmax())
     hottest = view.state.temperatures[worst]
@@ -141,11 +122,6 @@ def _off(view: View, limits: TripSettings) -> str | None:
     return f"{JOINTS[wrong[0]]} is in mode {mode}{why}, not in {wire.SERVO}"
 
 
-def _flat(view: View, limits: TripSettings) -> str | None:
-    low = view.state.charge < limits.charge
-    return f"the battery is at {view.state.charge} %" if low else None
-
-
 def _out_of_range(view: View, limits: TripSettings) -> str | None:
     # a robot that lies with folded calves is beyond the limits of commands: this counts only once it stands
     if view.phase not in (Phase.READY, Phase.RUN):
@@ -159,30 +135,21 @@ def _jumping(view: View, limits: TripSettings) -> str | None:
     return f"the target of {JOINTS[worst]} jumps by {view.jump[worst]:+.2f} rad" if far else None
 
 
-def _plan_lost(view: View, limits: TripSettings) -> str | None:
-    late = view.phase == Phase.RUN and view.plan_age > limits.plan_age
-    return f"no plan for {1e3 * view.plan_age:.0f} ms" if late else None
+def _late(what: str, age: float, longest: float) -> str | None:
+    return f"{what} for {1e3 * age:.0f} ms" if age > longest else None
 
 
-def _pose_lost(view: View, limits: TripSettings) -> str | None:
-    late = view.phase == Phase.RUN and view.pose_age > limits.pose_age
-    return f"no pose of trunk or box for {1e3 * view.pose_age:.0f} ms" if late else None
-
-
-def _contradicted(view: View, limits: TripSettings) -> str | None:
-    return view.contradiction or None if view.phase == Phase.RUN else None
-
-
-def _doubtful(view: View, limits: TripSettings) -> str | None:
-    return view.doubt or None if view.phase == Phase.RUN else None
+def _runs(view: View, reason: str | None) -> str | None:
+    """A reason that counts only while the robot follows plans."""
+    return reason if view.phase == Phase.RUN else None
 
 
 #: Trip -> the phase that follows, most urgent first.
 TRIPS: dict[str, tuple[Trip, Phase]] = {
-    "order": (_ordered, Phase.DAMP),
-    "remote": (_remote, Phase.DAMP),
-    "stalled": (_stalled, Phase.DAMP),
-    "state_lost": (_state_lost, Phase.DAMP),
+    "order": (lambda v, _: v.inbox.stop, Phase.DAMP),
+    "remote": (lambda v, _: _STOPS if Remote.of(v.state.remote).stops else None, Phase.DAMP),
+    "stalled": (lambda v, s: _late("the sender stalled: no packet", v.gap, s.packet_gap), Phase.DAMP),
+    "state_lost": (lambda v, s: _late("no state of the robot", v.state_age, s.state_age), Phase.DAMP),
     "damaged": (_damaged, Phase.DAMP),
     "share": (_shared, Phase.DAMP),
     "not_a_number": (_not_a_number, Phase.DAMP),
@@ -194,10 +161,10 @@ TRIPS: dict[str, tuple[Trip, Phase]] = {
     "battery": (_flat, Phase.DAMP),
     "range": (_out_of_range, Phase.DAMP),
     "target_jump": (_jumping, Phase.DAMP),
-    "pose_false": (_contradicted, Phase.DAMP),
-    "plan_lost": (_plan_lost, Phase.PAUSE),
-    "pose_doubt": (_doubtful, Phase.PAUSE),
-    "pose_lost": (_pose_lost, Phase.PAUSE),
+    "pose_false": (lambda v, _: _runs(v, v.inbox.contradiction), Phase.DAMP),
+    "plan_lost": (lambda v, s: _runs(v, _late("no plan", v.plan_age, s.plan_age)), Phase.PAUSE),
+    "pose_doubt": (lambda v, _: _runs(v, v.inbox.doubt), Phase.PAUSE),
+    "pose_lost": (lambda v, s: _runs(v, _late(_NO_POSE, v.pose_age, s.pose_age)), Phase.PAUSE),
 }
 
 NO_JUMP = sealed(np.zeros(12))
@@ -207,6 +174,6 @@ def tripped(view: View, limits: TripSettings) -> tuple[str, str, Phase] | None:
     """The most urgent trip: its name, its reason, and the phase that follows; None: all is well."""
     for name, (trip, then) in TRIPS.items():
         reason = trip(view, limits)
-        if reason is not None:
+        if reason:
             return name, reason, then
     return None

@@ -16,8 +16,7 @@ from typing import Any
 from amhe_cli.robots.go1.link import mail
 from amhe_cli.robots.go1.link.child import WATCH, Child, take_priority
 from amhe_cli.robots.go1.link.clock import Clock
-from amhe_cli.robots.go1.link.mail import Phase
-from amhe_cli.robots.go1.link.report import SenderReport
+from amhe_cli.robots.go1.link.mail import Phase, SenderReport
 from amhe_cli.robots.go1.link.robot_socket import RobotSocket, let_down
 from amhe_cli.robots.go1.settings import Go1Settings
 

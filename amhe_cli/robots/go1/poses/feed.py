@@ -64,7 +64,7 @@ def source_of(options: FeedOptions) -> PoseSource:
         case "natnet":
             return NatNet(options.host, options.port, options.seconds, options.settings.data_port)
         case "udp":
-            return UdpPoses(options.host, options.port, options.settings.peer, options.settings.key)
+            return UdpPoses(options.host, options.port, options.settings.peer)
         case "ros2":
             who = options.settings.interface, options.settings.peers
             return Ros2(list(options.bodies), int(options.host or 0), *who)

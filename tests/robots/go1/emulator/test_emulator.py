@@ -75,31 +75,6 @@ def test_torques_are_clipped_and_stopped_loops_are_off() -> None:
     np.testing.assert_allclose(state.torques, 2.0, atol=1e-9)
 
 
-def test_a_motor_that_works_hard_gets_hot_and_switches_itself_off() -> None:
-    body = EmulatedBody(T1, np.random.default_rng(0))
-    body._temperatures[:] = 89.99
-    for _ in range(2000):
-        state, _ = body.advance(servo(HOME + 3.0, kp=200.0))
-        if (state.modes == wire.OVERHEATED).any():
-            break
-    assert (state.modes == wire.OVERHEATED).any()
-
-
-def test_standing_takes_from_the_battery_what_an_hour_or_so_would_empty() -> None:
-    body = EmulatedBody(T1, np.random.default_rng(0))
-    stands_up(body)
-    before = body._charge
-    for _ in range(1000):
-        state, _ = body.advance(servo(HOME))
-    left = body._charge
-    assert 0.5 < 100.0 / (before - left) / 3600.0 < 2.5
-    assert state.charge == round(left) < 86
-    body._charge = 1e-4
-    for _ in range(10):
-        state, _ = body.advance(servo(HOME))
-    assert state.charge == 0
-
-
 def test_time_based_changes_count_from_the_first_push() -> None:
     body = EmulatedBody(find_task("t3"), np.random.default_rng(0))
     mass = body.parameters["box_mass"]

@@ -8,8 +8,8 @@ import pytest
 from amhe_cli.robots.go1.behaviours.gait import Gait, walk
 from amhe_cli.robots.go1.emulator.body import STEP, EmulatedBody
 from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.machine import Inbox, Machine
-from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.machine import Machine
+from amhe_cli.robots.go1.link.mail import Inbox, Phase
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.trips import tilt
 from amhe_cli.robots.go1.settings import Go1Settings

@@ -21,7 +21,7 @@ from amhe_cli.core.samples import Samples, merged
 from amhe_cli.robots.go1.kinematics import HOME
 from amhe_cli.robots.go1.link.clock import Clock
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.report import SenderReport, StoppedError
+from amhe_cli.robots.go1.link.mail import SenderReport, StoppedError
 from amhe_cli.robots.go1.link.state import Remote
 from amhe_cli.robots.go1.link.target import Go1Target
 from amhe_cli.robots.go1.model import Box

@@ -28,9 +28,8 @@ from amhe_cli.robots.go1.link.child import SENDER, Child, Pipe, take_priority
 from amhe_cli.robots.go1.link.clock import Clock, ticks_ahead
 from amhe_cli.robots.go1.link.first_contact import Share
 from amhe_cli.robots.go1.link.link import Link
-from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.mail import Phase, StoppedError
 from amhe_cli.robots.go1.link.motion import Targets
-from amhe_cli.robots.go1.link.report import StoppedError
 from amhe_cli.robots.go1.link.robot_socket import RobotSocket, connected
 from amhe_cli.robots.go1.link.sender import Sender
 from amhe_cli.robots.go1.link.state import Remote
@@ -638,7 +637,7 @@ def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:
 def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: float) -> None:
     with (
         Link("127.0.0.1", puppet.port, HASTY, Clock(slow)) as link,
-        pytest.raises(LinkError, match="same `slow`"),
+        pytest.raises(LinkError, match="same `go1.slow`"),
     ):
         link.connect()
 

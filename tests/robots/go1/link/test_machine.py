@@ -12,8 +12,8 @@ import pytest
 from amhe_cli.robots.go1.kinematics import HOME, TORQUE_LIMIT
 from amhe_cli.robots.go1.link import wire
 from amhe_cli.robots.go1.link.command import MotorCommand
-from amhe_cli.robots.go1.link.machine import Inbox, Machine
-from amhe_cli.robots.go1.link.mail import Phase
+from amhe_cli.robots.go1.link.machine import Machine
+from amhe_cli.robots.go1.link.mail import Inbox, Phase
 from amhe_cli.robots.go1.link.motion import HIGHEST, LOWEST, Sent, Targets, allowed
 from amhe_cli.robots.go1.link.sender import next_tick
 from amhe_cli.robots.go1.link.state import Remote

@@ -21,8 +21,14 @@ from hypothesis import strategies as st
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap
 from amhe_cli.robots.go1.poses import udp
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
-from amhe_cli.robots.go1.poses.ros2 import ESTIMATES, Ros2, configuration
-from amhe_cli.robots.go1.poses.ros2_messages import headed, joint_state_type, pose_types
+from amhe_cli.robots.go1.poses.ros2 import (
+    ESTIMATES,
+    Ros2,
+    configuration,
+    headed,
+    joint_state_type,
+    pose_types,
+)
 from amhe_cli.robots.go1.poses.source import PoseError
 
 CLOCK = Clock()
@@ -286,29 +292,6 @@ def test_poses_are_taken_from_the_named_port_only() -> None:
             other.sendto(MESSAGE % (b"box", 1), ("127.0.0.1", port))
             one.sendto(MESSAGE % (b"go1", 1), ("127.0.0.1", port))
             assert [seen.body for seen in source.wait(1.0)] == ["go1"]
-
-
-def test_signed_poses_are_neither_forged_nor_sent_again(tmp_path: Path) -> None:
-    file, port = tmp_path / "key", free_port()
-    file.write_text("0123456789abcdef")
-    key = udp.read_key(str(file))
-    good = [udp.signed(MESSAGE % (b"go1", number), key, number) for number in (7, 8, 9)]
-    forged = [MESSAGE % (b"go1", 10), udp.signed(MESSAGE % (b"go1", 10), b"another key", 10), b"", bytes(40)]
-    changed = bytearray(udp.signed(MESSAGE % (b"go1", 4), key, 11))
-    changed[-20] ^= 1
-    with closing(udp.UdpPoses("127.0.0.1", port, key=str(file))) as source, a_socket() as sender:
-        source.connect()
-        for datagram in (*good, *forged, bytes(changed), good[2], good[0]):
-            sender.sendto(datagram, ("127.0.0.1", port))
-        assert [seen.position[2] for seen in source.wait(1.0)] == [7.0, 8.0, 9.0]
-
-
-@pytest.mark.parametrize(("content", "message"), [(None, "No such file"), ("short", "at least 16")])
-def test_a_key_that_is_none_is_one_line(tmp_path: Path, content: str | None, message: str) -> None:
-    if content:
-        (tmp_path / "key").write_text(content)
-    with pytest.raises(PoseError, match=message):
-        udp.read_key(str(tmp_path / "key"))
 
 
 def test_dds_keeps_to_its_interface() -> None:
