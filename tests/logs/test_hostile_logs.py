@@ -332,6 +332,20 @@ def test_protobuf_that_costs_too_much(kind: str, tmp_path: Path) -> None:
     assert words in damage(found) + (topic.problem or "")
 
 
+def test_a_large_definition_is_held_once(tmp_path: Path) -> None:
+    """A thousand topics share one of 2 MiB, which is refused: 2 GB if each had its own."""
+    with (tmp_path / "log").open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start()
+        about = writer.register_schema("t.M", "protobuf", bytes(2**21))
+        for i in range(1000):
+            writer.add_message(writer.register_channel(f"/t{i}", "protobuf", about), 1, b"", 1)
+        writer.finish()
+    found = survey(tmp_path / "log")
+    assert len(found.topics) == 1000
+    assert all("beyond the limit definition_mib = 1" in (topic.problem or "") for topic in found.topics)
+
+
 def test_names_of_a_megabyte(tmp_path: Path) -> None:
     payload = struct.pack("<I", 2**20) + b"a" * 2**20
     found = survey(cdr_log(tmp_path / "log", "string name\n", [payload] * 20))

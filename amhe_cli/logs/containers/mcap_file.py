@@ -56,7 +56,8 @@ class McapFile:
         self.connections: list[Connection] = []
         self.problems: list[str] = []
         self.metadata: dict[str, str] = {}
-        self._schemas: dict[int, Schema] = {}
+        #: Number of a schema -> its name, encoding and text, which all of its channels share.
+        self._schemas: dict[int, tuple[str, str, str]] = {}
         self._by_id: dict[int, Connection] = {}
         self._broken_chunks = 0
         self._read = 0
@@ -220,20 +221,15 @@ class McapFile:
     def _declare(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.SCHEMA:
             schema = Schema.read(stream(body))
-            self._schemas[schema.id] = schema
+            text = schema.data.decode("latin-1" if schema.encoding == "protobuf" else "utf-8", "replace")
+            self._schemas[schema.id] = schema.name, schema.encoding, text
             return
         record = ChannelRecord.read(stream(body))
         if record.id in self._by_id:
             return
-        schema = self._schemas.get(record.schema_id)
-        binary = schema is not None and schema.encoding == "protobuf"
-        text = schema.data.decode("latin-1" if binary else "utf-8", "replace") if schema else ""
+        name, encoding, text = self._schemas.get(record.schema_id, ("", "", ""))
         channel = Connection(
-            record.topic,
-            normal_type(schema.name) if schema else "",
-            record.message_encoding,
-            text,
-            _FORMATS.get(schema.encoding, "") if schema else "",
+            record.topic, normal_type(name), record.message_encoding, text, _FORMATS.get(encoding, "")
         )
         self._by_id[record.id] = channel
         self.connections.append(channel)
