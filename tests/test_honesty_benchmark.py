@@ -23,6 +23,7 @@ def honesty(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     logging.disable(logging.NOTSET)
 
 
+@pytest.mark.medium
 def test_twin_is_identified_and_counted(honesty: ModuleType) -> None:
     found = honesty.trial(honesty.place("rotors", "twin", 0))
     assert (found["problem"], found["kind"]) == ("rotors", "twin")
@@ -33,6 +34,7 @@ def test_twin_is_identified_and_counted(honesty: ModuleType) -> None:
     assert line[2:5] == ("100%", f"{3 - held} of 3, {(3 - held) / 3:.0%}", f"{held / 3:.0%}")
 
 
+@pytest.mark.medium
 def test_wrong_model_is_not_identified_and_gives_reasons(honesty: ModuleType) -> None:
     found = honesty.trial(honesty.place("servo_off", "wrong", 0))
     assert (found["problem"], found["kind"]) == ("servo_off", "wrong")

@@ -276,6 +276,7 @@ def pushed(bias: float) -> dict[str, Any]:
     }
 
 
+@pytest.mark.medium
 def test_a_force_acts_where_a_signal_says() -> None:
     signals = {
         "puck": {"body": "puck", "noise": {"position": 0.001, "orientation": 0.002}},
@@ -312,6 +313,7 @@ def test_the_bias_of_a_force_that_drives_the_model_is_found() -> None:
     assert result.parameters["zero"].unit == "N"
 
 
+@pytest.mark.medium
 def test_a_servo_that_is_switched_off_for_a_third_is_no_servo_then() -> None:
     given = swing(0.0)
     third = given["command"]["time"] > 4.0

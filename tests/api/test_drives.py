@@ -93,6 +93,7 @@ def close(result: amhe.Result, **truth: float) -> None:
         assert one.shrinkage > 0.8, (name, one.shrinkage)
 
 
+@pytest.mark.medium
 def test_each_drive_has_its_own_delay() -> None:
     def delay(actuator: str) -> dict[str, Any]:
         target = {"actuator": actuator, "set": "command_delay"}
@@ -107,6 +108,7 @@ def unknown(nominal: float, **target: str) -> dict[str, Any]:
     return {"nominal": nominal, "targets": [target]}
 
 
+@pytest.mark.medium
 def test_drag_that_grows_with_speed_is_found() -> None:
     truth = arm().replace('damping="0.05"', 'damping="0.05 0.06"')
     log = played(mujoco.MjModel.from_xml_string(truth), 1.5)
@@ -117,6 +119,7 @@ def test_drag_that_grows_with_speed_is_found() -> None:
     assert model.dof_dampingpoly[:, 0] == pytest.approx(0.06, rel=0.1)
 
 
+@pytest.mark.medium
 def test_the_constants_of_a_dc_motor_are_found_from_its_voltage() -> None:
     """Torque per volt and braking by the back-EMF tell the motor's constant from its resistance."""
     motor = '<dcmotor name="{0}" joint="{0}" motorconst="%g" resistance="%g"/>'
@@ -160,6 +163,7 @@ def test_the_damping_of_a_dc_motors_bristles_is_found() -> None:
     close(from_whole_logs(true, wrong, 4.0, bristle_damping=1.0), bristle_damping=2.0)
 
 
+@pytest.mark.medium
 def test_the_limit_of_a_dc_motors_current_is_found() -> None:
     """MuJoCo keeps it as the torque K i."""
     motor = '<dcmotor name="{0}" joint="{0}" motorconst="0.5" resistance="2" saturation="0 %g"/>'
@@ -188,6 +192,7 @@ def test_the_terms_of_a_pid_are_found_where_the_log_begins_with_its_integral() -
     close(result, gain=8.0, actuator_damping=0.3, integral_gain=20.0, integral_limit=0.06)
 
 
+@pytest.mark.medium
 def test_a_torque_constant_is_the_gain_of_a_motor_whose_commands_are_currents() -> None:
     motor = '<motor name="{0}" joint="{0}" gear="%g"/>'
     log = played(mujoco.MjModel.from_xml_string(arm(motor % 0.8)), 2.0)

@@ -87,6 +87,7 @@ def test_a_belief_shows_the_folder_of_its_system_and_opens_it_only_when_it_is_gi
     assert (tmp_path / "out" / "identified.xml").is_file()
 
 
+@pytest.mark.medium
 def test_a_result_folder_names_the_system_of_its_belief(
     tmp_path: Path, pendulum_log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -89,6 +89,7 @@ def test_the_page_needs_no_network(done: Path) -> None:
         assert loading not in page
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("no_figures")
 def test_what_is_done_is_not_run_again(done: Path, capsys) -> None:
     shutil.copytree(done, "out")
@@ -182,6 +183,7 @@ def test_ctrl_c_keeps_what_is_done_and_a_study_goes_on(done: Path, tmp_path: Pat
     assert cells_of(Path("out")) == cells_of(done)
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("no_figures")
 def test_a_cell_that_breaks_is_recorded_and_the_command_fails(monkeypatch, capsys) -> None:
     monkeypatch.setattr("amhe_cli.study.run.run_cell", breaking)

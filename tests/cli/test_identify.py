@@ -151,6 +151,7 @@ def test_mistakes_in_options_are_found_before_logs_are_read(
         assert "did you mean" in capsys.readouterr().err
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: int, code: int) -> None:
     command = [sys.executable, "-m", "amhe_cli", "identify", str(pendulum_log), "-o", "out", *QUICK]

@@ -27,6 +27,7 @@ def loaded(*arguments: str) -> set[str]:
     return set(done.stderr.splitlines()[-1].split())
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "command",
     [
@@ -40,6 +41,7 @@ def test_a_pendulum_needs_no_robot_and_no_controller(command: tuple[str, ...], t
     assert not {name for name in modules if name.startswith(FOREIGN)}
 
 
+@pytest.mark.medium
 def test_settings_of_a_robot_are_checked_without_the_robot(tmp_path: Path) -> None:
     command = ("mhe-replay", str(LOGS / "t1.mcap"), "--to", "1.2", "--set", "control.samples=9")
     modules = loaded(*command, "--out", str(tmp_path / "out"))

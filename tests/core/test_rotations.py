@@ -34,6 +34,7 @@ def test_rotate_is_mujocos(turn, vector):
     assert rotations.rotate(quaternion, vector) == pytest.approx(expected, abs=1e-9)
 
 
+@pytest.mark.medium
 @given(turns, turns, st.floats(0.0, 1.0))
 def test_slerp_divides_the_angle(a, b, share):
     qa, qb = rotations.exp(a), rotations.exp(b)

@@ -139,6 +139,7 @@ def test_what_a_model_has_opened_is_open_for_its_variants(cards, monkeypatch) ->
     assert len(set(map(id, used))) == 3, "each on the cards, with a model of its own"
 
 
+@pytest.mark.medium
 def test_the_end_of_a_process_does_not_wait_for_cards_that_still_open() -> None:
     code = """
 import threading

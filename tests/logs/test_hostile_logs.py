@@ -106,6 +106,7 @@ def test_empty_messages_without_end(tmp_path: Path) -> None:
     assert not survey(mcap_of(tmp_path / "log", ("zstd", 2**23 // 9 * 9, packed))).topics
 
 
+@pytest.mark.medium
 def test_messages_that_unfold_one_by_one(tmp_path: Path) -> None:
     folder = write_rosbag2(tmp_path / "log", motion(ROS2, 100))
     bomb = zeros("zstd", 96)
@@ -171,6 +172,7 @@ def test_columns_that_compute_their_content(tmp_path: Path) -> None:
     assert "computes its content" in refused(path)
 
 
+@pytest.mark.medium
 def test_pages_that_stand_for_many(tmp_path: Path) -> None:
     """Every page of the table's tree names the same child many times: rows without end in 50 kB."""
     folder = write_rosbag2(tmp_path / "log", motion(ROS2, 300))

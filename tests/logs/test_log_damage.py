@@ -78,6 +78,7 @@ def test_intact_logs_are_read_without_a_warning(
     assert not caplog.records
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("name", FORMATS)
 def test_cut_at_every_percent(
     name: str, originals: dict[str, bytes], tmp_path: Path, caplog: pytest.LogCaptureFixture

@@ -82,6 +82,7 @@ def test_the_page_runs_its_own_script_only(html: str) -> None:
     assert policy.startswith("default-src 'none'; ") and f"script-src 'sha256-{digest}';" in policy
 
 
+@pytest.mark.medium
 @needs_chromium
 def test_a_script_that_got_into_the_page_does_not_run(html: str, tmp_path: Path) -> None:
     bad = "<script>window.ran = 1</script><img src=x onerror='window.ran = 1'></main>"
@@ -165,6 +166,7 @@ def test_the_page_is_well_formed(html: str) -> None:
     assert open_tags == []
 
 
+@pytest.mark.medium
 def test_the_same_result_gives_the_same_page(html: str) -> None:
     assert page(identification(), WARNED) == html
 
@@ -211,6 +213,7 @@ def test_a_prediction_that_runs_away_does_not_spoil_the_picture() -> None:
     assert "inf" not in html.split("<svg")[1].split("</svg>")[0].lower()
 
 
+@pytest.mark.medium
 @needs_chromium
 def test_paper_holds_every_column_of_the_tables(html: str, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(html, encoding="utf-8")
@@ -225,6 +228,7 @@ def test_paper_holds_every_column_of_the_tables(html: str, tmp_path: Path) -> No
         assert one.run(beyond) <= 0
 
 
+@pytest.mark.medium
 @needs_chromium
 def test_a_usual_screen_shows_every_verdict_whole(tmp_path: Path) -> None:
     """The last column was cut off, and with it the end of each verdict."""
@@ -239,6 +243,7 @@ def test_a_usual_screen_shows_every_verdict_whole(tmp_path: Path) -> None:
         assert one.run(cut) <= 0
 
 
+@pytest.mark.medium
 def test_a_reason_of_many_parameters_is_said_once() -> None:
     def with_reasons(i: int, *reasons: str) -> ParameterResult:
         return replace(parameter(i), reasons=reasons)
@@ -274,6 +279,7 @@ def test_digits_of_correlations_can_be_read() -> None:
     assert "0.58" in correlation_figure(names, values)
 
 
+@pytest.mark.medium
 def test_dropped_clips_are_named_only_where_there_are_any(html: str) -> None:
     assert "2 because nothing moves in them and 1 because they contain a gap were dropped" in html
     none = page(identification(clips=ClipCount(18, 6, 0, 0), diverged=0, **PLAIN))
@@ -288,6 +294,7 @@ def test_poorly_known_combinations_are_folded_away(html: str) -> None:
     )
 
 
+@pytest.mark.medium
 @needs_chromium
 def test_a_dark_screen_gets_a_dark_page_and_paper_a_light_one(html: str, tmp_path: Path) -> None:
     (tmp_path / "page.html").write_text(html, encoding="utf-8")
@@ -307,6 +314,7 @@ def test_a_dark_screen_gets_a_dark_page_and_paper_a_light_one(html: str, tmp_pat
         assert one.run("getComputedStyle(document.querySelector('svg[data-axes]')).filter") == "none"
 
 
+@pytest.mark.medium
 def test_error_against_horizon_is_in_degrees_and_millimetres() -> None:
     def line(channel: str, column: str, unit: str, errors: list[tuple[float, float]]) -> list[HorizonError]:
         return [
@@ -411,6 +419,7 @@ def test_a_fault_of_the_page_costs_no_result(tmp_path, monkeypatch: pytest.Monke
     assert {"belief.yaml", "identified.xml", "result.json"} <= written and "report.html" not in written
 
 
+@pytest.mark.medium
 def test_a_dollar_in_a_name_is_a_dollar_and_no_formula() -> None:
     found = identification()
     name = "a$^$_{\x1b"

@@ -100,6 +100,7 @@ def test_a_run_without_a_cycle_has_a_page_without_figures() -> None:
     assert "distance of the box from its goal" in html
 
 
+@pytest.mark.medium
 def test_the_page_draws_path_motion_belief_cost_and_planning() -> None:
     names = (
         "time trunk_x trunk_y box_x box_y box_yaw foot_x foot_y speed command to_goal left plan_ms "

@@ -53,6 +53,7 @@ def test_a_log_shows_each_series_with_its_numbers(log: amhe.Log, tmp_path: Path)
     assert log.plot().save(tmp_path / "log.html").read_text().startswith("<!doctype html>")
 
 
+@pytest.mark.medium
 def test_a_bodys_position_is_in_metres_and_true_values_are_words() -> None:
     time = np.arange(0.0, 1.0, 0.01)
     go1 = amhe.System.load("go1_push")
@@ -114,6 +115,7 @@ def test_a_belief_shows_estimates_and_correlations(system: amhe.System) -> None:
     assert "Correlations" not in page(known.about([known.names[0]]))
 
 
+@pytest.mark.medium
 def test_nothing_of_it_is_loaded_before_it_is_shown() -> None:
     text = (
         "import sys, amhe_cli as amhe; amhe.Log, amhe.System, amhe.Belief; "

@@ -22,6 +22,7 @@ print(*(name for name in sys.modules if name.startswith("amhe_cli.")))
 """
 
 
+@pytest.mark.medium
 def test_every_module_that_runs_in_a_cell_is_covered() -> None:
     loaded = subprocess.run([sys.executable, "-c", RUN], capture_output=True, text=True, check=True).stdout
     covered = imported_by(_RUNS_CELLS, PACKAGE)
@@ -29,6 +30,7 @@ def test_every_module_that_runs_in_a_cell_is_covered() -> None:
     assert set(loaded.split()) - set(covered) == set()
 
 
+@pytest.mark.medium
 def test_command_line_pages_and_tables_are_not_covered() -> None:
     covered = imported_by(_RUNS_CELLS, PACKAGE)
     outside = ("amhe_cli.cli", "amhe_cli.report", "amhe_cli.study.goals", "amhe_cli.study.summary")

@@ -106,6 +106,7 @@ def cluster(tmp_path: Path) -> Iterator[Cluster]:
         yield cluster
 
 
+@pytest.mark.medium
 def test_cells_of_a_killed_worker_are_run_by_another(cluster: Cluster, tmp_path: Path) -> None:
     workers = [cluster.worker(), cluster.worker()]
     started = tmp_path / "started.txt"
@@ -126,6 +127,7 @@ def test_cells_of_a_killed_worker_are_run_by_another(cluster: Cluster, tmp_path:
     assert str(workers[0].pid) in started.read_text().split()
 
 
+@pytest.mark.medium
 def test_a_scheduler_that_goes_away_stops_the_work_with_one_line(cluster: Cluster) -> None:
     cluster.worker()
     items = {n: 0.2 if n == 0 else 60.0 for n in range(3)}

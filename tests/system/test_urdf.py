@@ -219,6 +219,7 @@ LINK = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="
 </xacro:macro></robot>"""
 
 
+@pytest.mark.medium
 def test_a_xacro_file_is_expanded(tmp_path: Path) -> None:
     pytest.importorskip("xacro")
     path = written(tmp_path / "arm", XACRO, "arm.urdf.xacro")

@@ -149,6 +149,7 @@ def test_no_file_of_another_folder(tmp_path: Path, inner: str) -> None:
     assert "hush" not in str(caught.value)
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "inner",
     [

@@ -108,6 +108,7 @@ def test_a_watched_command_finds_the_same(arguments: list[str], tmp_path: Path, 
     assert found[0] == found[1]
 
 
+@pytest.mark.medium
 @needs_chromium
 def test_the_page_follows_what_happens(tmp_path: Path) -> None:
     scene = scene_of(amhe.System.load("pendulum"))

@@ -53,6 +53,7 @@ def opened(page: Path, chromium: Browser, tmp_path: Path) -> Iterator[Browser]:
 pytestmark = needs_chromium
 
 
+@pytest.mark.medium
 def test_a_failure_leaves_a_picture(tmp_path: Path) -> None:
     with pytest.raises(ZeroDivisionError), browser(tmp_path) as one:
         one.open("about:blank")

@@ -157,6 +157,7 @@ def test_the_robot_is_drawn_as_mujoco_has_it(tmp_path: Path) -> None:
     assert (tmp_path / "a.mcap").stat().st_size < 300_000
 
 
+@pytest.mark.medium
 def test_a_run_is_recorded_with_it_as_without_it(tmp_path: Path) -> None:
     system = amhe.System.load("go1_push")
     settings = {"control": {"samples": 5, "horizon": 8}}

@@ -149,6 +149,7 @@ def test_the_leeway_of_a_servo_is_also_its_joints() -> None:
     assert leeway.fastest == pytest.approx(np.pi)
 
 
+@pytest.mark.medium
 def test_a_probe_writes_what_a_robot_can_play_and_its_log_is_read(tmp_path: Path) -> None:
     servos = ARM.replace('" joint="', ' servo" joint="')
     system, folder = arm(servos, servos=" servo"), tmp_path / "excitation"
@@ -194,6 +195,7 @@ def test_what_only_a_recipe_has_is_refused_without_one(arguments: dict[str, Any]
         amhe.probe(arm(), threads=1, **arguments)
 
 
+@pytest.mark.medium
 def test_what_no_measurement_depends_on_is_expected_to_stay_as_unknown() -> None:
     """The zero of an encoder about an upright axis: commands are in its frame, and gravity hides it."""
     upright = ARM.replace('axis="0 1 0"', 'axis="0 0 1"')

@@ -58,6 +58,7 @@ def test_a_sharp_log_that_rules_soft_contacts_out_is_not_widened_by_them() -> No
     assert any("as far as the log allows" not in text for text in blunt)
 
 
+@pytest.mark.medium
 def test_variants_are_rolled_out_by_the_workers_that_were_given() -> None:
     models: set[bytes] = set()
 

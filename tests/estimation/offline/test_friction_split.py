@@ -23,6 +23,7 @@ def benchmark(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
     return friction_split
 
 
+@pytest.mark.medium
 def test_runs_at_one_speed_know_neither_friction_and_never_contradict(benchmark: ModuleType) -> None:
     system = benchmark.system()
     for seed in (0, 1):

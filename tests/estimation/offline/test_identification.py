@@ -181,6 +181,7 @@ def test_progress_goes_through_the_conclusion(pendulum, swing):
     assert {total for _, total in seen[-len(parts) :]} == {len(result.iterations) + PARTS}
 
 
+@pytest.mark.medium
 def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):
     """Friction loss of a joint that is also swung by a perfect servo would be felt; a mass that only scales
     with its inertia in free fall is not: the tossed cube."""
@@ -292,6 +293,7 @@ def test_a_model_that_does_not_explain_the_log_is_reported(pendulum, swing, capl
     assert "identified" not in {p.verdict for p in result.parameters}
 
 
+@pytest.mark.medium
 def test_a_search_cut_short_says_so_and_widens(pendulum, swing, caplog):
     short = replace(
         pendulum,

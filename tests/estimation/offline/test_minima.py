@@ -61,6 +61,7 @@ def identified(lowest: float) -> Identification:
     return amhe.identify(system, [log], seed=0).found
 
 
+@pytest.mark.medium
 def test_both_sides_of_an_axis_are_named(caplog: pytest.LogCaptureFixture) -> None:
     place, damping = identified(-0.3).parameters
     assert (place.verdict, damping.verdict) == ("weak", "identified")

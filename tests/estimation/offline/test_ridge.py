@@ -73,6 +73,7 @@ def drive(system, theta, seconds=8.0, seed=0) -> Log:
     )
 
 
+@pytest.mark.medium
 def test_only_the_ratio_of_gain_and_mass_is_known(system):
     result = identify(system, [drive(system, [3.0, 1.0])], None, IdentifyOptions())
     assert result.belief.names == ("mass", "gain")

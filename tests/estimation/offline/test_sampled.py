@@ -81,6 +81,7 @@ def test_both_posteriors_of_a_linear_problem_agree() -> None:
     assert z.std() == pytest.approx(sd, rel=0.15)
 
 
+@pytest.mark.medium
 def test_what_is_known_only_together_bends_the_sampled_posterior_alone() -> None:
     """The log knows gain / mass. The prior of one is Gaussian in the value, of the other in its logarithm."""
     z, _, covariance = drawn(cart(gain=GAIN, mass=MASS))
@@ -98,6 +99,7 @@ def test_what_is_known_only_together_bends_the_sampled_posterior_alone() -> None
     assert -1.645 * np.sqrt(covariance[0, 0]) < exact[0] - 0.25, "the Gaussian is not right"
 
 
+@pytest.mark.medium
 def test_an_identification_takes_intervals_from_draws_and_says_where_they_differ(tmp_path) -> None:
     system = cart(gain=GAIN, mass=MASS)
     result = amhe.identify(system, pushed(system), posterior="sampled", threads=1)

@@ -59,6 +59,7 @@ def test_spreads_cover_the_truth() -> None:
     assert (SPREADS[0], SPREADS[-1]) == pytest.approx((1e-3, 4.0))
 
 
+@pytest.mark.medium
 def test_a_held_out_log_is_predicted_with_the_value_that_is_its_own(
     swing: Callable[..., Log], pendulum: System, caplog: pytest.LogCaptureFixture
 ) -> None:

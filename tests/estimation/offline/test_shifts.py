@@ -347,6 +347,7 @@ FREE = """
 """
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("light", "share"), [(1.0, 0.1), (0.85, 0.1), (0.85, 0.0)])
 def test_unknown_gains_rest_on_the_masses_of_what_moves(light: float, share: float) -> None:
     """Positions show ratios of gain, damping and mass; a model that is too light has gains too low."""

@@ -28,6 +28,7 @@ def problem(count: int, *logs: Log) -> Problem:
     return Problem(system, pool, open_engine(system), 0)
 
 
+@pytest.mark.medium
 def test_clips_that_are_left_out_narrow_no_interval(swing) -> None:
     log = swing(12.0)
     thinned, every = problem(1, log), problem(5, log)
@@ -56,12 +57,14 @@ def test_of_a_long_log_the_clips_that_move_much_are_fitted(swing) -> None:
     assert sum(clip.log is lively for clip in one.clips) == 3
 
 
+@pytest.mark.medium
 def test_held_out_clips_have_a_limit_too(swing, pendulum) -> None:
     system = System.load("pendulum", CHEAP | {"clips": {"count": 1, "length": [0.4, 0.8]}})
     found = identify(system, [swing(4.0)], [swing(12.0, seed=1)], IdentifyOptions())
     assert (found.clips.fitted, found.clips.held_out) == (6, 6)
 
 
+@pytest.mark.medium
 def test_clips_that_take_turns_give_the_same_slopes_in_less_memory(swing, monkeypatch) -> None:
     one = problem(4, swing(16.0))
     cost, z = one.cost(one.clips), np.full(len(one.system.space), 0.1)

@@ -30,6 +30,7 @@ def estimates(system: System, log: Log, seed: int = 0, threads: int = 1) -> list
     return list(replay(estimator, windows(system, log)))
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(("method", "within"), [("linearised", 0.03), ("logrank", 0.12)])
 def test_it_finds_the_truth(cart, drive, method: str, within: float) -> None:
     found = estimates(with_mhe(cart, method=method), drive(6.0))
@@ -44,6 +45,7 @@ def test_a_log_without_a_file_is_replayed(cart, drive) -> None:
     assert next(replay(problem.estimator, problem.windows)).updated
 
 
+@pytest.mark.medium
 def test_the_intervals_hold_the_truth_as_often_as_they_say(constant, drive) -> None:
     truth = np.array([2.0, 3.0])
     ends = [estimates(constant, drive(3.0, seed=seed), seed)[-1] for seed in range(60)]
@@ -54,6 +56,7 @@ def test_the_intervals_hold_the_truth_as_often_as_they_say(constant, drive) -> N
     assert (reported < 3.0 * spread).all(), reported / spread
 
 
+@pytest.mark.medium
 def test_intervals_hold_a_truth_that_is_far_from_the_prior(folder, drive) -> None:
     # what the first windows say of it, they say by slopes of another place
     unsure = {"mass": {"drift": 0.0}, "damping": {"drift": 0.0, "prior_sd": 1.0, "bounds": [0.05, 20]}}

@@ -57,6 +57,7 @@ def ready(worker: InProcess) -> None:
     assert worker.ready
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("order", "message"),
     [("fail", "ValueError: no such window"), ("die", "died (exit code 7)"), ("hang", "no answer for 0.3 s")],
@@ -87,6 +88,7 @@ def dies(belief: Belief | None) -> MovingHorizon:
     os._exit(3)
 
 
+@pytest.mark.medium
 def test_an_estimator_that_dies_again_and_again_is_given_up() -> None:
     worker = InProcess(dies, budget=0.2)
     try:
@@ -104,6 +106,7 @@ def breaks(belief: Belief | None) -> MovingHorizon:
     raise ValueError("no such model")
 
 
+@pytest.mark.medium
 def test_why_an_estimator_cannot_begin_is_reported() -> None:
     worker = InProcess(breaks, budget=0.2)
     try:
@@ -114,6 +117,7 @@ def test_why_an_estimator_cannot_begin_is_reported() -> None:
         worker.close()
 
 
+@pytest.mark.medium
 def test_a_ctrl_c_is_for_the_run_and_leaves_the_estimator_alone(capfd: pytest.CaptureFixture[str]) -> None:
     worker = InProcess(Puppet, budget=0.2)  # type: ignore[arg-type]
     try:
@@ -129,6 +133,7 @@ def test_a_ctrl_c_is_for_the_run_and_leaves_the_estimator_alone(capfd: pytest.Ca
     assert "Traceback" not in capfd.readouterr().err
 
 
+@pytest.mark.medium
 def test_a_window_that_fills_the_pipe_of_a_hung_estimator_holds_nobody_up() -> None:
     worker = InProcess(Puppet, budget=0.2, patience=0.3)  # type: ignore[arg-type]
     try:
@@ -157,6 +162,7 @@ def reports_its_place(belief: Belief | None) -> MovingHorizon:
     raise ValueError(f"policy {os.sched_getscheduler(0)} on {sorted(os.sched_getaffinity(0))}")
 
 
+@pytest.mark.medium
 @pytest.mark.skipif(not hasattr(os, "sched_setscheduler"), reason="there is no such call")
 def test_an_estimator_that_a_planner_starts_again_has_neither_its_priority_nor_its_cores() -> None:
     policy, priority, cores = os.sched_getscheduler(0), os.sched_getparam(0), os.sched_getaffinity(0)

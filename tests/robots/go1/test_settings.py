@@ -21,6 +21,7 @@ print([name for name in sys.modules if name.startswith(("amhe_cli.robots", "amhe
 """
 
 
+@pytest.mark.medium
 def test_a_system_is_loaded_without_its_robot() -> None:
     loaded = subprocess.run([sys.executable, "-c", _PROGRAM], capture_output=True, text=True, check=True)
     assert loaded.stdout.strip() == "[]"

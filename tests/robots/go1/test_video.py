@@ -41,6 +41,7 @@ def test_a_frame_shows_robot_box_and_floor_and_the_camera_follows(film) -> None:
     assert np.median(np.abs(first[middle] - second[middle])) < 5.0
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("later", [False, True])
 def test_a_film_has_its_frames_also_when_the_run_breaks_off(tmp_path: Path, later: bool) -> None:
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")

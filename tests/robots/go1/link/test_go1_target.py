@@ -72,6 +72,7 @@ def test_a_check_says_what_it_found_and_moves_nothing(puppet: Puppet) -> None:
     assert all(got.kp.max() == got.kd.max() == 0.0 for _, got in puppet.received)
 
 
+@pytest.mark.medium
 def test_what_has_no_real_time_priority_is_one_note(puppet: Puppet) -> None:
     with a_target(puppet) as (target, _):
         target.check()
@@ -105,6 +106,7 @@ def test_what_is_not_by_default_is_reported_before_arming(puppet: Puppet) -> Non
         assert "go1.trips.pose_age 1 (0.19)" in text
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("stage", "message"),
     [

@@ -146,6 +146,7 @@ def test_nothing_but_idle_packets_before_the_order_to_stand(puppet: Puppet) -> N
         assert got.kp.max() == got.kd.max() == np.abs(got.torque).max() == 0.0
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("fault", "trip"),
     [
@@ -192,6 +193,7 @@ def test_a_lost_plan_or_pose_holds_then_sits_then_damps(puppet: Puppet, lost: st
     assert link.report.trip == trip
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "how", ["key", *(pytest.param(how, marks=pytest.mark.slow) for how in ("stop", "gone"))]
 )
@@ -235,6 +237,7 @@ def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -
     assert link.report.reason == "key"
 
 
+@pytest.mark.medium
 @pytest.mark.usefixtures("hangs_up")
 @pytest.mark.parametrize(
     ("number", "reason", "stop"),
@@ -261,6 +264,7 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
     assert type(link.report.stop) is stop
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("number", "message"), [(signal.SIGKILL, "has died"), (signal.SIGSTOP, "hangs: no report for")]
 )
@@ -497,6 +501,7 @@ def test_an_error_of_the_program_sits_the_robot_down(puppet: Puppet) -> None:
     assert (link.report.phase, link.report.trip) == (Phase.OVER, "")
 
 
+@pytest.mark.medium
 def test_nobody_there() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as deaf:
         deaf.bind(("127.0.0.1", 0))
@@ -633,6 +638,7 @@ def test_a_robot_that_takes_no_commands_is_noticed(puppet: Puppet) -> None:
         link.connect()
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize("slow", [2.0, 0.5])
 def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: float) -> None:
     with (
@@ -642,6 +648,7 @@ def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: 
         link.connect()
 
 
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("change", "message"),
     [
