@@ -100,12 +100,12 @@ def _systems(stated: Mapping[Path, Mapping[str, str]]) -> list[str]:
 
 
 def _own_settings(metadata: Mapping[str, str]) -> dict[str, Any]:
-    """What a log states of its system."""
+    """What a log states of its system, but for its model: a log chooses no file."""
     try:
         own = json.loads(metadata.get("overrides") or "{}")
     except (ValueError, RecursionError):
         return {}  # somebody else's use of the key
-    return own if isinstance(own, dict) else {}
+    return {key: value for key, value in own.items() if key != "model"} if isinstance(own, dict) else {}
 
 
 def _folder_named_in(stated: Mapping[Path, Mapping[str, str]]) -> Path:

@@ -1,5 +1,6 @@
 """Names from files: shown as they are, never obeyed; and what a log may not choose."""
 
+import json
 import shutil
 from pathlib import Path
 
@@ -87,6 +88,16 @@ def test_a_log_chooses_no_folder(own_system: Path, way: str, tmp_path: Path, cap
         err = capsys.readouterr().err
         assert repr(name) in err and "give its folder with --system DIR" in err
     assert run(["inspect", str(log), "--system", "own"]) == 0
+
+
+def test_a_log_chooses_no_model(tmp_path: Path, capsys) -> None:
+    (tmp_path / "mine.xml").write_text("<mujoco/>")
+    stated = json.dumps({"model": str(tmp_path / "mine.xml"), "clips": {"count": 4}})
+    log = write_pendulum_log(tmp_path / "log.mcap", 3.0, system="pendulum", overrides=stated)
+    assert run(["inspect", str(log), "--system", "pendulum"]) == 0
+    capsys.readouterr()
+    assert run(["view", str(log), "--save", str(tmp_path / "page.html")]) == 0
+    assert "mine.xml" not in capsys.readouterr().err
 
 
 def test_completion_opens_no_folder_that_a_log_names(own_system: Path, tmp_path: Path) -> None:
