@@ -1,4 +1,6 @@
-"""Floor 5, the command line: it parses, calls one function below, and writes; one file per command.
+"""The command line: options -> inputs -> one call of the library -> what is printed and written.
 
-Nothing here imports numpy, MuJoCo or a log reader at the top of a file: `amhe --help` answers at once.
+`parsing` knows kinds of options, `options` those that commands share, `inputs` which system and logs are
+meant; there is one file for each command. Nothing here imports numpy, MuJoCo or a log reader at the top of a
+file, so that `amhe --help` answers at once.
 """

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +14,6 @@ from amhe_cli.cli.session import Session
 from amhe_cli.core.text import printable
 
 _MENAGERIE = "menagerie:"
-#: File that makes a folder a ROS package.
-_MANIFEST = "package.xml"
-
-#: The name of a ROS package in its manifest.
-_NAME = re.compile(r"<name>\s*([^<\s]+)\s*</name>")
 
 
 class _ModelPath(click.Path):
@@ -131,12 +124,13 @@ def init(
     """
     from amhe_cli.init.folder import init_system
     from amhe_cli.init.menagerie import menagerie_model
+    from amhe_cli.init.ros_packages import packages_in
     from amhe_cli.report.folder import reserve
     from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 
     session.hush_mujoco()
     path = menagerie_model(model.removeprefix(_MENAGERIE)) if isinstance(model, str) else model
-    known = _packages_in(os.environ) if is_urdf(path) else {}
+    known = packages_in(os.environ) if is_urdf(path) else {}
     urdf = UrdfOptions(
         {**known, **{name: Path(folder) for name, folder in packages.items()}}, not no_meshes, xacro_args
     )
@@ -158,29 +152,3 @@ def init(
     for sentence in guessed:
         print(printable(sentence))
     print(f"wrote {folder}/system.yaml: read it, correct it, then: amhe identify LOG --system {folder}")
-
-
-def _packages_in(environment: Mapping[str, str]) -> dict[str, Path]:
-    """Name of each package in ROS_PACKAGE_PATH and AMENT_PREFIX_PATH -> its folder, the first one found."""
-    found: dict[str, Path] = {}
-    for folder in _crawled(environment.get("ROS_PACKAGE_PATH", "")):
-        named = _NAME.search((folder / _MANIFEST).read_text(encoding="utf-8", errors="replace"))
-        found.setdefault(named.group(1) if named else folder.name, folder)
-    for prefix in _folders(environment.get("AMENT_PREFIX_PATH", "")):
-        for manifest in sorted(prefix.glob(f"share/*/{_MANIFEST}")):
-            found.setdefault(manifest.parent.name, manifest.parent)
-    return found
-
-
-def _folders(path: str) -> list[Path]:
-    return [Path(part) for part in path.split(os.pathsep) if part]
-
-
-def _crawled(path: str) -> Iterator[Path]:
-    """Packages below the folders of a path; as in ROS, none is looked for inside another."""
-    for top in _folders(path):
-        for folder, inner, files in os.walk(top):
-            if _MANIFEST in files:
-                yield Path(folder)
-                inner.clear()
-            inner[:] = sorted(name for name in inner if not name.startswith("."))
