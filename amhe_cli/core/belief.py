@@ -381,8 +381,8 @@ def _suited(belief: Belief, system: Described) -> Belief:
         if name in system.sets and system.fixed.get(name) != value:
             now = f"fixed at {system.fixed[name]:g}" if name in system.fixed else "not fixed"
             logger.warning(f"this belief rests on {name} fixed at {value:g}; here it is {now} (`fix`)")
-    known = belief.without([name for name in belief.names if name not in system.sets]).given(system.fixed)
-    return replace(known, system=system.name, model=system.parts, sets=system.sets, fixed=system.fixed)
+    suited = belief.without([name for name in belief.names if name not in system.sets]).given(system.fixed)
+    return replace(suited, system=system.name, model=system.parts, sets=system.sets, fixed=system.fixed)
 
 
 def _widest(entry: _Entry) -> float:

@@ -27,19 +27,19 @@ def corrected(
         dt: Step of the clock [s].
         begun: Time of row 0 from the log's start [s]; None: a running system, whose times have no start.
     """
-    found = dict(series)
+    mended = dict(series)
     for signal in signals:
         for key in (signal.key(quantity) for quantity in signal.quantities):
             if key not in series:
                 continue
-            one = found[key]
+            now = mended[key]
             if signal.active or signal.switch:
-                on = one.valid & _active(signal, series, one.valid.size, dt, begun)
-                one = replace(one, valid=on, sampled=one.sampled & on)
+                on = now.valid & _active(signal, series, now.valid.size, dt, begun)
+                now = replace(now, valid=on, sampled=now.sampled & on)
             if half := round(signal.smooth / dt):
-                one = replace(one, values=_smoothed(one, half, key.endswith(".orientation")))
-            found[key] = one
-    return found
+                now = replace(now, values=_smoothed(now, half, key.endswith(".orientation")))
+            mended[key] = now
+    return mended
 
 
 def _active(
@@ -56,10 +56,10 @@ def _active(
     return on
 
 
-def _smoothed(one: Series, half: int, turning: bool) -> FloatArray:
+def _smoothed(series: Series, half: int, turning: bool) -> FloatArray:
     """Values of the parabola fitted to `half` rows on either side, fewer at the ends of each stretch."""
-    values = np.array(one.values)
-    edges = np.flatnonzero(np.diff(one.valid, prepend=False, append=False)).reshape(-1, 2)
+    values = np.array(series.values)
+    edges = np.flatnonzero(np.diff(series.valid, prepend=False, append=False)).reshape(-1, 2)
     for first, last in edges:
         stretch = values[first:last]
         if turning:

@@ -120,7 +120,7 @@ def _columns(log: Log, model: ParameterSpace, space: ParameterSpace) -> list[lis
 
 def _of(owner: str, columns: Mapping[str, int]) -> list[int]:
     """Columns of an owner's value: its own, that of all logs, or those of all owners."""
-    alone = next((columns[one] for one in (owner, "") if one in columns), None)
+    alone = next((columns[whose] for whose in (owner, "") if whose in columns), None)
     return list(columns.values()) if alone is None else [alone]
 
 

@@ -132,8 +132,8 @@ def abandoned(folder: Path) -> list[Path]:
     """Scratch folders of `filling(folder)` whose process was killed; what it wrote is in them."""
     folder = Path(os.path.abspath(folder))  # noqa: PTH100 -- as in `filling`
     pattern = f".{glob.escape(folder.name)}.*.partial"
-    found = [*folder.parent.glob(pattern), *folder.glob(pattern)]
-    return [path for path in sorted(found) if not _lives(path.name.split(".")[-2].split("-")[0])]
+    folders = [*folder.parent.glob(pattern), *folder.glob(pattern)]
+    return [path for path in sorted(folders) if not _lives(path.name.split(".")[-2].split("-")[0])]
 
 
 def _lives(process: str) -> bool:

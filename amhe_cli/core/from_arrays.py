@@ -103,13 +103,13 @@ def _samples(
 ) -> dict[str, FloatArray]:
     """Quantity -> values (n, k), checked."""
     where = f"{name}: signal {signal.name!r}"
-    known = dict.fromkeys((*signal.quantities, *(DERIVED[q] for q in signal.quantities if q in DERIVED)))
+    quantities = dict.fromkeys((*signal.quantities, *(DERIVED[q] for q in signal.quantities if q in DERIVED)))
     samples: dict[str, FloatArray] = {}
     for quantity, array in given.items():
         if quantity == "time":
             continue
-        if quantity not in known:
-            raise LogError(f"{where}: {one_of('quantity', quantity, ('time', *known))}")
+        if quantity not in quantities:
+            raise LogError(f"{where}: {one_of('quantity', quantity, ('time', *quantities))}")
         values = floats(array, f"{where}: {quantity}")
         values = values[:, None] if values.ndim == 1 else values
         width = widths.get(signal.key(quantity)) or (4 if quantity == "orientation" else values.shape[-1])

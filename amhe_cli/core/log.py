@@ -60,7 +60,7 @@ class Log(Displayed):
             object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
 
     def __repr__(self) -> str:
-        columns = ", ".join(f"{key} ({one.values.shape[1]})" for key, one in self.series.items())
+        columns = ", ".join(f"{key} ({series.values.shape[1]})" for key, series in self.series.items())
         return f"Log({self.source!r}, {self.duration:.4g} s at {self.dt:g} s: {columns})"
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -132,17 +132,17 @@ class Log(Displayed):
         try:
             return self.series[key]
         except KeyError:
-            known = ", ".join(self.series)
-            raise LogError(f"{self.source}: no signal {key!r}; there is: {known}") from None
+            keys = ", ".join(self.series)
+            raise LogError(f"{self.source}: no signal {key!r}; there is: {keys}") from None
 
     def digest(self) -> str:
         """Hash (SHA-256) of all that was measured."""
         content = hashlib.sha256(f"{self.dt} {self.start_ns}".encode())
         if self.known or self.own:
             content.update(repr((sorted(self.known.items()), sorted(self.own.items()))).encode())
-        for key, one in sorted(self.series.items()):
+        for key, series in sorted(self.series.items()):
             content.update(key.encode())
-            for array in (one.values, one.valid, one.sampled):
+            for array in (series.values, series.valid, series.sampled):
                 content.update(array.tobytes())
         return content.hexdigest()
 

@@ -199,7 +199,9 @@ class ParameterSpace:
         if len(kept) == len(self):
             return self
         matrices = (self.prior_correlation, self.prior_systematic)
-        rows = (None if one is None else rows_of(np.array(one)[np.ix_(kept, kept)]) for one in matrices)
+        rows = (
+            None if matrix is None else rows_of(np.array(matrix)[np.ix_(kept, kept)]) for matrix in matrices
+        )
         return ParameterSpace(tuple(self.parameters[i] for i in kept), *rows)
 
     def gaussian_of(self, belief: GaussianBelief) -> tuple[FloatArray, FloatArray]:

@@ -95,18 +95,18 @@ def resample(
     fewest = np.inf
     for group in _alike(np.isfinite(values)):
         present = np.isfinite(values[:, group[0]])
-        own = times[present]
+        stamps = times[present]
         whole = present.all() and len(group) == values.shape[1]
         samples = values if whole else values[present][:, group]
-        filled, bridged = _fill(own, samples, grid, bridge, hold, rotation)
+        filled, bridged = _fill(stamps, samples, grid, bridge, hold, rotation)
         if whole:
             out = filled
         else:
             out[:, group] = filled
         valid &= bridged
-        if own.size < fewest:  # columns that come in messages of their own: the rarest ones decide
-            fewest = own.size
-            sampled = _nearest(own, grid)
+        if stamps.size < fewest:  # columns that come in messages of their own: the rarest ones decide
+            fewest = stamps.size
+            sampled = _nearest(stamps, grid)
     if not valid.all():
         out = np.where(valid[:, None], out, 0.0)
     sampled &= valid
@@ -133,10 +133,10 @@ def _fill(
         return np.zeros((grid.size, values.shape[1])), np.zeros(grid.size, dtype=bool)
     slack = _slack(grid)
     first = int(np.searchsorted(times, grid[0] - slack)) if grid.size else 0
-    own = slice(first, first + grid.size)
-    if times[own].size == grid.size and (np.abs(times[own] - grid) <= slack).all():
+    rows = slice(first, first + grid.size)
+    if times[rows].size == grid.size and (np.abs(times[rows] - grid) <= slack).all():
         # recorded at each of the clock's instants: nothing is copied
-        return values[own], np.ones(grid.size, dtype=bool)
+        return values[rows], np.ones(grid.size, dtype=bool)
     before = np.searchsorted(times, grid + slack, side="right") - 1
     left, right = np.clip(before, 0, None), np.clip(before + 1, None, times.size - 1)
     since, until = grid - times[left], times[right] - grid

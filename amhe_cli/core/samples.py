@@ -22,7 +22,7 @@ Samples: TypeAlias = Mapping[str, tuple[FloatArray, FloatArray]]
 def sampled(log: Log) -> Samples:
     """The measured rows of a log, without those that were interpolated; times count from its row 0 [s]."""
     times = log.dt * np.arange(log.steps, dtype=np.float64)
-    return {key: (times[one.sampled], one.values[one.sampled]) for key, one in log.series.items()}
+    return {key: (times[series.sampled], series.values[series.sampled]) for key, series in log.series.items()}
 
 
 def merged(parts: Sequence[Samples]) -> Samples:

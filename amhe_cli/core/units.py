@@ -21,6 +21,6 @@ def unwrapped(angles: FloatArray) -> FloatArray:
     """Angles (n, k) [rad] without jumps of a turn; what is not finite stays so and is passed over."""
     whole = np.array(angles)
     for column in whole.T:
-        known = np.isfinite(column)
-        column[known] = np.unwrap(column[known])
+        finite = np.isfinite(column)
+        column[finite] = np.unwrap(column[finite])
     return whole

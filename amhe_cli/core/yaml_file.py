@@ -198,10 +198,10 @@ class YamlFile:
         node, mark = self._node, yaml.Mark(str(self.path), 0, 0, 0, None, 0)
         for part in place:
             if isinstance(node, yaml.MappingNode):
-                found = [(k, v) for k, v in node.value if str(k.value) == str(part)]
-                if not found:
+                pairs = [(k, v) for k, v in node.value if str(k.value) == str(part)]
+                if not pairs:
                     break
-                key, node = found[-1]
+                key, node = pairs[-1]
                 at_its_key = at_key or isinstance(node, yaml.CollectionNode)
                 mark = key.start_mark if at_its_key else node.start_mark
             elif isinstance(node, yaml.SequenceNode) and isinstance(part, int) and part < len(node.value):

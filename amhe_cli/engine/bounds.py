@@ -87,8 +87,8 @@ class Bounds:
         model = self.system.edits.apply(self.system.model, theta)
         joints = model.actuator_trnid[list(self.actuators), 0]
         fastest = np.abs(qvel[:, model.jnt_dofadr[joints]]).max(axis=0)
-        for joint, found, most in zip(joints, fastest, self.speed, strict=True):
-            if found > most:
+        for joint, speed, most in zip(joints, fastest, self.speed, strict=True):
+            if speed > most:
                 unit = f"{_unit(model, int(joint))}/s"
                 return _by(model, int(joint), f"is faster than {most:.3g} {unit}", "allow a larger `speed`")
         some = slice(None, None, max(1, round(_LOOK / self.system.dt)))
@@ -137,7 +137,7 @@ def _contacts(model: mujoco.MjModel, data: mujoco.MjData) -> list[tuple[int, int
 
 def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
     """A body and those that it hangs on."""
-    found = [body]
-    while found[-1]:
-        found.append(int(model.body_parentid[found[-1]]))
-    return found
+    bodies = [body]
+    while bodies[-1]:
+        bodies.append(int(model.body_parentid[bodies[-1]]))
+    return bodies

@@ -107,7 +107,7 @@ class CpuEngine:
             starts.inputs_under(self._edits.delays(theta) / model.opt.timestep),
             np.tile(starts.lengths, count),
         )
-        values = tuple(one.pick(rollouts, count) for one in wanted)
+        values = tuple(picked.pick(rollouts, count) for picked in wanted)
         return Predicted(values, rollouts.completed.reshape(count, clips))
 
     def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> CpuEngine:

@@ -199,16 +199,16 @@ def predicted_in_parts(
         run: Computes the parts; candidates are the last axis of their results (`candidates_last`).
     """
     by_candidate, by_clip = cut(len(theta), parts[0]), cut(len(starts.lengths), parts[1])
-    done = run(
+    results = run(
         [
             (theta[rows], starts.of(some), None if errors is None else errors[rows][:, some],
-             [one.of(some) for one in wanted])
+             [picked.of(some) for picked in wanted])
             for rows in by_candidate
             for some in by_clip
         ]
     )  # fmt: skip
     width = len(by_clip)
-    whole = _joined([_joined(done[i : i + width], axis=0) for i in range(0, len(done), width)], axis=-1)
+    whole = _joined([_joined(results[i : i + width], axis=0) for i in range(0, len(results), width)], axis=-1)
     return Predicted(tuple(np.moveaxis(v, -1, 0) for v in whole.values), whole.completed.T)
 
 
@@ -217,12 +217,12 @@ def turns_of(count: int, clips: int, at_once: int) -> tuple[int, int]:
     return -(-count // max(1, at_once // clips)), -(-clips // at_once)
 
 
-def candidates_last(done: Predicted) -> Predicted:
+def candidates_last(predicted: Predicted) -> Predicted:
     """A prediction with the candidates as the last axis.
 
     In that order the values lie in memory, and copies keep it: how a sum of them is rounded depends on it.
     """
-    return Predicted(tuple(np.moveaxis(v, 0, -1) for v in done.values), done.completed.T)
+    return Predicted(tuple(np.moveaxis(v, 0, -1) for v in predicted.values), predicted.completed.T)
 
 
 def cut(count: int, parts: int) -> list[IntArray]:

@@ -83,13 +83,13 @@ class SpreadEngine:
             (theta[rows], qpos[rows], qvel[rows], inputs[rows], lengths[rows])
             for rows in cut(len(theta), min(_MOST, len(theta) // _LEAST))
         ]
-        done = self._gathered(_rollout, each)
-        sensors = [part.sensordata for part in done if part.sensordata is not None]
+        parts = self._gathered(_rollout, each)
+        sensors = [part.sensordata for part in parts if part.sensordata is not None]
         return Rollouts(
-            np.concatenate([part.qpos for part in done]),
-            np.concatenate([part.qvel for part in done]),
+            np.concatenate([part.qpos for part in parts]),
+            np.concatenate([part.qvel for part in parts]),
             np.concatenate(sensors) if sensors else None,
-            np.concatenate([part.completed for part in done]),
+            np.concatenate([part.completed for part in parts]),
         )
 
     def predict(
@@ -135,10 +135,10 @@ def _wait(futures: Sequence[Future[Any]]) -> None:
     silence = 0.0
     try:
         while waiting:
-            done, waiting = wait(waiting, 1.0, FIRST_COMPLETED)
-            for future in done:
+            ended, waiting = wait(waiting, 1.0, FIRST_COMPLETED)
+            for future in ended:
                 future.result()
-            last = time.monotonic() if done else last
+            last = time.monotonic() if ended else last
             silence = time.monotonic() - last
             if silence > _LOST:
                 raise AmheError(f"no worker has answered for {silence:.0f} s: start them again")

@@ -44,13 +44,13 @@ def actuator_parameters(
     """
     joints, actuators = measured_joints(model, signals), moved_by(signals)
     groups = _groups(spec, model, joints) if group else {joint: [joint] for joint in joints}
-    found = [
+    guesses = [
         joint_parameter(model, f"{name}_{kind}", alike, kind, meaning, _first(model, alike, field), False)
         for name, alike in groups.items()
         for kind, field, meaning in KINDS
     ]
-    found += [*_zeros(model, joints, signals), *_gains(model, actuators, guessed_gains)]
-    return [*found, *(delay(model.opt.timestep) if actuators else ())]
+    guesses += [*_zeros(model, joints, signals), *_gains(model, actuators, guessed_gains)]
+    return [*guesses, *(delay(model.opt.timestep) if actuators else ())]
 
 
 def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, list[str]]:
@@ -58,11 +58,11 @@ def _groups(spec: mujoco.MjSpec, model: mujoco.MjModel, joints: Sequence[str]) -
     alike: dict[tuple[object, ...], list[str]] = {}
     for joint in joints:
         kind = spec.joint(joint).classname.name
-        own = kin(joint) if kind == "main" else kind
-        alike.setdefault((own, *_numbers(model, joint)), []).append(joint)
+        kind_of_drive = kin(joint) if kind == "main" else kind
+        alike.setdefault((kind_of_drive, *_numbers(model, joint)), []).append(joint)
     groups: dict[str, list[str]] = {}
-    for (own, *_), names in alike.items():
-        name = names[0] if len(names) == 1 or str(own) in groups else str(own)
+    for (kind_of_drive, *_), names in alike.items():
+        name = names[0] if len(names) == 1 or str(kind_of_drive) in groups else str(kind_of_drive)
         groups[name] = names
     return groups
 
@@ -126,8 +126,8 @@ def _lifts(model: mujoco.MjModel, joint: str) -> bool:
     """Whether gravity's forces on the joints change with the position of a joint."""
     data, column, rng = mujoco.MjData(model), int(model.joint(joint).qposadr[0]), np.random.default_rng(0)
     # joints stand somewhere, so that no axis is upright by chance
-    for one in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
-        data.qpos[model.jnt_qposadr[one]] += rng.uniform(0.2, 0.4)
+    for hinge in np.flatnonzero(model.jnt_type == mujoco.mjtJoint.mjJNT_HINGE):
+        data.qpos[model.jnt_qposadr[hinge]] += rng.uniform(0.2, 0.4)
     forces = []
     for _ in range(2):
         mujoco.mj_forward(model, data)
@@ -138,15 +138,15 @@ def _lifts(model: mujoco.MjModel, joint: str) -> bool:
 
 def _gains(model: mujoco.MjModel, actuators: Sequence[str], guessed: bool) -> Iterator[Guess]:
     """Gains that `init` guessed are unknown; those of the model are fixed, and so is the velocity term."""
-    own = [*servo_gains(model, actuators)] if guessed else gain_scale(model, actuators)
-    for one in own:
+    gains = [*servo_gains(model, actuators)] if guessed else gain_scale(model, actuators)
+    for gain in gains:
         if not guessed:
             why = (
                 "fixed: the log shows only the ratio of gains to masses, armatures and frictions, which are "
                 "in units of them; prior_sd: 0.1 if the gains are known to 10 %"
             )
-            yield Guess(one.name, one.entry | {"prior_sd": 0.0}, why)
-        elif one.entry["targets"][0]["set"] == "gain":
-            yield one
+            yield Guess(gain.name, gain.entry | {"prior_sd": 0.0}, why)
+        elif gain.entry["targets"][0]["set"] == "gain":
+            yield gain
         else:
-            yield Guess(one.name, one.entry | {"prior_sd": 0.0}, f"fixed: {one.why}")
+            yield Guess(gain.name, gain.entry | {"prior_sd": 0.0}, f"fixed: {gain.why}")

@@ -55,7 +55,7 @@ def moved_by(signals: Sequence[Guess]) -> list[str]:
 
 def joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[Guess]:
     """Armature, viscous and dry friction of joints; joints alike share them."""
-    for own, group in _alike(model, joints).items():
+    for prefix, group in _alike(model, joints).items():
         for kind, field, meaning in KINDS:
             values = getattr(model, field)[[_dof(model, joint) for joint in group]]
             parts = _by_value(group, values)
@@ -65,7 +65,7 @@ def joint_parameters(model: mujoco.MjModel, joints: Sequence[str]) -> Iterator[G
             alone = sum(map(bool, parts.values())) == 1
             for value, names in parts.items():
                 if names:
-                    head = own if alone else f"{names[0]}_"
+                    head = prefix if alone else f"{names[0]}_"
                     scaled = len(parts) > 1 and value != 0.0
                     yield joint_parameter(model, f"{head}{kind}", names, kind, meaning, value, scaled)
 
@@ -83,11 +83,11 @@ def joint_parameter(
     of = f"of joint {joints[0]}" if len(joints) == 1 else f"of {len(joints)} joints alike"
     if scaled:
         targets = [{"joint": joint, "set": kind, "mode": "scale"} for joint in joints]
-        own = "the model's own values" if np.isnan(value) else f"the model's {value:g}"
+        base = "the model's own values" if np.isnan(value) else f"the model's {value:g}"
         return Guess(
             f"{name}_scale",
             entry_of(1.0, False, targets) | {"unit": "-"},
-            f"{meaning}, {of}; factor on {own}",
+            f"{meaning}, {of}; factor on {base}",
         )
     unknown = not value > 0.0
     # only the order of magnitude: damping that stops a motion in a second, friction worth 1 rad/s^2,

@@ -100,8 +100,8 @@ def init_system(
     notes += overlaps(model)
     _refuse_nothing(model, topics, guesses, parameters)
     if backlash:
-        rewrite, found = True, backlash_parameters(spec, model, guesses, parameters, backlash)
-        parameters += found
+        rewrite, widths = True, backlash_parameters(spec, model, guesses, parameters, backlash)
+        parameters += widths
     notes += notes_on(model, topics, guesses)
     for guess in guesses:
         with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
@@ -171,10 +171,10 @@ def _refuse_nothing(
     measured = any("joints" in guess.entry or "body" in guess.entry for guess in guesses)
     if measured and parameters:
         return
-    own = foreign(topics)
+    unread = foreign(topics)
     joints = single_joints(model)
-    if own and not measured and joints and not any(_of_another(topic, joints) for topic in topics):
-        raise ConfigError(_needs_fields(model, own))
+    if unread and not measured and joints and not any(_of_another(topic, joints) for topic in topics):
+        raise ConfigError(_needs_fields(model, unread))
     entries = sorted({entry for topic in topics for entry in topic.entries})
     if len(entries) > _SHOWN:
         entries = [*entries[:_SHOWN], f"and {len(entries) - _SHOWN} more"]
@@ -223,14 +223,14 @@ def _declare_units(folder: Path, log: Path, guesses: Sequence[Guess], msg_path: 
         )
     except AmheError:
         return []  # what cannot be read is a note of the noise
-    entries, found = {guess.name: guess.entry for guess in guesses}, list[str]()
+    entries, notes = {guess.name: guess.entry for guess in guesses}, list[str]()
     for doubt in doubts_of(system, seen):
         entry = entries[doubt.signal]
         new = {key: value for key, value in doubt.remedy.items() if key not in entry}
         if new:
             entry.update(new)
-            found.append(f"{doubt}; it is declared")
-    return found
+            notes.append(f"{doubt}; it is declared")
+    return notes
 
 
 def _estimate_noise(

@@ -35,17 +35,17 @@ def overlaps(model: mujoco.MjModel) -> list[str]:
     if model.nkey:
         mujoco.mj_resetDataKeyframe(model, data, 0)
     mujoco.mj_forward(model, data)
-    found: dict[tuple[str, ...], float] = {}
+    depths: dict[tuple[str, ...], float] = {}
     for contact in data.contact[: data.ncon]:
         flat = model.geom_type[contact.geom] <= int(mujoco.mjtGeom.mjGEOM_HFIELD)  # a floor
         if not flat.any() and contact.dist < -_OVERLAP:
             pair = tuple(model.body(int(model.geom_bodyid[geom])).name or "a body" for geom in contact.geom)
-            found[pair] = max(found.get(pair, 0.0), -float(contact.dist))
+            depths[pair] = max(depths.get(pair, 0.0), -float(contact.dist))
     return [
-        f"{one} and {other} overlap by {1e3 * depth:.2g} mm where the model starts, and their contact "
-        f'hinders the joints between them: if the robot\'s do not touch, add <exclude body1="{one}" '
-        f'body2="{other}"/> to <contact> of the model'
-        for (one, other), depth in found.items()
+        f"{first} and {second} overlap by {1e3 * depth:.2g} mm where the model starts, and their contact "
+        f'hinders the joints between them: if the robot\'s do not touch, add <exclude body1="{first}" '
+        f'body2="{second}"/> to <contact> of the model'
+        for (first, second), depth in depths.items()
     ]
 
 
@@ -85,13 +85,13 @@ def add_servos(spec: mujoco.MjSpec, model: mujoco.MjModel, topics: Sequence[Topi
     """Give a URDF, which has no actuators, one for each joint that a command topic names."""
     notes = ["a URDF has no actuators"]
     led = followers(model)
-    own = [name for name in single_joints(model) if name not in led]
+    joints_alone = [name for name in single_joints(model) if name not in led]
     for topic in topics:
         if not is_command(topic.name, topic.type):
             continue
-        joints = matched({name: (name,) for name in own}, topic.entries)
-        if topic.type.endswith("MultiArray") and f"[{len(own)}]" in topic.entries:
-            joints = {name: name for name in own}
+        joints = matched({name: (name,) for name in joints_alone}, topic.entries)
+        if topic.type.endswith("MultiArray") and f"[{len(joints_alone)}]" in topic.entries:
+            joints = {name: name for name in joints_alone}
         effort = bool({"effort", "torque", "torques", "efforts"} & set(words(topic.name)))
         kind = "effort" if effort else next((key for key in _KINDS if key in topic.quantities), "position")
         for joint in joints:

@@ -35,8 +35,8 @@ def words(name: str) -> list[str]:
 
 def core(name: str) -> str:
     """A name without its namespace and without the words for its kind."""
-    own = words(name.rsplit("/", 1)[-1])
-    return "_".join(word for word in own if word not in KINDS) or "_".join(own)
+    parts = words(name.rsplit("/", 1)[-1])
+    return "_".join(word for word in parts if word not in KINDS) or "_".join(parts)
 
 
 def is_command(topic: str, kind: str) -> bool:
@@ -55,22 +55,22 @@ def matched(own: Mapping[str, Sequence[str]], logged: Iterable[str]) -> dict[str
         logged: Names in the log.
     """
     free = list(dict.fromkeys(logged))
-    found: dict[str, str] = {}
+    pairs: dict[str, str] = {}
     for alike in (_equal, _equal_cores, _ends_alike):
         for name, aliases in own.items():
-            if name in found:
+            if name in pairs:
                 continue
             candidates = [other for other in free if any(alike(alias, other) for alias in aliases)]
             if len(candidates) == 1:
-                found[name] = candidates[0]
+                pairs[name] = candidates[0]
                 free.remove(candidates[0])
-    return {name: found[name] for name in own if name in found}
+    return {name: pairs[name] for name in own if name in pairs}
 
 
 def names_the_same(body: str, topic_words: Sequence[str]) -> bool:
     """Whether all words of a body's name, without those for its kind, are in the name of a topic or frame."""
-    own = words(core(body))
-    return bool(own) and set(own) <= set(topic_words)
+    wanted = words(core(body))
+    return bool(wanted) and set(wanted) <= set(topic_words)
 
 
 def _equal(a: str, b: str) -> bool:

@@ -103,10 +103,10 @@ def _weighty(model: mujoco.MjModel, body: str) -> str:
 
 def _center_of_mass(model: mujoco.MjModel, body: str) -> Iterator[Guess]:
     """Where a payload was put is known to a centimetre or so."""
-    for axis, own in zip("xyz", model.body(body).ipos, strict=True):
+    for axis, place in zip("xyz", model.body(body).ipos, strict=True):
         entry = {
-            "nominal": short(own),
-            "bounds": [short(own - 5.0 * _PLACE_SD), short(own + 5.0 * _PLACE_SD)],
+            "nominal": short(place),
+            "bounds": [short(place - 5.0 * _PLACE_SD), short(place + 5.0 * _PLACE_SD)],
             "scale": "linear",
             "prior_sd": _PLACE_SD,
             "targets": [{"body": body, "set": "center_of_mass", "axis": axis}],
@@ -149,8 +149,8 @@ def _frictions(model: mujoco.MjModel, signals: Sequence[Guess]) -> Iterator[Gues
     surfaces: dict[str, tuple[int, float]] = {}  # body -> its largest priority and friction
     for geom in colliding:
         name = model.body(model.geom_bodyid[geom]).name
-        own = int(model.geom_priority[geom]), float(model.geom_friction[geom, 0])
-        surfaces[name] = max(surfaces.get(name, own), own)
+        rank = int(model.geom_priority[geom]), float(model.geom_friction[geom, 0])
+        surfaces[name] = max(surfaces.get(name, rank), rank)
     fixed = [name for name in surfaces if name and int(model.body_weldid[model.body(name).id]) == 0]
     if not fixed or len(fixed) == len(surfaces) or not all(surfaces):
         return
@@ -177,9 +177,9 @@ def _pair_frictions(model: mujoco.MjModel) -> Iterator[Guess]:
     for name in names_of(model, "pair"):
         value = f"{model.pair_friction[model.pair(name).id, 0]:.6g}"
         alike.setdefault((kin(name), value), []).append(name)
-    for (own, value), names in alike.items():
+    for (kind, value), names in alike.items():
         targets = [{"pair": name, "set": "sliding_friction"} for name in names]
         many = len(names) > 1
         of = f"{len(names)} contact pairs alike" if many else "the contact pair"
-        name = f"{own if many else names[0]}_friction"
+        name = f"{kind if many else names[0]}_friction"
         yield Guess(name, entry_of(float(value), False, targets), f"sliding friction of {of}")

@@ -27,13 +27,15 @@ def joint_paths(paths: Mapping[str, int | None], count: int) -> dict[str, str]:
         return dict(_USUAL)
     templates = {re.sub(r"\[\d+\]", "[{}]", path, count=1) for path in paths}
     templates |= {path + "[{}]" for path, size in paths.items() if size is not None}
-    enough = [one for one in sorted(templates) if "{}" in one and _has(paths, one, count)]
-    found: dict[str, str] = {}
+    enough = [template for template in sorted(templates) if "{}" in template and _has(paths, template, count)]
+    chosen: dict[str, str] = {}
     for quantity, names in _FIELDS.items():
-        ranked = sorted((names.index(own), one) for one in enough if (own := _field(one)) in names)
+        ranked = sorted(
+            (names.index(field), template) for template in enough if (field := _field(template)) in names
+        )
         if ranked:
-            found[quantity] = ranked[0][1]
-    return found
+            chosen[quantity] = ranked[0][1]
+    return chosen
 
 
 def in_motor_order(joints: Sequence[str], type_name: str) -> list[str]:

@@ -177,8 +177,8 @@ def _torques(guess: Guess, topics: Sequence[Topic]) -> str:
 
 def foreign(topics: Sequence[Topic]) -> list[Topic]:
     """Topics of message types that are neither built in nor of a common package: they may hold the state."""
-    own = [topic for topic in topics if not topic.quantities]
-    return [topic for topic in own if re.split(r"[/.]", topic.type)[0] not in _STATELESS]
+    unread = [topic for topic in topics if not topic.quantities]
+    return [topic for topic in unread if re.split(r"[/.]", topic.type)[0] not in _STATELESS]
 
 
 def fields_example(model: mujoco.MjModel, topic: Topic) -> list[str]:
@@ -224,9 +224,9 @@ def _joint_states(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Gu
     states = [t for t in topics if t.kind == "JointState" and not is_command(t.name, t.type)]
     states = [topic for topic in states if {"position", "velocity"} & set(topic.quantities)]
     while left and states:
-        found = {topic.name: matched(left, topic.entries) for topic in states}
-        best = max(states, key=lambda topic: len(found[topic.name]))
-        names = found[best.name]
+        matches = {topic.name: matched(left, topic.entries) for topic in states}
+        best = max(states, key=lambda topic: len(matches[topic.name]))
+        names = matches[best.name]
         if not names:
             return
         states.remove(best)
@@ -285,7 +285,9 @@ def gives_pose(topic: Topic, body: str) -> bool:
     if topic.kind not in _POSES or is_command(topic.name, topic.type) or "static" in words(topic.name):
         return False
     frames = topic.entries if topic.kind == "TFMessage" else (None,)
-    return topic.kind == "Odometry" or any(names_the_same(body, _pose_words(topic, one)) for one in frames)
+    return topic.kind == "Odometry" or any(
+        names_the_same(body, _pose_words(topic, frame)) for frame in frames
+    )
 
 
 def _pose_words(topic: Topic, frame: str | None) -> list[str]:
@@ -329,4 +331,4 @@ def _imus(model: mujoco.MjModel, topics: Sequence[Topic]) -> Iterator[Guess]:
 
 def _plain_names(names: dict[str, str]) -> Iterable[str]:
     """A list where model and log agree on every name, else a mapping."""
-    return list(names) if all(own == logged for own, logged in names.items()) else names
+    return list(names) if all(name == logged for name, logged in names.items()) else names

@@ -90,16 +90,16 @@ def with_columns(guess: Guess, topics: Sequence[Topic], alone: bool) -> None:
 
 def _meaning(table: str, column: str) -> _Meaning | None:
     name, _, count = column.removesuffix("]").partition("[")
-    found = [w for word in words(name) for w in re.findall(r"[a-z]+|\d+", word)]
-    quantity = next((_QUANTITIES[word] for word in found if word in _QUANTITIES), None)
+    parts = [w for word in words(name) for w in re.findall(r"[a-z]+|\d+", word)]
+    quantity = next((_QUANTITIES[word] for word in parts if word in _QUANTITIES), None)
     lerobot = _LEROBOT.match(name)
-    if quantity is None and (lerobot or _COMMANDED & set(found)):
+    if quantity is None and (lerobot or _COMMANDED & set(parts)):
         quantity = "position"  # as of `elbow_cmd`
-    if quantity is None or "time" in found:
+    if quantity is None or "time" in parts:
         return None
     if lerobot:
-        found = [lerobot.group(1).split(".")[-1], *found[2 if "." in lerobot.group(1) else 1 :]]
-    rest = [word for word in found if word not in _QUANTITIES]
+        parts = [lerobot.group(1).split(".")[-1], *parts[2 if "." in lerobot.group(1) else 1 :]]
+    rest = [word for word in parts if word not in _QUANTITIES]
     command = bool(_COMMANDED & set(rest)) or bool(COMMANDS & set(words(table)))
     rest = [word for word in rest if word not in _COMMANDED]
     measured = [word for word in rest if word in _MEASURED]
@@ -116,10 +116,10 @@ def _topic(
     columns: dict[str, tuple[str, ...]] = {}
     names: tuple[str, ...] = ()
     for quantity in ("position", "velocity", "effort"):
-        own = [m for m in meanings if m.quantity == quantity]
-        for kind in sorted({m.kind for m in own}):
-            group = [m for m in own if m.kind == kind]
-            if named := _named(group, [m for m in own if m.rank == kind[0]], joints, alone):
+        alike = [m for m in meanings if m.quantity == quantity]
+        for kind in sorted({m.kind for m in alike}):
+            group = [m for m in alike if m.kind == kind]
+            if named := _named(group, [m for m in alike if m.rank == kind[0]], joints, alone):
                 names, columns[quantity] = named
                 break
     if not columns:

@@ -66,7 +66,7 @@ def inputs_record(system: System, logs: Sequence[Log], held_out: Sequence[Log] =
     """
     readings: list[dict[str, object]] = []
     for log in (*logs, *held_out):
-        if log.reading and not any(one.items() >= log.reading.items() for one in readings):
+        if log.reading and not any(earlier.items() >= log.reading.items() for earlier in readings):
             readings.append({**log.reading, "held_out": log in held_out})
     name = _own_folder(system) or (system.folder and system.name)
     return plain({"system": name, "settings": system.given, "logs": readings})
@@ -154,7 +154,7 @@ def sha256(path: Path) -> str:
 
 def hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
     """Hash of each log, by its path or name; a folder contributes every file in it."""
-    found: dict[str, str] = {}
+    digests: dict[str, str] = {}
     files: dict[Path, None] = {}
     for log in logs:
         if isinstance(log, Path):
@@ -162,9 +162,9 @@ def hashes(logs: Sequence[Path | Log]) -> dict[str, str]:
         elif log.file is not None and log.file.exists():
             files |= dict.fromkeys(_log_files(log.file))
         else:
-            again = sum(name.partition(" #")[0] == log.source for name in found)
-            found[f"{log.source} #{again + 1}" if again else log.source] = log.digest()
-    return found | {str(file): sha256(file) for file in files}
+            again = sum(name.partition(" #")[0] == log.source for name in digests)
+            digests[f"{log.source} #{again + 1}" if again else log.source] = log.digest()
+    return digests | {str(file): sha256(file) for file in files}
 
 
 def _log_files(path: Path) -> list[Path]:

@@ -110,7 +110,7 @@ class System(SystemData, Displayed):
     @property
     def widths(self) -> dict[str, int]:
         """Number of columns of each series, `signal.quantity`, that meets the model."""
-        return {one.key: len(one.columns) for one in (*self.channels, *self.inputs)}
+        return {part.key: len(part.columns) for part in (*self.channels, *self.inputs)}
 
     def reading(self, topics: Mapping[str, str]) -> System:
         """The system with some of its signals read from other topics.
@@ -127,7 +127,7 @@ class System(SystemData, Displayed):
     @property
     def keys(self) -> tuple[str, ...]:
         """Series that every window needs: what the channels measure, and the inputs."""
-        return (*(c.key for c in self.channels), *(key for one in self.inputs for key in one.keys))
+        return (*(c.key for c in self.channels), *(key for driving in self.inputs for key in driving.keys))
 
     @property
     def fixed(self) -> dict[str, float]:
@@ -155,10 +155,10 @@ class System(SystemData, Displayed):
         for name, value in fix.items():
             self._check_value(name, value)
         if only is not None:
-            own = self.space.named(self.space.nominal)
-            own |= zip(at.names, map(float, at.estimate), strict=True) if at else ()
+            values = self.space.named(self.space.nominal)
+            values |= zip(at.names, map(float, at.estimate), strict=True) if at else ()
             kept = self._matching(only, fix)
-            fix |= {name: own[name] for name in self.space.names if name not in (*kept, *fix)}
+            fix |= {name: values[name] for name in self.space.names if name not in (*kept, *fix)}
         if not fix:
             return self
         edits = self.edits.fixing(fix)
@@ -190,10 +190,10 @@ class System(SystemData, Displayed):
         return system, start if start is None else belief_for(system, start)
 
     def _check_value(self, name: str, value: object) -> None:
-        known = {p.name: p for p in self.space.parameters}
-        if name not in known and name not in self.fixed:
+        free = {p.name: p for p in self.space.parameters}
+        if name not in free and name not in self.fixed:
             raise ConfigError(f"`fix`: {one_of('parameter', name, self.sets)}")
-        p = known.get(name)
+        p = free.get(name)
         if not isinstance(value, float | int) or (p is not None and not p.lower <= value <= p.upper):
             valid = f"; between {p.lower:g} and {p.upper:g} would be valid" if p else ""
             raise ConfigError(f"`fix`: {name} cannot be {value}{valid}")
@@ -202,13 +202,13 @@ class System(SystemData, Displayed):
         """Names of free parameters that names or patterns mean."""
         if isinstance(only, str):
             raise ConfigError(f"`only`: give a list of names, not {only!r}")
-        found = [[name for name in self.space.names if fnmatchcase(name, pattern)] for pattern in only]
-        for pattern, names in zip(only, found, strict=True):
+        matches = [[name for name in self.space.names if fnmatchcase(name, pattern)] for pattern in only]
+        for pattern, names in zip(only, matches, strict=True):
             if not names:
                 raise ConfigError(f"`only`: {one_of('parameter', pattern, self.space.names)}")
             if set(names) <= set(fix):
                 raise ConfigError(f"`only`: {pattern} is fixed too (`fix`); leave out one of them")
-        return [name for names in found for name in names]
+        return [name for names in matches for name in names]
 
     @property
     def parts(self) -> dict[str, str]:

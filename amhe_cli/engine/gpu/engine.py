@@ -80,16 +80,18 @@ class GpuEngine:
         if self._blueprint.sensors:
             wanted.append(Wanted("sensordata", rows, tuple(range(model.nsensordata))))
         job = Job(theta, starts, each, each, each[:, None], qpos, qvel, np.zeros((count, 1)), wanted)
-        done = self.cards[0].run(job)
-        values = [to_host(part) for part in done.values]
-        return Rollouts(values[0], values[1], values[2] if self._blueprint.sensors else None, done.completed)
+        predicted = self.cards[0].run(job)
+        values = [to_host(part) for part in predicted.values]
+        return Rollouts(
+            values[0], values[1], values[2] if self._blueprint.sensors else None, predicted.completed
+        )
 
     def predict(
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
     ) -> Predicted:
         """See `Engine.predict`."""
         count, clips, cards = len(theta), len(starts.lengths), len(self.cards)
-        record = sum(8 * one.rows.shape[1] * len(one.columns) for one in wanted)
+        record = sum(8 * picked.rows.shape[1] * len(picked.columns) for picked in wanted)
         at_once = self.cards[0].at_once(record)
         shared = cards if count * clips >= cards * LEAST else 1
         by_candidate, by_clip = turns_of(count, clips, at_once)
@@ -103,8 +105,8 @@ class GpuEngine:
         about = self._blueprint
         edits = edits or about.edits.upon(model)
         engine = GpuEngine(model, edits, about.input_spec, about.sensors, self._devices)
-        for card, known in zip(engine.cards, self.cards, strict=True):
-            card.room = known.room  # of one layout: what was too small once need not be tried again
+        for card, card_before in zip(engine.cards, self.cards, strict=True):
+            card.room = card_before.room  # of one layout: what was too small once need not be tried again
         return engine
 
     def _dealt(self, calls: Sequence[Call]) -> list[Predicted]:
@@ -117,8 +119,8 @@ class GpuEngine:
 
         with ThreadPoolExecutor(len(cards)) as threads:
             by_card = list(threads.map(in_turn, range(len(cards))))
-        done = [by_card[i % len(cards)][i // len(cards)] for i in range(len(calls))]
-        return [candidates_last(Predicted(tuple(map(_gathered, p.values)), p.completed)) for p in done]
+        results = [by_card[i % len(cards)][i // len(cards)] for i in range(len(calls))]
+        return [candidates_last(Predicted(tuple(map(_gathered, p.values)), p.completed)) for p in results]
 
     def job(
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
@@ -169,10 +171,10 @@ def queues(lengths: IntArray, count: int, cost: StepCost) -> IntArray:
     return np.array([row + (longest - len(row)) * [-1] for row in best])
 
 
-def _in_order(done: Predicted, count: int) -> Predicted:
+def _in_order(results: Predicted, count: int) -> Predicted:
     """The numbers of all rollouts of p candidates as (p, c, ...)."""
-    values = tuple(part.reshape(count, -1, *part.shape[1:]) for part in done.values)
-    return Predicted(values, done.completed.reshape(count, -1))
+    values = tuple(part.reshape(count, -1, *part.shape[1:]) for part in results.values)
+    return Predicted(values, results.completed.reshape(count, -1))
 
 
 def _gathered(values: AnyArray) -> AnyArray:

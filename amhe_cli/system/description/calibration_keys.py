@@ -107,13 +107,13 @@ class CalibrationDraft:
             edits: How parameters are written into the calibration's numbers.
         """
         readings = {c.key: self._reading(n, q, c) for (n, q), c in self.channels.items()}
-        found = {key: reading for key, reading in readings.items() if reading != Reading()}
+        used = {key: reading for key, reading in readings.items() if reading != Reading()}
         zeros = {
             id_of(self.model, "joint", self._columns(name, quantity)[column]): row
             for (name, word, quantity, column), row in self._rows.items()
             if word == "bias" and self._is_encoder(name, quantity)
         }
-        beside = {own: other for gap in gaps(self.model) for own, other in gap.ends}
+        beside = {joint: other for gap in gaps(self.model) for joint, other in gap.ends}
         zeros |= {beside[joint]: row for joint, row in zeros.items() if joint in beside}
         driven = {
             actuator: (
@@ -127,7 +127,7 @@ class CalibrationDraft:
         bare = SignalCalibration(np.array(self._own), tuple(edits))
         changes: list[Edit] = [ZeroEdit(bare, zeros, self.model)] if zeros else []
         changes += [ForceEdit(bare, driven)] if driven else []
-        return SignalCalibration(bare.own, bare.edits, found), changes
+        return SignalCalibration(bare.own, bare.edits, used), changes
 
     def _read(self, name: str, entry: SignalEntry, word: str) -> None:
         given = getattr(entry, word)
@@ -143,9 +143,9 @@ class CalibrationDraft:
             linear = [q for q in self._calibrated(name) if q != "orientation"] or [word]
             each = given if isinstance(given, Mapping) else dict.fromkeys(linear, given)
             for quantity, value in each.items():
-                known = self._quantity(name, word, quantity)
-                for column in range(len(self._columns(name, known))):
-                    self._number(name, "scale", known, column, value)
+                checked = self._quantity(name, word, quantity)
+                for column in range(len(self._columns(name, checked))):
+                    self._number(name, "scale", checked, column, value)
         else:
             for quantity, values in given.items():
                 columns = self._columns(name, self._quantity(name, word, quantity))
@@ -184,14 +184,14 @@ class CalibrationDraft:
 
     def _quantity(self, name: str, word: str, given: str | None) -> str:
         """The quantity that is meant: the one given, or the only one."""
-        known = [q for q in self._calibrated(name) if q != "orientation"]
-        if not known:
+        quantities = [q for q in self._calibrated(name) if q != "orientation"]
+        if not quantities:
             raise ConfigError(f"{word} is for what is compared with the model, and for force_on")
-        if given is None and len(known) > 1:
-            raise ConfigError(f"say which quantity: one of {', '.join(known)}")
-        if given is not None and given not in known:
-            raise ConfigError(one_of(f"quantity with a {word}", given, known))
-        return given or known[0]
+        if given is None and len(quantities) > 1:
+            raise ConfigError(f"say which quantity: one of {', '.join(quantities)}")
+        if given is not None and given not in quantities:
+            raise ConfigError(one_of(f"quantity with a {word}", given, quantities))
+        return given or quantities[0]
 
     def _columns(self, name: str, quantity: str) -> list[str]:
         """Names of a quantity's columns: joints, or axes."""

@@ -88,7 +88,7 @@ class Doubt:
 def _written(value: Any) -> str:
     """A value as YAML has it on one line."""
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {one}" for key, one in value.items()) + "}"
+        return "{" + ", ".join(f"{key}: {inner}" for key, inner in value.items()) + "}"
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
@@ -122,9 +122,9 @@ def doubts_of(system: SystemData, log: Log) -> Iterator[Doubt]:
         if key in log.series
         for column, joint in enumerate(joints)
     }
-    for one in system.inputs:
-        if one.key in log.series:
-            yield from _of_commands(system, log, one, positions)
+    for driving in system.inputs:
+        if driving.key in log.series:
+            yield from _of_commands(system, log, driving, positions)
 
 
 def _joint_channels(system: SystemData) -> dict[str, list[int]]:
@@ -144,7 +144,7 @@ def _joint_channels(system: SystemData) -> dict[str, list[int]]:
 
 def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> Iterator[Doubt]:
     """Units of joint positions, by the velocities measured with them and by the joints' ranges."""
-    found: dict[str, list[str]] = {}
+    joints_by_text: dict[str, list[str]] = {}
     remedies: dict[str, Mapping[str, Any]] = {}
     far: dict[str, float] = {}
     velocity = log.series.get(f"{key.rpartition('.')[0]}.velocity")
@@ -153,7 +153,7 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
         if _wraps(np.abs(np.diff(values[log[key].sampled & log[key].valid]))):
             text = "position jumps by a turn: the encoder wraps"
             remedies[text] = {"wraps": True}
-            found.setdefault(text, []).append(name)
+            joints_by_text.setdefault(text, []).append(name)
         slope = None
         if velocity is not None and not velocity.derived:
             both = np.flatnonzero(log[key].sampled & velocity.sampled)
@@ -163,7 +163,7 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
         causes = _named(slope, _OF_VELOCITY) if slope is not None else []
         for text, remedy in causes:
             remedies[text] = remedy
-            found.setdefault(text, []).append(name)
+            joints_by_text.setdefault(text, []).append(name)
         largest = float(np.max(np.abs(values[log[key].valid]), initial=0.0))
         hinge = int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_HINGE
         # a wheel turns for long, and its velocity agrees; both may be in degrees where a joint has an end
@@ -171,8 +171,8 @@ def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> 
             far[name] = largest
     if far:
         text = f"position reaches {max(far.values()):.4g} rad: looks like degrees"
-        found[text], remedies[text] = list(far), {"unit": "deg"}
-    for text, names in found.items():
+        joints_by_text[text], remedies[text] = list(far), {"unit": "deg"}
+    for text, names in joints_by_text.items():
         yield Doubt(key.rpartition(".")[0], f"{text} ({', '.join(names)})", remedies[text])
 
 
@@ -214,10 +214,10 @@ def _named(
     return [cause for ratio, cause in causes.items() if abs(slope / ratio - 1.0) < _NEAR]
 
 
-def _of_commands(system: SystemData, log: Log, one: Input, positions: _Positions) -> Iterator[Doubt]:
+def _of_commands(system: SystemData, log: Log, driving: Input, positions: _Positions) -> Iterator[Doubt]:
     """Units and order of the targets of position servos, by the joints that should follow them."""
-    series, signal = log[one.key], one.key.rpartition(".")[0]
-    servos = {column: _servo_joint(system, place) for column, place in enumerate(one.columns)}
+    series, signal = log[driving.key], driving.key.rpartition(".")[0]
+    servos = {column: _servo_joint(system, place) for column, place in enumerate(driving.columns)}
     driven = {
         column: joint
         for column, joint in servos.items()
@@ -233,7 +233,7 @@ def _of_commands(system: SystemData, log: Log, one: Input, positions: _Positions
     commands = series.values[kept][:, list(driven)]
     measured = np.stack([positions[joint][0][kept] for joint in joints], axis=1)
     names = [model.joint(joint).name for joint in joints]
-    found: dict[str, list[str]] = {}
+    joints_by_text: dict[str, list[str]] = {}
     remedies: dict[str, Mapping[str, Any]] = {}
     for column, (joint, name) in enumerate(zip(joints, names, strict=True)):
         slope = _slope(commands[:, column], measured[:, column])
@@ -242,8 +242,8 @@ def _of_commands(system: SystemData, log: Log, one: Input, positions: _Positions
             causes = [_OF_COMMAND[_DEGREES]]
         for text, remedy in causes:
             remedies[text] = remedy
-            found.setdefault(text, []).append(name)
-    for text, which in found.items():
+            joints_by_text.setdefault(text, []).append(name)
+    for text, which in joints_by_text.items():
         yield Doubt(signal, f"{text} ({', '.join(which)})", remedies[text])
     step = log.dt * float(np.median(np.diff(kept)))
     better = _better_order(commands, measured, max(1, round(_LEAD / 10.0 / step)))

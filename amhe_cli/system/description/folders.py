@@ -70,13 +70,13 @@ def named_system(name: str, source: str, folder: str | None = None) -> Path:
     Raises:
         ConfigError: It is a system of the user's, who gives its folder.
     """
-    found = bundled_systems().get(name)
-    if folder is not None or found is None:
+    bundled = bundled_systems().get(name)
+    if folder is not None or bundled is None:
         raise ConfigError(
             f"{source}: about the system {name!r}{f' in {folder}' if folder else ''}, which does not come "
             f"with amhe: give its folder with `system={folder or 'DIR'}`"
         )
-    return found
+    return bundled
 
 
 def parameter_names(folder: Path) -> list[str]:

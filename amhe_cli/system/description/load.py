@@ -65,9 +65,9 @@ def described(
 ) -> SystemData:
     """See `System.from_model`; `description` has the keys of a `system.yaml`, without its model."""
     spec = spec_of(model, urdf)
-    own = Path(model).stem if isinstance(model, str | Path) else spec.modelname
+    default_name = Path(model).stem if isinstance(model, str | Path) else spec.modelname
     signals = {key: _with_topic(key, signal) for key, signal in description["signals"].items()}
-    arguments = Arguments({**description, "model": name or own, "signals": signals})
+    arguments = Arguments({**description, "model": name or default_name, "signals": signals})
     entry = validated(arguments)
     arguments.raise_problems()
     assert entry is not None, "no mistake was noted"
@@ -211,9 +211,9 @@ def _warn_of_unchecked(file: YamlFile, schema: type[Settings]) -> None:
 
 def _placed(overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Overrides in the places of `system.yaml` that they replace."""
-    own = {key: value for key, value in overrides.items() if key in _OWN_KEYS}
+    top_level = {key: value for key, value in overrides.items() if key in _OWN_KEYS}
     settings = {key: value for key, value in overrides.items() if key not in _OWN_KEYS}
-    return merged(own, {"settings": settings}) if settings else own
+    return merged(top_level, {"settings": settings}) if settings else top_level
 
 
 def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Settings]) -> None:

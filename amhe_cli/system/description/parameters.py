@@ -68,21 +68,21 @@ def unknowns_of(
     delays: CommandDelays,
 ) -> tuple[ParameterSpace, ModelEdits, SignalCalibration]:
     """Parameters of the file and how they are written; every mistake is noted in `file`."""
-    found = _Unknowns()
+    unknowns = _Unknowns()
     draft.read(file)
     for name, parameter in entry.parameters.items():
         place = ("parameters", name)
         if any(target.set == "pseudo_inertia" for target in parameter.targets):
-            _add_pseudo(file, place, parameter, model, found)
+            _add_pseudo(file, place, parameter, model, unknowns)
         else:
-            _add_plain(file, place, parameter, model, draft, delays, found)
-    space = ParameterSpace(tuple(found.parameters))
-    edits = [edit for _, edit in sorted(found.edits, key=lambda ranked: ranked[0])]
-    calibration, needed = draft.finished(found.calibrated)
+            _add_plain(file, place, parameter, model, draft, delays, unknowns)
+    space = ParameterSpace(tuple(unknowns.parameters))
+    edits = [edit for _, edit in sorted(unknowns.edits, key=lambda ranked: ranked[0])]
+    calibration, needed = draft.finished(unknowns.calibrated)
     fixed = {p.name: p.nominal for p in space.parameters if p.prior_sd == 0.0}
     if fixed and len(fixed) == len(space):
         file.problem(("parameters",), "every parameter has the prior_sd 0, which fixes it: leave one free")
-    late = delays.with_edits(found.late)
+    late = delays.with_edits(unknowns.late)
     written = ModelEdits(model, space, [*edits, *needed], late, fixed, calibration)
     return written.space, written, calibration
 
@@ -94,9 +94,9 @@ def _add_plain(
     model: mujoco.MjModel,
     draft: CalibrationDraft,
     delays: CommandDelays,
-    found: _Unknowns,
+    unknowns: _Unknowns,
 ) -> None:
-    column, name = len(found.parameters), str(place[1])
+    column, name = len(unknowns.parameters), str(place[1])
     reached: list[tuple[TargetEntry, list[Cells]]] = []
     for index, target in enumerate(entry.targets):
         here = (*place, "targets", index)
@@ -108,17 +108,17 @@ def _add_plain(
             else:
                 cells = [*draft.cells_of(target)] if selector == "signal" else cells_of(model, target)
             reached.append((target, cells))
-            _claim(found, name, target, cells)
+            _claim(unknowns, name, target, cells)
         except ConfigError as error:
             file.problem(here, str(error))
             continue
         edit = ScalarEdit(column, tuple(cells), target.mode, _carried(target, cells, model))
         if target.set == "command_delay":
-            found.late += [edit] if cells else []
+            unknowns.late += [edit] if cells else []
         elif selector == "signal":
-            found.calibrated.append(edit)
+            unknowns.calibrated.append(edit)
         else:
-            found.edits.append((_ORDER.get(target.set, 1), edit))
+            unknowns.edits.append((_ORDER.get(target.set, 1), edit))
     if len(reached) < len(entry.targets):
         return
     try:
@@ -131,7 +131,7 @@ def _add_plain(
             if target.set == "band":
                 smallest = min(_smallest(parameter, target, cells, model))
                 draft.lowest([cell for cell in cells if isinstance(cell, CalibrationNumber)], smallest)
-        found.parameters.append(parameter)
+        unknowns.parameters.append(parameter)
     except ConfigError as error:
         file.problem(place, str(error))
 
@@ -149,10 +149,10 @@ def _carried(
 
 
 def _add_pseudo(
-    file: Description, place: Place, entry: ParameterEntry, model: mujoco.MjModel, found: _Unknowns
+    file: Description, place: Place, entry: ParameterEntry, model: mujoco.MjModel, unknowns: _Unknowns
 ) -> None:
     name, here = str(place[1]), (*place, "targets", 0)
-    columns = range(len(found.parameters), len(found.parameters) + len(PSEUDO_NAMES))
+    columns = range(len(unknowns.parameters), len(unknowns.parameters) + len(PSEUDO_NAMES))
     try:
         if len(entry.targets) > 1 or entry.scale == "log" or entry.nominal:
             raise ConfigError(
@@ -166,7 +166,7 @@ def _add_pseudo(
         if model.body_weldid[bodies[0]] == 0:
             raise ConfigError(f"body {target.body!r} is fixed to the world: its inertia changes nothing")
         edit = PseudoInertiaEdit(model, bodies[0], columns)
-        _claim(found, name, target, list(edit.cells))
+        _claim(unknowns, name, target, list(edit.cells))
         lower, upper = entry.bounds or PSEUDO_BOUNDS
         if not lower < 0.0 < upper:
             raise ConfigError(f"bounds [{lower:g}, {upper:g}] must hold 0, the model's own inertia, inside")
@@ -174,17 +174,17 @@ def _add_pseudo(
         file.problem(here, str(error))
         return
     sd = PSEUDO_PRIOR_SD if entry.prior_sd is None else entry.prior_sd
-    found.parameters += [Parameter(f"{name}.{k}", "-", 0.0, lower, upper, False, sd) for k in PSEUDO_NAMES]
-    found.edits.append((0, edit))
+    unknowns.parameters += [Parameter(f"{name}.{k}", "-", 0.0, lower, upper, False, sd) for k in PSEUDO_NAMES]
+    unknowns.edits.append((0, edit))
 
 
-def _claim(found: _Unknowns, name: str, target: TargetEntry, cells: list[Cells]) -> None:
+def _claim(unknowns: _Unknowns, name: str, target: TargetEntry, cells: list[Cells]) -> None:
     """Refuse a number that two parameters would set."""
     if target.mode != "value":
         return
     for part in cells:
         for column in part.columns or (0,):
-            other = found.set_by.setdefault((part.field, part.row, column), name)
+            other = unknowns.set_by.setdefault((part.field, part.row, column), name)
             if other != name:
                 raise ConfigError(
                     f"parameter {other!r} already sets this number; use mode: scale or add for one"
@@ -221,14 +221,15 @@ def _own_value(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -
         return 1.0 if target.mode == "scale" else 0.0
     if not cells:
         raise ConfigError(f"give a nominal value: the model has no {target.set} of its own")
-    own = np.concatenate([part.of(model) for part in cells])
-    if np.ptp(own) > 1e-9 * np.abs(own).max():
+    values = np.concatenate([part.of(model) for part in cells])
+    if np.ptp(values) > 1e-9 * np.abs(values).max():
         raise ConfigError(
-            f"the model's own values differ, {own.min():g} to {own.max():g}: give a nominal, or mode: scale"
+            f"the model's own values differ, {values.min():g} to {values.max():g}: give a nominal, or "
+            "mode: scale"
         )
-    if own[0] == 0.0 and _limit(target) >= 0.0:
+    if values[0] == 0.0 and _limit(target) >= 0.0:
         raise ConfigError(f"the model's own {target.set} is 0: give a nominal value")
-    return float(own[0])
+    return float(values[0])
 
 
 def _limit(target: TargetEntry) -> float:
@@ -256,8 +257,10 @@ def _smallest(
         yield parameter.lower
     elif np.isfinite(_limit(target)):
         for part in cells:
-            for own in part.of(model):
-                yield float(own * parameter.lower if target.mode == "scale" else own + parameter.lower)
+            for nominal in part.of(model):
+                yield float(
+                    nominal * parameter.lower if target.mode == "scale" else nominal + parameter.lower
+                )
 
 
 def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str:

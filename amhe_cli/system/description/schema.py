@@ -162,8 +162,8 @@ class SystemEntry(_Entry):
         if not isinstance(data, dict) or not isinstance(data.get("settings"), Mapping):
             return data
         others = set(robot_groups(data)) - set(keys_at(cls, ("settings",)) or ())
-        own = {key: value for key, value in data["settings"].items() if key not in others}
-        return data | {"settings": own}
+        general = {key: value for key, value in data["settings"].items() if key not in others}
+        return data | {"settings": general}
 
 
 def robot_groups(data: Mapping[str, Any]) -> tuple[str, ...]:
@@ -211,9 +211,9 @@ def validated(file: Description, schema: type[Settings] = Settings) -> SystemEnt
     by_place: dict[Place, list[Any]] = {}
     for mistake in mistakes:
         by_place.setdefault(tuple(_real(file.data, mistake["loc"])), []).append(mistake)
-    for place, found in by_place.items():
-        unknown_key = found[0]["type"] == "extra_forbidden"
-        file.problem(place, _in_words(found, place, file.data, schema), at_key=unknown_key)
+    for place, at_this_place in by_place.items():
+        unknown_key = at_this_place[0]["type"] == "extra_forbidden"
+        file.problem(place, _in_words(at_this_place, place, file.data, schema), at_key=unknown_key)
         group = remaining.get(str(place[0])) if place else None
         if len(place) > 1 and isinstance(group, dict):
             group.pop(place[1], None)
@@ -266,10 +266,10 @@ def _real(data: Any, place: Place) -> Iterator[str | int]:
         here = at_place(data, walked)
         last = index == len(place) - 1
         if isinstance(here, list):
-            known = isinstance(part, int) and part < len(here)
+            exists = isinstance(part, int) and part < len(here)
         else:
-            known = isinstance(here, Mapping) and part in here
-        if known or (last and isinstance(here, Mapping) and part != "[key]"):
+            exists = isinstance(here, Mapping) and part in here
+        if exists or (last and isinstance(here, Mapping) and part != "[key]"):
             walked.append(part)
             yield part
 
@@ -317,7 +317,7 @@ def _in_words(mistakes: list[Any], place: Place, data: Any, schema: type[Setting
     label = _label(place)
     if kind == "extra_forbidden":
         return one_of("key", str(place[-1]), keys_at(with_settings(SystemEntry, schema), place[:-1]) or [])
-    if label in _EXAMPLES and value is not None and any(one["type"] in _SHAPES for one in mistakes):
+    if label in _EXAMPLES and value is not None and any(mistake["type"] in _SHAPES for mistake in mistakes):
         return f"{label} is {value!r}; {_EXAMPLES[label]} would be valid"
     if kind == "missing":
         return f"{'.'.join(map(str, place[:-1])) or 'this file'} lacks the key {str(place[-1])!r}"

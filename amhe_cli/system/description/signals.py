@@ -80,7 +80,9 @@ def _read_only(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
         raise ConfigError(
             "say what to read: type: PACKAGE/msg/NAME, or quantity: one of " + ", ".join(QUANTITIES)
         )
-    switches = any(isinstance(one.active, dict) and name in one.active for one in draft.entries.values())
+    switches = any(
+        isinstance(other.active, dict) and name in other.active for other in draft.entries.values()
+    )
     draft.signals.append(signal_of(name, entry, quantities, is_input=switches))
 
 
@@ -90,7 +92,7 @@ def _check(entry: SignalEntry, entries: Mapping[str, SignalEntry]) -> None:
         (name, *more) = entry.active
         if more:
             raise ConfigError(f"active: one signal switches another, not {', '.join(entry.active)}")
-        plain = [key for key, one in entries.items() if one.kind is None]
+        plain = [key for key, other in entries.items() if other.kind is None]
         if name not in plain:
             raise ConfigError(f"active: {one_of('signal that is only read', name, plain)}")
         if (entries[name].quantity or "value") != "value":
@@ -118,13 +120,13 @@ def _free_joint(model: mujoco.MjModel, body: int) -> int | None:
 
 def _measured_body(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """Pose and twist of a body: part of the state if its joint is free, else measured by sensors."""
-    model, own = draft.model, str(entry.body)
-    row = id_of(model, "body", own)
+    model, body = draft.model, str(entry.body)
+    row = id_of(model, "body", body)
     if model.body_mocapid[row] >= 0:
-        raise ConfigError(f"body {own!r} is a mocap body, which a signal drives: write mocap: {own}")
+        raise ConfigError(f"body {body!r} is a mocap body, which a signal drives: write mocap: {body}")
     joint = _free_joint(model, row)
     if joint is None:
-        _at_site(draft, name, entry, draft.site_on(own), POSE)
+        _at_site(draft, name, entry, draft.site_on(body), POSE)
         return
     check_noise(entry, POSE)
     signal = signal_of(name, entry, POSE)
@@ -149,12 +151,14 @@ def _measured_site(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     _at_site(draft, name, entry, str(entry.site), tuple(_SITE_SENSORS))
 
 
-def _at_site(draft: WiringDraft, name: str, entry: SignalEntry, site: str, known: tuple[str, ...]) -> None:
+def _at_site(
+    draft: WiringDraft, name: str, entry: SignalEntry, site: str, quantities: tuple[str, ...]
+) -> None:
     """Compare quantities at a site with sensors that are added there."""
-    check_noise(entry, known)
+    check_noise(entry, quantities)
     compared = {quantity: sd for quantity, sd in entry.noise.items() if sd and entry.compares(quantity)}
     if not compared:
-        raise ConfigError(f"give noise for what is to be compared: {', '.join(known)}")
+        raise ConfigError(f"give noise for what is to be compared: {', '.join(quantities)}")
     signal = signal_of(name, entry, tuple(compared))
     for quantity, sd in compared.items():
         sensor = f"amhe/{name}/{quantity}"
@@ -168,8 +172,8 @@ def _at_site(draft: WiringDraft, name: str, entry: SignalEntry, site: str, known
 def _measured_joints(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """State of hinge and slide joints, and the effort of their actuators."""
     check_noise(entry, ("position", "velocity", "effort"))
-    own, logged = names_of_log(entry.joints)
-    rows = single_joints(draft.model, own)
+    names, logged = names_of_log(entry.joints)
+    rows = single_joints(draft.model, names)
     kinds = [int(draft.model.jnt_type[row]) for row in rows]
     effort = entry.noise.get("effort")
     signal = signal_of(name, entry, ("position", "velocity", *(["effort"] if effort else [])), logged)
@@ -182,9 +186,9 @@ def _measured_joints(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
             state_channel(signal.key(quantity), quantity, source, columns, entry, unit_of(quantity, kinds))
         )
     if effort:
-        sensors = [f"amhe/{name}/effort/{joint}" for joint in own]
+        sensors = [f"amhe/{name}/effort/{joint}" for joint in names]
         kind = mujoco.mjtSensor.mjSENS_JOINTACTFRC
-        for sensor, joint in zip(sensors, own, strict=True):
+        for sensor, joint in zip(sensors, names, strict=True):
             draft.spec.add_sensor(name=sensor, type=kind, objtype=mujoco.mjtObj.mjOBJ_JOINT, objname=joint)
         draft.sensed.append((signal.key("effort"), "effort", effort, unit_of("effort", kinds), sensors))
     draft.joints_set.update(rows)
@@ -208,21 +212,21 @@ def _measured_sensor(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
 
 def _driven_actuators(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """Commands: controls of actuators, held until the next message."""
-    own, logged = names_of_log(entry.actuators)
-    rows = [id_of(draft.model, "actuator", actuator) for actuator in own]
+    names, logged = names_of_log(entry.actuators)
+    rows = [id_of(draft.model, "actuator", actuator) for actuator in names]
     usual = "value" if str(entry.type).endswith("MultiArray") else commanded(draft.model, rows[0])
     quantity = one_quantity(entry, usual)
     for row in rows:
         control_of(draft.model, row, quantity)  # refused where there is none
     signal = signal_of(name, entry, (quantity,), logged, is_input=True)
-    draft.driven.append(Drive(signal.key(quantity), _CTRL, list(own), delayed=True))
+    draft.driven.append(Drive(signal.key(quantity), _CTRL, list(names), delayed=True))
     draft.signals.append(signal)
 
 
 def _driven_joint_force(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
     """Known forces or torques at joints, in addition to the actuators'."""
-    own, logged = names_of_log(entry.joint_force)
-    rows = single_joints(draft.model, own)
+    names, logged = names_of_log(entry.joint_force)
+    rows = single_joints(draft.model, names)
     quantity = one_quantity(entry, "value" if str(entry.type).endswith("MultiArray") else "effort")
     signal = signal_of(name, entry, (quantity,), logged, is_input=True)
     columns: list[int | str] = [int(draft.model.jnt_dofadr[row]) for row in rows]
@@ -289,7 +293,7 @@ def _arm(draft: WiringDraft, entry: SignalEntry) -> tuple[str, str | None]:
         return f"{point}.position", None
     if entry.frame not in (None, "world"):
         raise ConfigError("at: a moving point is in the world or in the body's frame")
-    poses = [key for key, one in draft.entries.items() if one.body == entry.force_on]
+    poses = [key for key, other in draft.entries.items() if other.body == entry.force_on]
     if not poses:
         raise ConfigError(f"at: a moving point needs a signal of the body too: body: {entry.force_on}")
     return f"{point}.position", f"{poses[0]}.position"

@@ -231,10 +231,10 @@ def gain_cells(model: mujoco.MjModel, row: int) -> list[Cells]:
         return [Cells(field, row, (column,), factor)] if getattr(model, field)[row, column] else []
     if kind != mujoco.mjtGain.mjGAIN_FIXED:
         return []
-    own, bias = model.actuator_gainprm[row, 0], model.actuator_biasprm[row]
+    gain, bias = model.actuator_gainprm[row, 0], model.actuator_biasprm[row]
     cells = [Cells("actuator_gainprm", row, (0,))]
-    if int(model.actuator_biastype[row]) == _AFFINE and own:
-        tied = next((column for column in (1, 2) if np.isclose(bias[column], -own)), None)
+    if int(model.actuator_biastype[row]) == _AFFINE and gain:
+        tied = next((column for column in (1, 2) if np.isclose(bias[column], -gain)), None)
         cells += [Cells("actuator_biasprm", row, (tied,), -1.0)] if tied else []
     return cells
 

@@ -102,7 +102,7 @@ class WiringDraft:
     def commanded(self, model: mujoco.MjModel, wiring: Wiring) -> CommandDelays:
         """What can be delayed: the inputs that command actuators."""
         inputs = zip(self.driven, wiring.inputs, strict=True)
-        late = [(drive.parts, one.columns) for drive, one in inputs if drive.delayed]
+        late = [(drive.parts, driving.columns) for drive, driving in inputs if drive.delayed]
         commands: dict[str, tuple[int, ...]] = {}  # an actuator may have several controls
         for part, at in (pair for parts, columns in late for pair in zip(parts, columns, strict=True)):
             commands[str(part)] = (*commands.get(str(part), ()), at)
@@ -112,7 +112,7 @@ class WiringDraft:
     def unset_joints(self) -> list[str]:
         """Joints whose state no signal gives, neither directly nor by a joint beside them."""
         led = {c.follower for c in couplings(self.model) if c.leader in self.joints_set}
-        led |= {own for gap in gaps(self.model) for own, other in gap.ends if other in self.joints_set}
+        led |= {joint for gap in gaps(self.model) for joint, other in gap.ends if other in self.joints_set}
         return [
             self.model.joint(row).name or f"number {row}"
             for row in range(self.model.njnt)

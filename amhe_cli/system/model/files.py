@@ -119,8 +119,8 @@ def _exclude_overlaps(spec: mujoco.MjSpec, name: str) -> None:
     bodies = [int(row) for row in np.unique(model.geom_bodyid[model.geom_contype != 0])]
     fixed = [row for row in bodies if row and not weld[row]]
     joined = [row for row in bodies if weld[row] and not weld[model.body_parentid[weld[row]]]]
-    for one, other in sorted(pairs | {(a, b) for a in fixed for b in joined}):
-        spec.add_exclude(bodyname1=model.body(one).name, bodyname2=model.body(other).name)
+    for first, second in sorted(pairs | {(a, b) for a in fixed for b in joined}):
+        spec.add_exclude(bodyname1=model.body(first).name, bodyname2=model.body(second).name)
 
 
 def spec_of(
@@ -200,10 +200,10 @@ def resize_boxes(spec: mujoco.MjSpec, boxes: Mapping[str, Sequence[float]]) -> N
     Raises:
         ConfigError: The model has no box geom of that name.
     """
-    known = [geom.name for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX and geom.name]
+    names = [geom.name for geom in spec.geoms if geom.type == mujoco.mjtGeom.mjGEOM_BOX and geom.name]
     for name, edges in boxes.items():
-        if name not in known:
-            raise ConfigError(one_of("box geom", name, known))
+        if name not in names:
+            raise ConfigError(one_of("box geom", name, names))
         resize(spec.geom(name), edges)
 
 

@@ -44,15 +44,15 @@ class Gap:
 
 def gaps(model: mujoco.MjModel) -> list[Gap]:
     """Gaps of a model: limited tendons whose length is one joint's position less another's."""
-    found = []
+    found_gaps = []
     for tendon in np.flatnonzero(model.tendon_limited):
         first, count = int(model.tendon_adr[tendon]), int(model.tendon_num[tendon])
         wraps = slice(first, first + count)
         fixed = (model.wrap_type[wraps] == int(mujoco.mjtWrap.mjWRAP_JOINT)).all()
         if fixed and list(model.wrap_prm[wraps]) in ([1.0, -1.0], [-1.0, 1.0]):
             drive, link = model.wrap_objid[wraps][np.argsort(-model.wrap_prm[wraps])]
-            found.append(Gap(int(drive), int(link), int(tendon)))
-    return found
+            found_gaps.append(Gap(int(drive), int(link), int(tendon)))
+    return found_gaps
 
 
 def add_gaps(spec: mujoco.MjSpec, widths: Mapping[str, float]) -> dict[str, str]:
@@ -79,9 +79,9 @@ def add_gaps(spec: mujoco.MjSpec, widths: Mapping[str, float]) -> dict[str, str]
     names = [wide.joint(row).name for row in range(wide.njnt)]
     rows = [links[name] if name in links else next(old) for name in names] if keys else []
     for key, qpos, qvel in keys:
-        for own, values, starts in (("qpos", qpos, "jnt_qposadr"), ("qvel", qvel, "jnt_dofadr")):
+        for attribute, values, starts in (("qpos", qpos, "jnt_qposadr"), ("qvel", qvel, "jnt_dofadr")):
             parts = np.split(values, getattr(model, starts)[1:]) if values.size else []
-            setattr(key, own, np.concatenate([parts[row] for row in rows]) if parts else [])
+            setattr(key, attribute, np.concatenate([parts[row] for row in rows]) if parts else [])
     return drives
 
 
@@ -90,7 +90,7 @@ def _add_gap(spec: mujoco.MjSpec, model: mujoco.MjModel, joint: str, width: floa
     link, row = spec.joint(joint), model.joint(joint).id
     body, drive = link.parent, f"{joint}_drive"
     if len(body.joints) > 1:
-        others = ", ".join(one.name or "unnamed" for one in body.joints if one.name != joint)
+        others = ", ".join(beside.name or "unnamed" for beside in body.joints if beside.name != joint)
         raise ConfigError(
             f"joint {joint!r} shares its body with {others}: give each a body of its own for a backlash"
         )
@@ -138,10 +138,10 @@ def loose_ends(
         measured: Columns of qpos that are measured.
     """
     return [
-        (gap, own, other)
+        (gap, joint, other)
         for gap in among
-        for own, other in gap.ends
-        if model.jnt_qposadr[other] in measured and model.jnt_qposadr[own] not in measured
+        for joint, other in gap.ends
+        if model.jnt_qposadr[other] in measured and model.jnt_qposadr[joint] not in measured
     ]
 
 
@@ -157,15 +157,15 @@ def set_gaps(model: mujoco.MjModel, qpos: FloatArray, qvel: FloatArray, measured
     if not loose:
         return
     data = mujoco.MjData(model)
-    for _, own, other in loose:
-        qpos[:, model.jnt_qposadr[own]] = qpos[:, model.jnt_qposadr[other]]
-        qvel[:, model.jnt_dofadr[own]] = qvel[:, model.jnt_dofadr[other]]
+    for _, joint, other in loose:
+        qpos[:, model.jnt_qposadr[joint]] = qpos[:, model.jnt_qposadr[other]]
+        qvel[:, model.jnt_dofadr[joint]] = qvel[:, model.jnt_dofadr[other]]
     for state, rates in zip(qpos, qvel, strict=True):
         data.qpos[:], data.qvel[:] = state, rates
         mujoco.mj_fwdPosition(model, data)
         mujoco.mj_fwdVelocity(model, data)
         load = data.qfrc_bias - data.qfrc_passive
-        for gap, own, _ in loose:
+        for gap, joint, _ in loose:
             torque = load[model.jnt_dofadr[gap.link]]
             ahead = 0.5 * np.ptp(model.tendon_range[gap.tendon]) * np.sign(torque) * (abs(torque) > _NO_LOAD)
-            state[model.jnt_qposadr[own]] += ahead if own == gap.drive else -ahead
+            state[model.jnt_qposadr[joint]] += ahead if joint == gap.drive else -ahead

@@ -38,12 +38,12 @@ class Places:
             candidates = [home / inner for home in self.homes(package)]
             cure = f"give the folder of package {package!r} in `packages`"
         candidates.append(self.meshdir / Path(rest).name)  # the only place where MuJoCo would look
-        found = next((place for place in candidates if place.is_file()), None)
+        file = next((place for place in candidates if place.is_file()), None)
         problem = f"mesh {uri!r} is not there"
-        if found is not None:
-            problem, cure = _unreadable(found), "convert it"
+        if file is not None:
+            problem, cure = _unreadable(file), "convert it"
             if not problem:
-                return found.resolve()
+                return file.resolve()
             problem = f"mesh {uri!r} is {problem}, which MuJoCo cannot read"
         raise ConfigError(f"{urdf}: {problem}; {cure}, or give `meshes=False` to do without meshes")
 

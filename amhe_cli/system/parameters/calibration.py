@@ -80,13 +80,13 @@ class SignalCalibration:
         Args:
             widths: Key of a channel -> its number of columns.
         """
-        own, readings = list(self.own), dict(self.readings)
+        numbers, readings = list(self.own), dict(self.readings)
         for key, width in widths.items():
             reading = readings.get(key, Reading())
             if not reading.bias:
-                readings[key] = replace(reading, bias=tuple(range(len(own), len(own) + width)))
-                own += [0.0] * width
-        return replace(self, own=np.array(own), readings=readings)
+                readings[key] = replace(reading, bias=tuple(range(len(numbers), len(numbers) + width)))
+                numbers += [0.0] * width
+        return replace(self, own=np.array(numbers), readings=readings)
 
     def numbers(self, theta: FloatArray) -> FloatArray:
         """All numbers under values (p, d) of all parameters, fixed ones too, shape (p, n)."""

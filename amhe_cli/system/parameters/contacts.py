@@ -28,8 +28,8 @@ def needed_contacts(model: mujoco.MjModel, cells: Iterable[Cells]) -> list[tuple
         elif c.field in _CONTACT:
             pairs |= dict.fromkeys((c.row, other) for other in partners(model, c.row))
         elif c.field in _INERTIAL and _is_free(model, c.row):
-            own = np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[c.row])
-            for geom in map(int, own):
+            geoms = np.flatnonzero(model.body_weldid[model.geom_bodyid] == model.body_weldid[c.row])
+            for geom in map(int, geoms):
                 others = [o for o in partners(model, geom) if not _is_fixed(model, o)]
                 pairs |= dict.fromkeys((geom, o) for o in (*others, *_paired(model, geom)))
         else:

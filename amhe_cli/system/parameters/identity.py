@@ -66,8 +66,8 @@ def parts_of(model: mujoco.MjModel, edits: ModelEdits) -> dict[str, str]:
         model: The model, with parameters in it.
         edits: What wrote them; they know the model's own numbers.
     """
-    own = edits.own(model)
-    parts = {part: _hash(_values(own, fields)) for part, fields in _FIELDS.items()}
+    unedited = edits.own(model)
+    parts = {part: _hash(_values(unedited, fields)) for part, fields in _FIELDS.items()}
     return {"options": _hash(np.asarray(getattr(model.opt, name)) for name in _OPTIONS.split())} | parts
 
 

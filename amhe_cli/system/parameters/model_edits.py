@@ -85,8 +85,8 @@ class ModelEdits:
     def own(self, model: mujoco.MjModel) -> mujoco.MjModel:
         """Copy of a model that these edits have written to, with the base model's own numbers again."""
         plain = copy.copy(model)
-        for cells, own in self._base:
-            getattr(plain, cells.field)[cells.index[1:]] = own
+        for cells, numbers in self._base:
+            getattr(plain, cells.field)[cells.index[1:]] = numbers
         return plain
 
     def by_name(self) -> Iterator[tuple[str, Edit]]:
@@ -151,8 +151,8 @@ class ModelEdits:
             arrays: MjModel field -> array (n, ...); every one of `fields` must be there.
             theta: Candidate parameters, shape (n, d).
         """
-        for cells, own in self._base:
-            arrays[cells.field][cells.index] = own
+        for cells, numbers in self._base:
+            arrays[cells.field][cells.index] = numbers
         whole = self._whole(theta)
         for edit in self._edits:
             edit.write(arrays, whole)
