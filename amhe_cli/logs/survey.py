@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,15 +15,17 @@ from amhe_cli.logs.clocks import Clock, Stamp, header_steps, offset_words, step_
 from amhe_cli.logs.containers.folder import open_log
 from amhe_cli.logs.containers.raw import Batch, Connection, messages, readable
 from amhe_cli.logs.containers.table_file import ENCODING as TABLE
-from amhe_cli.logs.messages.content import carried, entries, numbers
 from amhe_cli.logs.messages.decode import SignalSamples, nanoseconds, time_leaves
 from amhe_cli.logs.messages.definitions import Definitions
+from amhe_cli.logs.messages.layout import Layout
 from amhe_cli.logs.messages.split import MessageGroup, Splitter
 from amhe_cli.logs.messages.types import TYPES, TypeInfo
 from amhe_cli.logs.tables import table_columns
 
 #: Messages that it takes to judge a topic's clock by.
 _ENOUGH = 10
+#: Paths of times, which are no measurements.
+_TIME_PATHS = re.compile(r"(^|\.)(stamp|time_from_start)(\.|$)|(^|\.)header\.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,10 +156,10 @@ class _Scan:
         self.header_ns.append(header_ns)
 
     def _look(self, group: MessageGroup, header_ns: IntArray) -> None:
-        self.entries |= dict.fromkeys(entries(group.layout))
-        self.carried |= dict.fromkeys(carried(group.layout, self.info))
+        self.entries |= dict.fromkeys(_entries(group.layout))
+        self.carried |= dict.fromkeys(_carried(group.layout, self.info))
         if self.info is None:
-            here = numbers(group.layout)
+            here = _number_paths(group.layout)
             known = here if self.paths is None else self.paths
             self.paths = {path: size for path, size in known.items() if here.get(path, 0) == size}
         for path in ("header.stamp", "stamp", "transforms[0].header.stamp", "transforms[0].stamp"):
@@ -328,3 +331,30 @@ def _header(samples: SignalSamples) -> str:
     if not present.all():
         return "partly set"
     return "good" if np.all(np.diff(samples.header_ns) > 0) else "not monotone"
+
+
+def _entries(layout: Layout) -> list[str]:
+    """Names of joints and child frames; '[n]' for an array of n numbers."""
+    names = [*layout.names("name"), *layout.names("joint_names")]
+    frames = [text for path, text in layout.strings.items() if path.split(".")[-1] == "child_frame_id"]
+    data = layout.leaves.get("data")
+    sizes = [f"[{data.count}]"] if data is not None and data.count is not None else []
+    return [*names, *frames, *sizes]
+
+
+def _number_paths(layout: Layout) -> dict[str, int | None]:
+    """Paths of a layout's numbers, stamps left out -> their count where they are an array."""
+    return {p: leaf.count for p, leaf in layout.leaves.items() if not _TIME_PATHS.search(p)}
+
+
+def _carried(layout: Layout, info: TypeInfo | None) -> list[str]:
+    """Quantities with values in this layout; an empty array, such as an unmeasured effort, is absent."""
+    if info is None:
+        return []
+    count = layout.counts.get(info.elements, 0) if info.elements else 1
+    prefixes = [f"{info.elements}[{i}]." if info.elements else "" for i in range(count)]
+    return [
+        quantity
+        for quantity, paths in info.fields.items()
+        if any(layout.columns(prefix + paths[0]) for prefix in prefixes)
+    ]

@@ -428,10 +428,10 @@ def test_tables_of_zeros(write: Callable[[Path], None], tmp_path: Path) -> None:
         assert "beyond the limit growth = 100" in refused(path)
 
 
-def write_records(path: Path, *formats: str, topics: int = 1) -> Path:
+def write_records(path: Path, *formats: str, topics: int = 1, name: bytes = b"a") -> Path:
     """A ULog of records of one topic `a`, whose format is one of those given."""
     records = [(b"F", text.encode()) for text in formats]
-    records += [(b"A", struct.pack("<BH", 0, i) + b"a") for i in range(topics)]
+    records += [(b"A", struct.pack("<BH", 0, i) + name) for i in range(topics)]
     records += [(b"D", struct.pack("<HQ", 0, t) + bytes(8)) for t in range(10)]
     body = b"".join(struct.pack("<Hc", len(data), kind) + data for kind, data in records)
     path.write_bytes(b"ULog\x01\x125\x01" + bytes(8) + body)
@@ -462,6 +462,10 @@ COUNTS: dict[str, tuple[Callable[[Path], object], str]] = {
     "a format in itself": (lambda path: write_records(path, f"{STAMP}a x;"), "columns = 1000"),
     "many subscriptions": (
         lambda path: write_records(path, f"{STAMP}double[9] x;", topics=101), "columns = 1000",
+    ),
+    "subscriptions with bytes that are skipped": (
+        lambda path: write_records(path, f"{STAMP}double[9] x;", topics=101, name=b"\xff" * 300 + b"a"),
+        "columns = 1000",
     ),
     "arrays in an npz": (lambda path: _arrays(path, 1001), "its arrays are beyond the limit columns"),
     "groups in an HDF5 file": (lambda path: _groups(path, map(str, range(1001))), "topics = 1000"),

@@ -39,6 +39,8 @@ MAGIC: Mapping[bytes, str] = {
 
 #: Rows of one batch of a table that is in memory.
 _ROWS = 2**16
+#: Bytes that pyulog leaves out of a name.
+_NOT_ASCII = bytes(range(128, 256))
 #: Groups of an HDF5 file within each other.
 _DEEPEST = 50
 
@@ -180,11 +182,22 @@ def _check_formats(path: Path, formats: Mapping[str, Any]) -> None:
             sizes[name] = min(most + 1, sum(max(n, 1) * size(kind) for kind, n, _ in fields)) or 1
         return sizes[name]
 
-    names = b"|".join(re.escape(name.encode()) for name in sorted(formats, key=len, reverse=True))
+    if not all(name and name.isascii() for name in formats):
+        raise LogError(f"{path}: a ULog with a format whose name is not plain text")
+    names = [name.encode() for name in formats]
+    longest, total = max(map(len, names), default=0), 0
+    begins = re.escape(bytes({name[0] for name in names}))
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
-        topics = Counter(found[1] for found in re.finditer(b"A[\\s\\S]{3}(" + names + b")", content))
-    if sum(count * size(name.decode()) for name, count in topics.items() if name) > most:
-        raise LogError(f"{path}: {beyond('columns', 'the fields of its topics are')}")
+        # Every 'A' that may begin a subscription counts. pyulog skips bytes that are not ASCII in its name.
+        for found in (
+            re.finditer(b"A(?=[\\s\\S]{3}[\\x80-\\xff]*[" + begins + b"])", content) if names else ()
+        ):
+            text = content[found.end() + 3 : found.end() + 259].translate(None, _NOT_ASCII)
+            if len(text) < longest:
+                text = content[found.end() + 3 : found.end() + 2**16].translate(None, _NOT_ASCII)
+            total += max((size(name.decode()) for name in names if text.startswith(name)), default=0)
+            if total > most:
+                raise LogError(f"{path}: {beyond('columns', 'the fields of its topics are')}")
 
 
 def _with_arrays(data: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:

@@ -29,11 +29,15 @@ _HEAD = 2**16
 _BLOCK = 2**20
 #: A line that is longer than this does not belong to a table.
 _LONGEST_LINE = 2**20
+#: What may stand between two cells.
 _DELIMITERS = (b",", b";", b"\t")
+#: Mark of a comment.
 _COMMENT = b"#"
 #: Words that stand for a missing number.
 _MISSING = {b"", b"na", b"n/a", b"nan", b"null", b"none", b"-", b"nil"}
+#: These words as pyarrow wants them.
 _NULLS = sorted(case for word in _MISSING for case in (word.decode(), word.decode().upper()))
+#: A cell that holds several numbers.
 _ARRAY = re.compile(rb"^\s*[\[(](.*)[\])]\s*$")
 
 

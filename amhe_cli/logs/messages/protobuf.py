@@ -29,8 +29,11 @@ ENCODING = "protobuf"
 _LONGEST = 10_000
 #: Fields that a message may leave out, those of messages that it leaves out among them.
 _MOST_ABSENT = 20_000
+#: A message of these alone is a time.
 _TIME_PARTS = {*TIMES, "sec", "nanosec"}
+#: Names of the field that holds a message's stamp.
 _STAMPS = ("stamp", "timestamp")
+#: Every number of a row.
 _F8 = np.dtype("<f8")
 
 

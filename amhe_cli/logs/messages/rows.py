@@ -28,6 +28,7 @@ DEEPEST = 30
 _MOST_VALUES = 100_000
 #: Fields of all remembered layouts together.
 _CACHED_FIELDS = 1_000_000
+#: Every number of a row.
 _F8 = np.dtype("<f8")
 
 
@@ -105,8 +106,8 @@ class Row:
             self.counts["name"] = len(joints)
             self.strings |= {f"name[{i}]": self.strings[f"{joint}name"] for i, joint in enumerate(joints)}
             for quantity in ("position", "velocity", "effort"):
-                found = (leaves.get(joint + quantity) for joint in joints)
-                parts = tuple(leaf for leaf in found if leaf is not None and leaf.count is None)
+                of_joints = (leaves.get(joint + quantity) for joint in joints)
+                parts = tuple(leaf for leaf in of_joints if leaf is not None and leaf.count is None)
                 measured = any(not isinstance(leaf, Constant) or leaf.value == leaf.value for leaf in parts)
                 if len(parts) == len(joints) and measured:
                     leaves[quantity] = Several(0, _F8, len(parts), parts)

@@ -33,6 +33,7 @@ _CACHED_LAYOUTS = 64
 _CACHED_FIELDS = 1_000_000
 #: Layouts that the messages of one batch and length are matched with; further ones stand for one message.
 _NEW_LAYOUTS = 64
+#: Said of a topic whose messages differ in layout beyond the limit `fields`.
 _MANY = "the fields of its many layouts are"
 
 
