@@ -32,7 +32,7 @@ def loaded(*arguments: str) -> set[str]:
     "command",
     [
         ("mhe-replay", str(LOG), "--to", "1"),
-        ("identify", str(LOG), "--set", "identify.iterations=1", "--set", "identify.bootstrap=5"),
+        ("identify", str(LOG), "--to", "3", "--max-time", "1"),
     ],
 )
 def test_a_pendulum_needs_no_robot_and_no_controller(command: tuple[str, ...], tmp_path: Path) -> None:
