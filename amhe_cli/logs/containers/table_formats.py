@@ -184,17 +184,17 @@ def _check_formats(path: Path, formats: Mapping[str, Any]) -> None:
 
     if not all(name and name.isascii() for name in formats):
         raise LogError(f"{path}: a ULog with a format whose name is not plain text")
-    names = [name.encode() for name in formats]
-    longest, total = max(map(len, names), default=0), 0
-    begins = re.escape(bytes({name[0] for name in names}))
+    if not formats:
+        return
+    names, total = [name.encode() for name in formats], 0
+    longest, first = max(map(len, names)), re.escape(bytes({name[0] for name in names}))
+    begins = re.compile(b"A(?=[\\s\\S]{3}[\\x80-\\xff]*[" + first + b"])")
     with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
         # Every 'A' that may begin a subscription counts. pyulog skips bytes that are not ASCII in its name.
-        for found in (
-            re.finditer(b"A(?=[\\s\\S]{3}[\\x80-\\xff]*[" + begins + b"])", content) if names else ()
-        ):
-            text = content[found.end() + 3 : found.end() + 259].translate(None, _NOT_ASCII)
+        for begin in begins.finditer(content):
+            text = content[begin.end() + 3 : begin.end() + 259].translate(None, _NOT_ASCII)
             if len(text) < longest:
-                text = content[found.end() + 3 : found.end() + 2**16].translate(None, _NOT_ASCII)
+                text = content[begin.end() + 3 : begin.end() + 2**16].translate(None, _NOT_ASCII)
             total += max((size(name.decode()) for name in names if text.startswith(name)), default=0)
             if total > most:
                 raise LogError(f"{path}: {beyond('columns', 'the fields of its topics are')}")
