@@ -13,6 +13,7 @@ from amhe_cli.init.drives import (
     gain_scale,
     joint_parameter,
     kin,
+    linear_entry,
     measured_joints,
     moved_by,
     servo_gains,
@@ -106,15 +107,8 @@ def _zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess
         for joint in (name for name in signal.entry.get("joints", ()) if name in joints):
             slides = int(model.joint(joint).type[0]) == mujoco.mjtJoint.mjJNT_SLIDE
             sd, most = _SLIDE if slides else _HINGE
-            entry = {
-                "nominal": 0.0,
-                "bounds": [-most, most],
-                "scale": "linear",
-                "prior_sd": sd,
-                "targets": [
-                    {"signal": signal.name, "set": "bias", "joint": joint, "quantity": "position"},
-                ],
-            }
+            target = {"signal": signal.name, "set": "bias", "joint": joint, "quantity": "position"}
+            entry = linear_entry(0.0, (-most, most), sd, target)
             gravity = "gravity shows it"
             if not _lifts(model, joint):
                 gravity = "nothing shows it: gravity's torque does not change with this joint"

@@ -181,13 +181,8 @@ def delay(step: float) -> Iterator[Guess]:
 
     It is proposed in the middle of a time step [s], because slopes by it have a kink at multiples of one.
     """
-    entry = {
-        "nominal": short((np.floor(_DELAY / step + 1e-6) + 0.5) * step),
-        "bounds": [0.0, _LONGEST_DELAY],
-        "scale": "linear",
-        "prior_sd": _DELAY_SD,
-        "targets": [{"set": "command_delay"}],
-    }
+    middle = (np.floor(_DELAY / step + 1e-6) + 0.5) * step
+    entry = linear_entry(middle, (0.0, _LONGEST_DELAY), _DELAY_SD, {"set": "command_delay"})
     why = "delay of every command [s]; a guess: real servos have 5 to 20 ms"
     yield Guess("command_delay", entry, why)
 
@@ -203,6 +198,19 @@ def entry_of(
         "scale": "log",
         "prior_sd": sd or own_sd,
         "targets": targets,
+    }
+
+
+def linear_entry(
+    nominal: float, bounds: tuple[float, float], sd: float, target: dict[str, Any]
+) -> dict[str, Any]:
+    """A parameter on the linear scale, which sets one number."""
+    return {
+        "nominal": short(nominal),
+        "bounds": [short(bound) for bound in bounds],
+        "scale": "linear",
+        "prior_sd": sd,
+        "targets": [target],
     }
 
 

@@ -13,6 +13,7 @@ from amhe_cli.init.drives import (
     gain_scale,
     joint_parameters,
     kin,
+    linear_entry,
     measured_joints,
     moved_by,
     servo_gains,
@@ -104,13 +105,8 @@ def _weighty(model: mujoco.MjModel, body: str) -> str:
 def _center_of_mass(model: mujoco.MjModel, body: str) -> Iterator[Guess]:
     """Where a payload was put is known to a centimetre or so."""
     for axis, place in zip("xyz", model.body(body).ipos, strict=True):
-        entry = {
-            "nominal": short(place),
-            "bounds": [short(place - 5.0 * _PLACE_SD), short(place + 5.0 * _PLACE_SD)],
-            "scale": "linear",
-            "prior_sd": _PLACE_SD,
-            "targets": [{"body": body, "set": "center_of_mass", "axis": axis}],
-        }
+        near = (place - 5.0 * _PLACE_SD, place + 5.0 * _PLACE_SD)
+        entry = linear_entry(place, near, _PLACE_SD, {"body": body, "set": "center_of_mass", "axis": axis})
         why = f"centre of mass of body {body} along its {axis} [m]; the place is a guess from the model"
         yield Guess(f"{body}_com_{axis}", entry, why)
 

@@ -5,7 +5,7 @@ Each doubt is one line for a warning; the log is read as the system says.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -32,14 +32,18 @@ _TURN = 0.3
 _SPAN = 0.05
 #: Degrees in a radian.
 _DEGREES = 180.0 / np.pi
-#: Slope of the positions over the velocities -> what it means, and the remedy.
-_OF_VELOCITY = {
+#: What is wrong, and the keys of the signal that would mend it.
+_Cause = tuple[str, Mapping[str, Any]]
+#: The cause where an encoder wraps.
+_WRAPPING: _Cause = ("position jumps by a turn: the encoder wraps", {"wraps": True})
+#: Slope of the positions over the velocities -> the cause.
+_OF_VELOCITY: Mapping[float, _Cause] = {
     _DEGREES: ("the position looks like degrees", {"unit": {"position": "deg"}}),
     1.0 / _DEGREES: ("the velocity looks like degrees per second", {"unit": {"velocity": "deg/s"}}),
     np.pi / 30.0: ("the velocity looks like rpm", {"unit": {"velocity": "rpm"}}),
 }
-#: Slope of the commands over the positions -> what it means, and the remedy.
-_OF_COMMAND = {
+#: Slope of the commands over the positions -> the cause.
+_OF_COMMAND: Mapping[float, _Cause] = {
     _DEGREES: ("the command looks like degrees", {"unit": "deg"}),
     1.0 / _DEGREES: ("the position looks like degrees", {}),
 }
@@ -144,36 +148,38 @@ def _joint_channels(system: SystemData) -> dict[str, list[int]]:
 
 def _of_states(model: mujoco.MjModel, log: Log, key: str, joints: list[int]) -> Iterator[Doubt]:
     """Units of joint positions, by the velocities measured with them and by the joints' ranges."""
-    joints_by_text: dict[str, list[str]] = {}
-    remedies: dict[str, Mapping[str, Any]] = {}
+    causes: list[tuple[_Cause, str]] = []
     far: dict[str, float] = {}
     velocity = log.series.get(f"{key.rpartition('.')[0]}.velocity")
     for column, row in enumerate(joints):
         values, name = log[key].values[:, column], model.joint(row).name
         if _wraps(np.abs(np.diff(values[log[key].sampled & log[key].valid]))):
-            text = "position jumps by a turn: the encoder wraps"
-            remedies[text] = {"wraps": True}
-            joints_by_text.setdefault(text, []).append(name)
+            causes.append((_WRAPPING, name))
         slope = None
         if velocity is not None and not velocity.derived:
             both = np.flatnonzero(log[key].sampled & velocity.sampled)
             slope = _slope_over_velocity(
                 log.dt * both.astype(np.float64), values[both], velocity.values[both, column]
             )
-        causes = _named(slope, _OF_VELOCITY) if slope is not None else []
-        for text, remedy in causes:
-            remedies[text] = remedy
-            joints_by_text.setdefault(text, []).append(name)
+        of_unit = _named(slope, _OF_VELOCITY)
+        causes += [(cause, name) for cause in of_unit]
         largest = float(np.max(np.abs(values[log[key].valid]), initial=0.0))
         hinge = int(model.jnt_type[row]) == mujoco.mjtJoint.mjJNT_HINGE
         # a wheel turns for long, and its velocity agrees; both may be in degrees where a joint has an end
-        if not causes and (_beyond(model, row, largest) or (hinge and slope is None and largest > _LARGEST)):
+        if not of_unit and (_beyond(model, row, largest) or (hinge and slope is None and largest > _LARGEST)):
             far[name] = largest
     if far:
         text = f"position reaches {max(far.values()):.4g} rad: looks like degrees"
-        joints_by_text[text], remedies[text] = list(far), {"unit": "deg"}
-    for text, names in joints_by_text.items():
-        yield Doubt(key.rpartition(".")[0], f"{text} ({', '.join(names)})", remedies[text])
+        causes += [((text, {"unit": "deg"}), name) for name in far]
+    yield from _of_causes(key.rpartition(".")[0], causes)
+
+
+def _of_causes(signal: str, causes: Sequence[tuple[_Cause, str]]) -> Iterator[Doubt]:
+    """A doubt for each cause, with the joints that show it."""
+    remedies = {text: remedy for (text, remedy), _ in causes}
+    for text, remedy in remedies.items():
+        joints = ", ".join(joint for cause, joint in causes if cause[0] == text)
+        yield Doubt(signal, f"{text} ({joints})", remedy)
 
 
 def _wraps(steps: FloatArray) -> bool:
@@ -207,11 +213,9 @@ def _slope(first: FloatArray, second: FloatArray) -> float | None:
     return float(first.std() / second.std()) if alike > _ALIKE else None
 
 
-def _named(
-    slope: float, causes: Mapping[float, tuple[str, Mapping[str, Any]]]
-) -> list[tuple[str, Mapping[str, Any]]]:
-    """What a slope looks like, with its remedy."""
-    return [cause for ratio, cause in causes.items() if abs(slope / ratio - 1.0) < _NEAR]
+def _named(slope: float | None, causes: Mapping[float, _Cause]) -> list[_Cause]:
+    """What a slope looks like; nothing where there is none."""
+    return [] if slope is None else [c for ratio, c in causes.items() if abs(slope / ratio - 1.0) < _NEAR]
 
 
 def _of_commands(system: SystemData, log: Log, driving: Input, positions: _Positions) -> Iterator[Doubt]:
@@ -233,18 +237,13 @@ def _of_commands(system: SystemData, log: Log, driving: Input, positions: _Posit
     commands = series.values[kept][:, list(driven)]
     measured = np.stack([positions[joint][0][kept] for joint in joints], axis=1)
     names = [model.joint(joint).name for joint in joints]
-    joints_by_text: dict[str, list[str]] = {}
-    remedies: dict[str, Mapping[str, Any]] = {}
+    causes: list[tuple[_Cause, str]] = []
     for column, (joint, name) in enumerate(zip(joints, names, strict=True)):
-        slope = _slope(commands[:, column], measured[:, column])
-        causes = _named(slope, _OF_COMMAND) if slope is not None else []
-        if not causes and _beyond(model, joint, float(np.abs(commands[:, column]).max())):
-            causes = [_OF_COMMAND[_DEGREES]]
-        for text, remedy in causes:
-            remedies[text] = remedy
-            joints_by_text.setdefault(text, []).append(name)
-    for text, which in joints_by_text.items():
-        yield Doubt(signal, f"{text} ({', '.join(which)})", remedies[text])
+        of_unit = _named(_slope(commands[:, column], measured[:, column]), _OF_COMMAND)
+        if not of_unit and _beyond(model, joint, float(np.abs(commands[:, column]).max())):
+            of_unit = [_OF_COMMAND[_DEGREES]]
+        causes += [(cause, name) for cause in of_unit]
+    yield from _of_causes(signal, causes)
     step = log.dt * float(np.median(np.diff(kept)))
     better = _better_order(commands, measured, max(1, round(_LEAD / 10.0 / step)))
     if better is not None:
