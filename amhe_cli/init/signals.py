@@ -9,8 +9,7 @@ from typing import Any
 
 import mujoco
 
-from amhe_cli.init.names import is_command, matched, names_the_same, words
-from amhe_cli.init.paths import in_motor_order, joint_paths
+from amhe_cli.init.names import in_motor_order, is_command, joint_paths, matched, names_the_same, words
 from amhe_cli.system.model.couplings import followers
 from amhe_cli.system.model.elements import commanded, driven_joint, names_of
 

@@ -14,7 +14,7 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.init.folder import _topics, init_system
-from amhe_cli.init.paths import joint_paths
+from amhe_cli.init.names import joint_paths
 from amhe_cli.init.signals import fields_example
 from amhe_cli.logs import LogWriter, read_signals
 
