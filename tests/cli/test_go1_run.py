@@ -80,8 +80,9 @@ def test_its_log_is_identified_and_replayed_with_no_options(capsys, monkeypatch)
     pytest.importorskip("natnet")
     with emulating("--set", "go1.slow=4") as emulated:
         assert run([*at(emulated, slow=4), "--duration", "4", "-o", "out"]) == 0, capsys.readouterr().err
-    for setting, few in {"IDENTIFY__ITERATIONS": 4, "IDENTIFY__PROFILE_POINTS": 0, "CLIPS__COUNT": 8}.items():
-        monkeypatch.setenv(f"AMHE_{setting}", str(few))
+    for setting in ("ITERATIONS=3", "PROFILE_POINTS=0", "FIRST_STATE=never"):
+        monkeypatch.setenv(*f"AMHE_IDENTIFY__{setting}".split("="))
+    monkeypatch.setenv("AMHE_CLIPS__COUNT", "6")
     found = {}
     for command in ("identify", "mhe-replay"):
         assert run([command, "out/log.mcap"]) == 0, capsys.readouterr().err
