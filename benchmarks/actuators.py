@@ -36,10 +36,11 @@ from common import PROJECT, over_seeds, seeds_of, show
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.core.statistics import Z90
 from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.clips import whole
-from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.matching.cost import MatchingCost
 
 LEGS, PARTS = ("FR", "FL", "RR", "RL"), ("hip", "thigh", "calf")
@@ -62,8 +63,8 @@ MEMORY = 2.0
 def system_of(settings: dict[str, Any] | None = None, step: float = 0.0) -> amhe.System:
     """The Go1 whose trunk is fixed to the world, with 4 n + 1 unknowns.
 
-    The plant is this model, so that its rulers are exact. Of a plant whose time step is not known to be the
-    model's, `step` is 1, the default of `identify.rulers.time_step`.
+    The plant is this model, so that what it assumes is exact. Of a plant whose time step is not known to be
+    the model's, `step` is 1, the default of `identify.assumed.time_step`.
     """
     spec = mujoco.MjSpec.from_file(str(PROJECT / "models" / "go1_push" / "go1.xml"))
     spec.delete(spec.joint("trunk"))
@@ -91,8 +92,8 @@ def system_of(settings: dict[str, Any] | None = None, step: float = 0.0) -> amhe
             "quantity": "position",
         },
     }
-    exact = dict.fromkeys(("gain", "force_limit", "ctrl_limit", "joint_limit", "mass"), 0.0)
-    given = {"identify": {"rulers": exact | {"time_step": step}}}
+    exact = dict.fromkeys(AssumedSettings.model_fields, 0.0)
+    given = {"identify": {"assumed": exact | {"time_step": step}}}
     return amhe.System.from_model(
         spec, parameters=parameters, signals=signals, settings=given | (settings or {}), keyframe="home",
         name="go1_in_the_air", warn=False,

@@ -29,8 +29,8 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.clips import ClipPool, whole
-from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_signals
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
@@ -40,7 +40,7 @@ GOAL = 0.5
 ARRIVED = 1.05
 THREADS = 2
 #: What amhe reports beyond the estimate has no counterpart here.
-CHEAP = {"identify": {"profile_points": 0, "bootstrap": 0}}
+CHEAP = {"identify": {"profile_points": 0}}
 LARGER_STEP = 0.05
 
 

@@ -31,7 +31,7 @@ from common import (
 
 from amhe_cli.core.log import Log
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
+from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.estimation.online.replay import replay, windows
 from amhe_cli.system.system import System

@@ -19,8 +19,8 @@ from common import multisine, over_seeds, show, simulated
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.clips import ClipPool, whole
-from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.system.system import System
 
@@ -28,7 +28,7 @@ GOAL = 1.2
 SECONDS = 4.0
 SETTINGS = {
     "clips": {"held_out": 0.0, "count": 1, "length": [SECONDS, SECONDS], "still": 0.0},
-    "identify": {"first_state": "never", "samples": 16, "profile_points": 0, "bootstrap": 0},
+    "identify": {"first_state": "never", "samples": 16, "profile_points": 0},
 }
 #: Off the prior mean by these many prior sd: a search that does nothing must not look perfect.
 OFFSET = np.array([0.5, -0.5, 0.5, -0.5])

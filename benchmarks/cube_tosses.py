@@ -15,7 +15,7 @@ from typing import Any
 from common import DATA, over_seeds, show
 
 from amhe_cli.core.log import Log
-from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
+from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.logs import read_signals
 from amhe_cli.system.system import System
 

@@ -44,7 +44,7 @@ def system() -> amhe.System:
             "joints": {"joints": ["drive"], "noise": {"position": NOISE}},
             "command": {"actuators": ["drive"], "quantity": "position"},
         },
-        settings={"identify": {"profile_points": 0, "rulers": {"gain": 0, "command_delay": 0}}},
+        settings={"identify": {"profile_points": 0, "assumed": 0}},
     )
 
 

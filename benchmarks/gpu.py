@@ -21,7 +21,6 @@ import warp as wp
 from common import PROJECT, multisine, show, simulated
 from matching_cost import cube_toss, pendulum
 
-from amhe_cli.core.arrays import namespace_of, to_host
 from amhe_cli.core.log import Log
 from amhe_cli.engine.gpu.blueprint import bytes_per_world
 from amhe_cli.engine.gpu.card import Card
@@ -29,8 +28,7 @@ from amhe_cli.engine.gpu.engine import GpuEngine
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.estimation.offline import search
-from amhe_cli.estimation.offline.clips import ClipPool, split_held_out, whole
-from amhe_cli.estimation.offline.posterior import bootstrap, final_fit
+from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.logs import read_log
 from amhe_cli.matching.cost import MatchingCost
@@ -218,54 +216,6 @@ def iteration(name: str, cores: int) -> list[str]:
     return [name, *(f"{card:.2f} s" for card in cards), f"{host:.1f} s", f"{host / min(cards):.1f}x"]
 
 
-def refits(count: int, cores: int) -> list[list[str]]:
-    """Refits of the demo to clips that are drawn anew, with repetition, all at once under the true cost.
-
-    Each steps by the slopes at the estimate and the residuals where it stands; its last steps are averaged,
-    as those of a search are.
-    """
-    system, logs = go1_push()
-    parts, _ = split_held_out(logs, system.settings.clips.held_out)
-    start = time.perf_counter()
-    engine = open_engine(system, kind="auto", threads=cores)
-    problem = Problem(system, ClipPool(system, parts, system.settings.clips), engine, 0, threads=cores)
-    state = search.start(problem)
-    while not state.done:
-        state = search.advance(problem, state)
-    fit = final_fit(problem, state)
-    searched = time.perf_counter()
-    found, gain, prior, d = fit.found, fit.slopes.gain, system.space.prior_precision, len(fit.z)
-    clips = len(fit.weight)
-    linear = bootstrap(fit.z, found, fit.weight, prior, count, np.random.default_rng(0))
-    drawn = np.random.default_rng(0).multinomial(clips, np.full(clips, 1.0 / clips), size=count)  # the same
-    weight = fit.weight * drawn
-    hessian = np.einsum("bc,cij->bij", weight, found.matrix) + prior
-    cross = np.einsum("cdr,cr,cxr->cdx", gain[:, :d], found.weight, gain[:, d:])
-    z, trail = system.space.clip(fit.z + linear), []
-    for _ in range(STEPS):
-        first = found.first(z - fit.z)
-        values = fit.slopes.cost.residuals(z, first).stacked
-        xp = namespace_of(values)
-        weighted = values * xp.asarray(found.weight)
-        pull = to_host(xp.einsum("bcr,cgr->bcg", weighted, xp.asarray(gain), optimize=True))
-        absorbed = np.linalg.solve(found.nuisance_precision, (pull[..., d:] + first)[..., None])[..., 0]
-        score = np.einsum("bc,bcd->bd", weight, pull[..., :d] - np.einsum("cdx,bcx->bcd", cross, absorbed))
-        step = np.linalg.solve(hessian, (score + z @ prior)[..., None])[..., 0]
-        z = system.space.clip(z - step)
-        trail.append(z)
-    refitted = np.mean(trail[STEPS // 3 :], axis=0)
-    print(f"search {searched - start:.1f} s, {count} refits {time.perf_counter() - searched:.1f} s")
-    sd = fit.posterior.sd
-    return [
-        [
-            name, f"{linear[:, i].std() / sd[i]:.2f}", f"{refitted[:, i].std() / sd[i]:.2f}",
-            f"{np.median(refitted[:, i] - fit.z[i]) / sd[i]:+.2f}",
-            f"{np.corrcoef(linear[:, i], refitted[:, i])[0, 1]:.2f}",
-        ]
-        for i, name in enumerate(system.space.names)
-    ]  # fmt: skip
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rollouts", default="1024,4096,8192,32768")
@@ -274,12 +224,7 @@ def main() -> None:
     parser.add_argument("--cores", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--no-agreement", action="store_true")
     parser.add_argument("--iteration", help="problems of which to time one iteration of the search instead")
-    parser.add_argument("--refits", type=int, help="refit the demo so many times instead")
     asked = parser.parse_args()
-    if asked.refits:
-        names = ("parameter", "linearised [sd]", "refitted [sd]", "median moves [sd]", "correlation")
-        show(f"{asked.refits} bootstrap refits of the demo", names, refits(asked.refits, asked.cores))
-        return
     if asked.iteration:
         lines = [iteration(name, asked.cores) for name in asked.iteration.split(",")]
         show("One iteration, 4096 candidates on 8 clips", ("system", "gpu", "auto", "cores", "faster"), lines)

@@ -15,7 +15,7 @@ import numpy as np
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.settings import RulerSettings
+from amhe_cli.core.settings import AssumedSettings
 
 #: Settings of all problems: short clips, and no more searching than a small problem needs.
 SMALL = {
@@ -44,8 +44,7 @@ class Case:
     def exact(self) -> Case:
         """The same for a user who has measured what the model takes as exact."""
         settings = self.system.settings
-        known = settings.identify.rulers.model_copy(update=dict.fromkeys(RulerSettings.model_fields, 0.0))
-        identify = settings.identify.model_copy(update={"rulers": known})
+        identify = settings.identify.model_copy(update={"assumed": AssumedSettings.model_validate(0)})
         return replace(
             self, system=replace(self.system, settings=settings.model_copy(update={"identify": identify}))
         )

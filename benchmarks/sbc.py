@@ -48,8 +48,8 @@ from coverage import STEP, log_of
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.settings import RulerSettings
-from amhe_cli.system.rulers import Acting, rulers_of, with_rulers
+from amhe_cli.core.settings import AssumedSettings
+from amhe_cli.system.assumed import Acting, assumed_of, with_assumed
 
 CASES = ("pendulum", "arm", "box")
 LEVELS = (0.5, 0.8, 0.9, 0.95)
@@ -69,10 +69,10 @@ CENTRE, SIZE = np.array([0.0, -0.4, 0.6]), np.array([0.4, 0.3, 0.3])
 
 def settings_of(assumed: bool) -> dict[str, Any]:
     """Cheap settings: figures and validation change no interval."""
-    exact = dict.fromkeys(RulerSettings.model_fields, 0.0)
+    exact = dict.fromkeys(AssumedSettings.model_fields, 0.0)
     return {
         "clips": {"held_out": 0.0, "count": 12},
-        "identify": {"profile_points": 0, "rulers": {"time_step": 0.0} if assumed else exact},
+        "identify": {"profile_points": 0, "assumed": {"time_step": 0.0} if assumed else exact},
     }
 
 
@@ -85,9 +85,9 @@ def system_of(case: str, assumed: bool = False) -> amhe.System:
         return arm(given)
     given["clips"]["length"] = [0.4, 1.2]
     if assumed:  # the bundled system says that its servo is known exactly
-        default = RulerSettings()
-        given["identify"]["rulers"] |= {
-            name: getattr(default, name) for name in ("gain", "center_of_mass", "mass")
+        default = AssumedSettings()
+        given["identify"]["assumed"] |= {
+            name: getattr(default, name) for name in ("gain", "center_of_mass", "mass", "geometry", "gravity")
         }
     system = amhe.System.load("pendulum", given)
     system.model.opt.timestep = STEP
@@ -133,7 +133,7 @@ def plant_of(system: amhe.System, rng: np.random.Generator) -> tuple[amhe.System
     model = system.model
     counts = model.nactuator, model.nactuator, model.nu, model.njnt, model.njnt
     acts = Acting(*(np.ones((1, count), dtype=bool) for count in counts))
-    plant = with_rulers(system, rulers_of(system, acts, system.space.names, {}))
+    plant = with_assumed(system, assumed_of(system, acts, system.space.names, {}))
     plant.model.opt.timestep = model.opt.timestep
     values = plant.space.parameters[len(system.space) :]
     away = [p.prior_sd * z for p, z in zip(values, rng.standard_normal(len(values)), strict=True)]

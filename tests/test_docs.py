@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from amhe_cli.estimation.offline.result import VERDICTS
+from amhe_cli.estimation.core.result import VERDICTS
 from tests.test_architecture import ALLOWED
 
 ROOT = Path(__file__).parents[1]

@@ -27,11 +27,15 @@ def honesty(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
 def test_twin_is_identified_and_counted(honesty: ModuleType) -> None:
     found = honesty.trial(honesty.place("rotors", "twin", 0))
     assert (found["problem"], found["kind"]) == ("rotors", "twin")
-    assert {p["verdict"] for p in found["parameters"]} == {"identified"}
+    verdicts = [p["verdict"] for p in found["parameters"]]
+    assert set(verdicts) <= {"identified", "conditional"}
     held = sum(p["held"] for p in found["parameters"])
+    outside = sum(p["verdict"] == "identified" and not p["held"] for p in found["parameters"])
     assert all(p["held"] == (abs(p["estimate"] - p["truth"]) < 1.8 * p["sd"]) for p in found["parameters"])
     line = honesty.row("rotors", "twin", [found])
-    assert line[2:5] == ("100%", f"{3 - held} of 3, {(3 - held) / 3:.0%}", f"{held / 3:.0%}")
+    named = verdicts.count("identified")
+    assert line[2:4] == (f"{named / 3:.0%}", "100%") and line[5] == f"{held / 3:.0%}"
+    assert line[4].startswith(f"{outside} of {named}")
 
 
 @pytest.mark.medium
@@ -39,8 +43,8 @@ def test_wrong_model_is_not_identified_and_gives_reasons(honesty: ModuleType) ->
     found = honesty.trial(honesty.place("servo_off", "wrong", 0))
     assert (found["problem"], found["kind"]) == ("servo_off", "wrong")
     line = honesty.row("servo_off", "wrong", [found])
-    assert line[2:4] == ("0%", "0 of 0")
-    assert line[5], "the other verdicts by kind"
+    assert (line[2], line[4]) == ("0%", "0 of 0")
+    assert line[6], "the other verdicts by kind"
     assert " x " in honesty.reasons([found])
 
 

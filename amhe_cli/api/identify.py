@@ -15,15 +15,14 @@ from typing import TYPE_CHECKING, Any
 
 from amhe_cli import __version__
 from amhe_cli.api.arguments import checked
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import check_logs, fixing
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.shown import SavedView
 from amhe_cli.engine.cpu import hush_mujoco
-from amhe_cli.estimation.offline import identification
-from amhe_cli.estimation.offline.result import Fit, Identification, Iteration, ParameterResult
+from amhe_cli.estimation import identification
+from amhe_cli.estimation.core.result import Fit, Identification, Iteration, ParameterResult
 from amhe_cli.logs.truth import truth_in_metadata
 from amhe_cli.system.provenance import hashes, inputs_record, provenance
 from amhe_cli.system.system import System
@@ -73,14 +72,6 @@ class Result:
         return self.found.belief.about(self.system.space.names)
 
     @property
-    def samples(self) -> FloatArray | None:
-        """Draws of the sampled posterior in the parameters' units, shape (n, d), as `system.space.names`.
-
-        None where `posterior` was not 'sampled', or the draws did not settle.
-        """
-        return None if self.found.sampled is None else self.found.sampled.draws
-
-    @property
     def fits(self) -> tuple[Fit, ...]:
         """Measured values against predicted ones, for some clips and each of their channels."""
         return self.found.fits
@@ -104,8 +95,6 @@ class Result:
 
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html.
-
-        Draws of a sampled posterior are in samples.npz.
 
         Args:
             folder: Folder of the files; made if it does not exist.
@@ -205,7 +194,6 @@ def identify(
     seed: int = 0,
     threads: int | None = None,
     engine: str = "cpu",
-    posterior: str = "linearised",
     max_time: float | None = None,
     checkpoint: str | Path | None = None,
     executor: Executor | None = None,
@@ -228,8 +216,6 @@ def identify(
         seed: Seed of the random numbers.
         threads: CPU threads; None: all cores. Results do not depend on it.
         engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
-        posterior: 'linearised', or 'sampled': intervals of draws under the true cost, which takes many more
-            rollouts and is right where the response bends. `Result.samples` has the draws.
         max_time: Time [s] for the search, which stops with the best so far, and for its conclusion, which
             leaves out checks that would take too long, with a warning; None: no limit.
         checkpoint: File in which the search is saved after each iteration; it is resumed if the file exists.
@@ -279,7 +265,6 @@ def identify(
         prior=start,
         executor=executor,
         engine=engine,
-        posterior=posterior,
     )
     begun = time.monotonic()
     with collected_warnings() as warnings:

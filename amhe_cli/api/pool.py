@@ -11,7 +11,7 @@ import numpy as np
 from amhe_cli.api.export import system_of
 from amhe_cli.core.belief import Belief, belief_for, belief_of, read_belief
 from amhe_cli.core.errors import ConfigError, EstimationError
-from amhe_cli.core.pooling import Agreement, agreement, pairs, pooled
+from amhe_cli.estimation.core.agreement import Agreement, agreement, pairs, pooled
 from amhe_cli.system.provenance import now, versions
 from amhe_cli.system.system import System
 

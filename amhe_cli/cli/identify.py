@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
     from amhe_cli.cli.progress import Shown
     from amhe_cli.cli.settings import Overrides
-    from amhe_cli.estimation.offline.result import Iteration
+    from amhe_cli.estimation.core.result import Iteration
 
 
 @click.command(cls=parsing.Command, short_help="Logs to parameters with honest uncertainty.")
@@ -32,12 +32,6 @@ if TYPE_CHECKING:
     ("linearised", "cmaes"),
     "linearised",
     "Estimator; linearised falls back on cmaes where it does not help.",
-)
-@options.choice(
-    "--posterior",
-    ("linearised", "sampled"),
-    "linearised",
-    "Intervals by slopes at the estimate, or of draws under the true cost: many more rollouts.",
 )
 @click.option(
     "--max-time",
@@ -73,7 +67,7 @@ def identify(
 
     A LOG is an MCAP file, a rosbag2 folder, a ROS 1 bag, a table (CSV, npz, parquet and others), a ULog,
     a LeRobot dataset, or a YAML file that lists logs and what is known of each: see docs/logs.md. Writes
-    belief.yaml, identified.xml, result.json and report.html; samples.npz with --posterior sampled.
+    belief.yaml, identified.xml, result.json and report.html.
     """
     from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run

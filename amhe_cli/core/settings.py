@@ -7,9 +7,9 @@ the default here.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 
 def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
@@ -76,11 +76,11 @@ class CostSettings(SettingsGroup):
     without impacts there, or where the mean over many windows counts."""
 
 
-class RulerSettings(SettingsGroup):
-    """How far numbers of the model that are taken as exact may be off (sd): what a data sheet is worth.
+class AssumedSettings(SettingsGroup):
+    """How far numbers of the model that are no parameters may be off (sd): what a data sheet is worth.
 
-    Where such a number acts in the rollouts and is no parameter, estimates are widened by what it would do to
-    them. 0: it was measured, and is exact.
+    Where such a number acts in the rollouts, estimates are widened by what it would do to them. 0: it was
+    measured, and is exact; `assumed: 0` says so of all, as for logs of a simulation of the model itself.
     """
 
     gain: Share = 0.1
@@ -97,11 +97,37 @@ class RulerSettings(SettingsGroup):
     """Masses and inertias of the moving bodies whose mass is no parameter, all together, as a share."""
     force_bias: Share = 0.05
     """Bias of a force or torque sensor that is compared, along each axis, as a share of its largest value."""
+    damping: Share = 0.3
+    """Viscous friction of a joint, as a share of it."""
+    armature: Share = 0.2
+    """Inertia of a joint's rotor and gears, as a share of it."""
+    friction_loss: Share = 0.3
+    """Dry friction of a joint, as a share of it."""
+    stiffness: Share = 0.1
+    """Stiffness of a joint's spring, as a share of it."""
+    geometry: Share = 0.01
+    """Distance from one joint to the next, as a share of it."""
+    gravity: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01
+    """Tilt of a fixed base about each horizontal axis [rad]."""
+    contacts: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.5
+    """Time constant of soft contacts, in factors of two: 1 is twice as soft, or twice as hard."""
+    solver: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 1.0
+    """How much of what a solver that goes on for longer would change counts as an sd."""
     command_delay: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.005
     """Delay with which commands act, where the model has none [s]."""
     time_step: Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)] = 1.0
     """How much of the way from the model's time step to a step of zero counts as an sd. 1: all of it, as for
     logs of the real world. 0: the logs come from a simulation with the model's own step and integrator."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _all_exact(cls, given: Any) -> Any:
+        """`assumed: 0` is 0 for each."""
+        return dict.fromkeys(cls.model_fields, 0.0) if given == 0 and given is not False else given
+
+
+#: Settings of the identification that have no successor.
+_GONE = {"bootstrap": "has no use, and is left out", "draws": "has no use, and is left out"}
 
 
 class IdentifySettings(SettingsGroup):
@@ -128,14 +154,19 @@ class IdentifySettings(SettingsGroup):
     model_error: dict[str, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """What the model itself gets wrong of a parameter (sd, as a share of it; of a linear one in prior sd), as
     logs with known parameters show. No log averages it away: it is added to the noise's sd."""
-    rulers: RulerSettings = RulerSettings()
-    """How far numbers of the model that are taken as exact may be off."""
-    bootstrap: Annotated[int, Field(ge=0)] = 200
-    """Resamples of the clip bootstrap."""
-    draws: Annotated[int, Field(ge=100)] = 1000
-    """Draws of the sampled posterior."""
+    assumed: AssumedSettings = AssumedSettings()
+    """How far numbers of the model that are no parameters may be off."""
     profile_points: Annotated[int, Field(ge=0)] = 11
     """Points of each parameter's cost profile; 0 draws none."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _renamed(cls, given: Any) -> Any:
+        """Say what has replaced an old name."""
+        for old, new in {"rulers": "is called `assumed`", **_GONE}.items():
+            if isinstance(given, dict) and old in given:
+                raise ValueError(f"`{old}` {new} now")
+        return given
 
 
 #: Settings of the online estimator that act with one of its methods only.

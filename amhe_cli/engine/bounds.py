@@ -11,8 +11,8 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.states import home
+from amhe_cli.system.assumed import acting
 from amhe_cli.system.parameters.contacts import geom_name
-from amhe_cli.system.rulers import acting
 from amhe_cli.system.system import System
 
 #: Time between two states that are looked at [s].

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from amhe_cli.estimation.offline.result import BodyNumber
+from amhe_cli.estimation.core.result import BodyNumber
 from amhe_cli.report import numbers
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.files import json_text, plain
-from amhe_cli.estimation.offline.comparison import FEWEST, AtHorizon, Compared
-from amhe_cli.estimation.offline.result import Identification
+from amhe_cli.estimation.core.result import Identification
+from amhe_cli.estimation.validation.comparison import FEWEST, AtHorizon, Compared
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import sized

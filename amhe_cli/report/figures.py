@@ -21,7 +21,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.text import printable
-from amhe_cli.estimation.offline.result import Fit, Iteration, ParameterResult
+from amhe_cli.estimation.core.result import Fit, Iteration, ParameterResult
 from amhe_cli.report import numbers
 from amhe_cli.report.page import Key
 

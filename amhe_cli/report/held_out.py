@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from markupsafe import Markup
 
-from amhe_cli.estimation.offline.result import HeldOut, HorizonError, SpanError
+from amhe_cli.estimation.core.result import HeldOut, HorizonError, SpanError
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Key, Section, Statement
 from amhe_cli.report.tables import NUMBER, STRONG, Table

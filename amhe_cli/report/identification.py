@@ -10,20 +10,17 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.core.belief import Belief, belief_text
 from amhe_cli.core.files import json_text, plain
-from amhe_cli.estimation.offline.result import HeldOut, Identification, OwnSpread, known_together
-from amhe_cli.estimation.offline.verdicts import RESTS
+from amhe_cli.estimation.core.result import HeldOut, Identification, OwnSpread, known_together
 from amhe_cli.report import numbers
 from amhe_cli.report.bodies import body_table
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
-from amhe_cli.report.sampled import sampled_lines, sampled_record
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
 from amhe_cli.system.system import System
@@ -31,12 +28,21 @@ from amhe_cli.system.system import System
 logger = logging.getLogger(__name__)
 
 #: Colour of each verdict.
-STYLES = {"identified": "green", "weak": "yellow", "prior": "dim", "model-sensitive": "magenta"}
+STYLES = {
+    "identified": "green",
+    "conditional": "cyan",
+    "weak": "yellow",
+    "prior": "dim",
+    "model-sensitive": "magenta",
+}
+
+#: What a table says of conditional values, and the columns that it leaves out, from wide to narrow terminals.
+_NARROWER = ((True, ()), (False, ()), (False, ("prior",)), (False, ("prior", "shrinkage")))
 
 #: Fields of a parameter in result.json, in its order.
 _PARAMETER_FIELDS = (
     "name", "unit", "estimate", "prior", "prior_sd", "sd", "lower", "upper", "bounds", "shrinkage", "verdict",
-    "reasons", "step_ratio", "bootstrap_sd",
+    "given", "budget", "doubled_prior",
 )  # fmt: skip
 
 
@@ -54,7 +60,11 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "interrupted": result.interrupted,
             "fixed": result.belief.fixed,
             "exact": result.exact,
-            "parameters": [{name: getattr(p, name) for name in _PARAMETER_FIELDS} for p in result.parameters],
+            "parameters": [
+                {name: getattr(p, name) for name in _PARAMETER_FIELDS}
+                | {"reasons": [asdict(reason) for reason in p.reasons]}
+                for p in result.parameters
+            ],
             "bodies": [asdict(number) for number in result.bodies],
             "truth": {p.name: truth[p.name] for p in result.parameters if p.name in truth},
             "correlations": result.correlations,
@@ -66,7 +76,6 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
                 }
                 for run in result.runs
             ],
-            "sampled": sampled_record(result),
             "spreads": [asdict(spread) for spread in result.spreads],
             "held_out": result.held_out and asdict(result.held_out),
             "rollouts": {"count": result.rollouts, "diverged": result.diverged},
@@ -89,8 +98,6 @@ def write_identification(
 ) -> None:
     """Write belief.yaml, identified.xml (its meshes in assets/), result.json and report.html, all or none.
 
-    Draws of a sampled posterior are in samples.npz, as `amhe export --to samples` writes them.
-
     Args:
         folder: Folder of the files; made if it does not exist.
         system: The system that was identified.
@@ -108,10 +115,6 @@ def write_identification(
     with results(folder, lambda: identification_page(result, record, provenance), force) as scratch:
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
-        if result.sampled is not None:
-            np.savez(
-                scratch / "samples.npz", samples=result.sampled.draws, names=np.array(result.belief.names)
-            )
         for name, source in identified_assets(system).items():
             if not source.is_file():  # of a model that was attached: MuJoCo does not say where it was
                 logger.warning("identified.xml needs %s beside it: copy it there from the model", name)
@@ -132,13 +135,11 @@ def print_identification(
     if result.belief.fixed:
         console.print(f"fixed: {numbers.named(result.belief.fixed)}")
     if result.exact:
-        console.print(f"taken as exact (identify.rulers): {', '.join(result.exact)}")
+        console.print(f"taken as exact (identify.assumed): {', '.join(result.exact)}")
     for reason, names in _first_reasons(result).items():
         console.print(f"{', '.join(names)}: {reason}", style="dim")
     for spread in result.spreads:
         console.print(spread_line(spread))
-    for line in sampled_lines(result):
-        console.print(line)
     for c in known_together(result)[:MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
     console.print(f"held-out: {held_out_line(result.held_out)}")
@@ -154,9 +155,8 @@ def print_identification(
 
 def _print_parameters(result: Identification, console: Console) -> None:
     """Print the table; a narrow terminal gets fewer columns, never cut names or numbers."""
-    whole = parameter_table(result)
-    for left_out in ((), ("prior",), ("prior", "shrinkage")):
-        table = rich_table(whole.without(*left_out), STYLES)
+    for given, left_out in _NARROWER:
+        table = rich_table(parameter_table(result, given=given).without(*left_out), STYLES)
         width = console.measure(table, options=console.options.update(width=1000)).maximum
         if width <= console.width:
             break
@@ -165,18 +165,21 @@ def _print_parameters(result: Identification, console: Console) -> None:
 
 
 def _first_reasons(result: Identification) -> dict[str, list[str]]:
-    """First reasons of verdicts but 'identified', and what intervals rest on: reason -> parameters."""
+    """The first reason of each verdict but 'identified' -> its parameters."""
     found: dict[str, list[str]] = {}
     for p in result.parameters:
-        if p.reasons and p.verdict == "identified" and p.reasons[0].startswith(RESTS):
-            found.setdefault(p.reasons[0].partition(": ")[0], []).append(p.name)
-        elif p.reasons and p.verdict != "identified":
-            found.setdefault(p.reasons[0], []).append(p.name)
+        if p.reasons and p.verdict != "identified":
+            found.setdefault(p.reasons[0].text, []).append(p.name)
     return found
 
 
-def parameter_table(result: Identification) -> Table:
-    """Estimate, interval, prior and verdict of each parameter."""
+def parameter_table(result: Identification, *, given: bool = True) -> Table:
+    """Estimate, interval, prior and verdict of each parameter.
+
+    Args:
+        result: The identification.
+        given: Say in the line what a conditional value rests on.
+    """
     return Table(
         ("parameter", "estimate ± sd", "unit", "90 % interval", "prior", "shrinkage", "verdict"),
         ("", NUMBER, "", NUMBER, NUMBER, NUMBER, ""),
@@ -188,7 +191,7 @@ def parameter_table(result: Identification) -> Table:
                 numbers.interval(p.lower, p.upper),
                 numbers.rounded(p.prior, p.prior_sd),
                 numbers.shrinkage(p.shrinkage),
-                p.verdict,
+                f"{p.verdict}: given {p.given}" if p.given and given else p.verdict,
             )
             for p in result.parameters
         ],

@@ -6,7 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from amhe_cli.estimation.offline.result import (
+from amhe_cli.estimation.core.result import (
     VERDICTS,
     Combination,
     Fit,
@@ -19,7 +19,6 @@ from amhe_cli.report.bodies import body_table
 from amhe_cli.report.held_out import held_out_sections, held_out_statement
 from amhe_cli.report.page import Fold, Section, Statement, Tone, cell, fixed_statement, result_page
 from amhe_cli.report.parameters import parameter_section
-from amhe_cli.report.sampled import sampled_sections, sampled_statements
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 
 #: Clips whose fit is drawn.
@@ -35,7 +34,11 @@ LARGEST_RESIDUAL = 5.0
 #: Combinations that are named outside their own table.
 MAX_COMBINATIONS = 3
 
-_TONES: Mapping[str, Tone] = {"weak": "mixed", "prior": "mixed", "model-sensitive": "bad"}
+_TONES: Mapping[str, Tone] = {
+    "weak": "mixed",
+    "prior": "mixed",
+    "model-sensitive": "bad",
+}
 
 
 def identification_page(
@@ -68,15 +71,20 @@ def identification_page(
 
 def headline(result: Identification) -> str:
     """The result in one line."""
-    count = sum(p.verdict == "identified" for p in result.parameters)
     total = len(result.parameters)
-    if count == total:
-        return "All parameters are identified." if total > 1 else "The parameter is identified."
     if result.unexplained:
         return f"No parameter is identified: {result.unexplained[0]}."
-    if count == 0:
+    identified, conditional = (
+        sum(p.verdict == verdict for p in result.parameters) for verdict in ("identified", "conditional")
+    )
+    if identified == total:
+        return "All parameters are identified." if total > 1 else "The parameter is identified."
+    if conditional:
+        also = f"{identified} identified, and " * (identified > 0)
+        return f"Of {total} parameters {also}{conditional} determined if a number that was given is right."
+    if not identified:
         return "No parameter is identified by these logs."
-    return f"{count} of {total} parameters {'is' if count == 1 else 'are'} identified."
+    return f"{identified} of {total} parameters {'is' if identified == 1 else 'are'} identified."
 
 
 def statements(result: Identification) -> list[Statement]:
@@ -87,7 +95,6 @@ def statements(result: Identification) -> list[Statement]:
         *held_out_statement(result.held_out),
         *_verdicts(result.parameters),
         *_combinations(result),
-        *sampled_statements(result),
         *fixed_statement(result.belief.fixed, result.exact),
         *_residuals(result),
         *_divergence(result),
@@ -106,6 +113,12 @@ def _unexplained(result: Identification) -> Iterator[Statement]:
 
 def _verdicts(parameters: Sequence[ParameterResult]) -> Iterator[Statement]:
     """One sentence for each verdict other than 'identified'; the table has the rest."""
+    given: dict[str, list[str]] = {}
+    for p in parameters:
+        if p.verdict == "conditional":
+            given.setdefault(p.given, []).append(p.name)
+    for what, names in given.items():
+        yield Statement("mixed", f"{numbers.joined(names)}: determined by the logs if {what}, is right.")
     for verdict, tone in _TONES.items():
         names = [p.name for p in parameters if p.verdict == verdict]
         if names:
@@ -140,7 +153,6 @@ def _divergence(result: Identification) -> Iterator[Statement]:
 
 def _sections(result: Identification, record: Mapping[str, Any]) -> Iterator[Section]:
     yield parameter_section(result, record["truth"])
-    yield from sampled_sections(result)
     if result.bodies:
         yield Section("Inertias in the axes of their bodies", table=body_table(result.bodies))
     if result.combinations:

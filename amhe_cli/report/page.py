@@ -30,7 +30,7 @@ def fixed_statement(fixed: Mapping[str, float], exact: Sequence[str] = ()) -> It
     if fixed:
         yield Statement("mixed", f"Taken as known, and not estimated: {numbers.named(fixed)}.")
     if exact:
-        yield Statement("mixed", f"Taken as exact, by identify.rulers: {numbers.joined(exact)}.")
+        yield Statement("mixed", f"Taken as exact, by identify.assumed: {numbers.joined(exact)}.")
 
 
 @dataclass(frozen=True, slots=True)

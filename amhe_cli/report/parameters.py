@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from markupsafe import Markup
 
 from amhe_cli.core.statistics import Z90
-from amhe_cli.estimation.offline.result import VERDICTS, Identification, ParameterResult
-from amhe_cli.estimation.offline.verdicts import LINEAR
+from amhe_cli.estimation.core.result import VERDICTS, Identification, ParameterResult
+from amhe_cli.estimation.uncertainty.ledger import KINDS, LEAST
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.page import Fold, Section, cell
 from amhe_cli.report.reasons import Shared, common_reasons, own_reasons
@@ -32,7 +31,7 @@ def parameter_section(result: Identification, truth: Mapping[str, float]) -> Sec
         "Parameters",
         table=_parameter_table(result, truth, common),
         items=[f"{place}: {one.text}: {', '.join(one.owners)}" for place, one in enumerate(common, 1)],
-        folds=list(_checks_of_sds(result.parameters)),
+        folds=[_budget(result.parameters)],
         note=_legend_of_verdicts(),
     )
 
@@ -85,32 +84,28 @@ def _remark(p: ParameterResult, truth: Mapping[str, float], common: Sequence[Sha
     return " · ".join(parts)
 
 
-def _checks_of_sds(parameters: Sequence[ParameterResult]) -> Iterator[Fold]:
-    """The sd of each parameter beside two others, closed; no fold where neither was computed."""
+def _budget(parameters: Sequence[ParameterResult]) -> Fold:
+    """Where the variance of each parameter comes from, and how far it owes to its prior; closed."""
+    shown = [
+        [(kind, p.budget[kind]) for kind in KINDS if p.budget.get(kind, 0.0) >= LEAST] for p in parameters
+    ]
     rows = [
         (
             p.name,
             numbers.rounded(p.sd, p.sd),
-            numbers.rounded(p.bootstrap_sd, p.bootstrap_sd),
             numbers.unit_of(p.unit),
-            f"{p.step_ratio:.2f}" if math.isfinite(p.step_ratio) else numbers.MISSING,
+            cell("shares", shares),
+            ", ".join(f"{kind} {100.0 * share:.0f} %" for kind, share in sorted(shares, key=lambda s: -s[1])),
+            numbers.rounded(p.doubled_prior, p.sd),
         )
-        for p in parameters
-        if p.bootstrap_sd > 0.0 or math.isfinite(p.step_ratio)
+        for p, shares in zip(parameters, shown, strict=True)
     ]
-    if not rows:
-        return
-    head = ("parameter", "sd", "scatter of the estimate", "unit", "sd over that at twice the step")
-    table = Table(head, ("name", STRONG, NUMBER, "unit", NUMBER), rows)
-    low, high = LINEAR
-    text = Markup(
-        "<p>Scatter of the estimate: how much it changes when the clips are drawn anew. Far below the sd, "
-        "the sd is not that of noise but of what the model may miss. The last column compares the sd with "
-        "one computed from wider samples: far from 1 (below {}, above {}), the sd itself is rough.</p>"
-    ).format(low, high)
-    rough = sum(not math.isnan(p.step_ratio) and not low <= p.step_ratio <= high for p in parameters)
-    remark = f"{rough} of them rough" if rough else ""
-    yield Fold("How each sd was checked", text + cell("table", table), remark, open=False)
+    head = ("parameter", "sd", "unit", "variance", "", "with twice the prior's sd")
+    table = Table(head, ("name", STRONG, "unit", "", "soft", NUMBER), rows)
+    kinds = [kind for kind in KINDS if any(kind == name for shares in shown for name, _ in shares)]
+    meanings = Markup("; ").join(Markup("{}: {}").format(kind, KINDS[kind]) for kind in kinds)
+    text = Markup("<p>{}. The last column says how far the estimate would move.</p>").format(meanings)
+    return Fold("Where each interval comes from", text + cell("table", table), "", open=False)
 
 
 def _legend_of_verdicts() -> Markup:

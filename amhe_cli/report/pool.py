@@ -8,7 +8,7 @@ from typing import Any
 
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.files import plain
-from amhe_cli.core.pooling import Agreement
+from amhe_cli.estimation.core.agreement import Agreement
 from amhe_cli.report import numbers
 from amhe_cli.report.tables import NUMBER, STRONG, Table
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from amhe_cli.estimation.offline.result import ParameterResult
+from amhe_cli.estimation.core.result import ParameterResult
 
 #: A reason of so many parameters is said below their table, not in each row.
 MANY = 3
@@ -41,15 +41,20 @@ def merged(reasons: Iterable[tuple[str, str]]) -> list[Shared]:
 
 def common_reasons(parameters: Sequence[ParameterResult]) -> list[Shared]:
     """The reasons that `MANY` parameters have, the most frequent first."""
-    found = merged((p.name, reason) for p in parameters for reason in p.reasons)
+    found = merged((p.name, reason) for p in parameters for reason in _texts(p))
     return sorted((one for one in found if len(one.names) >= MANY), key=lambda one: -len(one.names))
 
 
 def own_reasons(parameter: ParameterResult, common: Sequence[Shared]) -> tuple[list[str], list[int]]:
     """The reasons that only a parameter has, and the places, from 1, of those that it shares."""
     places = {one.pattern: place for place, one in enumerate(common, 1)}
-    alone = [reason for reason in parameter.reasons if _pattern(reason) not in places]
-    return alone, sorted(places[_pattern(reason)] for reason in parameter.reasons if reason not in alone)
+    texts = _texts(parameter)
+    alone = [text for text in texts if _pattern(text) not in places]
+    return alone, sorted(places[_pattern(text)] for text in texts if text not in alone)
+
+
+def _texts(parameter: ParameterResult) -> list[str]:
+    return [reason.text for reason in parameter.reasons]
 
 
 def _pattern(reason: str) -> str:

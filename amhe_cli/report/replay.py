@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.core.files import json_text
-from amhe_cli.estimation.offline.result import Fit
+from amhe_cli.estimation.core.result import Fit
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
 from amhe_cli.logs import LogWriter

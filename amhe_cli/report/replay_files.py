@@ -16,8 +16,8 @@ from amhe_cli.core.files import plain
 from amhe_cli.core.log import Log
 from amhe_cli.core.signals import Signal
 from amhe_cli.core.statistics import quantiles
+from amhe_cli.estimation.core.result import Combination, sharper
 from amhe_cli.estimation.offline.combinations import combinations
-from amhe_cli.estimation.offline.result import Combination, sharper
 from amhe_cli.estimation.online import messages
 from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.estimation.online.predictions import Prediction

@@ -10,7 +10,7 @@ from amhe_cli.cli.compare import _parted
 
 QUICK = {
     "clips": {"count": 6},
-    "identify": {"iterations": 3, "profile_points": 3, "bootstrap": 20, "first_state": "never"},
+    "identify": {"iterations": 3, "profile_points": 3, "first_state": "never"},
 }
 
 

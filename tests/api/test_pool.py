@@ -9,8 +9,8 @@ import pytest
 import amhe_cli as amhe
 from amhe_cli.cli.main import run
 from amhe_cli.core.belief import belief_of
-from tests.estimation.offline.conftest import TRUTH
-from tests.estimation.offline.test_shifts import pendulum, strong_servo, swing, unchanged
+from tests.estimation.conftest import TRUTH
+from tests.estimation.uncertainty.test_assumed import pendulum, strong_servo, swing, unchanged
 
 NAMES = ("load_mass", "damping", "friction_loss", "armature")
 

@@ -24,8 +24,8 @@ from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.engine.step_cost import FEWEST, StepCost
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
-from amhe_cli.estimation.offline.posterior import final_fit
 from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.uncertainty.fit import final_fit
 from amhe_cli.system.system import System
 from tests.engine.test_contract import clips
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.statistics import Z90
-from amhe_cli.estimation.offline.result import (
+from amhe_cli.estimation.core.result import (
     ClipCount,
     Combination,
     Fit,
@@ -12,6 +12,7 @@ from amhe_cli.estimation.offline.result import (
     Identification,
     Iteration,
     ParameterResult,
+    Reason,
 )
 
 NAMES = ("load_mass", "damping", "friction_loss", "armature")
@@ -19,12 +20,19 @@ ESTIMATE = np.array([0.7421, 0.0512, 0.0118, 0.0100])
 PRIOR = np.array([0.5, 0.03, 0.02, 0.01])
 PRIOR_SD = np.array([0.5, 1.0, 1.0, 0.7])  # of the logarithm, as SD
 SD = np.array([0.0055, 0.031, 0.42, 0.69])
-VERDICTS = ("identified", "identified", "weak", "prior")
+VERDICTS = ("identified", "conditional", "weak", "prior")
 REASONS = (
-    ("its sd shrank from 50 % to 0.55 %", "stable over resampled clips"),
-    ("its sd shrank from 100 % to 3.1 %",),
-    ("its sd shrank only by 58 %", "stick-slip is rare in these logs"),
-    ("the residuals do not change with it",),
+    (),
+    ((0.6, "assumed", "given the gain of servo, 4: known to 10 %, that leaves 3% open"),),
+    ((0.4, "repeats", "residuals repeat from sample to sample"), (0.3, "curvature", "the response bends")),
+    ((1.0, "idle", "the residuals do not change with it"),),
+)
+GIVEN = ("", "the gain of servo, 4", "", "")
+BUDGETS = (
+    {"noise": 0.8, "prior": 0.2},
+    {"noise": 0.4, "assumed": 0.6},
+    {"noise": 0.297, "repeats": 0.4, "curvature": 0.3, "search": 0.003},
+    {"prior": 1.0},
 )
 CORRELATIONS = np.array(
     [[1.0, -0.31, 0.12, 0.02], [-0.31, 1.0, -0.83, -0.05], [0.12, -0.83, 1.0, 0.01], [0.02, -0.05, 0.01, 1.0]]
@@ -46,9 +54,10 @@ def parameter(i: int) -> ParameterResult:
         bounds=(float(PRIOR[i] / 20), float(PRIOR[i] * 20)),
         shrinkage=float(1 - SD[i] / PRIOR_SD[i]),
         verdict=VERDICTS[i],
-        reasons=REASONS[i],
-        step_ratio=1.02 if i < 3 else float("nan"),
-        bootstrap_sd=float(value * SD[i] * 1.1),
+        reasons=tuple(Reason(kind, (NAMES[i],), size, text) for size, kind, text in REASONS[i]),
+        budget=BUDGETS[i],
+        doubled_prior=float(0.1 * value * SD[i]),
+        given=GIVEN[i],
         profile=(grid, 1.04 + 0.4 * (np.log(grid / value) / SD[i]) ** 2 * (i < 3)),
     )
 

@@ -15,12 +15,13 @@ from matplotlib.colors import to_rgb
 from rich.console import Console
 
 from amhe_cli.core.files import plain
-from amhe_cli.estimation.offline.result import (
+from amhe_cli.estimation.core.result import (
     ClipCount,
     HeldOut,
     HorizonError,
     Identification,
     ParameterResult,
+    Reason,
 )
 from amhe_cli.report.figures import _SIGNED, _readable_on, away, correlation_figure, luminance, profile_figure
 from amhe_cli.report.folder import PageError
@@ -140,7 +141,7 @@ def test_the_page_shows_what_was_found(html: str) -> None:
     for text in (
         "load_mass",
         "0.7421 ± 0.0041",
-        "2 of 4 parameters are identified",
+        "Of 4 parameters 1 identified, and 1 determined if a number that was given is right",
         "a gap of 0.6 s &amp; more",
     ):
         assert text in html
@@ -246,17 +247,14 @@ def test_a_usual_screen_shows_every_verdict_whole(tmp_path: Path) -> None:
 @pytest.mark.medium
 def test_a_reason_of_many_parameters_is_said_once() -> None:
     def with_reasons(i: int, *reasons: str) -> ParameterResult:
-        return replace(parameter(i), reasons=reasons)
+        return replace(parameter(i), reasons=tuple(Reason("assumed", (), 1.0, text) for text in reasons))
 
-    rests = [
-        f"it rests on the time step of 2 ms: a finer one leaves {share} open"
-        for share in ("8%", "22%", "11%")
-    ]
+    rests = [f"given the time step, 2 ms: that leaves {share} open" for share in ("8%", "22%", "11%")]
     rows = (*(with_reasons(i, text) for i, text in enumerate(rests)), with_reasons(3, "it is alone"))
     html = page(identification(parameters=rows, **PLAIN))
-    assert html.count("it rests on the time step") == 1
+    assert html.count("given the time step") == 1
     assert (
-        "1: it rests on the time step of 2 ms: a finer one leaves 8 to 22% open: load_mass (8%), "
+        "1: given the time step, 2 ms: that leaves 8 to 22% open: load_mass (8%), "
         "damping (22%), friction_loss (11%)" in html
     )
     assert html.count("reason 1 below") == 3 and "it is alone" in html
@@ -267,6 +265,17 @@ def test_convergence_of_a_value_near_zero_is_in_prior_sd() -> None:
     assert away(np.array([0.1]), offset.estimate, offset, log=False) == pytest.approx([2.0], rel=1e-4)
     scale = replace(parameter(0), estimate=2.0, prior=1.0, prior_sd=0.5)
     assert away(np.array([2.0 * np.e]), scale.estimate, scale, log=True) == pytest.approx([2.0])
+
+
+def test_the_page_says_where_each_interval_comes_from(html: str) -> None:
+    """Shares below half a percent are left out, and kinds that no parameter has."""
+    fold = html[html.index("Where each interval comes from") :].split("</table>")[0]
+    assert re.findall(r'<td class="soft">([^<]*)</td>', fold) == [
+        "noise 80 %, prior 20 %", "assumed 60 %, noise 40 %", "repeats 40 %, curvature 30 %, noise 30 %",
+        "prior 100 %",
+    ]  # fmt: skip
+    assert fold.count('style="width:60.0%"') == 1 and "with twice the prior's sd" in unescape(fold)
+    assert "numbers of the model that are no parameters" in fold and "identify.model_error" not in fold
 
 
 def test_digits_of_correlations_can_be_read() -> None:
@@ -355,6 +364,7 @@ def test_only_what_is_known_better_than_its_parts_is_called_known() -> None:
 
 def test_words_name_every_verdict_that_is_not_identified() -> None:
     text = stated(identification())
+    assert "damping: determined by the logs if the gain of servo, 4, is right" in text
     assert "friction_loss: the logs narrow it down: use" in text
     assert "armature: the logs hardly narrow it down: the value is your prior" in text
     assert "arm.velocity are 3.6 times the declared noise" in text
@@ -365,6 +375,11 @@ def test_the_record_has_the_keys_that_scripts_rely_on() -> None:
     record = json.loads(json.dumps(identification_record(identification(), TRUTH), allow_nan=False))
     keys = ("name", "unit", "estimate", "prior", "prior_sd", "sd", "lower", "upper", "shrinkage", "verdict")
     assert set(keys) <= set(record["parameters"][0])
+    damping = record["parameters"][1]
+    assert damping["given"] == "the gain of servo, 4" and damping["budget"] == {"noise": 0.4, "assumed": 0.6}
+    assert damping["doubled_prior"] == pytest.approx(0.1 * 0.0512 * 0.031)
+    (reason,) = damping["reasons"]
+    assert reason.keys() == {"kind", "parameters", "size", "text"} and reason["kind"] == "assumed"
     assert record["held_out"]["cost"] == 1.08
     assert record["held_out"]["position_error_m"] is None
     assert record["rollouts"] == {"count": 9216, "diverged": 3}
@@ -386,7 +401,7 @@ def test_the_table_fits_a_terminal(tmp_path, width) -> None:
     print_identification(identification(), tmp_path / "out", console, TRUTH)
     text = console.export_text()
     assert "0.7421 ± 0.0041" in text
-    assert "model-sensitive" not in text
+    assert "model-sensitive" not in text and "damping: given the gain of servo, 4" in text
     assert "cost 14.2 -> 1.08" in text
     assert "load_mass 0.74, damping 0.06; outside the 90 % interval: damping" in " ".join(text.split())
     assert "report.html" in text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.offline.result import BodyNumber
+from amhe_cli.estimation.core.result import BodyNumber
 from amhe_cli.system.system import System
 
 #: Draws of the posterior.

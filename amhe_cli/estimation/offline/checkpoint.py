@@ -14,9 +14,9 @@ from amhe_cli.core.each_log import same_values
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import write_whole
 from amhe_cli.estimation.core.linearise import FirstStates
+from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.offline.cma import MEMORY, CmaState
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.result import Iteration
 from amhe_cli.estimation.offline.search import SearchState, Stage
 
 FORMAT = 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -155,3 +156,9 @@ class ClipPool:
 def _steps(seconds: float, part: Window) -> int:
     """Steps of a clip of some length [s], no more than the part has."""
     return min(max(1, round(seconds / part.log.dt)), part.length)
+
+
+def clip_name(window: Window) -> str:
+    """Which clip of which log it is: 'push.mcap 0.80-1.60 s'."""
+    dt = window.log.dt
+    return f"{Path(window.log.source).name} {window.start * dt:.2f}-{window.stop * dt:.2f} s"

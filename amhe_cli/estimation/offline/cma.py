@@ -10,8 +10,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.core.information import mean_squares, noise_scale
+from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.offline.problem import Problem
-from amhe_cli.estimation.offline.result import Iteration
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.matching.cost import quadratic_prior
 

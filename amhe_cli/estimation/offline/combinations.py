@@ -9,8 +9,8 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.core.statistics import correlation
-from amhe_cli.estimation.offline.result import Combination
-from amhe_cli.estimation.offline.verdicts import TOGETHER
+from amhe_cli.estimation.core.result import Combination
+from amhe_cli.estimation.uncertainty.verdicts import TOGETHER
 
 #: Smallest exponent of a combination: a smaller one rounds to 0.
 EXPONENT = 0.05

@@ -24,6 +24,7 @@ from amhe_cli.estimation.core.information import (
     step_within,
 )
 from amhe_cli.estimation.core.linearise import FirstStates, Linearisation
+from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.core.shape import (
     WIDEST,
     adapted,
@@ -34,7 +35,6 @@ from amhe_cli.estimation.core.shape import (
     sampling_sd,
 )
 from amhe_cli.estimation.offline.problem import Problem, spread_floor
-from amhe_cli.estimation.offline.result import Iteration
 from amhe_cli.matching.cost import Residuals, quadratic_prior
 
 Stage = Literal["explore", "polish", "done"]
@@ -295,6 +295,7 @@ def _entry(problem: Problem, state: SearchState, taken: LineStep, found: Lineari
     return Iteration(
         number=state.number + 1,
         method=f"linearised, {state.stage}",
+        stage=state.stage,
         cost=taken.cost,
         sigma=float(sampling_sd(state.shape)[problem.active].mean()) if problem.active.any() else 0.0,
         rollouts=found.rollouts + taken.rollouts,

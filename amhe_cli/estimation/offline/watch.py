@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from amhe_cli.estimation.offline.result import Iteration
+from amhe_cli.estimation.core.result import Iteration
 
 logger = logging.getLogger(__name__)
 

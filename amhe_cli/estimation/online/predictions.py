@@ -11,10 +11,10 @@ from amhe_cli.core.arrays import FloatArray, IntArray, to_host
 from amhe_cli.core.each_log import values_on
 from amhe_cli.core.log import Window
 from amhe_cli.engine.rollout import Engine
-from amhe_cli.estimation.offline.fits import SHOWN, fit_of
-from amhe_cli.estimation.offline.result import Fit
+from amhe_cli.estimation.core.result import Fit
 from amhe_cli.estimation.online.horizon import usable
 from amhe_cli.estimation.online.replay import Replay
+from amhe_cli.estimation.validation.fits import SHOWN, fit_of
 from amhe_cli.matching.cost import MatchingCost
 from amhe_cli.matching.readings import reading_of, state_errors
 from amhe_cli.matching.windows import starts_of

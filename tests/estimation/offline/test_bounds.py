@@ -12,9 +12,9 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core.information import step_within
+from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
-from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.system.system import System

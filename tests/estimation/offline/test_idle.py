@@ -18,8 +18,8 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.system.parameters.contacts import needed_contacts
 from amhe_cli.system.system import System
-from tests.estimation.offline.conftest import CHEAP
-from tests.estimation.offline.test_identification import fall
+from tests.estimation.conftest import CHEAP
+from tests.estimation.test_identification import fall
 
 XML = """
 <mujoco>

@@ -12,8 +12,8 @@ from amhe_cli.estimation.offline import problem as module
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.system.system import System
-from tests.estimation.offline.conftest import CHEAP
-from tests.estimation.offline.test_identification import fall
+from tests.estimation.conftest import CHEAP
+from tests.estimation.test_identification import fall
 
 
 def problem(system: System, log: Log) -> Problem:

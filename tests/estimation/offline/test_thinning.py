@@ -12,14 +12,14 @@ from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.core import linearise
 from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.core.linearise import FirstStates
+from amhe_cli.estimation.core.result import ClipCount
+from amhe_cli.estimation.identification import IdentifyOptions, identify
 from amhe_cli.estimation.offline import search
 from amhe_cli.estimation.offline.clips import ClipPool, whole
-from amhe_cli.estimation.offline.identification import IdentifyOptions, identify
-from amhe_cli.estimation.offline.posterior import final_fit
 from amhe_cli.estimation.offline.problem import Problem, by_leverage
-from amhe_cli.estimation.offline.result import ClipCount
+from amhe_cli.estimation.uncertainty.fit import final_fit
 from amhe_cli.system.system import System
-from tests.estimation.offline.conftest import CHEAP, TRUTH
+from tests.estimation.conftest import CHEAP, TRUTH
 
 
 def problem(count: int, *logs: Log) -> Problem:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from amhe_cli.estimation.core.result import Iteration
 from amhe_cli.estimation.offline import watch as module
-from amhe_cli.estimation.offline.result import Iteration
 from amhe_cli.estimation.offline.watch import Watch
 
 

@@ -1,0 +1,244 @@
+"""After the search: how well the estimate is known, how well it predicts, and what to show."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.belief import belief_of
+from amhe_cli.core.errors import NOTE
+from amhe_cli.core.log import Window
+from amhe_cli.core.statistics import part_of
+from amhe_cli.estimation.core.information import gauss_newton_step
+from amhe_cli.estimation.core.result import ClipCount, HeldOut, Identification
+from amhe_cli.estimation.offline.bodies import body_numbers
+from amhe_cli.estimation.offline.cma import CmaState
+from amhe_cli.estimation.offline.combinations import combinations
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.search import SETTLED, SearchState
+from amhe_cli.estimation.offline.watch import Watch
+from amhe_cli.estimation.uncertainty import terms
+from amhe_cli.estimation.uncertainty.assumed import assumed
+from amhe_cli.estimation.uncertainty.fit import (
+    PROFILED,
+    TURNS,
+    FinalFit,
+    Finding,
+    doubled_step,
+    final_fit,
+)
+from amhe_cli.estimation.uncertainty.ledger import LEAST, Ledger
+from amhe_cli.estimation.uncertainty.minimum import SHARE, Rival, second_minimum
+from amhe_cli.estimation.uncertainty.misfit import (
+    blamed,
+    left_out,
+    report_misfit,
+    report_unsettled,
+    unexplained,
+)
+from amhe_cli.estimation.uncertainty.parts import REFITS, each_log, estimates, parts, report_drift
+from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
+from amhe_cli.estimation.validation.fits import fits, profiles
+from amhe_cli.estimation.validation.held_out import judge, validate, with_own_values
+from amhe_cli.estimation.validation.horizon import HORIZONS, STARTS, horizon_errors
+from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
+
+#: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
+PARTS, RESERVE = 9, 3
+#: Steps that a settled search may still take with the noise that it has left.
+STEPS = 2
+
+
+def conclude(problem: Problem, finding: Finding, validation: list[Window], watch: Watch) -> Identification:
+    """All results of a finished, or interrupted, search.
+
+    Args:
+        problem: The problem that was searched.
+        finding: Result of the search.
+        validation: Clips that were not fitted.
+        watch: Shows progress, and decides for which of the slow checks there is time: held-out clips from
+            fitted first states, the comparison of the logs' halves, shifts under other models, profiles.
+            After an interruption there is for none.
+    """
+    system = problem.system
+    watch.enter("covariance")
+    finding, fit = _settled(problem, finding, watch)
+    validation, own = with_own_values(problem, validation, fit.z, fit.shape, fit.scale)
+    for text in own:
+        logger.log(NOTE, text)
+    held_out, misfit = _judged(problem, finding, fit, validation, watch)
+    ledger, rival, exact = _ledger(problem, finding, fit, watch)
+    evidence = Evidence(
+        z=finding.z,
+        ledger=ledger,
+        active=problem.active,
+        idle=problem.idle,
+        misfit=misfit,
+        blamed=blamed(system, fit) if finding.done else {},
+        profiles=_profiles(problem, fit, ledger.sd, watch),
+        rival=rival,
+        doubled_prior=_doubled_prior(problem, fit),
+        rough=problem.rough,
+    )
+    _report_budget(system, ledger)
+    watch.report_skipped()
+    watch.enter("predictions for the report")
+    return Identification(
+        system=system.name,
+        method="cmaes" if isinstance(finding, CmaState) else "linearised",
+        parameters=verdicts(system.space, evidence),
+        belief=belief_of(
+            system, finding.z, ledger.covariance, systematic=part_of(ledger.covariance, ledger.shared)
+        ),
+        correlations=evidence.correlations,
+        combinations=combinations(system.space, ledger.covariance, problem.active),
+        held_out=held_out,
+        iterations=finding.record,
+        rollouts=sum(i.rollouts for i in finding.record),
+        diverged=sum(i.diverged for i in finding.record),
+        clips=ClipCount(
+            fitted=len(problem.clips),
+            held_out=len(validation),
+            motionless=problem.pool.motionless,
+            across_gaps=problem.pool.across_gaps,
+            thinned=problem.thinned,
+        ),
+        noise_scale=fit.scale,
+        unexplained=tuple(evidence.misfit),
+        exact=exact,
+        fits=fits(problem, finding.z, validation or list(problem.clips), bool(validation)),
+        interrupted=watch.interrupted,
+        bodies=body_numbers(system, finding.z, ledger.covariance, problem.rng(5)),
+        logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
+        runs=estimates(system.space, fit, each_log(problem, fit)),
+    )
+
+
+def _settled(problem: Problem, finding: Finding, watch: Watch) -> tuple[Finding, FinalFit]:
+    """The search's result and its linearisation, after the steps that this still shows.
+
+    The noise that the last iteration of a search assumed is not yet the one that is left after it.
+    """
+    fit = final_fit(problem, finding, watch)
+    for _ in range(STEPS):
+        short = (np.abs(fit.left) < SETTLED * fit.posterior.sd).all()
+        smooth = isinstance(finding, SearchState) and finding.settled and not problem.touches
+        if short or not smooth or not watch.affords(2 * fit.slopes.rollouts):
+            break
+        finding = replace(finding, z=problem.system.space.clip(finding.z + fit.left))
+        fit = final_fit(problem, finding, watch)
+    return finding, fit
+
+
+def _judged(
+    problem: Problem, finding: Finding, fit: FinalFit, validation: Sequence[Window], watch: Watch
+) -> tuple[HeldOut | None, tuple[str, ...]]:
+    """Costs and errors on held-out clips, and what speaks against every value, in words."""
+    held_out, against = _validated(problem, finding, fit, validation, watch)
+    shown = unexplained(problem.system, fit)
+    if finding.done:
+        advice = "; compare measured with predicted in the report, and free what the model may lack"
+        report_misfit(problem.system, fit)
+        report_unsettled(problem, finding, fit)
+    else:  # of a search that was cut short, misfit says nothing of the model
+        against, shown, advice = (watch.short,) * bool(against or shown), (), ""
+    for text in against:
+        logger.warning(f"{text}: no value is called identified{advice}")
+    if held_out and watch.allows("error against horizon", _predictions(problem, validation)):
+        held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
+    return held_out, (*against, *shown)
+
+
+def _validated(
+    problem: Problem, finding: Finding, fit: FinalFit, validation: Sequence[Window], watch: Watch
+) -> tuple[HeldOut | None, tuple[str, ...]]:
+    """Costs and errors on held-out clips, and what they say against every value."""
+    held_out, against = validate(problem, validation, finding), left_out(fit)
+    if not held_out or not watch.allows("held-out clips from fitted first states", problem.linearisation):
+        return held_out, against
+    judged = judge(problem, validation, fit)
+    held_out = replace(
+        held_out,
+        fitted_cost=judged.cost,
+        initial_fitted_cost=judged.initial_cost,
+        noise_scale=judged.noise_scale,
+        errors=judged.errors,
+    )
+    return held_out, (*against, *judged.against)
+
+
+def _report_budget(system: System, ledger: Ledger) -> None:
+    """Log what each parameter's variance is made of."""
+    for i, name in enumerate(system.space.names):
+        shares = sorted(ledger.budget(i).items(), key=lambda item: -item[1])
+        listed = ", ".join(f"{kind} {share:.0%}" for kind, share in shares if share >= LEAST)
+        logger.info(f"{name}: its variance is {listed}")
+
+
+def _predictions(problem: Problem, validation: Sequence[Window]) -> int:
+    """Rollouts of errors against the horizon, counted in clips."""
+    seconds = STARTS * sum(HORIZONS) + sum(part.duration for part in validation)
+    return round(2.0 * seconds * len(problem.clips) / sum(clip.duration for clip in problem.clips))
+
+
+def _ledger(
+    problem: Problem, finding: Finding, fit: FinalFit, watch: Watch
+) -> tuple[Ledger, Rival | None, tuple[str, ...]]:
+    """All terms of the estimate's error, a second minimum, and what the settings take as exact.
+
+    Terms for which there is no time are left out, and named.
+    """
+    space, once = problem.system.space, problem.linearisation
+    found = [terms.noise(fit), terms.prior(space, fit), terms.repeats(space, fit), terms.search(fit)]
+    found.append(terms.declared(space, fit, problem.settings.identify.model_error))
+    if watch.affords(once):
+        watch.enter("covariance from wider samples")
+        found.append(terms.curvature(fit, doubled_step(problem, finding, fit)))
+    with_halves = watch.allows("comparison of the logs' halves", (REFITS + TURNS) * once)
+    found.append(parts(problem, finding, fit, with_halves=with_halves))
+    report_drift(space, found[-1], fit.posterior.sd)
+    exact = ()
+    if watch.allows("what rests on assumed values", once):
+        term, exact = assumed(problem, fit)
+        found.append(term)
+    found = terms.inherited(space, fit, found)
+    rival, searched = None, SHARE * sum(entry.rollouts for entry in finding.record)
+    if watch.allows("search for a second minimum", searched):
+        rival = second_minimum(problem, finding, fit, Ledger(tuple(found)).covariance)
+        found += [rival.term(fit.z)] if rival else []
+    return Ledger(tuple(found)), rival, exact
+
+
+def _doubled_prior(problem: Problem, fit: FinalFit) -> FloatArray:
+    """Where each estimate would move if the sd of its own prior were twice as large, shape (d,)."""
+    prior, moves = fit.posterior.prior, np.zeros_like(fit.z)
+    known = fit.posterior.hessian - prior
+    score = np.einsum("c,ci->i", fit.weight, fit.found.score)
+    for i in np.flatnonzero(problem.active):
+        wider = np.array(prior)
+        wider[i], wider[:, i] = 0.5 * wider[i], 0.5 * wider[:, i]
+        moves[i] = gauss_newton_step(known, score, wider, fit.z)[0][i] - fit.posterior.step[i]
+    return moves
+
+
+def _profiles(
+    problem: Problem, fit: FinalFit, sd: FloatArray, watch: Watch
+) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Cost along each parameter, as far as its sd of z (d,) demands; none where there is no time."""
+    points = problem.settings.identify.profile_points
+    unknowns = problem.active.sum() if problem.reach is None else problem.reach.unknowns(False)
+    rollouts = points * int(unknowns) * min(len(problem.clips), PROFILED)
+    return profiles(
+        problem.system.space,
+        lambda rows, values: fit.costs_along(rows, values, problem.reach),
+        fit.z,
+        sd,
+        problem.active,
+        points if watch.allows("cost profiles", rollouts) else 0,
+    )

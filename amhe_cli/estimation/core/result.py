@@ -1,0 +1,320 @@
+"""What an identification found: plain values for the table, the files and the report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.belief import Belief
+
+#: Verdicts, best first, and what each means to the user.
+VERDICTS: Mapping[str, str] = {
+    "identified": "the logs determine the value",
+    "conditional": "the logs determine it, if the number that is named is right",
+    "weak": "the logs narrow it down: use the interval, not the estimate alone",
+    "prior": "the logs hardly narrow it down: the value is your prior",
+    "model-sensitive": "the value depends on details that the model gets wrong",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """Why a verdict is what it is.
+
+    Args:
+        kind: A kind of terms of the ledger ('noise', 'prior', 'repeats', 'parts', 'assumed', 'curvature',
+            'search', 'minimum', 'declared'), or 'idle', 'bound', 'misfit', 'open', 'together'.
+        parameters: The parameters that it is about.
+        size: Share of the variance that it holds; of 'open' the distance from the prior in its sd, of
+            'together' the correlation, else 1.
+        text: The reason in words.
+    """
+
+    kind: str
+    parameters: tuple[str, ...]
+    size: float
+    text: str
+
+    def __str__(self) -> str:
+        return self.text
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ParameterResult:
+    """One parameter's line of the report; everything in the parameter's own unit.
+
+    Args:
+        sd: Posterior standard deviation (on the log scale times the estimate, where log-scaled).
+        prior_sd: Standard deviation of the prior, on the log scale times the prior's value.
+        lower, upper: 90 % interval.
+        bounds: The hard bounds of the search.
+        shrinkage: 1 - posterior sd / prior sd, on the parameter's own scale.
+        verdict: A key of VERDICTS.
+        reasons: Why the verdict is what it is, most important first.
+        budget: Share of the variance by kind of term (`estimation/uncertainty/ledger.py`); their sum is 1.
+        doubled_prior: How far the estimate would move if the sd of its prior were twice as large.
+        given: Of 'conditional', the number that it rests on most, such as 'the gain of servo, 4'.
+        profile: Parameter values (K,) and held-in cost there (K,), the others held at the estimate.
+    """
+
+    name: str
+    unit: str
+    estimate: float
+    prior: float
+    prior_sd: float
+    sd: float
+    lower: float
+    upper: float
+    bounds: tuple[float, float]
+    shrinkage: float
+    verdict: str
+    reasons: tuple[Reason, ...]
+    budget: Mapping[str, float] = field(default_factory=dict)
+    doubled_prior: float = math.nan
+    given: str = ""
+    profile: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """90 % interval."""
+        return self.lower, self.upper
+
+
+@dataclass(frozen=True, slots=True)
+class Combination:
+    """A product of parameters and how well it is known, such as 'box_mass * friction: 1.2 %'."""
+
+    text: str
+    sd: float  # of the logarithm (or of the scaled sum): 0.01 is 1 %
+    shrinkage: float
+
+
+def sharper(combinations: Sequence[Combination], relative: Mapping[str, float]) -> list[Combination]:
+    """Combinations known more precisely than each of their parameters, by the relative sd; best first."""
+
+    def parts(combination: Combination) -> Iterator[float]:
+        for factor in combination.text.replace(" / ", " * ").split(" * "):
+            yield relative.get(factor.partition("^")[0], math.inf)
+
+    return sorted((c for c in combinations if c.sd < min(parts(c))), key=lambda c: c.sd)
+
+
+@dataclass(frozen=True, slots=True)
+class OwnSpread:
+    """How far the logs' own values of a parameter lie from their common mean.
+
+    Args:
+        name: The parameter; its line is the common mean.
+        values: Names of the lines with the values.
+        estimate, lower, upper: Median and 90 % interval of their standard deviation.
+        log: Whether that is of the logarithm (0.1 is 10 %) or in the parameter's unit.
+    """
+
+    name: str
+    values: tuple[str, ...]
+    estimate: float
+    lower: float
+    upper: float
+    log: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SpanError:
+    """Mean error of one channel over a span of time of the held-out clips, before and after identification.
+
+    Of a pose it is a distance or an angle, of several joints or others the mean over them.
+
+    Args:
+        channel: Name of the channel, such as 'joints.position'.
+        unit: Unit of the errors.
+        start, end: The span, from the clips' start [s].
+        initial, identified: From the recorded first states.
+        initial_fitted, identified_fitted: With the first states fitted; NaN: not computed.
+    """
+
+    channel: str
+    unit: str
+    start: float
+    end: float
+    initial: float
+    identified: float
+    initial_fitted: float = math.nan
+    identified_fitted: float = math.nan
+
+
+@dataclass(frozen=True, slots=True)
+class HorizonError:
+    """Rms error of one joint, or of a pose, at a time after the start of predictions of held-out logs.
+
+    Args:
+        channel: Name of the channel, such as 'joints.position'.
+        column: The joint; '' for a pose.
+        unit: Unit of the errors.
+        horizon: The time [s]; the longest where the predictions go on to the logs' end.
+        to_end: They do.
+        clips: Number of predictions.
+        moved: Rms distance that was measured between start and horizon; NaN of an orientation.
+        initial, identified: The error before and after identification; infinite where a prediction diverged.
+    """
+
+    channel: str
+    column: str
+    unit: str
+    horizon: float
+    to_end: bool
+    clips: int
+    moved: float
+    initial: float
+    identified: float
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """Costs and errors on clips that were not fitted, after and before identification.
+
+    Clips start from their recorded first states, whose noise is a floor under costs and errors; where a name
+    says `fitted`, from first states that were fitted to them, as those of fitted clips are.
+    Errors are means over time and clips; NaN where the system measures no such quantity.
+
+    Args:
+        fitted_cost, initial_fitted_cost: NaN: not computed.
+        noise_scale: Channel -> residual sd over declared noise sd, first states fitted.
+        errors: Each channel's error over all of the clips, then over spans of time.
+        horizons: Error of each joint and pose against the horizon.
+    """
+
+    clips: int
+    cost: float
+    initial_cost: float
+    position_error_m: float
+    initial_position_error_m: float
+    orientation_error_rad: float
+    initial_orientation_error_rad: float
+    fitted_cost: float = math.nan
+    initial_fitted_cost: float = math.nan
+    noise_scale: Mapping[str, float] = field(default_factory=dict)
+    errors: tuple[SpanError, ...] = ()
+    horizons: tuple[HorizonError, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Iteration:
+    """One line of the convergence record."""
+
+    number: int
+    method: str
+    cost: float  # best of the iteration
+    sigma: float  # mean sampling sd, in prior sd
+    rollouts: int
+    diverged: int
+    theta: tuple[float, ...]
+    stage: str = ""  # of the linearised search: 'explore' or 'polish'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Measured against predicted for one channel of one clip, for the figures.
+
+    Args:
+        clip: Label, such as 'toss_041.mcap 0.00-0.40 s'.
+        channel: Name of the channel, such as 'cube.position'.
+        unit: Unit of the values.
+        columns: Names of the columns, length k.
+        time: Time from the clip's start [s], shape (T,).
+        measured, initial, identified: Values, shape (T, k); for rotations, rotation vectors relative
+            to the clip's first measured orientation.
+        valid: Rows where a measurement really was taken, shape (T,).
+        noise: Noise sd of one column.
+        held_out: The clip was not fitted.
+    """
+
+    clip: str
+    channel: str
+    unit: str
+    columns: tuple[str, ...]
+    time: FloatArray
+    measured: FloatArray
+    initial: FloatArray
+    identified: FloatArray
+    valid: BoolArray
+    noise: float
+    held_out: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ClipCount:
+    """How many clips were used and why others were not; of long logs some stand for all (`thinned`)."""
+
+    fitted: int
+    held_out: int
+    motionless: int
+    across_gaps: int
+    thinned: int = 0
+
+    @property
+    def fitted_of(self) -> str:
+        """How many clips were fitted, in words: '24 clips', '144 of 1174 clips'."""
+        return f"{self.fitted}{f' of {self.fitted + self.thinned}' * (self.thinned > 0)} clips"
+
+
+@dataclass(frozen=True, slots=True)
+class BodyNumber:
+    """Mass, a coordinate of the centre of mass or of the inertia of a body, with sd and 90 % interval.
+
+    The axes are the body's; the inertia is about its centre of mass.
+    """
+
+    name: str  # such as 'payload.com_x'
+    unit: str
+    estimate: float
+    sd: float
+    lower: float
+    upper: float
+    prior: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunEstimate:
+    """What one log says alone.
+
+    Args:
+        log: Name of the log.
+        values: Estimate and sd, in the parameter's unit, of each parameter that it says anything of.
+    """
+
+    log: str
+    values: Mapping[str, tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Identification:
+    """The result of `amhe identify`."""
+
+    system: str
+    method: str
+    parameters: tuple[ParameterResult, ...]
+    belief: Belief
+    correlations: FloatArray  # (d, d)
+    combinations: tuple[Combination, ...]
+    held_out: HeldOut | None
+    iterations: tuple[Iteration, ...]
+    rollouts: int
+    diverged: int
+    clips: ClipCount
+    noise_scale: Mapping[str, float]  # channel -> residual sd over declared noise sd
+    fits: tuple[Fit, ...]
+    unexplained: tuple[str, ...] = ()  # why no value can be believed
+    exact: tuple[str, ...] = ()  # settings of numbers of the model that act and are taken as exact
+    interrupted: bool = False
+    logs: tuple[str, ...] = field(default=())
+    spreads: tuple[OwnSpread, ...] = ()
+    bodies: tuple[BodyNumber, ...] = ()
+    runs: tuple[RunEstimate, ...] = ()
+
+
+def known_together(result: Identification) -> list[Combination]:
+    """Combinations that are known more precisely than each of their parameters, best first."""
+    relative = {p.name: p.sd / abs(p.estimate) for p in result.parameters if p.estimate}
+    return sharper(result.combinations, relative)

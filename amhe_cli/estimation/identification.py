@@ -1,0 +1,223 @@
+"""SPI, offline identification (the paper's section III-B): from logs and a system to an `Identification`."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+from amhe_cli.core.belief import Belief
+from amhe_cli.core.each_log import named, searched
+from amhe_cli.core.errors import ConfigError, EstimationError, one_of
+from amhe_cli.core.log import Log, Window, in_order
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.conclude import PARTS, RESERVE, conclude
+from amhe_cli.estimation.core.result import Identification
+from amhe_cli.estimation.offline import cma, search
+from amhe_cli.estimation.offline.checkpoint import Checkpoint
+from amhe_cli.estimation.offline.clips import ClipPool, evenly, split_held_out, whole
+from amhe_cli.estimation.offline.cma import CmaState
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.watch import OnIteration, Watch
+from amhe_cli.estimation.uncertainty.fit import Finding
+from amhe_cli.estimation.uncertainty.hierarchy import with_common_means
+from amhe_cli.estimation.validation.held_out import fitted_costs, validate, with_own_values
+from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
+
+METHODS = ("linearised", "cmaes")
+
+
+@dataclass(frozen=True, slots=True)
+class IdentifyOptions:
+    """How to search.
+
+    Args:
+        method: One of `METHODS`.
+        seed: Seed of every random draw.
+        threads: CPU threads; results do not depend on them.
+        max_time: Time for search and conclusion [s]: the search stops early enough with the best so far, and
+            checks for which there is no time are left out; None: no limit.
+        checkpoint: File to save the search in after every iteration, and to resume from.
+        prior: A belief to start from instead of the system's own prior.
+        executor: Executor whose workers compute the rollouts; None: threads of this process. Results do not
+            depend on it.
+        engine: Kind of engine, see `open_engine`.
+    """
+
+    method: str = "linearised"
+    seed: int = 0
+    threads: int = 1
+    max_time: float | None = None
+    checkpoint: Path | None = None
+    prior: Belief | None = None
+    executor: Executor | None = None
+    engine: str = "cpu"
+
+
+def identify(
+    system: System,
+    training: Sequence[Log],
+    held_out: Sequence[Log] | None,
+    options: IdentifyOptions,
+    on_iteration: OnIteration = lambda iteration, total: None,
+) -> Identification:
+    """Find the parameters under which rollouts match the logs, and how well they are known.
+
+    Args:
+        system: Model, parameters, signals, settings.
+        training: The logs to fit, in any order. Values that they know or have of their own: see
+            `core.each_log`.
+        held_out: Logs used only to validate; None holds out a share of the training logs.
+        options: How to search.
+        on_iteration: Called after each iteration with its record and the expected total, and before each part
+            of the conclusion.
+
+    Returns:
+        The result; `interrupted` where Ctrl-C or the time limit cut the search short.
+
+    Raises:
+        ConfigError: There is no such method or kind of engine.
+        EstimationError: No clip of the logs can be used.
+    """
+    if options.method not in METHODS:
+        raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
+    if options.prior is not None:
+        system = replace(system, space=system.space.with_prior(options.prior))
+    training, model = named(training), system.space
+    system = replace(system, space=searched(model, training))
+    training = in_order(training)
+    watch = Watch(on_iteration, options.max_time, PARTS)
+    problem, validation = _pose(system, training, held_out, options)
+    watch.keep(RESERVE * problem.linearisation)
+    kept = Checkpoint(options.checkpoint, problem, options.method)
+    finding = _search(problem, validation, options.method, watch, kept)
+    try:
+        found = conclude(problem, finding, validation, watch)
+    except KeyboardInterrupt:
+        logger.warning("interrupted while the result was examined: its checks are not complete")
+        watch.interrupted = True
+        found = conclude(problem, finding, validation, watch)
+    return with_common_means(found, model, system.space)
+
+
+def _pose(
+    system: System,
+    training: Sequence[Log],
+    held_out: Sequence[Log] | None,
+    options: IdentifyOptions,
+) -> tuple[Problem, list[Window]]:
+    """The problem, and the clips to validate on."""
+    clips = system.settings.clips
+    if held_out:
+        fit, held = [whole(log) for log in training], [whole(log) for log in in_order(held_out)]
+    else:
+        fit, held = split_held_out(training, clips.held_out)
+    engine = open_engine(system, threads=options.threads, executor=options.executor, kind=options.engine)
+    problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed, threads=options.threads)
+    if not problem.clips:
+        raise EstimationError(_no_clips(problem.pool))
+    validation = ClipPool(system, held, clips)
+    low, high = clips.length
+    windows = validation.cut(clips.held_out_length or 0.5 * (low + high), clips.held_out_first_only)
+    windows = evenly(windows, clips.most)
+    if held and not windows:
+        logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")
+    for name, reason in problem.idle.items():
+        logger.warning(f"{name} is held at its prior: {reason}")
+    return problem, windows
+
+
+def _no_clips(pool: ClipPool) -> str:
+    """Why no clip can be used, and what to do."""
+    system = pool.system
+    if not any(channel.compared for channel in system.channels):
+        return (
+            f"system {system.name!r} compares nothing with its logs: give a signal the noise of its sensor, "
+            "for instance noise: {position: 0.002}"
+        )
+    log = max((part.log for part in pool.parts), key=lambda log: log.duration)
+    rarest = min(pool.keys, key=lambda key: int(log[key].sampled.sum()))
+    emptiest = min(pool.keys, key=lambda key: float(log.usable((key,)).mean()))
+    spacing = log.duration / max(int(log[rarest].sampled.sum()), 1)
+    counted = f"{pool.motionless} are motionless, {pool.across_gaps} cross gaps"
+    if spacing > pool.settings.length[0]:
+        cause = f"{rarest} has a sample every {spacing:.3g} s: check the unit of its times"
+    elif pool.across_gaps > pool.motionless:
+        share = 100.0 * float(log.usable((emptiest,)).mean())
+        cause = (
+            f"{emptiest} has values in {share:.0f} % of the time: check its times, or loosen `logs.max_gap`"
+        )
+    else:
+        cause = f"record more than {log.duration:.3g} s in which the system moves, or loosen `clips.still`"
+    return f"no clip of these logs can be used ({counted}): {cause}"
+
+
+def _search(
+    problem: Problem, validation: list[Window], method: str, watch: Watch, kept: Checkpoint
+) -> Finding:
+    """Run the method, and CMA-ES from several starts where the linearised one did not help."""
+    if not problem.active.any():
+        return replace(search.start(problem), stage="done", settled=True)  # no parameter to search
+    saved = kept.load()
+    if isinstance(saved, CmaState):
+        return _run(cma.advance, cma.total, problem, saved, watch, kept)
+    if method == "cmaes":
+        return _run(cma.advance, cma.total, problem, cma.start(problem, 1), watch, kept)
+    found = _run(search.advance, search.total, problem, saved or search.start(problem), watch, kept)
+    if watch.stopped or not _needs_rescue(problem, found, validation):
+        return found
+    starts = problem.settings.identify.cmaes_starts
+    logger.warning(
+        f"the linearised search did not lower the held-out cost: searching with CMA-ES from {starts} starts"
+    )
+    return _run(cma.advance, cma.total, problem, cma.start(problem, starts, found), watch, kept)
+
+
+S = TypeVar("S", SearchState, CmaState)
+
+
+def _run(
+    advance: Callable[[Problem, S], S],
+    total: Callable[[Problem, S], int],
+    problem: Problem,
+    state: S,
+    watch: Watch,
+    kept: Checkpoint,
+) -> S:
+    """Advance until done, out of time, or interrupted; a finished iteration is never lost."""
+    try:
+        while not state.done and not watch.stopped:
+            state = advance(problem, state)
+            kept.save(state)
+            watch.saw(state.record[-1], total(problem, state))
+    except KeyboardInterrupt:
+        watch.interrupted = True
+        logger.warning("interrupted: the result is the best so far, the search had not settled")
+    return state
+
+
+#: A held-out cost above this is bad: residuals of twice their noise.
+_BAD = 4.0
+
+
+def _needs_rescue(problem: Problem, finding: SearchState, validation: list[Window]) -> bool:
+    """Whether the held-out cost stayed bad, or got worse by more than its scatter.
+
+    A search that begins at the truth cannot gain. From recorded first states, whose noise is in the cost, a
+    right model may look bad: where it does, the first states are fitted.
+    """
+    validation, _ = with_own_values(problem, validation, finding.z, finding.shape, finding.scale)
+    found = validate(problem, validation, finding)
+    if found is None or not _bad(found.initial_cost, found.cost):
+        return False
+    return _bad(*fitted_costs(problem, validation, finding))
+
+
+def _bad(initial: float, found: float) -> bool:
+    return found > 0.98 * initial if found > _BAD else found > 1.2 * initial

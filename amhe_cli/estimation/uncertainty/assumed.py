@@ -1,0 +1,368 @@
+"""What estimates owe to numbers that the model takes for granted: contacts, solver, time step, and others.
+
+Each is a nuisance r ~ N(0, 1) beside z, and a row of one regression: with slopes by r, the log gives r a
+posterior N(m, S), and the estimate moves by A r. It was found at r = 0 and stays there, so that its error is
+
+    A (S + m m') A'
+
+A number that the log itself determines costs nothing where it was right, and its whole error where it was
+wrong. One that no log can determine costs what its data sheet leaves open. The symmetric root of S + m m'
+says what each number adds.
+
+Where contacts jitter, other contacts, another solver or a finer step are another draw of the jitter, of which
+no regression says anything. There the whole move of the estimate counts, as far as the log allows it: to
+where the misfit would have risen by SURPRISE squared.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, IntArray, sealed
+from amhe_cli.core.each_log import owner_free
+from amhe_cli.core.statistics import root
+from amhe_cli.engine.open import contact_variants, finer_solver, finer_step
+from amhe_cli.estimation.core.agreement import SURPRISE
+from amhe_cli.estimation.core.information import Information, gauss_newton_step, information, objective
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.uncertainty.fit import FinalFit, posterior
+from amhe_cli.estimation.uncertainty.ledger import Source, Term
+from amhe_cli.matching.cost import MatchingCost, Residuals
+from amhe_cli.matching.starts import differentiated
+from amhe_cli.system.assumed import Acting, Assumed, acting, assumed_of, joined, with_assumed
+
+logger = logging.getLogger(__name__)
+
+#: Share of the misfit that a shorter time step must explain to be recommended.
+EXPLAINS = 0.1
+#: First change of a number, in its sd; where contacts jitter, it is all of the sd.
+SMALL = 0.05
+#: Error of the estimate, in its sd, below which a number has no say in it; where contacts jitter.
+FELT, FELT_IN_JITTER = 0.03, 0.3
+#: Factor on the sd of a first velocity that was differentiated, where assumed values are judged.
+BLIND = 10.0
+#: Share of the misfit that one number explains from which another explains it as well.
+AS_WELL = 0.5
+#: States of the rollouts that are examined for what acts in them, about.
+EXAMINED = 1000
+
+
+def assumed(problem: Problem, fit: FinalFit) -> tuple[Term, tuple[str, ...]]:
+    """What the estimate owes to assumed values, and the settings of those that act and are taken as exact."""
+    values = _acting_values(problem, fit)
+    exact = [value.setting for value in values if value.sd == 0.0]
+    if problem.settings.identify.assumed.time_step == 0.0:
+        exact.append("time_step")
+    changes = list(_changes(problem, _Neighbourhood(fit, problem.system.space.loose_precision)))
+    values = [v for v in values if v.sd > 0.0]
+    if problem.rough:
+        term = _joined(_moves(problem, changes), _regressed(problem, fit, [], values))
+    else:
+        term = _regressed(problem, fit, changes, values)
+    return term, tuple(dict.fromkeys(exact))
+
+
+def allowed(rise: float) -> float:
+    """Share of a change of the model that raises the misfit by no more than SURPRISE squared.
+
+    Misfit rises with the square of the change; where all of the change raises it by less, it is 1.
+    """
+    return SURPRISE / float(np.sqrt(max(rise, SURPRISE**2)))
+
+
+# -- other contacts, another solver, a finer step ------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Change:
+    """What one standard deviation of a numerical choice does.
+
+    Args:
+        source: The choice.
+        z: The move of the estimate, as far as the log allows it, shape (d,).
+        slope: The change of the residuals besides the move, shape (c, R); 0 where a clip diverged.
+    """
+
+    source: Source
+    z: FloatArray
+    slope: FloatArray
+
+    def times(self, factor: float, source: Source) -> _Change:
+        """A multiple of it, with another name."""
+        return _Change(source, factor * self.z, factor * self.slope)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Neighbourhood:
+    """The estimate, and the estimates that changed residuals lead to.
+
+    Args:
+        fit: The estimate.
+        prior: Information of the prior that is no knowledge of the model, shape (d, d).
+    """
+
+    fit: FinalFit
+    prior: FloatArray
+
+    def residuals(self, cost: MatchingCost, step: FloatArray, first: FloatArray) -> Residuals:
+        """Residuals after a step (d,) of the estimate, first states (c, nx) moved along."""
+        z = cost.system.space.clip((self.fit.z + step)[None])
+        return cost.residuals(z, first[None] if first.shape[1] else None)
+
+    def misfit(self, cost: MatchingCost, residuals: Residuals, first: FloatArray) -> float:
+        """Weighted squared residuals, and first-state errors (c, nx)."""
+        return float(objective(cost, residuals, first[None], self.fit.times, self.fit.weight)[0])
+
+    def changed(self, cost: MatchingCost) -> tuple[_Change, float]:
+        """What the engine of `cost` changes, and by which share the misfit rises."""
+        fit, slopes = self.fit, self.fit.slopes
+        there = self.residuals(cost, np.zeros_like(fit.z), slopes.first.mean)
+        both = slopes.completed & there.completed[0]
+        residual = slopes.residual + there.flat[0] - slopes.centre
+        found = information(replace(slopes, residual=residual, completed=both))
+        kept = (fit.found, fit.weight), (found, fit.weight * both)
+        steps = [posterior(fit.z, *each, self.prior).step for each in kept]
+        firsts = [one.first(step[None])[0] for one, step in zip((fit.found, found), steps, strict=True)]
+        costs = slopes.cost, cost
+        here, there = (self.residuals(*each) for each in zip(costs, steps, firsts, strict=True))
+        least, most = (self.misfit(*each) for each in zip(costs, (here, there), firsts, strict=True))
+        z = steps[1] - steps[0]
+        gz, gx = np.split(slopes.gain, [len(z)], axis=1)
+        along = np.einsum("d,cdr->cr", z, gz) + np.einsum("cx,cxr->cr", firsts[1] - firsts[0], gx)
+        done = here.completed[0] & there.completed[0]
+        slope = np.where(done[:, None], there.flat[0] - here.flat[0] - along, 0.0)
+        return _Change(Source(""), allowed(most - least) * z, slope), (most - least) / least
+
+
+def _changes(problem: Problem, about: _Neighbourhood) -> Iterator[_Change]:
+    """Numerical choices of the model, each by one standard deviation."""
+    settings, cost = problem.settings.identify.assumed, about.fit.slopes.cost
+    variants = contact_variants(problem.engine, problem.system.unedited) if settings.contacts else {}
+    if variants:
+        soft, hard = (about.changed(cost.upon(engine))[0] for engine in variants.values())
+        half = 0.5 * settings.contacts
+        source = Source("the softness of contacts", amount=2.0**settings.contacts, unit="times")
+        yield _Change(source, half * (soft.z - hard.z), half * (soft.slope - hard.slope))
+    option = problem.system.model.opt
+    finer = finer_solver(problem.engine, problem.system.unedited) if settings.solver else None
+    if finer is not None:
+        source = Source("the solver", f"{option.iterations} iterations")
+        yield about.changed(cost.upon(finer))[0].times(settings.solver, source)
+    if settings.time_step:
+        half_step, order = finer_step(problem.engine, problem.system.unedited)
+        change, rise = about.changed(cost.at_half_steps(half_step))
+        step = 1000.0 * option.timestep
+        if rise < -EXPLAINS:
+            logger.warning(
+                f"the time step is too long: at {0.5 * step:g} ms the model explains {-rise:.0%} of what it "
+                f"misses of the logs; run it at {0.5 * step:g} ms"
+            )
+        # to a step of zero: an error of order n falls to 2^-n of itself
+        yield change.times(settings.time_step / (1.0 - 0.5**order), Source("the time step", f"{step:g} ms"))
+
+
+def _moves(problem: Problem, changes: Sequence[_Change]) -> Term:
+    """The whole moves under other choices."""
+    columns = [change.z for change in changes] or [np.zeros((0, len(problem.system.space)))]
+    errors = np.vstack(columns).T
+    return Term("assumed", errors, tuple(change.source for change in changes), shared=True)
+
+
+def _joined(one: Term, other: Term) -> Term:
+    errors = np.concatenate((one.errors, other.errors), axis=1)
+    return Term("assumed", errors, (*one.sources, *other.sources), shared=True)
+
+
+# -- the regression ------------------------------------------------------------------------------------------
+
+
+def _regressed(
+    problem: Problem, fit: FinalFit, changes: Sequence[_Change], values: Sequence[Assumed]
+) -> Term:
+    """A (S + m m') A' of choices, whose slopes are known, and of numbers of the model."""
+    if not changes and not values:
+        return Term("assumed", np.zeros((len(fit.z), 0)), shared=True)
+    nuisances = _Nuisances(problem, fit, changes, values)
+    nuisances = nuisances.only(nuisances.felt())
+    if nuisances.values:
+        # samples that leave the ridge along which z follows a number would bend, and pass for information
+        nuisances = nuisances.followed()
+    known, mean, moves = nuisances.posterior
+    spread = known + np.outer(mean, mean)
+    doubted = np.abs(mean) > SURPRISE * np.sqrt(known.diagonal())
+    errors = moves @ root(spread)
+    sd = fit.posterior.sd
+    wrong = np.array([(np.abs(mean[k] * moves[:, k]) > sd).any() for k in range(len(mean))], dtype=bool)
+    sources = [replace(source, doubted=bool(d)) for source, d in zip(nuisances.sources, doubted, strict=True)]
+    of_values = np.arange(len(mean)) >= len(nuisances.changes)
+    for text in _against(sources, known, mean, np.flatnonzero(doubted & wrong & of_values)):
+        logger.warning(text)
+    return Term("assumed", errors, tuple(sources), shared=True)
+
+
+class _Nuisances:
+    """Further unknowns r beside z, in units of their sd.
+
+    Args:
+        problem: The problem.
+        fit: Its final linearisation.
+        changes: Those of known slope.
+        values: Numbers of the model.
+        slopes: Slopes of the residuals by all of them, shape (c, K, R); None: not computed yet.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        fit: FinalFit,
+        changes: Sequence[_Change],
+        values: Sequence[Assumed],
+        slopes: FloatArray | None = None,
+    ) -> None:
+        self.problem, self.fit, self.changes, self.values = problem, fit, list(changes), list(values)
+        # the errors of differentiated velocities have a common cause, and would pass for one of a number
+        blind = np.array([differentiated(problem.system, clip.log) for clip in problem.clips])
+        self._loose = np.where(blind, BLIND, 1.0)[:, : fit.slopes.first.mean.shape[1]]
+        self.slopes = self._alone() if slopes is None else slopes
+        self.posterior, self._found = self._posterior()
+
+    @property
+    def sources(self) -> list[Source]:
+        """What each of them is."""
+        rows = [change.source for change in self.changes]
+        return rows + [Source(v.name, v.value, v.amount, v.unit, v.acts) for v in self.values]
+
+    def felt(self) -> IntArray:
+        """Those that move the estimate by a share of its sd; numbers that do not take no more rollouts."""
+        known, mean, moves = self.posterior
+        # a number that the log seems to determine may be one whose samples bent: its whole sd counts here
+        size = np.sqrt(np.maximum(known.diagonal() + mean**2, 1.0))
+        least = FELT_IN_JITTER if self.problem.rough else FELT
+        return np.flatnonzero((np.abs(moves * size) > least * self.fit.posterior.sd[:, None]).any(axis=0))
+
+    def only(self, rows: IntArray) -> _Nuisances:
+        """Some of them."""
+        first = len(self.changes)
+        changes = [self.changes[i] for i in rows if i < first]
+        values = [self.values[i - first] for i in rows if i >= first]
+        return _Nuisances(self.problem, self.fit, changes, values, self.slopes[:, rows])
+
+    def followed(self) -> _Nuisances:
+        """Slopes from samples of one sd, accompanied by what z and the first states do along with each."""
+        d, first = len(self.fit.z), len(self.changes)
+        moves = self.posterior[2][:, first:]
+        gain = self._loose[..., None] * self._found.nuisance_gain
+        turns = gain[..., :d] @ moves + gain[..., d + first :]
+        slopes = self._sampled(moves, turns, 1.0)
+        return _Nuisances(self.problem, self.fit, self.changes, self.values, self._with_changes(slopes))
+
+    def _alone(self) -> FloatArray:
+        """Slopes from small samples, and alone; where contacts jitter, of one sd."""
+        moves = np.zeros((len(self.fit.z), len(self.values)))
+        turns = np.zeros((*self.fit.slopes.first.mean.shape, len(self.values)))
+        size = 1.0 if self.problem.rough else SMALL
+        return self._with_changes(self._sampled(moves, turns, size))
+
+    def _with_changes(self, slopes: FloatArray) -> FloatArray:
+        return np.concatenate((*(change.slope[:, None] for change in self.changes), slopes), axis=1)
+
+    def _sampled(self, moves: FloatArray, turns: FloatArray, size: float) -> FloatArray:
+        """Slopes of the residuals (c, k, R) by the numbers of the model.
+
+        Args:
+            moves: Steps of z with a step of each, shape (d, k).
+            turns: Steps of the first states with it, shape (c, nx, k).
+            size: Step of each, in its sd.
+        """
+        fit, k = self.fit, len(self.values)
+        if not k:
+            return np.zeros((len(fit.weight), 0, fit.slopes.residual.shape[1]))
+        system = with_assumed(self.problem.system, self.values)
+        cost = fit.slopes.cost.upon(self.problem.engine.upon(system.model, system.edits), system)
+        steps = size * np.concatenate((np.eye(k), -np.eye(k)))
+        z = np.concatenate((fit.z + steps @ moves.T, steps), axis=1)
+        first = fit.slopes.first.mean + np.einsum("pk,cxk->pcx", steps, turns)
+        residuals = cost.residuals(z, first if first.shape[2] else None)
+        change = np.einsum("pk,pcr->ckr", steps, residuals.flat) / (2.0 * size**2)
+        gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
+        return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
+
+    def _posterior(self) -> tuple[tuple[FloatArray, FloatArray, FloatArray], Information]:
+        """Covariance S (K, K), mean m (K,), and how z follows r, A (d, K); and the joint information."""
+        slopes, d = self.fit.slopes, len(self.fit.z)
+        gz, gx = np.split(slopes.gain, [d], axis=1)
+        gain = np.concatenate((gz, self.slopes, self._loose[..., None] * gx), axis=1)
+        first = replace(slopes.first, mean=slopes.first.mean / self._loose)
+        found = information(replace(slopes, gain=gain, first=first))
+        prior = np.eye(d + self.slopes.shape[1])
+        prior[:d, :d] = self.problem.system.space.loose_precision
+        matrix = np.einsum("c,cij->ij", self.fit.weight, found.matrix)
+        score = np.einsum("c,ci->i", self.fit.weight, found.score)
+        away = np.concatenate((self.fit.z, np.zeros(self.slopes.shape[1])))
+        step, precision = gauss_newton_step(matrix, score, prior, away)
+        moves = -sealed(np.linalg.solve(precision[:d, :d], precision[:d, d:]))
+        return (sealed(np.linalg.inv(precision)[d:, d:]), step[d:], moves), found
+
+
+def _against(
+    sources: Sequence[Source], known: FloatArray, mean: FloatArray, wrong: IntArray
+) -> Iterator[str]:
+    """What the logs speak against, and by how much it alone would be wrong, with what explains them as well.
+
+    Args:
+        sources: What the nuisances are.
+        known, mean: Their covariance (K, K) and mean (K,).
+        wrong: Which of them the logs speak against.
+    """
+    precision = np.linalg.inv(known)
+    score, alone = precision @ mean, precision.diagonal()
+    worth = score**2 / alone  # of the misfit, by each alone
+    wanted = (score / np.maximum(alone - 1.0, 1e-9)).tolist()  # what the logs want, whatever the data sheet
+    named: set[int] = set()
+    for i in sorted(map(int, wrong), key=lambda i: -worth[i]):
+        if i in named:
+            continue
+        others = [j for j in map(int, np.argsort(-worth)) if j != i and worth[j] > AS_WELL * worth[i]]
+        named |= {i, *others}
+        rivals = "".join(f", or {_changed(sources[j], wanted[j])} of {sources[j]}" for j in others)
+        whose, one = ("them", "one of them") if others else ("it", "it")
+        yield (
+            f"the logs speak against {sources[i]}: they want {_changed(sources[i], wanted[i])} "
+            f"({np.sqrt(worth[i]):.0f} sd){rivals}; measure {whose}, or make {one} a parameter; something "
+            f"else that the model lacks, such as the zero of an encoder, may act alike"
+        )
+
+
+def _changed(source: Source, wanted: float) -> str:
+    """'+16 %', or '+1.6 times what was assumed' of what has no size of its own."""
+    return source.times(wanted, "+") or f"{wanted:+.2g} times what was assumed"
+
+
+def _acting_values(problem: Problem, fit: FinalFit) -> list[Assumed]:
+    """The assumed values that act in the rollouts at the estimate."""
+    names = problem.system.space.names
+    felt = {owner_free(name) for name, active in zip(names, problem.active, strict=True) if active}
+    largest = {
+        o.channel.key: np.abs(o.measured[o.mask]).max(initial=0.0) for o in fit.slopes.cost.clips.observed
+    }
+    return assumed_of(problem.system, _acting(problem, fit), felt, largest)
+
+
+def _acting(problem: Problem, fit: FinalFit) -> Acting:
+    """What acts in the rollouts at the estimate."""
+    system, cost, found = problem.system, fit.slopes.cost, []
+    most = max(1, EXAMINED // len(cost.clips.windows))  # of each clip
+    for done in cost.rolled_out(fit.z, fit.slopes.first.mean if fit.slopes.first.mean.size else None):
+        inside = np.arange(done.inputs.shape[1] - 1) < (done.lengths * done.rollouts.completed)[:, None] - 1
+        clips, rows = np.nonzero(inside)
+        some = np.arange(0, len(rows), max(1, len(rows) // (most * len(done.lengths))))
+        clips, rows = clips[some], rows[some]
+        # row k of the states is the instant k + 1, when input k + 1 begins to act
+        qpos, qvel = done.rollouts.qpos[clips, rows], done.rollouts.qvel[clips, rows]
+        model = system.edits.apply(system.model, done.theta)
+        found.append(acting(model, system.input_spec, qpos, qvel, done.inputs[clips, rows + 1]))
+    return joined(found)

@@ -1,0 +1,175 @@
+"""Is there a second minimum? Descents from the prior's corners, on few clips.
+
+A search ends in the minimum that is nearest to the prior. Frictions that trade places, or a length of which
+the logs show the square, may have another one, and an interval around the first would hide it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.each_log import acting
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.estimation.core.agreement import SURPRISE
+from amhe_cli.estimation.core.information import gauss_newton_step, step_within
+from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.scored import scored
+from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding
+from amhe_cli.estimation.uncertainty.ledger import Term
+from amhe_cli.matching.cost import MatchingCost
+
+logger = logging.getLogger(__name__)
+
+#: Share of the search's rollouts that descents from the corners may take.
+SHARE = 0.15
+#: Clips that they fit, and most iterations of one of them.
+FEW, TURNS = 2, 6
+#: Distance of a corner from the prior's mean along each parameter, in prior sd, and how many are tried.
+CORNER, CORNERS = 1.0, 16
+#: Places on the line from a corner to the estimate, its ends included, and the factor by which the cost
+#: rises between two minima.
+STOPS, RISE = 6, 1.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rival:
+    """Other values that fit the logs as well as the estimate does.
+
+    Args:
+        z: These values, shape (d,).
+        share: Probability that they are meant, and not the estimate.
+        differs: The parameters in which the two differ by more than chance, shape (d,).
+        costs: Cost of the estimate, and theirs, in units of the declared noise.
+    """
+
+    z: FloatArray
+    share: float
+    differs: BoolArray
+    costs: tuple[float, float]
+
+    def term(self, z: FloatArray) -> Term:
+        """The error of an estimate z (d,), where these values may be meant."""
+        return Term("minimum", np.sqrt(self.share) * (self.z - z)[:, None])
+
+    def text(self, space: ParameterSpace, i: int) -> str:
+        """The other value of one parameter, in words."""
+        cost = " against ".join(f"{cost:.3g}" for cost in reversed(self.costs))
+        value = f"{space.theta_of(self.z)[i]:.3g} {space.parameters[i].unit}".strip()
+        return f"another minimum explains the logs too: {value} (cost {cost} here)"
+
+
+def second_minimum(problem: Problem, finding: Finding, fit: FinalFit, covariance: FloatArray) -> Rival | None:
+    """Other values that the logs allow, although the covariance of the estimate excludes them.
+
+    Where contacts jitter, none are looked for.
+
+    Args:
+        problem: The problem that was searched.
+        finding: Where its search ended.
+        fit: The linearisation there.
+        covariance: Posterior covariance of z, widened by all that is known to be wrong, shape (d, d).
+    """
+    if problem.rough:  # contacts that jitter make rises everywhere
+        return None
+    part, space = _part(problem, fit), problem.system.space
+    cost = part.cost(part.clips)
+    felt = np.any([acting(clip.log, problem.system.edits.space, space) for clip in part.clips], axis=0)
+    starts, rollouts = _beyond_a_rise(cost, fit.z, _corners(problem))
+    left = SHARE * sum(entry.rollouts for entry in finding.record) - rollouts
+    for z in starts:
+        state = search.restart(part, z)
+        while left > 0.0 and not state.done and state.number < TURNS:
+            state = search.advance(part, state)
+            left -= state.record[-1].rollouts
+        if left <= 0.0:
+            break
+        end = np.where(felt, state.z, fit.z)
+        here, there = cost.costs(np.stack((fit.z, end)))
+        # two clips know less than all do; the samples are two of their sd wide
+        known = covariance + state.shape @ state.shape.T
+        away = (end - fit.z) @ np.linalg.solve(known, end - fit.z)
+        if away <= SURPRISE**2 or there > RISE * here:
+            continue
+        if (rival := _confirmed(problem, fit, end, covariance)) is not None:
+            _report(space, fit.z, rival)
+            return rival
+    return None
+
+
+def _beyond_a_rise(cost: MatchingCost, z: FloatArray, corners: FloatArray) -> tuple[FloatArray, int]:
+    """The lowest places (n, d) that a rise of the cost separates from z (d,), the lowest of all first.
+
+    They are looked for on the lines to z from the corners; down a line without a rise, a descent would end
+    where the search did. The second value is the number of rollouts.
+    """
+    shares = np.linspace(0.0, 1.0, STOPS)[:-1]
+    places = corners[:, None] + shares[:, None] * (z - corners[:, None])  # (n, k, d)
+    costs = cost.costs(places.reshape(-1, z.size)).reshape(places.shape[:2])
+    lowest = np.minimum.accumulate(costs, axis=1)
+    rises = costs[:, 1:] > RISE * lowest[:, :-1]
+    found = []
+    for line in np.flatnonzero(rises.any(axis=1)):
+        at = int(costs[line, : int(rises[line].argmax()) + 1].argmin())
+        found.append((costs[line, at], places[line, at]))
+    found.sort(key=lambda pair: pair[0])
+    return np.array([place for _, place in found]).reshape(-1, z.size), costs.size * len(cost.clips.windows)
+
+
+def _part(problem: Problem, fit: FinalFit) -> Problem:
+    """The clips that tell most, from their recorded first states."""
+    information = np.einsum("ij,cji->c", fit.posterior.covariance, fit.found.matrix) * fit.weight
+    part = problem.part(np.sort(np.argsort(-information)[:FEW]))
+    settings = problem.settings
+    few = settings.identify.model_copy(update={"first_state": "never", "samples": 4})
+    system = replace(problem.system, settings=settings.model_copy(update={"identify": few}))
+    return replace(part, system=system)
+
+
+def _corners(problem: Problem) -> FloatArray:
+    """Corners of the prior (n, d): all where there are few, else opposite pairs of random ones."""
+    active = np.flatnonzero(problem.active)
+    if 2**active.size <= CORNERS:
+        signs = np.array(list(itertools.product((-1.0, 1.0), repeat=active.size)))
+    else:
+        half = problem.rng(6).choice((-1.0, 1.0), (CORNERS // 2, active.size))
+        signs = np.concatenate((half, -half))
+    corners = np.zeros((len(signs), problem.active.size))
+    corners[:, active] = CORNER * signs
+    return problem.system.space.clip(corners)
+
+
+def _confirmed(problem: Problem, fit: FinalFit, z: FloatArray, covariance: FloatArray) -> Rival | None:
+    """Whether all clips, their first states fitted, allow a minimum near z (d,) as well as the estimate."""
+    cost, prior = fit.slopes.cost, problem.system.space.prior_precision
+    found = scored(problem, cost, z, fit.shape).information
+    matrix, score = (np.einsum("c,c...->...", fit.weight, one) for one in (found.matrix, found.score))
+    # a few clips have led to z: the minimum of all of them is a step away
+    step = step_within(z, *gauss_newton_step(matrix, score, prior, z), problem.system.space)
+    places = fit.z, problem.system.space.clip(z + step)
+    differs = np.abs(places[1] - places[0]) > SURPRISE * np.sqrt(covariance.diagonal())
+    both = [scored(problem, cost, place, fit.shape) for place in places]
+    misfits = [np.where(fit.weight > 0.0, one.misfit(fit.times), 0.0) @ fit.weight for one in both]
+    here, there = (misfit + place @ prior @ place for misfit, place in zip(misfits, places, strict=True))
+    if not (there - here < SURPRISE**2 and differs.any()):
+        return None
+    declared = [fit.scale.get(observed.channel.key, 1.0) for observed in cost.clips.observed]
+    costs = [float(cost.rescaled(one.residuals, declared)[0]) for one in both]
+    return Rival(places[1], float(1.0 / (1.0 + np.exp(0.5 * (there - here)))), differs, (costs[0], costs[1]))
+
+
+def _report(space: ParameterSpace, z: FloatArray, rival: Rival) -> None:
+    """Warn of two minima, with the values in which they differ."""
+    both = []
+    for theta, cost in zip((space.theta_of(z), space.theta_of(rival.z)), rival.costs, strict=True):
+        values = (f"{space.names[i]} {theta[i]:.3g}" for i in np.flatnonzero(rival.differs))
+        both.append(f"{', '.join(values)} (cost {cost:.3g})")
+    logger.warning(
+        f"two minima explain the logs: {both[0]}, and {both[1]}; narrow the prior to the one that can be "
+        f"true, or record a motion that tells them apart"
+    )

@@ -1,0 +1,214 @@
+"""Do parts of the data want different values? Kinds of measurements, halves of the logs, and whole logs.
+
+Noise makes parts disagree by chance, a wrong model by more. Each part gives an estimate of its own, with the
+system's prior moved to the joint estimate, so that a part that says nothing agrees with all. Estimates are
+compared by the formula of `core.agreement`. What chance does not explain is a random effect: parts scatter
+about their mean, and so may whatever comes next. Of k parts that differ by d_ij beyond chance, the variance
+is the sum over pairs of d_ij d_ij' / (k (k - 1)), where a part counts as far as it knows anything.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Collection, Mapping, Sequence
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+from amhe_cli.core.log import Log
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.estimation.core.agreement import beyond_chance, difference
+from amhe_cli.estimation.core.information import Information, information
+from amhe_cli.estimation.core.result import RunEstimate
+from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.uncertainty.fit import LITTLE, FinalFit, Finding, Posterior, final_fit, posterior
+from amhe_cli.estimation.uncertainty.ledger import Source, Term
+from amhe_cli.estimation.uncertainty.sizes import size
+
+logger = logging.getLogger(__name__)
+
+#: Names of the halves.
+HALVES = ("the first half of the logs", "the second half of the logs")
+#: Iterations that each half gets to find its own estimate.
+REFITS = 2
+#: Clips that a part must have, and logs from which they are many parts of one data set.
+FEWEST_CLIPS, MANY = 3, 10
+#: Share of the least known combination's variance below which a combination is unknown to two parts.
+ROUNDING = 1e-9
+#: Error of the estimate, in the sd of noise, from which a difference of the halves is reported as a drift,
+#: and values that the report lists.
+DRIFTS, LISTED = 1.0, 3
+
+#: Parts of the data by their names, with what each says alone.
+Parts = Mapping[str, Posterior]
+
+
+def parts(problem: Problem, finding: Finding, fit: FinalFit, *, with_halves: bool) -> Term:
+    """Covariance between parts of the data beyond chance.
+
+    Args:
+        problem: The problem that was searched.
+        finding: Where its search ended.
+        fit: The linearisation there.
+        with_halves: Search each half of the logs by itself, too, which takes some rollouts.
+    """
+    sides = each_log(problem, fit) or _later_logs(problem, fit)
+    compared = [_kinds(fit), sides]
+    if with_halves and (halves := _halves(problem, finding)):
+        compared.append(halves)
+    errors, sources = [], []
+    for alone in compared:
+        pairs = list(combinations(alone, 2))
+        for one, other in pairs:
+            apart, excess = _apart(alone[other], alone[one], fit, len(pairs))
+            weight = _weight(alone, (one, other), excess)
+            if weight > 0.0:
+                errors.append(weight * excess)
+                sources.append(Source(f"{one} and {other}", apart=tuple(map(float, apart))))
+    columns = np.array(errors).T if errors else np.zeros((len(fit.z), 0))
+    return Term("parts", columns, tuple(sources))
+
+
+def _apart(one: Posterior, other: Posterior, fit: FinalFit, pairs: int) -> tuple[FloatArray, FloatArray]:
+    """Difference of two parts' estimates (d,), and what of it is no chance (d,).
+
+    Parts cannot differ in what neither knows: there the estimate follows as the joint posterior says, so that
+    a combination that other parts know stays as it is.
+    """
+    noise, pull, joint = (one.noise, other.noise), (one.pull, other.pull), fit.posterior.covariance
+    apart, prior_error = one.step - other.step, sealed(np.linalg.inv(fit.posterior.prior))
+    excess = beyond_chance(apart, difference(noise, pull, prior_error), pairs)
+    known = np.eye(len(apart)) - 0.5 * (pull[0] + pull[1])
+    follow = joint @ known.T @ np.linalg.pinv(known @ joint @ known.T, rcond=ROUNDING, hermitian=True)
+    return apart, follow @ known @ excess
+
+
+def _weight(alone: Parts, pair: tuple[str, str], excess: FloatArray) -> float:
+    """Weight of a pair in the scatter of k parts, sqrt(1 / k (k - 1)); a part counts as far as it knows.
+
+    Args:
+        alone: The parts.
+        pair: Names of two of them.
+        excess: Their difference beyond chance, shape (d,).
+    """
+    if not excess.any():
+        return 0.0
+    known = {}
+    for name, part in alone.items():
+        size = excess @ part.prior @ excess
+        known[name] = float(np.clip(1.0 - excess @ part.prior @ part.pull @ excess / size, 0.0, 1.0))
+    count = max(sum(known.values()), 2.0)
+    both = known[pair[0]] * known[pair[1]]
+    return float(np.sqrt(both / (count * (count - 1.0)))) if both > LITTLE**2 else 0.0
+
+
+def _kinds(fit: FinalFit) -> Parts:
+    """What each kind of measurement says alone, such as positions and velocities."""
+    kinds = [o.channel.key.rsplit(".", 1)[1].replace("_", " ") for o in fit.slopes.cost.clips.observed]
+    if len(set(kinds)) < 2:
+        return {}
+    return {
+        f"{kind} data": _alone(fit, information(fit.slopes, [k == kind for k in kinds]))
+        for kind in dict.fromkeys(kinds)
+    }
+
+
+def _alone(fit: FinalFit, found: Information | None = None, side: BoolArray | float = 1.0) -> Posterior:
+    """What a part of the linearisation says; the prior's mean is the joint estimate."""
+    return posterior(np.zeros_like(fit.z), found or fit.found, fit.weight * side, fit.posterior.prior)
+
+
+def each_log(problem: Problem, fit: FinalFit) -> dict[str, Posterior]:
+    """What each log says alone, by its name; none of a single log, or of many."""
+    logs = list(dict.fromkeys(clip.log for clip in problem.clips))
+    sides = {log: np.array([clip.log is log for clip in problem.clips]) for log in logs}
+    sides = {log: side for log, side in sides.items() if side.sum() >= FEWEST_CLIPS}
+    if not 2 <= len(sides) < MANY:
+        return {}
+    names = names_of(sides)
+    return {names[log]: _alone(fit, side=side) for log, side in sides.items()}
+
+
+def _later_logs(problem: Problem, fit: FinalFit) -> Parts:
+    """The earlier and the later half of many logs."""
+    order = {log: i for i, log in enumerate(dict.fromkeys(id(clip.log) for clip in problem.clips))}
+    late = np.array([2 * order[id(clip.log)] >= len(order) > 1 for clip in problem.clips])
+    if min(late.sum(), (~late).sum()) < FEWEST_CLIPS:
+        return {}
+    return {"the earlier logs": _alone(fit, side=~late), "the later logs": _alone(fit, side=late)}
+
+
+def _halves(problem: Problem, finding: Finding) -> Parts:
+    """The first and the second half of each log's fitted clips, each with a search of its own.
+
+    Where halves differ much, the misfit of their compromise looks like noise, and would hide that they do. So
+    would first states fitted to it: each is searched from the recorded ones.
+    """
+    late = _second_half(problem)
+    if min(late.sum(), (~late).sum()) < FEWEST_CLIPS:
+        return {}
+    straight = finding.shape if isinstance(finding, SearchState) and finding.straight else None
+    found = {}
+    for name, rows in zip(HALVES, (np.flatnonzero(~late), np.flatnonzero(late)), strict=True):
+        part = problem.part(rows)
+        state = search.restart(part, finding.z, straight)
+        for _ in range(REFITS):
+            state = search.advance(part, state)
+        fit = final_fit(part, state)
+        away = state.z - finding.z
+        alone = posterior(away, fit.found, fit.weight, fit.posterior.prior)
+        found[name] = Posterior(away + alone.step, alone.hessian, alone.scatter, alone.prior)
+    return found
+
+
+def _second_half(problem: Problem) -> BoolArray:
+    """Which clips are of the second half of those of their log."""
+    late = np.zeros(len(problem.clips), dtype=bool)
+    for log in dict.fromkeys(clip.log for clip in problem.clips):
+        rows = np.array([i for i, clip in enumerate(problem.clips) if clip.log is log])
+        starts = np.array([problem.clips[i].start for i in rows])
+        late[rows[np.argsort(starts, kind="stable")[(len(rows) + 1) // 2 :]]] = True
+    return late
+
+
+def report_drift(space: ParameterSpace, term: Term, sd: FloatArray) -> None:
+    """Warn of values that the halves of the logs want otherwise by more than noise leaves open, sd (d,)."""
+    for k, source in enumerate(term.sources):
+        if source.name == " and ".join(HALVES):
+            sizes = np.abs(term.errors[:, k]) / sd
+            drifting = [i for i in map(int, np.argsort(-sizes)) if sizes[i] > DRIFTS]
+            wants = ", ".join(
+                f"{space.names[i]} {size(space, i, source.apart[i])}" for i in drifting[:LISTED]
+            )
+            if wants:
+                logger.warning(
+                    f"values drift within the logs: their second half wants {wants} against the first: one "
+                    f"constant value does not describe them"
+                )
+
+
+def estimates(space: ParameterSpace, fit: FinalFit, alone: Parts) -> tuple[RunEstimate, ...]:
+    """Value and sd of each parameter from each log alone, without those that it hardly knows."""
+    found = []
+    for name, part in alone.items():
+        # from the system's own prior, as if the log were alone
+        step = part.step - part.pull @ fit.z
+        values = space.theta_of(space.clip(fit.z + step))
+        sd = part.sd * space.prior_sd * np.where(space.log, values, 1.0)
+        lines = zip(space.names, values.tolist(), sd.tolist(), part.informed, strict=True)
+        found.append(RunEstimate(name, {name: (value, s) for name, value, s, informed in lines if informed}))
+    return tuple(found)
+
+
+def names_of(logs: Collection[Log]) -> dict[Log, str]:
+    """Names of the logs' files, with what leads to them where some are alike."""
+    short: Sequence[str] = [Path(log.source).name for log in logs]
+    unique = len(set(short)) == len(short)
+    numbered = [name if unique else log.source for name, log in zip(short, logs, strict=True)]
+    if len(set(numbered)) < len(numbered):
+        numbered = [f"{name} #{i + 1}" for i, name in enumerate(short)]
+    return dict(zip(logs, numbered, strict=True))

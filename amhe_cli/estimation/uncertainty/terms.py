@@ -1,0 +1,91 @@
+"""The terms of the ledger that the final linearisation gives: noise, prior, repeats, curvature, search.
+
+The linearisation has the information H = sum M + P of data and prior, and the scatter B of the clips' scores
+(`fit.posterior`). The estimate then errs by H^-1 (B + P) H^-1: what noise does to it, and what it owes to
+priors that are no better than their sd.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.statistics import correlation, positive, root
+from amhe_cli.estimation.core.information import information
+from amhe_cli.estimation.uncertainty.fit import FinalFit, Posterior
+from amhe_cli.estimation.uncertainty.ledger import Source, Term, term_of
+
+
+def noise(fit: FinalFit) -> Term:
+    """What noise, and the scatter between clips, make of the estimate: H^-1 B H^-1."""
+    return term_of("noise", fit.posterior.noise)
+
+
+def prior(space: ParameterSpace, fit: FinalFit) -> Term:
+    """What the estimate owes to the priors, H^-1 P H^-1: one error for each parameter's prior.
+
+    The part that a belief says to come from the model, P S P of P, is in the shared term `inherited`.
+    """
+    own = space.prior_precision
+    if space.prior_systematic is not None:
+        own = positive(own - own @ np.array(space.prior_systematic) @ own)
+    sources = (
+        Source(f"your prior of {p.name}", f"{p.nominal:.4g}", *_width(p), parameter=p.name)
+        for p in space.parameters
+    )
+    return Term("prior", fit.posterior.inverse @ root(own), tuple(sources))
+
+
+def _width(parameter: Parameter) -> tuple[float, str]:
+    """Sd of a prior, as people read it."""
+    if parameter.log:
+        return 100.0 * float(np.expm1(parameter.prior_sd)), "%"
+    return parameter.prior_sd, parameter.unit.replace("-", "")
+
+
+def repeats(space: ParameterSpace, fit: FinalFit) -> Term:
+    """What the model's own errors add.
+
+    Noise averages out over clips. What the model gets wrong does not: it returns with each motion like it. So
+    what repeats within a clip, the autocorrelation of its residuals, counts once for all clips, and not once
+    for each: n clips of autocorrelation time t are one of time 1 + n (t - 1). White residuals add nothing.
+    """
+    before = space.loose_precision
+    alike = information(fit.slopes, repeats=float(fit.weight.sum()))
+    once = before + np.einsum("c,cij->ij", fit.weight, alike.matrix)
+    each = before + fit.posterior.hessian - fit.posterior.prior
+    return term_of("repeats", np.linalg.inv(once) - np.linalg.inv(each), shared=True)
+
+
+def curvature(fit: FinalFit, doubled: Posterior) -> Term:
+    """How much the covariance grows when samples are twice as wide; nothing where the model is linear."""
+    return term_of("curvature", doubled.covariance - fit.posterior.covariance)
+
+
+def search(fit: FinalFit) -> Term:
+    """The step that an unfinished search would take next."""
+    return Term("search", fit.left[:, None])
+
+
+def declared(space: ParameterSpace, fit: FinalFit, model_error: dict[str, float]) -> Term:
+    """What `identify.model_error` says, an sd of each parameter; errors go together as the posterior's."""
+    sd = space.in_z([model_error.get(name, 0.0) for name in space.names])
+    together = correlation(fit.posterior.covariance)
+    return term_of("declared", sd[:, None] * together * sd, shared=True)
+
+
+def inherited(space: ParameterSpace, fit: FinalFit, terms: list[Term]) -> list[Term]:
+    """Terms of logs whose prior is a belief with a shared part S, which errs as these logs do.
+
+    The shared errors of these logs move the estimate by 1 - G of themselves, where the prior has the weight
+    G, and those of the belief by G. Both have the same causes, so that they add up, and not their squares;
+    what this adds to the other terms is a term of its own.
+    """
+    if space.prior_systematic is None:
+        return terms
+    pull = fit.posterior.pull
+    rest = np.eye(len(space)) - pull
+    moved = [Term(t.kind, rest @ t.errors, t.sources, shared=True) if t.shared else t for t in terms]
+    now = sum((t.covariance for t in moved if t.shared), np.zeros_like(pull))
+    both = root(now) + root(pull @ np.array(space.prior_systematic) @ pull.T)
+    return [*moved, term_of("prior", both @ both - now, shared=True)]

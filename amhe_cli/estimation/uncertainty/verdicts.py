@@ -1,0 +1,227 @@
+"""Verdicts: what stands between a value and 'identified', read from the ledger.
+
+identified       with all terms in, DETERMINED of the prior's sd is gone, and would be if given numbers and
+                 contradictions were DOUBT times as large
+conditional      the logs determine it, if a number that somebody else gave is right
+model-sensitive  the model misses the logs, or the value would be identified if the logs agreed with
+                 themselves and the response were straight
+weak             none of these
+prior            the logs hardly narrow it down
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.statistics import correlation
+from amhe_cli.estimation.core.result import ParameterResult, Reason
+from amhe_cli.estimation.uncertainty.ledger import Ledger, Source
+from amhe_cli.estimation.uncertainty.minimum import Rival
+from amhe_cli.estimation.uncertainty.sizes import interval, size
+
+#: Shrinkage below which the logs say next to nothing, and from which they determine.
+NOTHING, DETERMINED = 0.3, 0.8
+#: Factor on the sd of what is known badly, under which a value must stay determined to be called identified:
+#: data sheets and priors are optimistic, and how far parts of the logs scatter is known from two or three.
+DOUBT = 2.0
+#: Correlation from which two parameters are known only together.
+TOGETHER = 0.9
+#: Share of a variance from which a source of it is given as a reason.
+COUNTS = 0.25
+#: Share of a variance from which an unfinished search is one: any search stops within a part of an sd.
+UNFINISHED = 0.5
+#: Prior sd from its prior up to which a value that the logs hardly narrow down is called the prior.
+AT_PRIOR = 0.3
+#: Terms that no number which somebody gives would remove: the logs or the model contradict themselves.
+CONTRADICTIONS = ("parts", "curvature")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """What verdicts are read from.
+
+    Args:
+        z: The estimate, shape (d,).
+        ledger: All terms of its error.
+        active: Parameters that the logs depend on, shape (d,).
+        idle: Why the logs do not depend on the others, by name.
+        misfit: What speaks against every value, in words.
+        blamed: What speaks against some values, in words, by their names.
+        profiles: Column -> (theta values (K,), costs (K,)).
+        rival: A second minimum.
+        doubled_prior: Where the estimate would move if each parameter's prior sd were doubled, shape (d,).
+        rough: The response jitters, as behind contacts.
+    """
+
+    z: FloatArray
+    ledger: Ledger
+    active: np.ndarray
+    idle: Mapping[str, str]
+    misfit: Sequence[str]
+    blamed: Mapping[str, tuple[str, ...]]
+    profiles: Mapping[int, tuple[FloatArray, FloatArray]]
+    rival: Rival | None
+    doubled_prior: FloatArray
+    rough: bool = False
+    correlations: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "correlations", correlation(self.ledger.covariance))
+
+
+def verdicts(space: ParameterSpace, evidence: Evidence) -> tuple[ParameterResult, ...]:
+    """One line for each parameter, with a verdict and its reasons."""
+    return tuple(_parameter(space, evidence, i) for i in range(len(space)))
+
+
+def _parameter(space: ParameterSpace, evidence: Evidence, i: int) -> ParameterResult:
+    p, sd = space.parameters[i], float(evidence.ledger.sd[i])
+    estimate = float(space.theta_of(evidence.z)[i])
+    low, high = interval(space, evidence.z, sd, i)
+    moved = evidence.z + np.eye(len(space))[i] * evidence.doubled_prior[i]
+    verdict = _verdict(space, evidence, i)
+    return ParameterResult(
+        name=p.name,
+        unit=p.unit,
+        estimate=estimate,
+        prior=p.nominal,
+        prior_sd=(p.nominal if p.log else 1.0) * p.prior_sd,
+        sd=sd * p.prior_sd * (estimate if p.log else 1.0),
+        lower=low,
+        upper=high,
+        bounds=(p.lower, p.upper),
+        shrinkage=1.0 - sd,
+        verdict=verdict,
+        reasons=tuple(_reasons(space, evidence, i)),
+        budget=evidence.ledger.budget(i),
+        doubled_prior=float(space.theta_of(space.clip(moved))[i]) - estimate,
+        given=_given(evidence.ledger.given(i)[0][1]) if verdict == "conditional" else "",
+        profile=evidence.profiles.get(i),
+    )
+
+
+def _verdict(space: ParameterSpace, evidence: Evidence, i: int) -> str:
+    ledger, total = evidence.ledger, float(evidence.ledger.covariance[i, i])
+    given = sum(variance for variance, _ in ledger.given(i))
+    contradictions = ledger.variance(i, CONTRADICTIONS)
+    more = DOUBT**2 - 1.0  # of a variance whose sd is so many times as large
+
+    def shrinkage(variance: float) -> float:
+        return 1.0 - float(np.sqrt(max(variance, 0.0)))
+
+    if not evidence.active[i]:
+        return "prior"
+    best = shrinkage(total - max(given, contradictions))
+    if evidence.misfit or evidence.blamed.get(space.names[i]):
+        return "model-sensitive" if best >= NOTHING else "prior"
+    if shrinkage(total + more * (given + contradictions)) >= DETERMINED:
+        return "identified"
+    if shrinkage(total - given + more * contradictions) >= DETERMINED:
+        return "conditional"
+    if shrinkage(total - contradictions) >= DETERMINED:
+        return "model-sensitive"
+    # two solutions are two values, not none
+    return "weak" if shrinkage(total - ledger.variance(i, ("minimum",))) >= NOTHING else "prior"
+
+
+def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
+    """Why, the most important first: bound, misfit, then what of the variance counts, the largest first."""
+    name, found = space.names[i], _at_bound(space, evidence, i)
+    if not evidence.active[i]:
+        text = f"{evidence.idle[name]}: not identifiable, held at its prior"
+        return [*found, Reason("idle", (name,), 1.0, text)]
+    for text in (*evidence.misfit, *evidence.blamed.get(name, ())):
+        found.append(Reason("misfit", (name,), 1.0, text))
+    total, terms = float(evidence.ledger.covariance[i, i]), []
+    for variance, source in evidence.ledger.given(i):
+        if variance > COUNTS * total:
+            kind = "prior" if source.parameter else "assumed"
+            terms.append(Reason(kind, (name,), variance / total, _rests(space, i, variance, source)))
+    terms += _of_terms(space, evidence, i, total)
+    found += sorted(terms, key=lambda reason: -reason.size)
+    if evidence.ledger.sd[i] > 1.0 - NOTHING and not any(reason.kind == "minimum" for reason in found):
+        away = abs(float(evidence.z[i]))
+        value = (
+            "the value is your prior" if away <= AT_PRIOR else f"it is {away:.1f} prior sd from your prior"
+        )
+        found.append(Reason("open", (name,), away, f"the logs hardly narrow it down: {value}"))
+    return [*found, *_partners(space, evidence, i)]
+
+
+def _rests(space: ParameterSpace, i: int, variance: float, source: Source) -> str:
+    """'given the force limit of servo, 0.77: known to 20 %, that leaves 20 % open'."""
+    step = float(np.sqrt(variance))
+    acts = "" if source.acts is None else f", which acts in {100.0 * source.acts:.2g} % of the steps"
+    known = f"known to {source.times()}, that" if source.times() else "that"
+    verb = "the logs speak against" if source.doubted else "given"
+    return f"{verb} {_given(source)}{acts}: {known} leaves {size(space, i, step).lstrip('+-')} open"
+
+
+def _given(source: Source) -> str:
+    return f"{source.name}, {source.value}" if source.value else source.name
+
+
+def _of_terms(space: ParameterSpace, evidence: Evidence, i: int, total: float) -> list[Reason]:
+    """The terms but noise, priors and assumed values that hold a share of one parameter's variance."""
+    found, name, ledger = [], space.names[i], evidence.ledger
+    for term in ledger.terms:
+        share = float((term.errors[i] ** 2).sum()) / total
+        if share <= (UNFINISHED if term.kind == "search" else COUNTS):
+            continue
+        if term.kind == "parts":
+            _, source = term.of(i)[0]
+            text = f"{source.name} disagree by {size(space, i, source.apart[i])}"
+        elif term.kind == "minimum" and evidence.rival is not None:
+            text = evidence.rival.text(space, i)
+        elif term.kind in _TEXTS:
+            text = _TEXTS[term.kind]
+            if term.kind == "curvature" and evidence.rough:
+                text = "the response is jagged: the value hangs on details of contact, and its sd is rough"
+        else:
+            continue
+        found.append(Reason(term.kind, (name,), share, text))
+    return found
+
+
+_TEXTS = {
+    "repeats": "residuals repeat from sample to sample, as errors of the model do: more data of this kind "
+    "will not narrow it",
+    "curvature": "the response bends within the interval: its sd is rough, and more data narrow it",
+    "search": "the search was still moving",
+    "declared": "identify.model_error says so",
+}
+
+
+def _at_bound(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
+    """Where an estimate is at a bound: the bound decides it, not the data."""
+    lower, upper = (b[i] for b in space.bounds)
+    margin = min(0.01 * (upper - lower), 0.5 * float(evidence.ledger.sd[i]))
+    p = space.parameters[i]
+    if evidence.z[i] <= lower + margin:
+        return [
+            Reason("bound", (p.name,), 1.0, f"it stops at its lower bound {p.lower:g}: the data want less")
+        ]
+    if evidence.z[i] >= upper - margin:
+        return [
+            Reason("bound", (p.name,), 1.0, f"it stops at its upper bound {p.upper:g}: the data want more")
+        ]
+    return []
+
+
+def _partners(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
+    row = evidence.correlations[i]
+    return [
+        Reason(
+            "together",
+            (space.names[i], space.names[j]),
+            abs(float(row[j])),
+            f"known mostly together with {space.names[j]} (correlation {row[j]:+.2f})",
+        )
+        for j in range(len(space))
+        if j != i and abs(row[j]) > TOGETHER
+    ]

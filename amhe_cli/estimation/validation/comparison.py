@@ -1,0 +1,136 @@
+"""Which of several models predicts better what was not fitted? Paired errors on the same held-out clips.
+
+Each model has an error on each clip and horizon. Models are paired clip by clip, and a bootstrap over clips
+gives the interval of the ratio of their errors: what is hard for all models does not count as noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.estimation.core.result import Identification
+from amhe_cli.estimation.validation.horizon import ClipErrors
+
+#: Resamples of the clips, ends of the interval, and the fewest clips that can tell.
+RESAMPLES, ENDS, FEWEST = 2000, (2.5, 97.5), 4
+#: A diverged prediction counts as one that is off by so many times the usual error.
+_DIVERGED = 100.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtHorizon:
+    """Errors of m systems at one horizon, on the same c clips.
+
+    Args:
+        horizon: The horizon [s]; the longest where predictions go on to the logs' end.
+        to_end: They do.
+        clips: Number of clips, c.
+        errors: Joint, or pose, with its unit -> rms error of each system over the clips, shape (m,).
+        ratios: Error of system i over that of j, all joints in units of their usual error, shape (m, m).
+        lower, upper: 95 % interval of the ratios; NaN where there are too few clips.
+    """
+
+    horizon: float
+    to_end: bool
+    clips: int
+    errors: Mapping[tuple[str, str], FloatArray]
+    ratios: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    def better(self, one: int, other: int) -> bool:
+        """Whether a system's error is smaller than another's, by more than chance."""
+        return bool(self.upper[one, other] < 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """What the errors of several models say.
+
+    Args:
+        names: Names of the models.
+        found: What was identified of each.
+        horizons: Their errors at each horizon.
+        best: Index of the model that predicts best.
+        verdicts: What the logs say of it against each other model, in words.
+    """
+
+    names: tuple[str, ...]
+    found: tuple[Identification, ...]
+    horizons: tuple[AtHorizon, ...]
+    best: int
+    verdicts: tuple[str, ...]
+
+
+def at_horizon(
+    horizon: float, to_end: bool, found: Sequence[Sequence[ClipErrors]], rng: np.random.Generator
+) -> AtHorizon:
+    """Compare the errors of each system, those of the joints and poses that all of them predict.
+
+    Args:
+        horizon, to_end: See `AtHorizon`.
+        found: Errors of each system on the same clips; the first candidate's count.
+        rng: Generator of the resamples.
+    """
+    by_name = [{(one.channel, one.column, one.unit): one.errors[0] for one in each} for each in found]
+    common = [key for key in by_name[0] if all(key in each for each in by_name)]
+    errors = np.array([[each[key] for key in common] for each in by_name])
+    errors = errors.reshape(len(found), len(common), -1 if common else 0)  # (m, k, c)
+    known = ~np.isnan(errors).any(axis=(0, 1))
+    errors = errors[:, :, known]
+    finite = np.isfinite(errors)
+    total = np.sum(np.where(finite, errors, 0.0) ** 2, axis=(0, 2), keepdims=True)
+    usual = np.sqrt(total / np.maximum(finite.sum(axis=(0, 2), keepdims=True), 1))
+    squares = np.minimum(errors / np.maximum(usual, 1e-300), _DIVERGED) ** 2
+    squares = squares.sum(axis=1) / max(len(common), 1)  # (m, c)
+    clips = squares.shape[1]
+    picks = rng.integers(0, max(clips, 1), (RESAMPLES, clips))
+    with np.errstate(invalid="ignore"):  # without clips all is NaN
+        means = squares[:, picks].sum(axis=-1) / clips  # (m, resamples)
+        ratios = np.sqrt(means[:, None] / means[None])
+        whole = squares.sum(axis=1) / clips
+        rms = np.sqrt((errors**2).sum(axis=-1) / clips)  # (m, k)
+    ends = np.percentile(ratios, ENDS, axis=-1)
+    ends[:] = np.nan if clips < FEWEST else ends
+    return AtHorizon(
+        horizon=horizon,
+        to_end=to_end,
+        clips=clips,
+        errors={(column or channel, unit): rms[:, i] for i, (channel, column, unit) in enumerate(common)},
+        ratios=np.sqrt(whole[:, None] / whole[None]),
+        lower=ends[0],
+        upper=ends[1],
+    )
+
+
+def best_of(found: Sequence[AtHorizon]) -> int:
+    """The system whose errors are smallest, in the mean of their logarithms over the horizons."""
+    telling = (
+        [one for one in found if one.clips >= FEWEST] or [one for one in found if one.clips] or list(found)
+    )
+    return int(np.mean([np.log(one.ratios).mean(axis=1) for one in telling], axis=0).argmin())
+
+
+def verdict(found: Sequence[AtHorizon], names: Sequence[str], best: int, other: int) -> str:
+    """What the logs say of the best system against another one, in words."""
+    one, two = names[best], names[other]
+    wins = [at for at in found if at.better(best, other)]
+    losses = [at for at in found if at.better(other, best)]
+    if wins and not losses:
+        sizes = _listed([f"{1.0 - at.ratios[best, other]:.0%} after {at.horizon:.3g} s" for at in wins])
+        return f"{one} predicts better than {two}: its error is smaller by {sizes}"
+    if wins:
+        times = _listed([f"{at.horizon:.3g} s" for at in wins])
+        worse = _listed([f"{at.horizon:.3g} s" for at in losses])
+        return f"{one} predicts better than {two} after {times}, and worse after {worse}"
+    if all(at.clips < FEWEST for at in found):
+        return f"the logs cannot tell {one} from {two}: fewer than {FEWEST} clips were held out"
+    return f"the logs cannot tell {one} from {two}: their errors differ by no more than chance"
+
+
+def _listed(parts: Sequence[str]) -> str:
+    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"

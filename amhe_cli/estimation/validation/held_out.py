@@ -1,0 +1,280 @@
+"""Clips that were not fitted: do the values predict them, and better than those before?
+
+They are rolled out twice. From their recorded first states, as a user would predict them, the noise of the
+sensors is a floor under the cost. With their first states fitted, as those of fitted clips are, a right model
+leaves noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, to_host
+from amhe_cli.core.each_log import averaged, values_on
+from amhe_cli.core.log import Window
+from amhe_cli.estimation.core.agreement import SURPRISE
+from amhe_cli.estimation.core.information import information
+from amhe_cli.estimation.core.linearise import FirstStates
+from amhe_cli.estimation.core.result import HeldOut, SpanError
+from amhe_cli.estimation.offline.clips import ClipPool
+from amhe_cli.estimation.offline.problem import FEWEST, Problem
+from amhe_cli.estimation.offline.scored import Scored, fitted_errors, scored
+from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding
+from amhe_cli.estimation.uncertainty.misfit import WHITE
+from amhe_cli.matching.cost import MatchingCost, measures
+from amhe_cli.matching.windows import Observed
+
+#: Steps at most to the values that a held-out log has of its own, and the last of them, in sd.
+OWN_STEPS, OWN_SETTLED = 8, 0.3
+#: Ends of the spans over which errors are averaged [s], the clip's end being the last; shares of it where
+#: clips are shorter.
+SPANS, SHARES = (0.1, 0.25, 0.5), (0.25, 0.5)
+#: Residual sd of held-out clips over that of fitted ones from which a model does not carry over.
+CARRIES = 1.5
+#: Student's t that chance exceeds once in a thousand, by degrees of freedom.
+FREEDOM = (2, 3, 4, 5, 6, 8, 10, 15, 30, 1000)
+STUDENT = (22.3, 10.2, 7.2, 5.9, 5.2, 4.5, 4.1, 3.7, 3.4, 3.1)
+
+
+def with_own_values(
+    problem: Problem, windows: Sequence[Window], z: FloatArray, shape: FloatArray, scale: Mapping[str, float]
+) -> tuple[list[Window], list[str]]:
+    """Held-out clips whose logs know the values that they have of their own, and these values in words.
+
+    No fitted log has them: they are fitted as first states are, around the mean of the fitted logs' values,
+    with the parameter's prior sd.
+
+    Args:
+        problem: The problem.
+        windows: The clips.
+        z: Values of the fitted logs, shape (d,).
+        shape: Shape of the samples of z, (d, d).
+        scale: Channel -> residual sd over declared noise sd.
+    """
+    space, model, logs, notes = problem.system.space, problem.system.edits.space, {}, []
+    for log in {id(window.log): window.log for window in windows}.values():
+        logs[id(log)] = log
+        if not (own := averaged(log, model, space)):
+            continue
+        cost = problem.cost([window for window in windows if window.log is log], scale)
+        first = FirstStates.recorded(len(cost.clips.windows), fitted_errors(problem, cost))
+        along, away = np.zeros((len(z), len(own))), np.zeros(len(own))
+        for column, members in enumerate(own.values()):
+            along[members, column] = 1.0  # all of them move their mean
+        for _ in range(OWN_STEPS):
+            at = space.clip(z + along @ away)
+            found = information(
+                problem.linearised(cost, at, first, shape, problem.rng(5), straight=not problem.touches)
+            )
+            known = along.T @ found.matrix.sum(axis=0) @ along + np.eye(len(own))
+            step = np.linalg.solve(known, along.T @ found.score.sum(axis=0) + away)
+            away = away - step
+            if step @ known @ step < OWN_SETTLED**2:
+                break
+        places = space.theta_of(space.clip(np.stack((z + along @ away, z))))
+        fitted, mean = (
+            dict(zip(model.names, map(float, row), strict=True))
+            for row in values_on(log, model, space, places)
+        )
+        logs[id(log)] = log.with_(
+            known=dict(log.known) | {name: fitted[name] for name in own},
+            own={name: owner for name, owner in log.own.items() if name not in own},
+        )
+        notes += [
+            f"{log.source}: is held out and has its own {name}: predicted with {fitted[name]:.3g}, fitted to "
+            f"it as its first states are; the mean of the fitted logs is {mean[name]:.3g}"
+            for name in own
+        ]
+    return [replace(window, log=logs[id(window.log)]) for window in windows], notes
+
+
+def validate(problem: Problem, windows: Sequence[Window], finding: Finding) -> HeldOut | None:
+    """Costs and errors on clips that were not fitted, from their recorded first states."""
+    if not windows:
+        return None
+    cost = problem.cost(windows)
+    residuals = cost.residuals(np.stack((finding.z, np.zeros_like(finding.z))))
+    costs = cost.costs_of(residuals)
+    position, orientation = (cost.errors(residuals, quantity) for quantity in ("position", "orientation"))
+    return HeldOut(
+        clips=len(windows),
+        cost=float(costs[0]),
+        initial_cost=float(costs[1]),
+        position_error_m=_mean(position[0]),
+        initial_position_error_m=_mean(position[1]),
+        orientation_error_rad=_mean(orientation[0]),
+        initial_orientation_error_rad=_mean(orientation[1]),
+    )
+
+
+def fitted_costs(problem: Problem, windows: Sequence[Window], finding: SearchState) -> tuple[float, float]:
+    """Costs of held-out clips before and now, their first states fitted, in units of the declared noise.
+
+    White residuals are noise, however little was declared: such channels count by the noise that they show.
+    """
+    cost, found = problem.cost(windows, finding.scale), []
+    for z in (np.zeros_like(finding.z), finding.z):
+        one = scored(problem, cost, z, finding.shape)
+        keys = (observed.channel.key for observed in cost.clips.observed)
+        noise = [
+            1.0 if time < WHITE else finding.scale.get(key, 1.0)
+            for key, time in zip(keys, one.times, strict=True)
+        ]
+        found.append(float(cost.rescaled(one.residuals, noise)[0]))
+    return found[0], found[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Judged:
+    """Held-out clips with their first states fitted.
+
+    Args:
+        cost, initial_cost: In units of the declared noise.
+        noise_scale: Channel -> residual sd over declared noise sd.
+        errors: Errors over spans of time.
+        against: What speaks against every value, in words.
+    """
+
+    cost: float
+    initial_cost: float
+    noise_scale: dict[str, float]
+    errors: tuple[SpanError, ...]
+    against: tuple[str, ...]
+
+
+def judge(problem: Problem, windows: Sequence[Window], fit: FinalFit) -> Judged:
+    """Score held-out clips as fitted ones are, and compare them with those, and with the values before."""
+    cost, places = problem.cost(windows, fit.scale), (fit.z, np.zeros_like(fit.z))
+    now, before = (scored(problem, cost, z, fit.shape) for z in places)
+    declared = [fit.scale.get(o.channel.key, 1.0) for o in cost.clips.observed]
+    costs = [float(cost.rescaled(one.residuals, declared)[0]) for one in (now, before)]
+    against = []
+    # residuals of wrong values repeat more: with a time of its own, each would count by another measure
+    times = [max(pair) for pair in zip(now.times, before.times, strict=True)]
+    if worse(
+        now.misfit(times) - before.misfit(times), now.information.matrix, fit.posterior.covariance, fit.z
+    ):
+        against.append(
+            f"held-out clips fit worse than under the prior: with first states fitted, their cost goes from "
+            f"{costs[1]:.3g} to {costs[0]:.3g}"
+        )
+    scale, fitted = {}, {}
+    if alike := _fitted_clips(problem, windows):
+        same = problem.cost(alike, fit.scale)
+        losses = scored(problem, same, fit.z, fit.shape).losses
+        for observed, loss in zip(same.clips.observed, losses, strict=True):
+            fitted[observed.channel.key] = _for_each_sample(loss, observed)
+    for observed, loss, sd in zip(cost.clips.observed, now.losses, declared, strict=True):
+        key, held = observed.channel.key, _for_each_sample(loss, observed)
+        scale[key] = sd * float(np.sqrt(held.mean() / observed.width)) if held.size else np.nan
+        if key in fitted and (ratio := misses_more(held, fitted[key])) is not None:
+            against.append(
+                f"the model misses {key} of held-out clips {ratio:.1f} times as much as of fitted ones"
+            )
+    spans = tuple(_spans(problem, cost, places, (now, before)))
+    return Judged(costs[0], costs[1], scale, spans, tuple(against))
+
+
+def _fitted_clips(problem: Problem, windows: Sequence[Window]) -> list[Window]:
+    """Clips of the fitted parts, as long as the held-out ones, and about as many."""
+    settings, longest = problem.settings.clips, max(window.duration for window in windows)
+    pool = ClipPool(problem.system, problem.pool.parts, settings)
+    clips = pool.cut(longest, settings.held_out_first_only)
+    return clips[:: max(1, len(clips) // max(FEWEST, len(windows)))]
+
+
+def _for_each_sample(loss: FloatArray, observed: Observed) -> FloatArray:
+    """Mean loss of a sample of each clip (c,), those left out that diverged or hold none."""
+    count = observed.mask.sum(axis=1)
+    mean = loss / np.maximum(count, 1)
+    return mean[np.isfinite(mean) & (count > 0)]
+
+
+def worse(rise: FloatArray, known: FloatArray, covariance: FloatArray, moved: FloatArray) -> bool:
+    """Whether clips fit worse than under the prior, by more than chance.
+
+    Where the prior stands at the truth the estimate is worse by what its own sd costs, tr(M C) on average;
+    this is allowed, for SURPRISE sd. So is the scatter over clips, or what noise makes of the values' move.
+
+    Args:
+        rise: Misfit now less that before of each clip, shape (c,), as of independent samples.
+        known: Information of each clip on z, shape (c, d, d).
+        covariance: Covariance of z by noise alone, shape (d, d).
+        moved: Distance between the values, shape (d,).
+    """
+    both = np.isfinite(rise)
+    if (rise == np.inf).sum() > (rise == -np.inf).sum():
+        return True  # more clips diverge
+    if not both.any():
+        return False
+    allowed = SURPRISE**2 * float(np.einsum("cij,ji->", known[both], covariance))
+    noise = 4.0 * float(np.einsum("i,cij,j->", moved, known[both], moved))
+    scatter = both.sum() * float(rise[both].var(ddof=1)) if both.sum() > 1 else 0.0
+    return float(rise[both].sum()) > allowed + SURPRISE * np.sqrt(max(noise, scatter))
+
+
+def misses_more(held: FloatArray, fitted: FloatArray) -> float | None:
+    """How many times as much held-out clips are missed as fitted ones; None where it is chance or little.
+
+    Student's test on the logarithms, which scatter alike whatever the size: there are few clips.
+
+    Args:
+        held, fitted: Mean loss of a sample of each clip, shape (h,) and (f,).
+    """
+    freedom = held.size + fitted.size - 2
+    if min(held.size, fitted.size) < 1 or freedom < 2:
+        return None
+    one, other = (np.log(np.maximum(losses, 1e-12)) for losses in (held, fitted))
+    spread = (((one - one.mean()) ** 2).sum() + ((other - other.mean()) ** 2).sum()) / freedom
+    difference = float(one.mean() - other.mean())
+    chance = np.sqrt(spread * (1.0 / held.size + 1.0 / fitted.size))
+    limit = float(np.interp(1.0 / freedom, 1.0 / np.array(FREEDOM[::-1]), STUDENT[::-1]))
+    ratio = float(np.exp(0.5 * difference))
+    return ratio if ratio > CARRIES and difference > limit * chance else None
+
+
+def _spans(
+    problem: Problem,
+    cost: MatchingCost,
+    places: tuple[FloatArray, FloatArray],
+    fitted: tuple[Scored, Scored],
+) -> Iterator[SpanError]:
+    """Error of each channel over all of the clips, then over spans of them; now and before."""
+    recorded, dt = cost.residuals(np.stack(places)), problem.system.dt
+    longest = max(window.duration for window in cost.clips.windows)
+    ends = [end for end in SPANS if end < 0.9 * longest] or [share * longest for share in SHARES]
+    spans = [(0.0, longest), *zip((0.0, *ends), (*ends, longest), strict=True)]
+    for k, observed in enumerate(cost.clips.observed):
+        values = to_host(recorded.values[k])
+        now, before, *rest = (
+            _sizes(observed, one) for one in (*values, *(each.residuals.values[k][0] for each in fitted))
+        )
+        time = (observed.rows + 1) * dt
+        for start, end in spans:
+            inside = observed.mask & (time > start) & (time <= end + 0.5 * dt)
+            if inside.any():
+                yield SpanError(
+                    channel=observed.channel.key,
+                    unit=observed.channel.unit,
+                    start=start,
+                    end=end,
+                    initial=float(before[inside].mean()),
+                    identified=float(now[inside].mean()),
+                    initial_fitted=float(rest[1][inside].mean()),
+                    identified_fitted=float(rest[0][inside].mean()),
+                )
+
+
+def _sizes(observed: Observed, residuals: FloatArray) -> FloatArray:
+    """Error of each sample (c, s) from whitened residuals (c, s, k): of a pose a distance, else the mean."""
+    if any(measures(observed.channel, quantity) for quantity in ("position", "orientation")):
+        return observed.noise * np.linalg.norm(residuals, axis=-1)
+    return observed.noise * np.abs(residuals).mean(axis=-1)
+
+
+def _mean(errors: FloatArray) -> float:
+    return float(errors.mean()) if errors.size and not np.isnan(errors).all() else float("nan")

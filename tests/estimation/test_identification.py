@@ -1,0 +1,335 @@
+"""SPI recovers the truth, says what it cannot know, and can be cut short and resumed."""
+
+import json
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.errors import ConfigError, EstimationError
+from amhe_cli.core.log import Log
+from amhe_cli.core.series import Series
+from amhe_cli.estimation.conclude import PARTS
+from amhe_cli.estimation.identification import IdentifyOptions, identify
+from amhe_cli.estimation.offline.checkpoint import _sum
+from amhe_cli.system.system import System
+from tests.estimation.conftest import CHEAP, TRUTH
+
+
+def found(result, name):
+    return next(p for p in result.parameters if p.name == name)
+
+
+def test_recovers_the_truth_within_its_own_interval(pendulum, swing, caplog):
+    result = identify(pendulum, [swing(8.0)], None, IdentifyOptions())
+    for parameter, truth in zip(result.parameters, TRUTH, strict=True):
+        assert abs(parameter.estimate - truth) < 4.0 * parameter.sd
+        assert parameter.verdict == "identified"
+        assert parameter.sd < 0.1 * parameter.prior_sd
+    assert result.held_out is not None
+    assert result.held_out.cost < 0.05 * result.held_out.initial_cost
+    assert result.noise_scale["joints.position"] == pytest.approx(1.0, abs=0.15)
+    assert not result.interrupted
+    assert "before it settled" not in caplog.text, "the samples of a short search are wide; nothing moves"
+
+
+@pytest.mark.medium
+def test_noise_free_logs_give_the_exact_answer(pendulum, swing):
+    result = identify(pendulum, [swing(4.0, noise=0.0)], None, IdentifyOptions())
+    assert result.belief.estimate == pytest.approx(TRUTH, rel=2e-3)
+
+
+@pytest.mark.medium
+def test_cmaes_finds_the_same(pendulum, swing):
+    log = swing(4.0)
+    result = identify(pendulum, [log], None, IdentifyOptions(method="cmaes"))
+    assert result.method == "cmaes"
+    assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.03)
+    assert found(result, "armature").estimate == pytest.approx(TRUTH[3], rel=0.1)
+
+
+@pytest.mark.medium
+def test_the_seed_decides_and_threads_do_not(pendulum, swing):
+    log = swing(3.0)
+    one = identify(pendulum, [log], None, IdentifyOptions(seed=5, threads=1))
+    two = identify(pendulum, [log], None, IdentifyOptions(seed=5, threads=3))
+    other = identify(pendulum, [log], None, IdentifyOptions(seed=6))
+    np.testing.assert_array_equal(one.belief.estimate, two.belief.estimate)
+    np.testing.assert_array_equal(one.belief.covariance, two.belief.covariance)
+    assert (one.belief.estimate != other.belief.estimate).any()
+
+
+@pytest.mark.medium
+def test_what_the_model_has_wrong_is_added_and_moves_nothing(pendulum, swing):
+    log, identify_settings = swing(3.0), pendulum.settings.identify
+    wrong = identify_settings.model_copy(update={"model_error": {"load_mass": 0.05}})
+    settings = pendulum.settings.model_copy(update={"identify": wrong})
+    plain = identify(pendulum, [log], None, IdentifyOptions())
+    honest = identify(replace(pendulum, settings=settings), [log], None, IdentifyOptions())
+    np.testing.assert_array_equal(plain.belief.estimate, honest.belief.estimate)
+    before, after = (np.sqrt(np.diag(result.belief.covariance)) for result in (plain, honest))
+    assert after[0] == pytest.approx(np.hypot(before[0], 0.05), rel=1e-5)
+    np.testing.assert_allclose(
+        honest.belief.covariance - plain.belief.covariance, np.diag([0.05**2, 0.0, 0.0, 0.0]), atol=1e-9
+    )
+    np.testing.assert_allclose(
+        honest.belief.systematic - plain.belief.systematic, np.diag([0.05**2, 0.0, 0.0, 0.0]), atol=1e-9
+    )
+
+
+class CutError(RuntimeError):
+    """Stands for a machine that goes down."""
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("method", ["linearised", "cmaes"])
+def test_a_checkpoint_resumes_to_the_bit(pendulum, swing, tmp_path, method):
+    log, file = swing(3.0), tmp_path / "search.json"
+    few = pendulum.settings.identify.model_copy(update={"cmaes_iterations": 6})
+    pendulum = replace(pendulum, settings=pendulum.settings.model_copy(update={"identify": few}))
+
+    def cut(iteration, total):
+        if iteration.number == 3:
+            raise CutError
+
+    whole = identify(pendulum, [log], None, IdentifyOptions(method))
+    with pytest.raises(CutError):
+        identify(pendulum, [log], None, IdentifyOptions(method, checkpoint=file), cut)
+    resumed = identify(pendulum, [log], None, IdentifyOptions(method, checkpoint=file))
+    np.testing.assert_array_equal(whole.belief.estimate, resumed.belief.estimate)
+    np.testing.assert_array_equal(whole.belief.covariance, resumed.belief.covariance)
+    assert whole.iterations == resumed.iterations
+
+
+@pytest.mark.medium
+def test_a_finished_search_without_first_states_is_gone_on_with(pendulum, swing, tmp_path):
+    """Nothing is known of them, and nothing is what must come back."""
+    settings = pendulum.settings
+    never = settings.identify.model_copy(update={"first_state": "never"})
+    system = replace(pendulum, settings=settings.model_copy(update={"identify": never}))
+    options = IdentifyOptions(checkpoint=tmp_path / "search.json")
+    first, again = (identify(system, [swing(3.0)], None, options) for _ in range(2))
+    np.testing.assert_array_equal(first.belief.covariance, again.belief.covariance)
+
+
+@pytest.mark.medium
+def test_a_checkpoint_of_another_problem_is_refused(pendulum, swing, tmp_path):
+    file = tmp_path / "search.json"
+    identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file, max_time=1e-9))
+    identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
+    with pytest.raises(ConfigError, match="other logs"):
+        identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file, seed=9))
+    saved = file.read_text()
+    for change in ([], "x", {"z": []}, None):
+        file.write_text(json.dumps(json.loads(saved) | {"state": change}))
+        with pytest.raises(ConfigError, match="its content was changed"):
+            identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
+    nan = {"array": [float("nan")] * 2, "shape": [2]}
+    changes = [{"z": []}, {"z": "x"}, {"z": nan}, {"record": []}, {"stage": "x"}, {"scale": {"a": "x"}}]
+    changes += [{"number": -1}, {"shape": {"array": [1.0], "shape": [1, 1]}}, {"first": 3}]
+    for change in (*changes, {"trail": {"array": [1.0], "shape": [1]}}):
+        state = json.loads(saved)["state"] | change  # its checksum fits
+        file.write_text(json.dumps(json.loads(saved) | {"state": state, "sum": _sum(state)}))
+        with pytest.raises(ConfigError, match="delete it"):
+            identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
+    for text in (saved.replace('"number": ', '"number": 1', 1), "[" * 10**5, "[]", saved[:-9]):
+        file.write_text(text)
+        with pytest.raises(ConfigError, match="delete it"):
+            identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
+    file.write_text("not a checkpoint")
+    with pytest.raises(ConfigError, match="delete it"):
+        identify(pendulum, [swing(3.0)], None, IdentifyOptions(checkpoint=file))
+
+
+def test_ctrl_c_keeps_the_best_so_far(pendulum, swing, caplog):
+    def press(iteration, total):
+        if iteration.number == 4:
+            raise KeyboardInterrupt
+
+    result = identify(pendulum, [swing(4.0)], None, IdentifyOptions(), press)
+    assert result.interrupted
+    assert len(result.iterations) == 4
+    assert "interrupted" in caplog.text
+    assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.3)
+
+
+def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, caplog):
+    result = identify(pendulum, [swing(3.0)], None, IdentifyOptions(max_time=1e-3))
+    assert len(result.iterations) <= 1
+    assert caplog.text.count("stopped the search") == 1
+    skipped = (
+        "error against horizon, comparison of the logs' halves, what rests on assumed values, "
+        "search for a second minimum, cost profiles"
+    )
+    first = "left no time for: held-out clips from fitted first states"
+    assert caplog.text.count(f"{first}, {skipped}") == 1
+    assert not any(
+        advice in caplog.text for advice in ("identify.iterations", "the model may lack", "is missing in it")
+    )
+    assert result.held_out is not None and not result.parameters[0].profile
+
+
+def test_progress_goes_through_the_conclusion(pendulum, swing):
+    seen = []
+    result = identify(
+        pendulum,
+        [swing(2.0)],
+        None,
+        IdentifyOptions(),
+        lambda iteration, total: seen.append((iteration, total)),
+    )
+    parts = [iteration for iteration, _ in seen if iteration.method.startswith("conclusion: ")]
+    assert [iteration for iteration, _ in seen[: -len(parts)]] == list(result.iterations)
+    assert [part.number for part in parts] == [len(result.iterations) + 1 + i for i in range(PARTS)]
+    assert {total for _, total in seen[-len(parts) :]} == {len(result.iterations) + PARTS}
+
+
+@pytest.mark.medium
+def test_what_no_measurement_feels_is_held_at_its_prior(swing, caplog):
+    """Friction loss of a joint that is also swung by a perfect servo would be felt; a mass that only scales
+    with its inertia in free fall is not: the tossed cube."""
+    system = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
+    log = fall(system)
+    result = identify(system, [log], None, IdentifyOptions())
+    mass = found(result, "mass")
+    assert mass.verdict == "prior"
+    assert mass.estimate == pytest.approx(0.37)
+    assert mass.shrinkage == pytest.approx(0.0, abs=1e-9)
+    assert "mass is held at its prior: no measurement in these logs depends on it" in caplog.text
+
+
+def fall(system, noise: float = 1e-4) -> Log:
+    """A cube that falls flat and slides, measured with this noise [SI]."""
+    from amhe_cli.engine.open import open_engine
+
+    steps = 300
+    engine = open_engine(system)
+    qpos, qvel = np.array([[0, 0, 0.06, 1, 0, 0, 0.0]]), np.array([[0.8, 0.1, 0, 0, 0, 1.0]])
+    theta = np.array(system.space.nominal)
+    theta[0] = 0.3
+    done = engine.rollout(theta[None], qpos, qvel, np.zeros((1, steps, 0)), np.array([steps]))
+    yes = np.ones(steps, dtype=bool)
+    parts = {
+        "position": done.qpos[0, :, :3],
+        "orientation": done.qpos[0, :, 3:],
+        "linear_velocity": done.qvel[0, :, :3],
+        "angular_velocity": done.qvel[0, :, 3:],
+    }
+    noisy = np.random.default_rng(0)
+    series = {
+        f"cube.{k}": Series(v + noisy.normal(0, noise, v.shape), yes, yes, tuple("wxyz"[: v.shape[1]]))
+        for k, v in parts.items()
+    }
+    return Log(system.model.opt.timestep, series, "fall")
+
+
+@pytest.mark.medium
+def test_a_parameter_that_drifts_within_the_log_is_reported(pendulum, swing, caplog):
+    heavier = TRUTH * [1.4, 1.0, 1.0, 1.0]
+    result = identify(pendulum, [swing(10.0, later=heavier)], None, IdentifyOptions())
+    assert "values drift within the logs: their second half wants load_mass +" in caplog.text
+    mass = found(result, "load_mass")
+    assert mass.sd > 0.03  # honest: neither half's value is the log's
+    assert mass.verdict == "model-sensitive"
+
+
+def test_a_still_log_is_refused_in_words(pendulum):
+    rows = 2000
+    yes = np.ones(rows, dtype=bool)
+    noise = np.random.default_rng(0).normal(0.0, 0.002, (rows, 1))
+    still = Log(
+        0.002,
+        {
+            "joints.position": Series(noise, yes, yes, ("hinge",)),
+            "joints.velocity": Series(20 * noise, yes, yes, ("hinge",)),
+            "command.position": Series(0.0 * noise, yes, yes, ("servo",)),
+        },
+        "still",
+    )
+    with pytest.raises(EstimationError, match="motionless"):
+        identify(pendulum, [still], None, IdentifyOptions())
+
+
+@pytest.mark.medium
+def test_a_belief_is_a_prior(pendulum, swing):
+    first = identify(pendulum, [swing(4.0, seed=1)], None, IdentifyOptions())
+    second = identify(pendulum, [swing(4.0, seed=2)], None, IdentifyOptions(prior=first.belief))
+    assert found(second, "load_mass").prior == pytest.approx(found(first, "load_mass").estimate)
+    assert found(second, "load_mass").sd < found(first, "load_mass").sd
+
+
+@pytest.mark.medium
+def test_a_command_delay_is_found(swing, delayed):
+    """The same swing logged with commands 13 ms early: the delay is the shift."""
+    log = swing(6.0)
+    shift = 6  # steps of 2 ms
+    command = log["command.position"]
+    early = Series(np.roll(command.values, -shift, axis=0), command.valid, command.sampled, command.columns)
+    moved = Log(log.dt, {**log.series, "command.position": early}, "early")
+    result = identify(delayed, [moved], None, IdentifyOptions())
+    assert found(result, "delay").estimate == pytest.approx(shift * log.dt, abs=0.0015)
+    assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.02)
+
+
+def test_ctrl_c_while_concluding_still_gives_a_result(pendulum, swing, monkeypatch, caplog):
+    from amhe_cli.estimation import conclude
+
+    def press(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(conclude, "assumed", press)
+    result = identify(pendulum, [swing(3.0)], None, IdentifyOptions())
+    assert result.interrupted
+    assert "checks are not complete" in caplog.text
+    assert found(result, "load_mass").estimate == pytest.approx(TRUTH[0], rel=0.05)
+
+
+@pytest.mark.medium
+def test_a_search_cut_short_says_so_and_widens(pendulum, swing, caplog):
+    short = replace(
+        pendulum,
+        settings=pendulum.settings.model_copy(
+            update={"identify": pendulum.settings.identify.model_copy(update={"iterations": 1})}
+        ),
+    )
+    result = identify(short, [swing(4.0)], None, IdentifyOptions())
+    assert "stopped before it settled" in caplog.text
+    for parameter, truth in zip(result.parameters, TRUTH, strict=True):
+        assert abs(parameter.estimate - truth) < 4.0 * parameter.sd
+
+
+def test_a_rescue_gives_back_nothing_worse(pendulum, swing):
+    """CMA-ES called after a finished search starts from what that found, and is cut short at once."""
+    from amhe_cli.estimation.identification import _pose
+    from amhe_cli.estimation.offline import cma, search
+
+    problem, _ = _pose(pendulum, [swing(3.0)], None, IdentifyOptions())
+    z = pendulum.space.z_of(TRUTH)
+    after = replace(search.start(problem), z=z)
+    state = cma.advance(problem, cma.start(problem, 2, after))
+    np.testing.assert_array_equal(state.z, z)
+
+
+@pytest.mark.parametrize(
+    ("initial", "found", "bad"),
+    [
+        (1.30, 1.38, False),  # the prior was right: a search cannot beat it, and scatters
+        (1.3, 1.7, True),
+        (60.0, 59.5, True),
+        (60.0, 1.2, False),
+        (60.0, 30.0, False),  # bad, and on its way
+    ],
+)
+def test_another_search_is_for_bad_fits(monkeypatch, initial: float, found: float, bad: bool) -> None:
+    from amhe_cli.estimation import identification
+
+    recorded = SimpleNamespace(cost=found, initial_cost=initial)
+    search: Any = SimpleNamespace(z=None, shape=None, scale=1.0)
+    monkeypatch.setattr(identification, "with_own_values", lambda _, clips, *__: (clips, None))
+    monkeypatch.setattr(identification, "validate", lambda *_: recorded)
+    for fitted, rescued in (((initial, found), bad), ((1.0, 1.0), False)):
+        monkeypatch.setattr(identification, "fitted_costs", lambda *_, fitted=fitted: fitted)
+        rescue = identification._needs_rescue(Any, search, [])  # pyright: ignore[reportArgumentType]
+        assert rescue is rescued, "bad from fitted first states, too"

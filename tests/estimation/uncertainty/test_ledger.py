@@ -1,0 +1,190 @@
+"""The ledger: terms add up to the covariance, in any basis, and everything else is read from them."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.statistics import root
+from amhe_cli.estimation.core.information import information, marginalised
+from amhe_cli.estimation.uncertainty import terms
+from amhe_cli.estimation.uncertainty.fit import posterior
+from amhe_cli.estimation.uncertainty.ledger import KINDS, Ledger, Source, Term, term_of
+from tests.estimation.core.test_agreement import rotated
+
+SPACE = ParameterSpace(tuple(Parameter(name, "-", 1.0, 0.01, 100.0, True, 0.5) for name in "abc"))
+RNG = np.random.default_rng(0)
+
+
+def fit_of(slopes: FloatArray, prior: FloatArray, residual: FloatArray | None = None, **more: Any) -> Any:
+    """A final fit at z = 0 of clips with these slopes (c, d, R) and noise of sd 1."""
+    clips, d, samples = slopes.shape
+    r = np.zeros((clips, samples)) if residual is None else residual
+    found = marginalised(
+        r, slopes, np.zeros((clips, 0, samples)), np.ones((clips, samples)), np.zeros((clips, 0))
+    )
+    weight = np.ones(clips)
+    own = posterior(np.zeros(d), found, weight, prior)
+    return SimpleNamespace(z=np.zeros(d), found=found, weight=weight, posterior=own, **more)
+
+
+def ledger(turn: FloatArray) -> tuple[Ledger, FloatArray]:
+    """Terms of a linear problem in coordinates that `turn` (3, 3) makes of it, and their covariance."""
+    rng = np.random.default_rng(3)
+    fit = fit_of(rng.standard_normal((5, 3, 8)), np.eye(3))
+    hessian, scatter = (turn @ m @ turn.T for m in (fit.posterior.hessian, fit.posterior.scatter))
+    inverse, gain = np.linalg.inv(hessian), turn @ rng.standard_normal((3, 2))
+    known, mean = np.diag([0.3, 0.8]), np.array([1.5, -0.2])
+    spread = known + np.outer(mean, mean)
+    found = (
+        term_of("noise", inverse @ scatter @ inverse),
+        term_of("prior", inverse @ inverse, shared=True),  # its precision is 1 in every basis
+        Term("assumed", gain @ root(spread), (Source("the gain"), Source("the tilt")), shared=True),
+        Term("search", turn @ np.array([[0.1], [0.0], [-0.2]])),
+    )
+    whole = inverse @ (scatter + np.eye(3)) @ inverse + gain @ spread @ gain.T
+    step = turn @ np.array([0.1, 0.0, -0.2])
+    return Ledger(found), whole + np.outer(step, step)
+
+
+@pytest.mark.parametrize("turn", [np.eye(3), rotated(3, 1), rotated(3, 2)])
+def test_the_terms_add_up_to_the_covariance_in_any_basis(turn: FloatArray) -> None:
+    straight, turned = ledger(np.eye(3))[0], ledger(turn)[0]
+    np.testing.assert_allclose(turned.covariance, ledger(turn)[1], atol=1e-12)
+    for one, other in zip(straight.terms, turned.terms, strict=True):
+        np.testing.assert_allclose(other.covariance, turn @ one.covariance @ turn.T, atol=1e-12)
+    np.testing.assert_allclose(turned.shared, turn @ straight.shared @ turn.T, atol=1e-12)
+    assert np.linalg.eigvalsh(turned.covariance - turned.shared).min() > 0.0
+
+
+def test_independent_assumed_values_add_up() -> None:
+    """Two errors of 0.1 along one line are 0.14 there, and not 0.1."""
+    found = Ledger((Term("assumed", np.array([[0.1, 0.1], [0.2, 0.2]])),))
+    assert found.sd == pytest.approx(np.sqrt(2.0) * np.array([0.1, 0.2]))
+
+
+def test_the_budget_shares_a_variance_out() -> None:
+    found = ledger(np.eye(3))[0]
+    for i in range(3):
+        budget = found.budget(i)
+        assert sum(budget.values()) == pytest.approx(1.0)
+        assert list(budget) == [kind for kind in KINDS if kind in budget]
+        assert set(budget) <= {"noise", "prior", "assumed", "search"} and min(budget.values()) > 0.0
+        whole = found.variance(i, ("assumed",))
+        assert budget["assumed"] == pytest.approx(whole / found.covariance[i, i])
+        assert sum(variance for variance, _ in found.terms[2].of(i)) == pytest.approx(whole)
+    assert "search" not in found.budget(1), "it does not move"
+
+
+def test_given_are_assumed_values_and_the_priors_of_others() -> None:
+    priors = Term("prior", np.array([[0.1, 0.4], [0.3, 0.2]]), tuple(Source(n, parameter=n) for n in "ab"))
+    found = Ledger((priors, Term("assumed", np.array([[0.2], [0.0]]), (Source("the gain"),))))
+    assert [(round(v, 9), s.name) for v, s in found.given(0)] == [(0.16, "b"), (0.04, "the gain")]
+    assert [(round(v, 9), s.name) for v, s in found.given(1)] == [(0.09, "a")]
+
+
+def test_a_term_of_a_covariance_is_never_negative() -> None:
+    found = term_of("curvature", np.diag([0.04, -0.3]))
+    np.testing.assert_allclose(found.covariance, np.diag([0.04, 0.0]), atol=1e-12)
+
+
+# -- what the linearisation gives ----------------------------------------------------------------------------
+
+
+def test_noise_and_priors_are_all_of_a_linear_problem() -> None:
+    """H^-1 (B + P) H^-1; each prior has its own error, exactly, whatever is known together."""
+    together = ((1.0, 0.6, 0.0), (0.6, 1.0, 0.0), (0.0, 0.0, 1.0))
+    space = ParameterSpace(SPACE.parameters, together)
+    fit = fit_of(RNG.standard_normal((6, 3, 10)) * [[1.0], [1.0], [0.0]], space.prior_precision)
+    both = Ledger((terms.noise(fit), terms.prior(space, fit)))
+    np.testing.assert_allclose(both.covariance, fit.posterior.covariance, atol=1e-12)
+    assert both.sd[2] == pytest.approx(1.0) and both.budget(2) == pytest.approx({"prior": 1.0})
+    assert [source.parameter for source in both.terms[1].sources] == list("abc")
+    assert str(both.terms[1].sources[0]) == "your prior of a (1)"
+    assert both.terms[1].sources[0].times() == f"{100.0 * np.expm1(0.5):.3g} %"
+
+
+def test_an_unfinished_search_and_a_declared_error_are_terms() -> None:
+    fit = fit_of(RNG.standard_normal((6, 3, 10)), np.eye(3), left=np.array([0.3, 0.0, -0.1]))
+    assert Ledger((terms.search(fit),)).sd == pytest.approx([0.3, 0.0, 0.1])
+    declared = terms.declared(SPACE, fit, {"b": 0.05})
+    assert Ledger((declared,)).sd == pytest.approx([0.0, 0.1, 0.0]), "5 % of a prior of sd 50 %"
+    assert declared.shared
+
+
+def test_curvature_is_what_wider_samples_add() -> None:
+    slopes = RNG.standard_normal((6, 3, 10))
+    fit, wide = fit_of(slopes, np.eye(3)), fit_of(0.5 * slopes, np.eye(3))
+    added = terms.curvature(fit, wide.posterior)
+    np.testing.assert_allclose(fit.posterior.covariance + added.covariance, wide.posterior.covariance)
+    assert not terms.curvature(wide, fit.posterior).covariance.any(), "none where they are sharper"
+
+
+def inherited(strong: float) -> Ledger:
+    """A log whose prior is a belief with a shared part, the log `strong` times as informative as it."""
+    prior, systematic = np.diag([0.02, 0.03, 0.01]), np.diag([0.01, 0.0, 0.0])
+    space = ParameterSpace(
+        SPACE.parameters, tuple(map(tuple, prior.tolist())), tuple(map(tuple, systematic.tolist()))
+    )
+    slopes = np.sqrt(strong) * np.linalg.cholesky(space.prior_precision).T[None]
+    fit = fit_of(np.swapaxes(slopes, 1, 2), space.prior_precision)
+    own = [terms.noise(fit), terms.prior(space, fit)]
+    own.append(Term("assumed", np.array([[0.1], [0.0], [0.0]]), (Source("the gain"),), shared=True))
+    return Ledger(tuple(terms.inherited(space, fit, own)))
+
+
+def test_what_a_belief_and_a_log_have_wrong_alike_adds_up() -> None:
+    """Both err by 0.1 for the same cause: so does what becomes of them, however they are weighed."""
+    for strong in (0.0, 1.0, 4.0):
+        found = inherited(strong)
+        np.testing.assert_allclose(found.shared, np.diag([0.01, 0.0, 0.0]), atol=1e-12)
+    assert inherited(0.0).sd == pytest.approx(np.sqrt([0.02, 0.03, 0.01])), (
+        "a log that says nothing adds none"
+    )
+    assert terms.inherited(SPACE, None, []) == []  # type: ignore[arg-type]
+
+
+# -- what repeats --------------------------------------------------------------------------------------------
+
+
+def repeating(residual: FloatArray) -> tuple[float, float]:
+    """Of a parameter that moves every residual (c, R) alike: its variance, and what repeating adds."""
+    clips, samples = residual.shape
+    observed = SimpleNamespace(mask=np.ones((clips, samples), dtype=bool), width=1)
+    cost = SimpleNamespace(clips=SimpleNamespace(observed=[observed]), settings=SimpleNamespace(huber=100.0))
+    slopes: Any = SimpleNamespace(
+        cost=cost,
+        residual=residual,
+        gain=np.ones((clips, 1, samples)),
+        bend=np.zeros_like(residual),
+        first=SimpleNamespace(mean=np.zeros((clips, 0))),
+        completed=np.ones(clips, dtype=bool),
+    )
+    weight = np.ones(clips)
+    own = posterior(np.zeros(1), information(slopes), weight, np.eye(1))
+    fit: Any = SimpleNamespace(slopes=slopes, weight=weight, posterior=own)
+    term = terms.repeats(ParameterSpace(SPACE.parameters[:1]), fit)
+    assert term.shared
+    return float(own.inverse[0, 0]), float(term.covariance[0, 0])
+
+
+def test_errors_that_repeat_count_once_for_all_clips() -> None:
+    rng = np.random.default_rng(0)
+    slow = np.sin(np.arange(60) / 20.0 + rng.uniform(0.0, 6.0, (12, 1))) + 0.1 * rng.standard_normal((12, 60))
+    (_, one), (variance, twelve) = (repeating(r) for r in (slow[:1], slow))
+    assert one == pytest.approx(0.0, abs=0.01), "one clip is what it counts for"
+    left = 1.0 / (twelve + variance) - 1.0
+    assert left == pytest.approx((1.0 / variance - 1.0) / 12.0, rel=0.15), "twelve know no more than one"
+
+
+def test_white_residuals_add_nothing() -> None:
+    assert repeating(np.random.default_rng(1).standard_normal((12, 60)))[1] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_repeats_leaves_no_less_than_the_prior_that_it_is_judged_under() -> None:
+    assert 0.0 < sum(repeating(np.repeat(np.sin(np.arange(60) / 20.0)[None], 12, axis=0) * 1e3)) <= 1.0

@@ -1,0 +1,85 @@
+"""What the model does not explain: clips that are left out, what a misfit suspects, a search cut short."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.log import Log, Series
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.conclude import PARTS, conclude
+from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.clips import ClipPool, whole
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.search import SearchState
+from amhe_cli.estimation.offline.watch import Watch
+from amhe_cli.estimation.uncertainty.fit import final_fit
+from amhe_cli.estimation.uncertainty.misfit import left_out, shared_by_joints, suspects
+from amhe_cli.system.system import System
+from tests.estimation.conftest import TRUTH
+
+
+def changed(log: Log, key: str, change: Callable[[np.ndarray], np.ndarray]) -> Log:
+    """The log with other values of one series between 2.45 and 2.9 s, within its fifth clip of 0.6 s."""
+    old, time = log[key], np.arange(log.steps) * log.dt
+    values = np.where(((time > 2.45) & (time < 2.9))[:, None], change(old.values), old.values)
+    return Log(log.dt, {**log.series, key: Series(values, old.valid, old.sampled, old.columns)}, "swing")
+
+
+def at_truth(pendulum: System, log: Log) -> tuple[Problem, SearchState]:
+    """A search of a log that has found the truth."""
+    pool = ClipPool(pendulum, [whole(log)], pendulum.settings.clips)
+    problem = Problem(pendulum, pool, open_engine(pendulum), 0)
+    return problem, search.restart(problem, pendulum.space.z_of(TRUTH))
+
+
+def test_a_clip_that_is_left_out_and_contradicts_the_others_speaks_against_every_value(
+    pendulum, swing, caplog
+) -> None:
+    problem, found = at_truth(pendulum, changed(swing(6.2), "command.position", np.negative))
+    watch = Watch(lambda record, total: None, None, PARTS)
+    watch.interrupted = True  # no other check
+    short = conclude(problem, found, [], watch)
+    assert short.unexplained == (watch.short,) and "it was interrupted" in watch.short
+    assert "the model may lack" not in caplog.text
+    result = conclude(problem, replace(found, stage="done"), [], watch)
+    assert {p.verdict for p in result.parameters} == {"model-sensitive"}
+    (reason,) = result.unexplained
+    assert "of swing 2.40-3.00 s by" in reason and "`cost.trim` leaves it out" in reason
+    assert f"{reason}: no value is called identified" in caplog.text
+
+
+def test_noise_in_a_clip_that_is_left_out_is_no_contradiction(pendulum, swing) -> None:
+    """Sensors that show ten times their noise for a while, and a right model."""
+    rng = np.random.default_rng(3)
+    log = changed(swing(6.2), "joints.position", lambda values: values + rng.normal(0.0, 0.02, values.shape))
+    problem, found = at_truth(pendulum, log)
+    fit = final_fit(problem, found)
+    assert [problem.clips[i].start * log.dt for i in np.flatnonzero(fit.weight == 0.0)] == [2.4]
+    assert left_out(fit) == ()
+
+
+#: Two hinges, each with a motor.
+LEG = """
+<mujoco><worldbody><body><joint name="hip"/><geom size="0.1"/>
+<body pos="0 0 -0.2"><joint name="knee"/><geom size="0.1"/></body></body></worldbody></mujoco>
+"""
+
+
+def test_a_misfit_suspects_what_is_no_parameter_yet(pendulum, delayed) -> None:
+    assert suspects(pendulum, "joints.position") == ["a delay", "a gain", "play", "a contact"]
+    assert "if it holds currents" in suspects(pendulum, "joints.effort")[0]
+    assert suspects(delayed, "joints.position") == ["a gain", "play", "a contact"]
+    pooled = {
+        "unit": "N*m*s/rad", "nominal": 0.1, "bounds": [0.01, 1.0], "scale": "log", "prior_sd": 0.5,
+        "targets": [{"joint": "hip", "set": "damping"}, {"joint": "knee", "set": "damping"}],
+    }  # fmt: skip
+    joints = {"joints": ["hip", "knee"], "noise": {"position": 0.01}}
+    leg = System.from_model(
+        mujoco.MjSpec.from_string(LEG), parameters={"damping": pooled}, signals={"q": joints}
+    )
+    assert suspects(leg, "joints.position")[0] == "values of their own for the joints that share damping"
+    assert shared_by_joints(leg) == {"damping": 2} and shared_by_joints(pendulum) == {}
