@@ -28,6 +28,7 @@ from amhe_cli.robots.go1.link.child import SENDER, Child, Pipe, take_priority
 from amhe_cli.robots.go1.link.clock import Clock, ticks_ahead
 from amhe_cli.robots.go1.link.first_contact import Share
 from amhe_cli.robots.go1.link.link import Link
+from amhe_cli.robots.go1.link.machine import Machine
 from amhe_cli.robots.go1.link.mail import Phase, StoppedError
 from amhe_cli.robots.go1.link.motion import Targets
 from amhe_cli.robots.go1.link.robot_socket import RobotSocket, connected
@@ -242,14 +243,26 @@ def test_the_keys_of_a_real_terminal_come_through_its_number_0(puppet: Puppet) -
 @pytest.mark.parametrize(
     ("number", "reason", "stop"),
     [
-        (signal.SIGTSTP, "SIGTSTP would suspend the sender", StoppedError),
         (signal.SIGTTIN, "SIGTTIN would suspend the sender", StoppedError),
         (signal.SIGQUIT, "SIGQUIT", OperatorStopError),
         (signal.SIGHUP, "SIGHUP", OperatorStopError),
     ],
 )
+def test_signals_that_suspend_or_end_a_sender_are_reasons_to_stop(
+    number: signal.Signals, reason: str, stop: type[Exception]
+) -> None:
+    sender = Sender(QUICK, None, Mock(), CLOCK, -1, -1, False)  # type: ignore[arg-type]
+    sender.stop_on(number)
+    assert sender._inbox.stop == reason
+    assert type(mail.SenderReport(Phase.DAMP, "order", reason).stop) is stop
+
+
+@pytest.mark.parametrize(
+    ("number", "reason"),
+    [(signal.SIGTSTP, "SIGTSTP would suspend the sender"), (signal.SIGQUIT, "SIGQUIT")],
+)
 def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
-    puppet: Puppet, number: signal.Signals, reason: str, stop: type[Exception]
+    puppet: Puppet, number: signal.Signals, reason: str
 ) -> None:
     with a_link(puppet) as link:
         link.connect()
@@ -261,7 +274,6 @@ def test_a_sender_that_is_to_be_suspended_or_to_quit_damps_instead(
         os.kill(sender, number)
         puppet.wait(damps)
     assert link.report.reason == reason
-    assert type(link.report.stop) is stop
 
 
 @pytest.mark.medium
@@ -659,9 +671,14 @@ def test_a_robot_that_is_slowed_down_otherwise_is_noticed(puppet: Puppet, slow: 
         ({"remote": Remote(frozenset({"select"})).raw()}, "remote"),
     ],
 )
-def test_a_robot_in_no_condition_is_refused(puppet: Puppet, change: dict, message: str) -> None:
-    puppet.change = lambda sent: replace(sent, **change)
-    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match=message):
+def test_a_robot_in_no_condition_is_unfit(change: dict, message: str) -> None:
+    inbox = mail.Inbox(replace(a_state(), **change), state_time=1.0)
+    assert message in Machine(QUICK).unfit(1.0, inbox)
+
+
+def test_an_unfit_robot_is_refused(puppet: Puppet) -> None:
+    puppet.change = lambda sent: replace(sent, charge=3)
+    with a_link(puppet, HASTY) as link, pytest.raises(LinkError, match="battery"):
         link.connect()
 
 
