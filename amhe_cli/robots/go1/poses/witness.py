@@ -32,7 +32,7 @@ _BLOCK = 5
 _LANDED = 0.012
 #: ... and whose velocity is predicted: noise of a foot [m/s], root of the density of the trunk's acceleration
 #: [m/s^2/sqrt(Hz)], and the largest deviation in sd.
-_FOOT, _DRIVE, _AGREES = 0.02, 0.3, 4.0
+_FOOT, _DRIVE, _AGREES = 0.03, 0.6, 3.0
 #: What slipping feet may add to the way [m/s], and stamps and the rigid body's offset [m], sd.
 _SLIP, _OFFSET = 0.015, 0.001
 #: Cameras show nothing as still as this [m]; legs that have moved the trunk by that [m] deny it.

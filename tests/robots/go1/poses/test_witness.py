@@ -6,8 +6,11 @@ import numpy as np
 import pytest
 
 from amhe_cli.core.rotations import exp, multiply, rotate
+from amhe_cli.robots.go1.behaviours.gait import Gait, walk
 from amhe_cli.robots.go1.kinematics import FOOT_RADIUS, HOME, HOME_HEIGHT, feet, joint_angles
 from amhe_cli.robots.go1.link.mail import SAMPLE
+from amhe_cli.robots.go1.model import Box, plant_model
+from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.poses.witness import Witness
 
 CYCLE, SPEED = 0.02, 0.15
@@ -138,3 +141,38 @@ def test_a_foot_is_not_inside_the_box_beside_it(height: float, inside: float) ->
         witness.see("go1", time, (np.array([0.0, 0.0, HOME_HEIGHT]), LEVEL))
         witness.see("box", time, (box, LEVEL))
     assert ("inside the box" in witness.contradiction) == (inside > 0.021 and height == 0.0)
+
+
+def walked(seconds: float, frozen: str = "", since: float = np.inf) -> tuple[float, str]:
+    """A trot in the plant that pushes a box from 1 s on: when something contradicts a pose, and what."""
+    box = Box(mass=4.0, floor_friction=0.6, position=(0.5, 0.0))
+    plant, gait = Plant(plant_model(box), [], np.random.default_rng(3)), Gait()
+    witness, kept = Witness(6.0, "trunk", "box", SIZE), {}
+    while plant.time < seconds:
+        push = np.array([23.5 if plant.time > 1.0 else 0.0, 0.0])
+        measured = plant.advance(
+            walk(gait, plant.time + 0.01, np.array([0.2, 0.0, 0.0]), push).targets, CYCLE
+        )
+        robot = np.zeros(10, dtype=SAMPLE)
+        robot["time"], robot["joints"] = measured["joints.position"]
+        robot["joint_rates"], robot["gyro"] = (
+            measured[key][1] for key in ("joints.velocity", "imu.angular_velocity")
+        )
+        robot["quaternion"] = plant.state.trunk.orientation
+        witness.feel(robot)
+        for body in ("trunk", "box"):
+            (times, places), (_, turns) = measured[f"{body}.position"], measured[f"{body}.orientation"]
+            for time, *pose in zip(times.tolist(), places, turns, strict=True):
+                shown = kept.setdefault(body, pose) if body == frozen and time >= since else pose
+                witness.see(body, time, tuple(shown))
+        if contradiction := witness.contradiction:
+            return plant.time, contradiction
+    return plant.time, ""
+
+
+def test_a_robot_that_walks_and_pushes_is_believed_until_a_pose_freezes() -> None:
+    assert walked(4.0)[1] == ""
+    for body, message in (("trunk", "cameras and legs"), ("box", "inside the box")):
+        time, contradiction = walked(4.0, body, 3.0)
+        assert time < 3.5, body
+        assert message in contradiction
