@@ -228,7 +228,7 @@ def fall(system, noise: float = 1e-4) -> Log:
 @pytest.mark.medium
 def test_a_parameter_that_drifts_within_the_log_is_reported(pendulum, swing, caplog):
     heavier = TRUTH * [1.4, 1.0, 1.0, 1.0]
-    result = identify(pendulum, [swing(10.0, later=heavier)], None, IdentifyOptions())
+    result = identify(pendulum, [swing(10.0, later=heavier)], [swing(3.0)], IdentifyOptions())
     assert "values drift within the logs: their second half wants load_mass +" in caplog.text
     mass = found(result, "load_mass")
     assert mass.sd > 0.03  # honest: neither half's value is the log's

@@ -41,7 +41,7 @@ FEWEST_CLIPS, MANY = 3, 10
 ROUNDING = 1e-9
 #: Error of the estimate, in the sd of noise, from which a difference of the halves is reported as a drift,
 #: and values that the report lists.
-DRIFTS, LISTED = 1.0, 3
+DRIFTS, LISTED = 0.5, 3
 
 #: Parts of the data by their names, with what each says alone.
 Parts = Mapping[str, Posterior]
