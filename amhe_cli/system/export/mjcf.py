@@ -91,7 +91,7 @@ def _loadable(moments: FloatArray) -> FloatArray:
     """Moments of six digits that still satisfy the triangle inequality, which MuJoCo checks exactly."""
     rounded = np.array([float(f"{moment:.6g}") for moment in moments])
     largest = int(np.argmax(rounded))
-    most = rounded.sum() - rounded[largest]
+    most = float(np.delete(rounded, largest).sum())  # the sum of all three would round otherwise
     value = rounded[largest]
     while rounded[largest] > most:
         value *= 1.0 - 1e-6
