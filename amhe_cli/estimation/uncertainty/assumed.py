@@ -142,11 +142,9 @@ def _changes(problem: Problem, about: _Neighbourhood) -> Iterator[_Change]:
     """Numerical choices of the model, each by one standard deviation."""
     settings, cost = problem.settings.identify.assumed, about.fit.slopes.cost
     variants = contact_variants(problem.engine, problem.system.unedited) if settings.contacts else {}
-    if variants:
-        soft, hard = (about.changed(cost.upon(engine))[0] for engine in variants.values())
-        half = 0.5 * settings.contacts
-        source = Source("the softness of contacts", amount=2.0**settings.contacts, unit="times")
-        yield _Change(source, half * (soft.z - hard.z), half * (soft.slope - hard.slope))
+    softness = Source("the softness of contacts", amount=2.0**settings.contacts, unit="times")
+    for engine in variants.values():  # a factor of two to either side: each has half of the variance
+        yield about.changed(cost.upon(engine))[0].times(settings.contacts / np.sqrt(2.0), softness)
     option = problem.system.model.opt
     finer = finer_solver(problem.engine, problem.system.unedited) if settings.solver else None
     if finer is not None:
