@@ -13,6 +13,9 @@ from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding
 from amhe_cli.matching.cost import Residuals
+from amhe_cli.matching.windows import Observed
+from amhe_cli.system.description.targets import gain_cells
+from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -26,6 +29,8 @@ MISFIT = 3.0
 #: Residuals of this many times the declared noise make every number the model's, unless they are noise:
 #: their autocorrelation time is below so many samples.
 MISSED, WHITE = 5.0, 2.0
+#: Things that a warning lists; of more, it gives the number.
+LISTED = 3
 
 
 def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
@@ -51,9 +56,9 @@ def report_misfit(system: System, fit: FinalFit) -> None:
     """Warn of channels that the model does not explain."""
     for key, (scale, white) in _misfits(fit).items():
         if scale > MISFIT:
-            missing = f"something is missing in it ({', '.join(suspects(system, key))}), or "
+            wrong = "" if white else f"{_remedy(system, key)}; or "
             logger.warning(
-                f"the model misses {key} by {scale:.1f} times its declared noise: {missing * (not white)}"
+                f"the model misses {key} by {scale:.1f} times its declared noise: {wrong}"
                 f"the noise is declared too small"
             )
 
@@ -65,15 +70,20 @@ def unexplained(system: System, fit: FinalFit) -> tuple[str, ...]:
     """
     found = []
     noise = {channel.key: channel.noise or 0.0 for channel in system.channels}
+    moved = {each.channel.key: _scatter(each) for each in fit.slopes.cost.clips.observed}
     for key, (scale, white) in sorted(_misfits(fit).items(), key=lambda item: -item[1][0]):
         if scale > MISSED and not white:
-            quantity = key.rsplit(".", 1)[1]
-            found.append(
-                f"the model misses {key} by {scale:.0f} times its noise: free what it may lack "
-                f"({', '.join(suspects(system, key))}); if it cannot be better, declare what it misses, "
-                f"noise: {{{quantity}: {scale * noise[key]:.2g}}}"
-            )
+            text = f"the model misses {key} by {scale:.0f} times its noise: {_remedy(system, key)}"
+            missed, quantity = scale * noise[key], key.rsplit(".", 1)[1]
+            advice = f"; if it cannot be better, declare what it misses, noise: {{{quantity}: {missed:.2g}}}"
+            found.append(text + advice * (missed < moved[key]))
     return tuple(found)
+
+
+def _scatter(observed: Observed) -> float:
+    """Sd of what one channel measured [SI]: who misses it by more predicts it worse than a constant would."""
+    values = observed.measured[observed.mask]
+    return float(np.sqrt(values.var(axis=0).mean()))
 
 
 def blamed(system: System, fit: FinalFit) -> dict[str, tuple[str, ...]]:
@@ -134,15 +144,38 @@ def shared_by_joints(system: System) -> dict[str, int]:
     return {name: len(each) for name, each in rows.items() if len(each) > 1}
 
 
-def suspects(system: System, key: str) -> list[str]:
-    """What a model that misses a channel may lack, the likeliest first, without what is a parameter."""
-    set_by, shared = system.edits.by_parameter(), shared_by_joints(system)
-    found = [f"values of their own for the joints that share {' and '.join(shared)}"] if shared else []
-    reading = system.calibration.readings.get(key)
+def _remedy(system: System, key: str) -> str:
+    """What to do about a channel that the model misses; causes that nothing tested are not named."""
+    held = held_fixed(system, key)
+    if not held:
+        return "free what it may lack"
+    more = f" and {len(held) - LISTED} more" if len(held) > LISTED else ""
+    return f"free what it may have wrong; now fixed are {', '.join(held[:LISTED])}{more}"
+
+
+def held_fixed(system: System, key: str) -> list[str]:
+    """What a system holds fixed and may have wrong where it misses a channel, in the order to look at it."""
+    held, reading = _of_drives(system), system.calibration.readings.get(key)
     if key.endswith(".effort") and not (reading and system.calibration.set_rows & set(reading.scale)):
-        found.append("a scale of the column, if it holds currents or another unit")
-    if not system.edits.late:
-        found.append("a delay")
-    if all(c.field != "actuator_gainprm" for _, cells in set_by for c in cells):
-        found.append("a gain")
-    return [*found, "play", "a contact"]
+        held.insert(0, f"the scale of {key}, read as forces and torques")
+    held += [f"{name} at {value:.4g}" for name, value in system.fixed.items()]
+    held += [f"{name} as one value of {count} joints" for name, count in shared_by_joints(system).items()]
+    return [*held, *(["the commands' delay"] if system.edits.prompt else [])]
+
+
+def _of_drives(system: System) -> list[str]:
+    """Gains, force limits and filters that no parameter sets; not of actuators that amhe added."""
+    model, held = system.unedited, []
+    taken = {(cells.field, cells.row) for _, each in system.edits.by_parameter() for cells in each}
+    names = {row: model.actuator(row).name for row in range(model.nactuator)}
+    rows = [row for row, name in names.items() if name and not name.startswith("amhe/")]
+    limited, filtered = (np.flatnonzero(x) for x in (model.actuator_forcelimited, model.actuator_dyntype))
+    for what, cells in (
+        ("gain", [cell for row in rows for cell in gain_cells(model, row)[:1]]),
+        ("force limit", [Cells("actuator_forcerange", row) for row in rows if row in limited]),
+        ("filter", [Cells("actuator_dynprm", row) for row in rows if row in filtered]),
+    ):
+        free = [names[cell.row] for cell in cells if (cell.field, cell.row) not in taken]
+        if free:
+            held.append(f"the {what} of {free[0] if len(free) == 1 else f'{len(free)} actuators'}")
+    return held

@@ -16,8 +16,14 @@ from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
 from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.offline.watch import Watch
-from amhe_cli.estimation.uncertainty.fit import final_fit
-from amhe_cli.estimation.uncertainty.misfit import left_out, shared_by_joints, suspects
+from amhe_cli.estimation.uncertainty.fit import FinalFit, final_fit
+from amhe_cli.estimation.uncertainty.misfit import (
+    held_fixed,
+    left_out,
+    report_misfit,
+    shared_by_joints,
+    unexplained,
+)
 from amhe_cli.system.system import System
 from tests.estimation.conftest import TRUTH
 
@@ -69,10 +75,13 @@ LEG = """
 """
 
 
-def test_a_misfit_suspects_what_is_no_parameter_yet(pendulum, delayed) -> None:
-    assert suspects(pendulum, "joints.position") == ["a delay", "a gain", "play", "a contact"]
-    assert "if it holds currents" in suspects(pendulum, "joints.effort")[0]
-    assert suspects(delayed, "joints.position") == ["a gain", "play", "a contact"]
+def test_a_misfit_lists_what_is_fixed_and_no_cause_that_nothing_tested(pendulum, delayed) -> None:
+    drive = ["the gain of servo", "the force limit of servo"]
+    assert held_fixed(pendulum, "joints.position") == [*drive, "the commands' delay"]
+    assert held_fixed(pendulum, "joints.effort")[0].startswith("the scale of joints.effort")
+    assert held_fixed(delayed, "joints.position") == drive
+    sure = delayed.fixing({"delay": 0.02})
+    assert held_fixed(sure, "joints.position") == [*drive, "delay at 0.02"]
     pooled = {
         "unit": "N*m*s/rad", "nominal": 0.1, "bounds": [0.01, 1.0], "scale": "log", "prior_sd": 0.5,
         "targets": [{"joint": "hip", "set": "damping"}, {"joint": "knee", "set": "damping"}],
@@ -81,5 +90,44 @@ def test_a_misfit_suspects_what_is_no_parameter_yet(pendulum, delayed) -> None:
     leg = System.from_model(
         mujoco.MjSpec.from_string(LEG), parameters={"damping": pooled}, signals={"q": joints}
     )
-    assert suspects(leg, "joints.position")[0] == "values of their own for the joints that share damping"
+    assert held_fixed(leg, "joints.position") == ["damping as one value of 2 joints"]
     assert shared_by_joints(leg) == {"damping": 2} and shared_by_joints(pendulum) == {}
+
+
+def test_a_gain_that_is_a_parameter_is_not_fixed(pendulum) -> None:
+    gain = {
+        "unit": "N*m/rad", "nominal": 4.0, "bounds": [1.0, 9.0], "scale": "log", "prior_sd": 0.5,
+        "targets": [{"actuator": "servo", "set": "gain"}],
+    }  # fmt: skip
+    signals = {
+        "joints": {"joints": ["hinge"], "noise": {"position": 0.002}},
+        "command": {"actuators": {"servo": "hinge"}, "quantity": "position"},
+    }
+    free = System.from_model(pendulum.spec.copy(), parameters={"gain": gain}, signals=signals)
+    assert held_fixed(free, "joints.position") == ["the force limit of servo", "the commands' delay"]
+
+
+def of_wrong_armature(pendulum: System, log: Log) -> tuple[System, FinalFit]:
+    """The last linearisation under an armature that is fixed at a wrong value."""
+    system = pendulum.fixing({"armature": 0.007})
+    problem = Problem(system, ClipPool(system, [whole(log)], system.settings.clips), open_engine(system), 0)
+    return system, final_fit(problem, search.restart(problem, system.space.z_of(TRUTH[:3])))
+
+
+def test_a_warning_names_three_things_and_counts_the_rest(pendulum, swing, caplog) -> None:
+    report_misfit(*of_wrong_armature(pendulum, swing(4.0)))
+    listed = "now fixed are the gain of servo, the force limit of servo, armature at 0.007 and 1 more"
+    assert listed in caplog.text and "play" not in caplog.text
+
+
+def test_no_noise_is_advised_that_is_larger_than_all_motion(pendulum, swing) -> None:
+    log = swing(4.0)
+    (reason, *_) = unexplained(*of_wrong_armature(pendulum, log))
+    assert "declare what it misses, noise: {" in reason
+    degrees = {
+        key: replace(log[key], values=np.degrees(log[key].values)) for key in log.series if "joints" in key
+    }
+    (reason, *_) = unexplained(
+        *of_wrong_armature(pendulum, Log(log.dt, {**log.series, **degrees}, "degrees"))
+    )
+    assert "joints.position" in reason and "noise: {" not in reason
