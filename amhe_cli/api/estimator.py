@@ -14,6 +14,7 @@ from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import EstimationError, LogError, one_of
 from amhe_cli.core.from_arrays import check_times, floats, unit_quaternions
 from amhe_cli.core.samples import Samples
+from amhe_cli.core.signals import DERIVED
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon, check_window
@@ -69,9 +70,9 @@ class Estimator:
 
         Args:
             samples: 'signal.quantity' -> times [s], shape (n,), and values in SI units, shape (n, k), or (n,)
-                for a single column; one sample may be a number or a vector (k,). All quantities of a signal,
-                velocities too, have the same times, which increase within a call and from call to call. A
-                value that is NaN was not measured.
+                for a single column; one sample may be a number or a vector (k,). All quantities of a signal
+                have the same times, which increase within a call and from call to call. Velocities that are
+                never given, as of encoders, are differentiated. A value that is NaN was not measured.
 
         Returns:
             The new estimate; None where no update was due, or the first window is not full yet.
@@ -96,14 +97,21 @@ class Estimator:
         given = {key: self._series(key, pair) for key, pair in samples.items()}
         given = {key: series for key, series in given.items() if series[0].size}
         for keys in self._keys:
-            for key in keys if any(key in given for key in keys) else ():
-                if key not in given:
+            first, *others = [key for key in keys if key in given] or [""]
+            for key in keys if first else ():
+                if key not in given and not self._derived(key, given):
                     raise LogError(f"samples: {key} is missing; give {' and '.join(keys)} together")
-                if not np.array_equal(given[key][0], given[keys[0]][0]):
-                    raise LogError(f"samples: {key}: its times differ from those of {keys[0]}; give the same")
+            for key in others:
+                if not np.array_equal(given[key][0], given[first][0]):
+                    raise LogError(f"samples: {key}: its times differ from those of {first}; give the same")
         self._widths |= {key: values.shape[1] for key, (_, values) in given.items()}
         self._newest |= {key: float(times[-1]) for key, (times, _) in given.items()}
         return given
+
+    def _derived(self, key: str, given: Samples) -> bool:
+        """Whether a velocity was never given, and can be had from its positions."""
+        name, _, quantity = key.rpartition(".")
+        return key not in self._newest and f"{name}.{DERIVED.get(quantity)}" in given
 
     def _series(self, key: str, pair: tuple[ArrayLike, ArrayLike]) -> tuple[FloatArray, FloatArray]:
         """Times (n,) and values (n, k) of one quantity, checked."""

@@ -292,6 +292,20 @@ def test_an_estimator_follows_a_log(system: amhe.System, log: amhe.Log) -> None:
     assert found[-1].values["load_mass"] == pytest.approx(truth["load_mass"], rel=0.1)
 
 
+def test_an_estimator_takes_encoders_without_velocities(system: amhe.System, log: amhe.Log) -> None:
+    estimator, step, found = amhe.Estimator(system, seed=1), 25, []
+    given = [log.series[key] for key in ("joints.position", "command.position")]
+    for row in range(0, log.steps - step, step):
+        rows = np.arange(row, row + step)
+        times = [log.dt * rows[series.sampled[rows]] for series in given]
+        values = [series.values[rows[series.sampled[rows]]] for series in given]
+        samples = {"joints.position": (times[0], values[0]), "command.position": (times[1], values[1])}
+        found += [estimate for estimate in [estimator.update(samples)] if estimate is not None]
+    assert len(found) > 15 and any(estimate.updated for estimate in found)
+    truth = json.loads(log.metadata["truth"])
+    assert found[-1].values["load_mass"] == pytest.approx(truth["load_mass"], rel=0.1)
+
+
 @pytest.mark.parametrize(
     ("samples", "message"),
     [

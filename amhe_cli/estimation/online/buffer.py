@@ -8,11 +8,12 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.corrections import corrected
+from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.log import Log, Window
 from amhe_cli.core.resample import longest_bridge, resample
 from amhe_cli.core.samples import Samples
 from amhe_cli.core.series import Series
-from amhe_cli.core.signals import Signal
+from amhe_cli.core.signals import DERIVED, Signal
 
 #: Time before a window's start [s] that is on its grid, since first states are smoothed.
 _BEFORE = 0.2
@@ -67,15 +68,25 @@ class Buffer:
         late = any(parts[0][0][0] > grid[before] + 1e-6 for parts in self._kept.values())
         if late or begun != self._names:
             return None
-        series = {key: self._series(key, grid) for key in self._kept}
+        series = {key: self._series(key, grid) for key in self._signal_of if self._source(key) in self._kept}
         series = corrected(series, self._signals, self._dt, begun=None)
         log = Log(self._dt, series, "the running system", round(1e9 * float(grid[0])))
         return Window(log, before, self._steps)
 
+    def _source(self, key: str) -> str:
+        """The samples that a series is made of: of a velocity that nobody gives, those of its position."""
+        name, _, quantity = key.rpartition(".")
+        return f"{name}.{DERIVED[quantity]}" if key not in self._kept and quantity in DERIVED else key
+
     def _series(self, key: str, grid: FloatArray) -> Series:
-        times, values = (np.concatenate(arrays) for arrays in zip(*self._kept[key], strict=True))
-        columns = tuple(f"{key}.{i}" for i in range(values.shape[1]))
+        source = self._source(key)
+        times, values = (np.concatenate(arrays) for arrays in zip(*self._kept[source], strict=True))
         hold = self._signal_of[key].is_input  # also of what logs interpolate: the next message is unknown
-        bridge = longest_bridge(self._stamps[key], self._max_gap, hold)
+        bridge, derived = longest_bridge(self._stamps[source], self._max_gap, hold), source != key
+        if derived:
+            values = differentiated(times, values, source.rpartition(".")[2], bridge)
+        columns = tuple(f"{key}.{i}" for i in range(values.shape[1]))
         rotation = key.endswith(".orientation")
-        return resample(times, values, columns, grid, bridge=bridge, hold=hold, rotation=rotation)
+        return resample(
+            times, values, columns, grid, bridge=bridge, hold=hold, rotation=rotation, derived=derived
+        )
