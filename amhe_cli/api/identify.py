@@ -221,7 +221,7 @@ def identify(
         checkpoint: File in which the search is saved after each iteration; it is resumed if the file exists.
         executor: Computes the rollouts with its workers in place of threads of this process.
         progress: Called after each iteration with its record and the expected number of iterations; then
-            before each part of the conclusion, whose `method` begins with 'conclusion'.
+            before each part of the conclusion, whose `stage` is 'conclusion' and whose `method` is the part.
 
     Raises:
         ConfigError: An argument is wrong.

@@ -114,7 +114,7 @@ def _check_apart(logs: Sequence[Path], held_out: Sequence[Path]) -> None:
 
 
 def _shown(item: tuple[Iteration, int]) -> Shown:
-    """'linearised 3/16: cost 1.04, sigma 0.12', or 'conclusion: cost profiles 14/15'."""
+    """'linearised 3/16: cost 1.04, sigma 0.12', or 'cost profiles 14/15'."""
     iteration, total = item
     state = f": cost {iteration.cost:.4g}, sigma {iteration.sigma:.2g}" if iteration.rollouts else ""
     return f"{iteration.method} {iteration.number}/{total}{state}", iteration.number, total

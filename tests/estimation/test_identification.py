@@ -180,7 +180,7 @@ def test_progress_goes_through_the_conclusion(pendulum, swing):
         IdentifyOptions(),
         lambda iteration, total: seen.append((iteration, total)),
     )
-    parts = [iteration for iteration, _ in seen if iteration.method.startswith("conclusion: ")]
+    parts = [iteration for iteration, _ in seen if iteration.stage == "conclusion"]
     assert [iteration for iteration, _ in seen[: -len(parts)]] == list(result.iterations)
     assert [part.number for part in parts] == [len(result.iterations) + 1 + i for i in range(PARTS)]
     assert {total for _, total in seen[-len(parts) :]} == {len(result.iterations) + PARTS}

@@ -113,8 +113,8 @@ def identification(**changes: object) -> Identification:
         ),
         "correlations": CORRELATIONS,
         "combinations": (
-            Combination("damping * friction_loss^0.07", 0.012, 0.97),
-            Combination("damping^-0.07 * friction_loss", 0.42, 0.58),
+            Combination("damping * friction_loss^0.07", 0.012, 0.97, ("damping", "friction_loss")),
+            Combination("damping^-0.07 * friction_loss", 0.42, 0.58, ("damping", "friction_loss")),
         ),
         "held_out": HeldOut(6, 1.08, 14.2, float("nan"), float("nan"), float("nan"), float("nan")),
         "iterations": iterations,

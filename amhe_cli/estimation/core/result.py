@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
@@ -84,21 +84,25 @@ class ParameterResult:
 
 @dataclass(frozen=True, slots=True)
 class Combination:
-    """A product of parameters and how well it is known, such as 'box_mass * friction: 1.2 %'."""
+    """A product of parameters and how well it is known, such as 'box_mass * friction: 1.2 %'.
+
+    Args:
+        text: The product.
+        sd: Sd of its logarithm: 0.01 is 1 %.
+        shrinkage: 1 - posterior sd / prior sd.
+        names: The parameters.
+    """
 
     text: str
-    sd: float  # of the logarithm (or of the scaled sum): 0.01 is 1 %
+    sd: float
     shrinkage: float
+    names: tuple[str, ...]
 
 
 def sharper(combinations: Sequence[Combination], relative: Mapping[str, float]) -> list[Combination]:
     """Combinations known more precisely than each of their parameters, by the relative sd; best first."""
-
-    def parts(combination: Combination) -> Iterator[float]:
-        for factor in combination.text.replace(" / ", " * ").split(" * "):
-            yield relative.get(factor.partition("^")[0], math.inf)
-
-    return sorted((c for c in combinations if c.sd < min(parts(c))), key=lambda c: c.sd)
+    better = (c for c in combinations if c.sd < min(relative.get(name, math.inf) for name in c.names))
+    return sorted(better, key=lambda c: c.sd)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +214,7 @@ class Iteration:
     rollouts: int
     diverged: int
     theta: tuple[float, ...]
-    stage: str = ""  # of the linearised search: 'explore' or 'polish'
+    stage: str = ""  # 'explore' or 'polish' of the linearised search; 'conclusion' of a part of that
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -48,8 +48,8 @@ def _pair(
         before = float(np.sqrt(powers @ prior[block] @ powers))
         sd = float(np.sqrt(value) * np.linalg.norm(powers))
         if np.abs(powers).min() >= EXPONENT:
-            text = _product([space.names[i] for i in pair], powers)
-            result.append(Combination(text, sd, 1.0 - sd / before))
+            names = tuple(space.names[i] for i in pair)
+            result.append(Combination(_product(names, powers), sd, 1.0 - sd / before, names))
     return result
 
 

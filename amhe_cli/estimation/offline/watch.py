@@ -81,7 +81,7 @@ class Watch:
         """Show that a part of the conclusion begins."""
         self._shown += 1
         number = self._record.number + self._shown
-        record = replace(self._record, number=number, method=f"conclusion: {part}", rollouts=0, diverged=0)
+        record = replace(self._record, number=number, method=part, stage="conclusion", rollouts=0, diverged=0)
         self._on_iteration(record, self._record.number + self._parts)
 
     def allows(self, part: str, rollouts: float) -> bool:
