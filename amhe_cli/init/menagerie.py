@@ -38,5 +38,10 @@ def menagerie_model(name: str) -> Path:
         raise ConfigError(one_of("model of the menagerie", robot, menagerie_names()))
     try:
         return mujoco_menagerie.get(robot).xml(entry or None)
+    except mujoco_menagerie.DownloadError as error:
+        folder = mujoco_menagerie.Cache().model_path(mujoco_menagerie.get(robot))
+        raise ConfigError(
+            f"menagerie:{name}: {error}; offline, copy the folder {folder} from a computer that has it"
+        ) from None
     except mujoco_menagerie.MenagerieError as error:
         raise ConfigError(f"menagerie:{name}: {error}") from None

@@ -95,6 +95,9 @@ class Menagerie(ModuleType):
     class MenagerieError(Exception):
         pass
 
+    class DownloadError(MenagerieError):
+        pass
+
     def names(self) -> list[str]:
         return ["pendulum"]
 
@@ -120,6 +123,17 @@ def test_a_model_of_the_menagerie(pendulum_log: Path, tmp_path: Path, capsys, mo
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", None)
     assert run(["init", "menagerie:pendulum", *call]) == 2
     assert "pip install 'amhe[robots]'" in capsys.readouterr().err
+
+
+def test_a_model_of_the_menagerie_without_a_network(
+    pendulum_log: Path, tmp_path: Path, capsys, monkeypatch
+) -> None:
+    pytest.importorskip("mujoco_menagerie")
+    monkeypatch.setenv("MENAGERIE_BASE_URL", "http://127.0.0.1:9")
+    monkeypatch.setenv("MENAGERIE_CACHE_DIR", str(tmp_path / "cache"))
+    assert run(["init", "menagerie:unitree_go2", str(pendulum_log), "-o", str(tmp_path / "out")]) == 2
+    printed = " ".join(capsys.readouterr().err.split())
+    assert f"offline, copy the folder {tmp_path}/cache/models/unitree_go2-" in printed
 
 
 def test_the_commands_of_the_docs_run(

@@ -1,6 +1,8 @@
 """Opening engines, and what the engines of one process and of many do with a call."""
 
 import signal
+import subprocess
+import sys
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
 from threading import Timer
@@ -29,6 +31,18 @@ class Counting(ThreadPoolExecutor):
 def test_an_unknown_engine_is_refused_with_those_that_there_are() -> None:
     with pytest.raises(ConfigError, match="no engine 'abacus'.*cpu"):
         open_engine(PENDULUM, kind="abacus")
+
+
+def test_looking_for_cards_prints_nothing() -> None:
+    """Warp warns on stderr, once in a process, that it finds no driver."""
+    pytest.importorskip("mujoco_warp")
+    look = (
+        "from amhe_cli.engine.open import open_engine\n"
+        "from amhe_cli.system.system import System\n"
+        "open_engine(System.load('pendulum'), kind='auto')"
+    )
+    ended = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True)
+    assert ended.stdout + ended.stderr == ""
 
 
 def test_a_call_is_spread_in_parts() -> None:
