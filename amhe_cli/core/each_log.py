@@ -17,11 +17,6 @@ from amhe_cli.core.log import Log
 from amhe_cli.core.parameters import ParameterSpace, Rows, rows_of
 
 
-def owner_free(name: str) -> str:
-    """Name of the parameter that an unknown is a value of; of a `Parameter` itself, `of_model` knows it."""
-    return name.partition("[")[0]
-
-
 def named(logs: Sequence[Log]) -> list[Log]:
     """The logs, with names for the values of their own: those of their files, numbered if need be."""
     taken = {owner for log in logs for owner in log.own.values() if owner}

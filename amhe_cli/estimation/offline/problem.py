@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray, sealed, to_host
-from amhe_cli.core.each_log import owner_free
 from amhe_cli.core.log import Window
 from amhe_cli.core.settings import Settings
 from amhe_cli.engine.open import open_engine
@@ -257,8 +256,8 @@ class Problem:
         """
         space, late, dt = self.system.space, self.system.edits.late, self.system.dt
         theta = np.array(space.nominal)
-        for column, name in enumerate(space.names):
-            if owner_free(name) in late:  # a log may have its own
+        for column, parameter in enumerate(space.parameters):
+            if parameter.of_model in late:  # a log may have its own
                 theta[column] = (np.floor(theta[column] / dt + 1e-6) + 0.5) * dt
         return space.z_of(theta)
 
@@ -266,8 +265,7 @@ class Problem:
     def idle(self) -> dict[str, str]:
         """Why these logs do not depend on a parameter, for each that is not active."""
         idle = np.flatnonzero(~self.active)
-        names = [self.system.space.names[i] for i in idle]
-        if not names:
+        if not idle.size:
             return {}
         cost = self.cost(self._some_clips)
         ends = np.zeros((2, idle.size, self.active.size))
@@ -279,14 +277,16 @@ class Problem:
         rows = np.linspace(0, len(qpos) - 1, min(len(qpos), _LOOKS)).astype(int)
         cells = {parameter.name: own for parameter, own in self.system.edits.by_parameter()}
         model, reasons = self.system.model, {}
-        for name, far in zip(names, felt, strict=True):
+        for column, far in zip(idle, felt, strict=True):
+            parameter = self.system.space.parameters[column]
+            name = parameter.name
             reasons[name] = "no measurement in these logs depends on it"
             if far:
                 reasons[name] += (
                     " near its nominal value, but at its bounds one does: give a nominal value of the right "
                     "size, or a wider prior"
                 )
-            if pairs := needed_contacts(model, cells.get(owner_free(name), ())):
+            if pairs := needed_contacts(model, cells.get(parameter.of_model, ())):
                 gap, pair = nearest(model, qpos[rows], inputs[rows], self.system.input_spec, pairs)
                 if gap > _TOUCH:
                     one, other = (geom_name(model, geom) for geom in pair)

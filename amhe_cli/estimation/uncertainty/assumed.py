@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray, IntArray, sealed
-from amhe_cli.core.each_log import owner_free
 from amhe_cli.core.statistics import root
 from amhe_cli.engine.open import contact_variants, finer_solver, finer_step
 from amhe_cli.estimation.core.agreement import SURPRISE
@@ -342,8 +341,8 @@ def _changed(source: Source, wanted: float) -> str:
 
 def _acting_values(problem: Problem, fit: FinalFit) -> list[Assumed]:
     """The assumed values that act in the rollouts at the estimate."""
-    names = problem.system.space.names
-    felt = {owner_free(name) for name, active in zip(names, problem.active, strict=True) if active}
+    parameters = problem.system.space.parameters
+    felt = {p.of_model for p, active in zip(parameters, problem.active, strict=True) if active}
     largest = {
         o.channel.key: np.abs(o.measured[o.mask]).max(initial=0.0) for o in fit.slopes.cost.clips.observed
     }

@@ -97,7 +97,7 @@ def with_common_means(found: Identification, model: ParameterSpace, space: Param
     """
     variances = {}
     for parameter in model.parameters:
-        members = [i for i, name in enumerate(space.names) if name.startswith(f"{parameter.name}[")]
+        members = [i for i, p in enumerate(space.parameters) if p.owner and p.of_model == parameter.name]
         if members:
             found, space, variances[parameter.name] = _with_mean(found, space, parameter, members)
     between = np.diag([variances.get(name, 0.0) for name in found.belief.names])

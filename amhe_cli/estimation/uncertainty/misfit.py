@@ -6,7 +6,6 @@ import logging
 
 import numpy as np
 
-from amhe_cli.core.each_log import owner_free
 from amhe_cli.estimation.core.information import channel_times, split
 from amhe_cli.estimation.offline.clips import clip_name
 from amhe_cli.estimation.offline.problem import Problem
@@ -92,14 +91,14 @@ def blamed(system: System, fit: FinalFit) -> dict[str, tuple[str, ...]]:
     if not missed:
         return {}
     scale, key = max(missed)
-    joints, named = shared_by_joints(system), [(name, owner_free(name)) for name in system.space.names]
+    joints = shared_by_joints(system)
     return {
-        name: (
-            f"it is one value of {joints[own]} joints, and the model misses {key} by {scale:.1f} times its "
-            f"noise: give each joint its own",
+        p.name: (
+            f"it is one value of {joints[p.of_model]} joints, and the model misses {key} by {scale:.1f} times "
+            f"its noise: give each joint its own",
         )
-        for name, own in named
-        if own in joints
+        for p in system.space.parameters
+        if p.of_model in joints
     }
 
 
