@@ -13,7 +13,6 @@ from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Window
 from amhe_cli.core.statistics import part_of
-from amhe_cli.estimation.core.information import gauss_newton_step
 from amhe_cli.estimation.core.result import ClipCount, HeldOut, Identification
 from amhe_cli.estimation.offline.bodies import body_numbers
 from amhe_cli.estimation.offline.cma import CmaState
@@ -28,6 +27,7 @@ from amhe_cli.estimation.uncertainty.fit import (
     TURNS,
     FinalFit,
     Finding,
+    doubled_prior,
     doubled_step,
     final_fit,
 )
@@ -63,8 +63,8 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         finding: Result of the search.
         validation: Clips that were not fitted.
         watch: Shows progress, and decides for which of the slow checks there is time: held-out clips from
-            fitted first states, the comparison of the logs' halves, shifts under other models, profiles.
-            After an interruption there is for none.
+            fitted first states, the comparison of the logs' halves, what rests on assumed values, a second
+            minimum, profiles. After an interruption there is for none.
     """
     system = problem.system
     watch.enter("covariance")
@@ -83,7 +83,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         blamed=blamed(system, fit) if finding.done else {},
         profiles=_profiles(problem, fit, ledger.sd, watch),
         rival=rival,
-        doubled_prior=_doubled_prior(problem, fit),
+        doubled_prior=doubled_prior(fit, problem.active),
         rough=problem.rough,
     )
     _report_budget(system, ledger)
@@ -213,18 +213,6 @@ def _ledger(
         rival = second_minimum(problem, finding, fit, Ledger(tuple(found)).covariance)
         found += [rival.term(fit.z)] if rival else []
     return Ledger(tuple(found)), rival, exact
-
-
-def _doubled_prior(problem: Problem, fit: FinalFit) -> FloatArray:
-    """Where each estimate would move if the sd of its own prior were twice as large, shape (d,)."""
-    prior, moves = fit.posterior.prior, np.zeros_like(fit.z)
-    known = fit.posterior.hessian - prior
-    score = np.einsum("c,ci->i", fit.weight, fit.found.score)
-    for i in np.flatnonzero(problem.active):
-        wider = np.array(prior)
-        wider[i], wider[:, i] = 0.5 * wider[i], 0.5 * wider[:, i]
-        moves[i] = gauss_newton_step(known, score, wider, fit.z)[0][i] - fit.posterior.step[i]
-    return moves
 
 
 def _profiles(

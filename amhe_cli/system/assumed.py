@@ -172,7 +172,7 @@ def _beyond(values: FloatArray, limits: FloatArray) -> BoolArray:
 
 @dataclass(frozen=True, slots=True)
 class _Member:
-    """One number of a kind: whose it is, where it is, and in which states (n,) it acts; None: in all."""
+    """One number of a kind: whose it is, where it is, and of a limit in which states (n,) it acts."""
 
     of: str
     cells: tuple[Cells, ...]
@@ -228,8 +228,8 @@ def _drives(model: mujoco.MjModel, acts: Acting) -> Iterator[_Kind]:
         return int(model.actuator_ctrladr[row])
 
     driving, limited = list(acting_on(acts.driving)), acting_on(acts.force)
-    yield "gain", "gain", [_Member(name, tuple(gain_cells(model, r)), hit) for r, name, hit in driving]
-    velocity = [_Member(name, tuple(_velocity_gain(model, r)), hit) for r, name, hit in driving]
+    yield "gain", "gain", [_Member(name, tuple(gain_cells(model, r))) for r, name, _ in driving]
+    velocity = [_Member(name, tuple(_velocity_gain(model, r))) for r, name, _ in driving]
     yield "gain", "velocity gain", velocity
     ends = [_Member(n, tuple(range_cells(model, "actuator_forcerange", r)), hit) for r, n, hit in limited]
     yield "force_limit", "force limit", ends
@@ -289,7 +289,7 @@ def _grouped(
         more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
         cells = tuple(cell for member in equal for cell in member.cells)
         acts = [member.acts for member in equal if member.acts is not None]
-        share_of_steps = float(np.any(acts, axis=0).mean()) if acts and kind.endswith("limit") else None
+        share_of_steps = float(np.any(acts, axis=0).mean()) if acts else None
         yield Assumed(
             setting, f"the {kind} of {', '.join(names[:_LISTED])}{more}", f"{value:g}", cells, "scale", share,
             100.0 * share, "%", share_of_steps,

@@ -229,6 +229,24 @@ def doubled_step(problem: Problem, finding: Finding, fit: FinalFit) -> Posterior
     return posterior(finding.z, found, fit.weight, problem.system.space.prior_precision)
 
 
+def doubled_prior(fit: FinalFit, active: BoolArray) -> FloatArray:
+    """Where each estimate would move if the sd of its own prior were twice as large, shape (d,).
+
+    Args:
+        fit: The linearisation at the estimate.
+        active: Parameters that the logs depend on, shape (d,).
+    """
+    prior, moves = fit.posterior.prior, np.zeros_like(fit.z)
+    known = fit.posterior.hessian - prior
+    score = np.einsum("c,ci->i", fit.weight, fit.found.score)
+    for i in np.flatnonzero(active):
+        wider = np.array(prior)
+        wider[i] *= 0.5  # row and column: the diagonal becomes a quarter
+        wider[:, i] *= 0.5
+        moves[i] = gauss_newton_step(known, score, wider, fit.z)[0][i] - fit.posterior.step[i]
+    return moves
+
+
 def _linearised(
     problem: Problem,
     finding: Finding,

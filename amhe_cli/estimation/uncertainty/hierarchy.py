@@ -162,11 +162,12 @@ def _mean_line(
     """The line of a common mean; its numbers follow."""
     values = [lines[i] for i in members]
     wrong = next((p for p in values if p.verdict == "model-sensitive"), None)
+    conditional = next((p for p in values if p.given), None)
+    first = wrong or conditional
     text = f"the common mean of {len(values)} values"
     reasons = (Reason("together", tuple(p.name for p in values), 1.0, text),)
-    if wrong is not None:
-        first = wrong.reasons[0]
-        reasons = (replace(first, text=f"{wrong.name}: {first.text}"), *reasons)
+    if first is not None:
+        reasons = (*(replace(r, text=f"{first.name}: {r.text}") for r in first.reasons[:1]), *reasons)
     return replace(
         values[0],
         name=parameter.name,
@@ -174,7 +175,7 @@ def _mean_line(
         reasons=reasons,
         budget={},
         doubled_prior=float("nan"),
-        given="",
+        given="" if conditional is None else conditional.given,
         profile=None,
     )
 
@@ -184,6 +185,9 @@ def _updated(line: ParameterResult, p: Parameter, z: float, sd: float) -> Parame
     alone = ParameterSpace((p,))
     estimate, *ends = (float(alone.theta_of(np.array([z + k * Z90 * sd]))[0]) for k in (0.0, -1.0, 1.0))
     strength = "identified" if 1.0 - sd >= DETERMINED else "weak" if 1.0 - sd >= NOTHING else "prior"
+    if strength == "identified" and line.given:
+        strength = "conditional"  # what the values rest on, their mean rests on
+    verdict = line.verdict or strength
     return replace(
         line,
         estimate=float(np.clip(estimate, p.lower, p.upper)),
@@ -191,7 +195,8 @@ def _updated(line: ParameterResult, p: Parameter, z: float, sd: float) -> Parame
         lower=float(np.clip(ends[0], p.lower, p.upper)),
         upper=float(np.clip(ends[1], p.lower, p.upper)),
         shrinkage=1.0 - sd,
-        verdict=line.verdict or strength,
+        verdict=verdict,
+        given=line.given if verdict == "conditional" else "",
     )
 
 

@@ -5,8 +5,8 @@ A term holds errors e_k of the estimate, one standard deviation long each, and i
     Cov(z) = sum over terms, k of  e_k e_k'
 
 Nothing else widens an interval. Verdicts, reasons, the budget and what `amhe pool` carries over from run to
-run are all read from the terms. To add a source of doubt, write a function that returns a `Term`, and add it
-to the list in `conclude`.
+run are all read from the terms. To add a source of doubt, name its kind in `KINDS` and `Kind`, write a
+function that returns a `Term`, and add it to the list in `conclude._ledger`.
 """
 
 from __future__ import annotations

@@ -37,8 +37,9 @@ HALVES = ("the first half of the logs", "the second half of the logs")
 REFITS = 2
 #: Clips that a part must have, and logs from which they are many parts of one data set.
 FEWEST_CLIPS, MANY = 3, 10
-#: Share of the least known combination's variance below which a combination is unknown to two parts.
-ROUNDING = 1e-9
+#: What two parts know of a combination, as a share of what they know of the best known one, below which it is
+#: rounding.
+ROUNDING = 3e-5
 #: Error of the estimate, in the sd of noise, from which a difference of the halves is reported as a drift,
 #: and values that the report lists.
 DRIFTS, LISTED = 0.5, 3
@@ -82,9 +83,11 @@ def _apart(one: Posterior, other: Posterior, fit: FinalFit, pairs: int) -> tuple
     noise, pull, joint = (one.noise, other.noise), (one.pull, other.pull), fit.posterior.covariance
     apart, prior_error = one.step - other.step, sealed(np.linalg.inv(fit.posterior.prior))
     excess = beyond_chance(apart, difference(noise, pull, prior_error), pairs)
-    known = np.eye(len(apart)) - 0.5 * (pull[0] + pull[1])
-    follow = joint @ known.T @ np.linalg.pinv(known @ joint @ known.T, rcond=ROUNDING, hermitian=True)
-    return apart, follow @ known @ excess
+    # in units of the joint posterior, where no combination is small because it is well known
+    lower = np.linalg.cholesky(joint)
+    known = np.linalg.solve(lower, (np.eye(len(apart)) - 0.5 * (pull[0] + pull[1])) @ lower)
+    follow = np.linalg.pinv(known, rcond=ROUNDING) @ known
+    return apart, lower @ follow @ np.linalg.solve(lower, excess)
 
 
 def _weight(alone: Parts, pair: tuple[str, str], excess: FloatArray) -> float:

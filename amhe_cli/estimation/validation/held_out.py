@@ -203,7 +203,7 @@ def worse(rise: FloatArray, known: FloatArray, covariance: FloatArray, moved: Fl
     Args:
         rise: Misfit now less that before of each clip, shape (c,), as of independent samples.
         known: Information of each clip on z, shape (c, d, d).
-        covariance: Covariance of z by noise alone, shape (d, d).
+        covariance: Covariance of z by noise and prior alone, shape (d, d).
         moved: Distance between the values, shape (d,).
     """
     both = np.isfinite(rise)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.estimation.core.agreement import difference
 from amhe_cli.estimation.core.information import Information, marginalised
-from amhe_cli.estimation.uncertainty.fit import posterior
+from amhe_cli.estimation.uncertainty.fit import doubled_prior, posterior
 
 TRUTH = np.array([0.5, -0.3])
 
@@ -31,6 +34,17 @@ def test_the_estimate_is_that_of_regularised_least_squares() -> None:
     found, prior = linear(20), np.diag([1.0, 4.0])
     result = posterior(np.zeros(2), found, np.ones(20), prior)
     assert result.step == pytest.approx(least_squares(found, prior)[0])
+
+
+def test_a_prior_of_twice_the_sd_weighs_a_quarter() -> None:
+    """The estimate moves to that of least squares under such a prior of one parameter."""
+    found, prior, z = linear(3), np.array([[40.0, 12.0], [12.0, 30.0]]), np.array([0.1, 0.2])
+    own = posterior(z, found, np.ones(3), prior)
+    fit: Any = SimpleNamespace(posterior=own, found=found, weight=np.ones(3), z=z)
+    for i, wider in enumerate(([[10.0, 6.0], [6.0, 30.0]], [[40.0, 6.0], [6.0, 7.5]])):
+        moved = posterior(z, found, np.ones(3), np.array(wider)).step[i] - own.step[i]
+        assert doubled_prior(fit, np.ones(2, dtype=bool))[i] == pytest.approx(moved) and abs(moved) > 1e-3
+    assert not doubled_prior(fit, np.zeros(2, dtype=bool)).any()
 
 
 def test_under_white_noise_the_sandwich_is_the_inverse_of_the_information() -> None:

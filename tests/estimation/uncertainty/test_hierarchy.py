@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from amhe_cli.api.identify import identify
+from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Log
-from amhe_cli.estimation.uncertainty.hierarchy import SPREADS, grouped
+from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.estimation.core.result import Identification, Reason
+from amhe_cli.estimation.uncertainty.hierarchy import SPREADS, grouped, with_common_means
 from amhe_cli.system.system import System
+from tests.report import synthetic
 
 
 def test_many_precise_values_give_their_own_mean_and_spread() -> None:
@@ -57,6 +62,44 @@ def test_spreads_cover_the_truth() -> None:
         inside += abs(group.mean[-1] - 0.3) < 1.645 * sd, group.spread[0] < 0.3 < group.spread[2]
     assert (inside >= 82).all(), inside
     assert (SPREADS[0], SPREADS[-1]) == pytest.approx((1e-3, 4.0))
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "sd", "verdict"),
+    [
+        (("identified", "identified"), 0.02, "identified"),
+        (("conditional", "identified"), 0.02, "conditional"),
+        (("conditional", "model-sensitive"), 0.02, "model-sensitive"),
+        (("conditional", "identified"), 0.99, "prior"),
+    ],
+)
+def test_a_mean_rests_on_what_its_values_rest_on(verdicts: tuple[str, ...], sd: float, verdict: str) -> None:
+    friction = Parameter("friction", "-", 0.6, 0.06, 6.0, log=True, prior_sd=0.5)
+    space = ParameterSpace(tuple(friction.owned_by(owner) for owner in "abcdefgh"))
+    gain = "the gain of servo, 4"
+    lines = [
+        replace(
+            synthetic.parameter(0),
+            name=name,
+            verdict=of,
+            given=gain * (of == "conditional"),
+            reasons=(Reason("assumed", (name,), 0.5, f"given {gain}"),),
+        )
+        for name, of in zip(space.names, 4 * verdicts, strict=True)
+    ]
+    found: Identification = synthetic.identification(
+        parameters=tuple(lines),
+        belief=Belief(
+            "push", space.names, ("-",) * 8, (True,) * 8, np.full(8, 0.6), (0.5 * sd) ** 2 * np.eye(8)
+        ),
+        correlations=np.eye(8),
+        iterations=(),
+    )
+    mean = with_common_means(found, ParameterSpace((friction,)), space).parameters[0]
+    assert (mean.name, mean.verdict) == ("friction", verdict)
+    assert mean.given == (gain if verdict == "conditional" else "")
+    if verdict == "conditional":
+        assert mean.reasons[0].text == f"friction[a]: given {gain}"
 
 
 @pytest.mark.medium

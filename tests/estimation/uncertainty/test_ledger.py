@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ from amhe_cli.core.statistics import root
 from amhe_cli.estimation.core.information import information, marginalised
 from amhe_cli.estimation.uncertainty import terms
 from amhe_cli.estimation.uncertainty.fit import posterior
-from amhe_cli.estimation.uncertainty.ledger import KINDS, Ledger, Source, Term, term_of
+from amhe_cli.estimation.uncertainty.ledger import KINDS, Kind, Ledger, Source, Term, term_of
 from tests.estimation.core.test_agreement import rotated
 
 SPACE = ParameterSpace(tuple(Parameter(name, "-", 1.0, 0.01, 100.0, True, 0.5) for name in "abc"))
@@ -79,6 +79,11 @@ def test_the_budget_shares_a_variance_out() -> None:
         assert budget["assumed"] == pytest.approx(whole / found.covariance[i, i])
         assert sum(variance for variance, _ in found.terms[2].of(i)) == pytest.approx(whole)
     assert "search" not in found.budget(1), "it does not move"
+
+
+def test_every_kind_has_a_meaning() -> None:
+    """A kind without one would be missing in every budget."""
+    assert tuple(KINDS) == get_args(Kind)
 
 
 def test_given_are_assumed_values_and_the_priors_of_others() -> None:
