@@ -171,6 +171,8 @@ def timeline(samples: SignalSamples, forced: Stamp = "auto") -> Timeline:
     if not samples.has_header and forced == "header":
         order = ("publish", "log")
         notes.append("it has no header stamps; publish stamps are used")
+    if not samples.has_header and np.array_equal(samples.publish_ns, samples.log_ns):
+        order, notes = ("publish",), []  # the rows of a table have one time, whatever it is called
     best: Timeline | None = None
     for clock in order:
         stamps = {"header": samples.header_ns, "publish": samples.publish_ns, "log": samples.log_ns}[clock]
@@ -181,7 +183,7 @@ def timeline(samples: SignalSamples, forced: Stamp = "auto") -> Timeline:
             best = found
             break
         best = found if best is None or found.kept.size > best.kept.size else best
-        if forced == "auto":
+        if forced == "auto" and len(order) > 1:
             unset = int(np.sum(stamps == 0))
             why = f"{unset} of {len(stamps)} are not set" if unset else "they do not run forward"
             notes.append(f"its {clock} stamps cannot be used ({why})")

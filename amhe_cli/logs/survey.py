@@ -24,6 +24,10 @@ from amhe_cli.logs.tables import table_columns
 
 #: Messages that it takes to judge a topic's clock by.
 _ENOUGH = 10
+#: Silence of all topics [s] behind which few stamps are no part of the recording.
+_FAR = 10.0
+#: Share of all messages that is the recording, where silences divide them.
+_NEARLY_ALL = 0.99
 #: Paths of times, which are no measurements.
 _TIME_PATHS = re.compile(r"(^|\.)(stamp|time_from_start)(\.|$)|(^|\.)header\.")
 
@@ -232,12 +236,17 @@ def read_metadata(path: Path) -> dict[str, str]:
 
 
 def _span(samples: Mapping[Connection, SignalSamples]) -> tuple[int, float]:
-    """First stamp [ns] and duration [s] by the recorder's clock, wild stamps left out."""
+    """First stamp [ns] and duration [s] by the recorder's clock, stamps far from nearly all others left out.
+
+    A ULog has what was last said before the recording, with its stamp of then.
+    """
     stamps = [timeline(s, "log").stamps_ns for s in samples.values() if s.log_ns.size]
     if not stamps:
         return 0, 0.0
-    first, last = min(int(s[0]) for s in stamps), max(int(s[-1]) for s in stamps)
-    return first, (last - first) / 1e9
+    every = np.sort(np.concatenate(stamps))
+    most = max(np.split(every, np.flatnonzero(np.diff(every) > _FAR * 1e9) + 1), key=len)
+    every = most if most.size >= _NEARLY_ALL * every.size else every
+    return int(every[0]), int(every[-1] - every[0]) / 1e9
 
 
 @dataclass(frozen=True, slots=True)

@@ -28,3 +28,13 @@ def test_the_clock_that_is_off_is_the_one_that_is_named() -> None:
     zero = np.zeros_like(log_ns)
     samples = SignalSamples(log_ns, log_ns - 20 * 10**9, zero, zero, {}, {}, has_header=False)
     assert timeline(samples).notes == ("its publish stamps are 20 s behind the recorder's clock",)
+
+
+def test_a_table_has_one_time_and_zero_is_one() -> None:
+    """Nothing is said of stamps that are not set, or of another clock, where rows repeat their time."""
+    times = np.array([0, 0, 10, 20, 20, 30, 40]) * 10**6
+    zero = np.zeros_like(times)
+    samples = SignalSamples(times, times, zero, zero, {}, {}, has_header=False)
+    assert timeline(samples).notes == ("messages are dropped: 2 with a repeated stamp",)
+    assert timeline(samples, "header").notes == timeline(samples).notes
+    np.testing.assert_array_equal(timeline(samples).stamps_ns, np.arange(5) * 10**7)

@@ -52,6 +52,17 @@ def test_inspection_lists_them(tmp_path: Path) -> None:
     assert found.problems == ("the recorder dropped messages 1 times, 0.25 s in all",)
 
 
+def test_what_was_said_before_the_recording_is_no_part_of_its_duration(tmp_path: Path) -> None:
+    stamps = (20_000_000 + np.round(1e6 * T)).astype(np.uint64)
+    early = {"timestamp": np.array([1_000_000], dtype=np.uint64), "x": Q[:1, 1]}
+    arm = {"timestamp": stamps, "q": Q}
+    found = survey(write_ulog(tmp_path / "log.ulg", {("arm", 0): arm, ("boot", 0): early}))
+    assert found.duration == pytest.approx(T[-1])
+    halves = {"timestamp": np.where(T < 1.0, stamps, stamps + np.uint64(60_000_000)), "q": Q}
+    found = survey(write_ulog(tmp_path / "halves.ulg", {("arm", 0): halves}))
+    assert found.duration == pytest.approx(60.0 + T[-1])
+
+
 def test_without_the_extra_one_line_says_how_to_get_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
