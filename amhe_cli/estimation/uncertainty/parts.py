@@ -4,7 +4,8 @@ Noise makes parts disagree by chance, a wrong model by more. Each part gives an 
 system's prior moved to the joint estimate, so that a part that says nothing agrees with all. Estimates are
 compared by the formula of `core.agreement`. What chance does not explain is a random effect: parts scatter
 about their mean, and so may whatever comes next. Of k parts that differ by d_ij beyond chance, the variance
-is the sum over pairs of d_ij d_ij' / (k (k - 1)), where a part counts as far as it knows anything.
+is the sum over pairs of d_ij d_ij' / (k (k - 1)), where a part counts as far as it knows the difference, in
+units of the joint posterior.
 """
 
 from __future__ import annotations
@@ -66,7 +67,7 @@ def parts(problem: Problem, finding: Finding, fit: FinalFit, *, with_halves: boo
         pairs = list(combinations(alone, 2))
         for one, other in pairs:
             apart, excess = _apart(alone[other], alone[one], fit, len(pairs))
-            weight = _weight(alone, (one, other), excess)
+            weight = _weight(alone, (one, other), excess, fit.posterior.covariance)
             if weight > 0.0:
                 errors.append(weight * excess)
                 sources.append(Source(f"{one} and {other}", apart=tuple(map(float, apart))))
@@ -90,20 +91,21 @@ def _apart(one: Posterior, other: Posterior, fit: FinalFit, pairs: int) -> tuple
     return apart, lower @ follow @ np.linalg.solve(lower, excess)
 
 
-def _weight(alone: Parts, pair: tuple[str, str], excess: FloatArray) -> float:
+def _weight(alone: Parts, pair: tuple[str, str], excess: FloatArray, joint: FloatArray) -> float:
     """Weight of a pair in the scatter of k parts, sqrt(1 / k (k - 1)); a part counts as far as it knows.
 
     Args:
         alone: The parts.
         pair: Names of two of them.
         excess: Their difference beyond chance, shape (d,).
+        joint: Covariance of the joint posterior, shape (d, d).
     """
     if not excess.any():
         return 0.0
-    known = {}
+    # in units of the joint posterior: in those of the prior, what is hardly known would outweigh all else
+    known, along = {}, np.linalg.solve(joint, excess)
     for name, part in alone.items():
-        size = excess @ part.prior @ excess
-        known[name] = float(np.clip(1.0 - excess @ part.prior @ part.pull @ excess / size, 0.0, 1.0))
+        known[name] = float(np.clip(1.0 - along @ part.pull @ excess / (along @ excess), 0.0, 1.0))
     count = max(sum(known.values()), 2.0)
     both = known[pair[0]] * known[pair[1]]
     return float(np.sqrt(both / (count * (count - 1.0)))) if both > LITTLE**2 else 0.0
