@@ -94,8 +94,8 @@ def blamed(system: System, fit: FinalFit) -> dict[str, tuple[str, ...]]:
     joints = shared_by_joints(system)
     return {
         p.name: (
-            f"it is one value of {joints[p.of_model]} joints, and the model misses {key} by {scale:.1f} times "
-            f"its noise: give each joint its own",
+            f"it is one value of {joints[p.of_model]} joints, and the model misses {key} by {scale:.1f} "
+            f"times its noise: give each joint its own",
         )
         for p in system.space.parameters
         if p.of_model in joints
