@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import mujoco
+import numpy as np
 import pytest
 import yaml
 
 from amhe_cli.core.errors import ConfigError
+from amhe_cli.core.log import Log
 from amhe_cli.core.settings import ClipSettings, Settings
 from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.description.schema import ParameterEntry, SignalEntry, TargetEntry
@@ -123,3 +125,15 @@ def test_files_that_need_a_folder_do_without() -> None:
     assert set(system_files(system)) == {"model.xml", "system.yaml"}
     text = attachments(system)["system.yaml"]
     assert yaml.safe_load(text)["parameters"].keys() == FILE["parameters"].keys()
+
+
+def test_commands_may_be_smooth() -> None:
+    """A command in steps of 20 ms becomes a line again, where the drive interpolates."""
+    command = FILE["signals"]["command"] | {"smooth": 0.05}
+    system = made(signals=FILE["signals"] | {"command": command})
+    time = 0.002 * np.arange(500)
+    stepped = np.floor(time / 0.02) * 0.02
+    joints = {"time": time, "position": time, "velocity": np.ones_like(time)}
+    arrays = {"joints": joints, "command": {"time": time, "position": stepped}}
+    ramp = Log.from_arrays(arrays, system)["command.position"].values[50:-50, 0]
+    assert np.diff(ramp).min() > 0.0 and np.ptp(ramp - 0.002 * np.arange(ramp.size)) < 0.01

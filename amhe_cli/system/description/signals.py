@@ -23,6 +23,8 @@ from amhe_cli.system.description.wiring import (
 )
 from amhe_cli.system.model.elements import commanded, control_of, id_of, single_joints
 
+#: Kinds of signals that drive the model.
+DRIVING = ("actuators", "mocap", "force_on", "joint_force")
 #: Quantities of a body.
 POSE = ("position", "orientation", "linear_velocity", "angular_velocity")
 #: Quantity at a site -> MuJoCo sensor.
@@ -100,10 +102,8 @@ def _check(entry: SignalEntry, entries: Mapping[str, SignalEntry]) -> None:
     for begin, end in entry.active if isinstance(entry.active, list) else ():
         if end <= begin:
             raise ConfigError(f"active: a stretch from {begin:g} to {end:g} s ends before it begins")
-    if entry.smooth is not None and entry.kind not in ("mocap", "force_on", "joint_force", None):
-        raise ConfigError(
-            "smooth is for what drives the model: mocap, force_on, joint_force, or their points"
-        )
+    if entry.smooth is not None and entry.kind not in (*DRIVING, None):
+        raise ConfigError(f"smooth is for what drives the model: {', '.join(DRIVING)}, or their points")
     if entry.at is not None and entry.force_on is None:
         raise ConfigError("at is for force_on")
     if isinstance(entry.frame, str) and entry.force_on is None:
