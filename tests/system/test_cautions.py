@@ -103,3 +103,15 @@ def test_the_sparse_newton_solver_of_mujoco_4_0_0_is_warned_of(
     text = warnings_of(FRICTION, ", nominal: 2, bounds: [1.5, 3]", option=option)
     assert ('<option jacobian="dense"/>' in text) == warned
     assert warned or text == ""
+
+
+def test_a_nominal_that_is_far_from_the_models_own_number(warnings_of) -> None:
+    """A friction of 0.005 that is given as a factor, too, is 200 times too small; a value near it is none."""
+    torsional = ", ".join(
+        f"{{geom: {geom}, set: torsional_friction, mode: scale}}" for geom in ("box", "floor")
+    )
+    solid = 'condim="4"'
+    assert "starts at" not in warnings_of(torsional, ", nominal: 0.5", box=solid)
+    assert "starts at 2.5e-05, where the model's own number is 0.005" in warnings_of(
+        torsional, ", nominal: 0.005, bounds: [0.001, 0.01]", box=solid
+    )

@@ -7,12 +7,15 @@ from collections.abc import Iterator
 
 import mujoco
 
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.contacts import geom_name, partners
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
 logger = logging.getLogger(__name__)
 
+#: Factor between the nominal number and the model's own from which one of them is probably a mistake.
+FAR = 20.0
 #: Contact dimension that a friction column needs: sliding, torsional, rolling.
 _NEEDED = (3, 4, 6)
 #: Names of the columns of a friction, in the order of `_NEEDED`.
@@ -38,8 +41,28 @@ def caution(where: str, model: mujoco.MjModel, edits: ModelEdits) -> None:
         for part in cells:
             for text in _texts(model, part, cells, parameter.lower):
                 lines[f"{where}: parameter {parameter.name!r}: {text}"] = None
+    for name, text in _far_from_the_model(model, edits):
+        lines[f"{where}: parameter {name!r}: {text}"] = None
     for line in lines:
         logger.warning(line)
+
+
+def _far_from_the_model(model: mujoco.MjModel, edits: ModelEdits) -> Iterator[tuple[str, str]]:
+    """Positive numbers that start far from the model's own, as of a value that is given as a factor."""
+    try:
+        started = edits.apply(model, edits.space.nominal)
+    except ConfigError:  # said where it is simulated
+        return
+    for parameter, cells in edits.by_parameter():
+        pairs = [(float(part.of(model)[0]), float(part.of(started)[0])) for part in cells]
+        own, nominal = max(pairs, key=lambda pair: _apart(*pair), default=(1.0, 1.0))
+        if parameter.log and _apart(own, nominal) > FAR:
+            yield parameter.name, f"starts at {nominal:.3g}, where the model's own number is {own:.3g}"
+
+
+def _apart(own: float, nominal: float) -> float:
+    """Factor between two positive numbers; 1 where one is not."""
+    return max(own / nominal, nominal / own) if min(own, nominal) > 0.0 else 1.0
 
 
 def _solver_is_wrong(model: mujoco.MjModel) -> bool:
