@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import mujoco
+import yaml
 
 from amhe_cli.init.names import in_motor_order, is_command, joint_paths, matched, names_the_same, words
 from amhe_cli.system.model.couplings import followers
@@ -109,7 +110,8 @@ def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[G
     if not any("actuators" in guess.entry for guess in guesses):
         idle = "the actuators hold the control 0" if model.nactuator else "nothing drives the joints"
         notes += [f"no command topic was found: {idle}"] if measured else []
-        notes += [_torques(guess, topics) for guess in guesses if "joints" in guess.entry]
+        measured_by = [guess for guess in guesses if "joints" in guess.entry]
+        notes += [note for guess in measured_by if (note := _torques(model, guess, topics))]
     else:
         notes += [note for guess in guesses if (note := _efforts(guess, topics))]
     free = {guess.entry.get("body") for guess in guesses}
@@ -163,14 +165,31 @@ def _proposals(model: mujoco.MjModel, unused: Sequence[Topic], guesses: Sequence
             )
 
 
-def _torques(guess: Guess, topics: Sequence[Topic]) -> str:
-    """How to drive the model by measured torques."""
-    name, joints = guess.entry["topic"], ", ".join(guess.entry["joints"])
-    columns = next((topic.columns.get("effort") for topic in topics if topic.name == name), None)
-    source = f"columns: {{effort: [{', '.join(columns)}]}}" if columns else f"topic: {name}"
+def _torques(model: mujoco.MjModel, guess: Guess, topics: Sequence[Topic]) -> str:
+    """How to drive the model by measured torques, in YAML to be pasted; empty where a table has none.
+
+    Where the model has actuators, joints without one are passive: no torque drives them.
+    """
+    topic = next(topic for topic in topics if topic.name == guess.entry["topic"])
+    named = guess.entry["joints"]
+    names: dict[str, str] = dict(named) if isinstance(named, dict) else {joint: joint for joint in named}
+    driven = {joint_of(model, actuator) for actuator in names_of(model, "actuator")} or set(names)
+    names = {str(joint): logged for joint, logged in names.items() if joint in driven}
+    if not names or (topic.columns and "effort" not in topic.columns):
+        return ""
+    entry: dict[str, Any] = {"topic": topic.name, "joint_force": _plain_names(names)}
+    if topic.columns:
+        columns = dict(zip(topic.entries, topic.columns["effort"], strict=True))
+        several = len({other.table for other in topics if other.columns}) > 1
+        entry = {"topic": topic.table} if several else {}
+        entry |= {
+            "columns": {"effort": [columns[logged] for logged in names.values()]},
+            "joint_force": list(names),
+        }
+    text = yaml.safe_dump({"torque": entry}, default_flow_style=True, sort_keys=False, width=10**6)
     return (
-        f"if {name} holds the motors' torques, they can drive the model. Add the signal "
-        f"torque: {{{source}, joint_force: [{joints}]}}"
+        f"if {topic.name} holds the motors' torques, they can drive the model. Add the signal "
+        f"{text.strip()[1:-1]}"
     )
 
 

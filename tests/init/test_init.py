@@ -502,6 +502,24 @@ def test_targets_do_not_drive_a_torque_motor(tmp_path: Path) -> None:
     assert "not used: the table command\n" in text
 
 
+#: A cart that a servo drives, and a pole that nothing drives.
+CART = """<mujoco><worldbody><body name="cart"><joint name="slide" type="slide" axis="1 0 0"/>
+<geom size="0.1"/><body name="pole"><joint name="hinge"/>
+<geom size="0.1" pos="0 0 1"/></body></body></worldbody>
+<actuator><position name="servo" joint="slide"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("efforts", ["", ",tau: slide,tau: hinge"])
+def test_the_hint_about_torques_can_be_pasted(tmp_path: Path, efforts: str) -> None:
+    """Columns with signs of YAML in their names; the pole is passive, and a table is no topic."""
+    rows = (",".join([f"{0.01 * i:g}", *["0.1"] * (2 + efforts.count(","))]) for i in range(50))
+    (tmp_path / "log.csv").write_text("\n".join(["time,pos_slide,pos_hinge" + efforts, *rows]) + "\n")
+    _, _, notes = made(tmp_path, CART, [tmp_path / "log.csv"])
+    hints = [note.partition("Add the signal ")[2] for note in notes if "motors' torques" in note]
+    torque = {"columns": {"effort": ["tau: slide"]}, "joint_force": ["slide"]}
+    assert [yaml.safe_load(hint) for hint in hints] == [{"torque": torque}] * bool(efforts)
+
+
 def test_the_quantity_of_a_command_is_written_where_there_is_a_choice(tmp_path: Path) -> None:
     for name, more in (("one", ()), ("two", (np.ones(1),))):
         (tmp_path / name).mkdir()
