@@ -165,10 +165,10 @@ def _print_parameters(result: Identification, console: Console) -> None:
 
 
 def _first_reasons(result: Identification) -> dict[str, list[str]]:
-    """The first reason of each verdict but 'identified' -> its parameters."""
+    """The first reason of each verdict but 'identified', and each bound that decides a value -> names."""
     found: dict[str, list[str]] = {}
     for p in result.parameters:
-        if p.reasons and p.verdict != "identified":
+        if p.reasons and (p.verdict != "identified" or p.reasons[0].kind == "bound"):
             found.setdefault(p.reasons[0].text, []).append(p.name)
     return found
 

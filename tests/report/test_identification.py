@@ -414,6 +414,15 @@ def test_a_tiny_terminal_cuts_no_number(tmp_path) -> None:
     assert "0.7354 to 0.7488" in console.export_text()
 
 
+def test_the_terminal_says_that_a_value_stops_at_its_bound_whatever_its_verdict(tmp_path) -> None:
+    bound = Reason("bound", (), 1.0, "it stops at its lower bound 0.7: the data want less")
+    first, *others = identification().parameters
+    stopped = replace(first, verdict="identified", reasons=(bound, *first.reasons))
+    console = Console(width=100, record=True, highlight=False, file=(tmp_path / "out").open("w"))
+    print_identification(identification(parameters=(stopped, *others)), tmp_path, console, {})
+    assert f"load_mass: {bound.text}" in console.export_text()
+
+
 def test_the_held_out_line() -> None:
     line = held_out_line(HeldOut(20, 1.2, 8.0, 0.0085, 0.031, 0.05, 0.2))
     assert line == "20 clips: cost 8 -> 1.2, position error 31 mm -> 8.5 mm, orientation error 11.5° -> 2.86°"
