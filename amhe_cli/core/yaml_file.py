@@ -24,6 +24,8 @@ Place = tuple[str | int, ...]
 
 #: Levels that values may be nested.
 _DEEPEST = 50
+#: Mistakes of a file that are listed; a user mends no more at once.
+_MOST_MISTAKES = 100
 #: What is wrong with a file that is nested too deeply.
 _TOO_DEEP = f"nested deeper than {_DEEPEST} levels, or within itself"
 
@@ -141,9 +143,11 @@ class YamlFile:
         self.path = path
         self._overrides = overrides or {}
         self._problems: dict[str, tuple[int, int]] = {}
+        self._unlisted = 0
         loader, self._node = self._composed()
-        for mark, text in loader.duplicates:
+        for mark, text in loader.duplicates[:_MOST_MISTAKES]:
             self._note(mark, text)
+        self._unlisted += len(loader.duplicates[_MOST_MISTAKES:])
         if not patient:
             self.raise_problems()
         self.own: dict[str, Any] = {} if self._node is None else self._constructed(loader, self._node)
@@ -152,7 +156,10 @@ class YamlFile:
         self.data = merged(self.own, self._overrides)
 
     def problem(self, place: Place, text: str, at_key: bool = False) -> None:
-        """Note a mistake at the value, or key, that `place` names; `raise_problems` reports all of them."""
+        """Note a mistake at the value, or key, that `place` names; `raise_problems` reports them."""
+        if len(self._problems) >= _MOST_MISTAKES:
+            self._unlisted += 1
+            return
         if self._is_override(place):
             name = ".".join(map(str, place)).removeprefix("settings.")
             self._problems[f"setting {name}: {text}"] = (-1, 0)
@@ -166,9 +173,11 @@ class YamlFile:
         return f"{self.path}:{mark.line + 1}:{mark.column + 1}"
 
     def raise_problems(self) -> None:
-        """Raise one ConfigError that lists every noted mistake, a line each, in the file's order."""
+        """Raise one ConfigError with a line for each mistake, in the file's order; of very many, the first."""
         if self._problems:
-            raise ConfigError("\n".join(sorted(self._problems, key=lambda text: self._problems[text])))
+            lines = sorted(self._problems, key=lambda text: self._problems[text])
+            more = [f"{self.path}: {self._unlisted} more mistakes"] if self._unlisted else []
+            raise ConfigError("\n".join(lines + more))
 
     def _composed(self) -> tuple[_Loader, yaml.Node | None]:
         check_regular(self.path)

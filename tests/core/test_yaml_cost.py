@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from amhe_cli import System
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import YamlFile
 
 
@@ -20,3 +22,19 @@ def test_the_largest_files_are_read_in_seconds(text: str, tmp_path: Path) -> Non
     begun = time.process_time()
     YamlFile(tmp_path / "a.yaml")
     assert time.process_time() - begun < 10.0
+
+
+def test_a_file_of_mistakes_is_refused_in_seconds(tmp_path: Path) -> None:
+    """Of 140,000 unknown keys the first hundred mistakes are listed, and the rest is counted."""
+    (tmp_path / "system.yaml").write_text("".join(f"k{i}: {i}\n" for i in range(140_000)))
+    begun = time.process_time()
+    with pytest.raises(ConfigError) as refusal:
+        System.load(tmp_path)
+    assert time.process_time() - begun < 20.0
+    lines = str(refusal.value).splitlines()
+    assert len(lines) == 101
+    assert lines[3] == (
+        f"{tmp_path}/system.yaml:1:1: no key 'k0'; there is: "
+        "boxes, keyframe, model, parameters, robot, settings, signals"
+    )
+    assert lines[-1] == f"{tmp_path}/system.yaml: 139903 more mistakes"

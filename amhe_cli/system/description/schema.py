@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import types
 from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Annotated, Any, Literal, Protocol, Union, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model, model_validator
@@ -191,6 +192,7 @@ class Description(Protocol):
         """Raise one ConfigError that lists every noted mistake, a line each."""
 
 
+@cache
 def with_settings(entry: type[SystemEntry], schema: type[Settings]) -> type[SystemEntry]:
     """A kind of entry with other settings, such as those of a robot."""
     return create_model(entry.__name__, __base__=entry, settings=(schema, schema()))
