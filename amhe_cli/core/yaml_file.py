@@ -173,7 +173,7 @@ class YamlFile:
         return f"{self.path}:{mark.line + 1}:{mark.column + 1}"
 
     def raise_problems(self) -> None:
-        """Raise one ConfigError with a line for each mistake, in the file's order; of very many, the first."""
+        """Raise one ConfigError with a line for each mistake, in the file's order; of many, the first."""
         if self._problems:
             lines = sorted(self._problems, key=lambda text: self._problems[text])
             more = [f"{self.path}: {self._unlisted} more mistakes"] if self._unlisted else []
