@@ -197,8 +197,7 @@ def _ledger(
     space, once = problem.system.space, problem.linearisation
     found = [terms.noise(fit), terms.prior(space, fit), terms.repeats(space, fit), terms.search(fit)]
     found.append(terms.declared(space, fit, problem.settings.identify.model_error))
-    if watch.affords(once):
-        watch.enter("covariance from wider samples")
+    if watch.allows("covariance from wider samples", once):
         found.append(terms.curvature(fit, doubled_step(problem, finding, fit)))
     with_halves = watch.allows("comparison of the logs' halves", (REFITS + TURNS) * once)
     found.append(parts(problem, finding, fit, with_halves=with_halves))

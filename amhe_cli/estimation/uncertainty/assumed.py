@@ -82,17 +82,24 @@ class _Change:
 
     Args:
         source: The choice.
-        z: The move of the estimate, as far as the log allows it, shape (d,).
+        z: The move of the estimate, shape (d,).
         slope: The change of the residuals besides the move, shape (c, R); 0 where a clip diverged.
+        rise: By how much the misfit rises.
     """
 
     source: Source
     z: FloatArray
     slope: FloatArray
+    rise: float = 0.0
 
     def times(self, factor: float, source: Source) -> _Change:
         """A multiple of it, with another name."""
-        return _Change(source, factor * self.z, factor * self.slope)
+        return _Change(source, factor * self.z, factor * self.slope, factor**2 * self.rise)
+
+    @property
+    def error(self) -> FloatArray:
+        """The move, as far as the log allows it, shape (d,)."""
+        return allowed(self.rise) * self.z
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,7 +141,7 @@ class _Neighbourhood:
         along = np.einsum("d,cdr->cr", z, gz) + np.einsum("cx,cxr->cr", firsts[1] - firsts[0], gx)
         done = here.completed[0] & there.completed[0]
         slope = np.where(done[:, None], there.flat[0] - here.flat[0] - along, 0.0)
-        return _Change(Source(""), allowed(most - least) * z, slope), (most - least) / least
+        return _Change(Source(""), z, slope, most - least), (most - least) / max(least, 1e-300)
 
 
 def _changes(problem: Problem, about: _Neighbourhood) -> Iterator[_Change]:
@@ -164,7 +171,7 @@ def _changes(problem: Problem, about: _Neighbourhood) -> Iterator[_Change]:
 
 def _moves(problem: Problem, changes: Sequence[_Change]) -> Term:
     """The whole moves under other choices."""
-    columns = [change.z for change in changes] or [np.zeros((0, len(problem.system.space)))]
+    columns = [change.error for change in changes] or [np.zeros((0, len(problem.system.space)))]
     errors = np.vstack(columns).T
     return Term("assumed", errors, tuple(change.source for change in changes), shared=True)
 

@@ -135,10 +135,14 @@ class Ledger:
         shares = {kind: self.variance(i, (kind,)) / total for kind in KINDS}
         return {kind: share for kind, share in shares.items() if share > 0.0}
 
-    def given(self, i: int) -> list[tuple[float, Source]]:
+    def given(self, i: int, *, doubted: bool = False) -> list[tuple[float, Source]]:
         """What one parameter owes to numbers that somebody else gave, as variances, the largest first.
 
         These are the numbers of the model that are no parameters, and the priors of the other parameters.
+
+        Args:
+            i: The parameter.
+            doubted: Those that the logs speak against, in place of those that they leave open.
         """
         found = [pair for term in self.terms if term.kind == "assumed" for pair in term.of(i)]
         found += [
@@ -148,7 +152,8 @@ class Ledger:
             for variance, source in term.of(i)
             if source.parameter and source.parameter != self._names[i]
         ]
-        return sorted(((v, s) for v, s in found if v > 0.0), key=lambda pair: -pair[0])
+        some = ((v, s) for v, s in found if v > 0.0 and s.doubted == doubted)
+        return sorted(some, key=lambda pair: -pair[0])
 
     @cached_property
     def _names(self) -> list[str]:

@@ -7,6 +7,8 @@ priors that are no better than their sd.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from amhe_cli.core.parameters import Parameter, ParameterSpace
@@ -14,6 +16,9 @@ from amhe_cli.core.statistics import correlation, positive, root
 from amhe_cli.estimation.core.information import information
 from amhe_cli.estimation.uncertainty.fit import FinalFit, Posterior
 from amhe_cli.estimation.uncertainty.ledger import Source, Term, term_of
+
+#: Share of the largest error's sd below which a direction has no error.
+ALONE = 1e-9
 
 
 def noise(fit: FinalFit) -> Term:
@@ -79,13 +84,19 @@ def inherited(space: ParameterSpace, fit: FinalFit, terms: list[Term]) -> list[T
 
     The shared errors of these logs move the estimate by 1 - G of themselves, where the prior has the weight
     G, and those of the belief by G. Both have the same causes, so that they add up, and not their squares;
-    what this adds to the other terms is a term of its own.
+    what of the belief's errors these logs do not have at all is a term of its own.
     """
     if space.prior_systematic is None:
         return terms
     pull = fit.posterior.pull
     rest = np.eye(len(space)) - pull
-    moved = [Term(t.kind, rest @ t.errors, t.sources, shared=True) if t.shared else t for t in terms]
-    now = sum((t.covariance for t in moved if t.shared), np.zeros_like(pull))
-    both = root(now) + root(pull @ np.array(space.prior_systematic) @ pull.T)
-    return [*moved, term_of("prior", both @ both - now, shared=True)]
+    before = root(pull @ np.array(space.prior_systematic) @ pull.T)
+    moved = [rest @ term.errors for term in terms if term.shared]
+    errors = np.concatenate((*moved, np.zeros((len(space), 0))), axis=1)
+    # the roots of both covariances add: E + root(B) U' has the covariance (root(E E') + root(B))^2 where U'U
+    # is the part of the space that E reaches, and the rest of the belief's errors stands alone
+    turn = errors.T @ np.linalg.pinv(root(errors @ errors.T), rcond=ALONE, hermitian=True)
+    joined = iter(np.split(errors + before @ turn.T, np.cumsum([e.shape[1] for e in moved])[:-1], axis=1))
+    result = [replace(term, errors=next(joined)) if term.shared else term for term in terms]
+    left = before @ (np.eye(len(space)) - turn.T @ turn) @ before
+    return [*result, term_of("prior", left, shared=True)]

@@ -109,6 +109,7 @@ def _verdict(space: ParameterSpace, evidence: Evidence, i: int) -> str:
     ledger, total = evidence.ledger, float(evidence.ledger.covariance[i, i])
     given = sum(variance for variance, _ in ledger.given(i))
     contradictions = ledger.variance(i, CONTRADICTIONS)
+    contradictions += sum(variance for variance, _ in ledger.given(i, doubted=True))
     more = DOUBT**2 - 1.0  # of a variance whose sd is so many times as large
 
     def shrinkage(variance: float) -> float:
@@ -138,7 +139,8 @@ def _reasons(space: ParameterSpace, evidence: Evidence, i: int) -> list[Reason]:
     for text in (*evidence.misfit, *evidence.blamed.get(name, ())):
         found.append(Reason("misfit", (name,), 1.0, text))
     total, terms = float(evidence.ledger.covariance[i, i]), []
-    for variance, source in evidence.ledger.given(i):
+    ledger = evidence.ledger
+    for variance, source in (*ledger.given(i), *ledger.given(i, doubted=True)):
         if variance > COUNTS * total:
             kind = "prior" if source.parameter else "assumed"
             terms.append(Reason(kind, (name,), variance / total, _rests(space, i, variance, source)))

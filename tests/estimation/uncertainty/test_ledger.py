@@ -193,3 +193,21 @@ def test_white_residuals_add_nothing() -> None:
 
 def test_what_repeats_leaves_no_less_than_the_prior_that_it_is_judged_under() -> None:
     assert 0.0 < sum(repeating(np.repeat(np.sin(np.arange(60) / 20.0)[None], 12, axis=0) * 1e3)) <= 1.0
+
+
+def test_errors_of_one_cause_add_up_exactly_in_any_direction() -> None:
+    """(root(A) + root(B))^2 of the logs' shared part A and the belief's B, whatever their axes."""
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        systematic = (lambda m: 0.01 * m @ m.T)(rng.normal(size=(3, 3)))
+        prior = systematic + 0.05 * np.eye(3)
+        space = ParameterSpace(
+            SPACE.parameters, tuple(map(tuple, prior.tolist())), tuple(map(tuple, systematic.tolist()))
+        )
+        fit = fit_of(rng.normal(size=(4, 3, 3)), space.prior_precision)
+        shared = Term("assumed", 0.1 * rng.normal(size=(3, 4)), shared=True)
+        found = Ledger(tuple(terms.inherited(space, fit, [shared])))
+        pull = fit.posterior.pull
+        rest = (np.eye(3) - pull) @ shared.errors
+        both = root(rest @ rest.T) + root(pull @ systematic @ pull.T)
+        np.testing.assert_allclose(found.shared, both @ both, atol=1e-10)

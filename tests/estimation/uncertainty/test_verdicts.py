@@ -268,3 +268,11 @@ def test_another_minimum_leaves_no_value_identified_in_which_it_differs() -> Non
     assert heavy.sd / heavy.estimate == pytest.approx(0.5 * np.hypot(0.05, np.sqrt(0.4) * 0.6))
     assert texts(heavy) == ["another minimum explains the logs too: 3.27 kg (cost 1.03 against 1.02 here)"]
     assert friction.verdict == "identified"
+
+
+def test_a_number_that_the_logs_speak_against_is_a_contradiction_and_no_condition() -> None:
+    open_gain, doubted = (Source("the gain of servo", "4", 10.0, "%", doubted=d) for d in (False, True))
+    assert mass(evidence(0.05, term("assumed", 0.3, open_gain))).verdict == "conditional"
+    result = mass(evidence(0.05, term("assumed", 0.3, doubted)))
+    assert (result.verdict, result.given) == ("model-sensitive", "")
+    assert texts(result)[0].startswith("the logs speak against the gain of servo, 4: ")
