@@ -160,8 +160,8 @@ def test_max_time_stops_the_search_and_leaves_out_slow_checks(pendulum, swing, c
     assert len(result.iterations) <= 1
     assert caplog.text.count("stopped the search") == 1
     skipped = (
-        "error against horizon, comparison of the logs' halves, what rests on assumed values, "
-        "search for a second minimum, cost profiles"
+        "error against horizon, covariance from wider samples, comparison of the logs' halves, "
+        "what rests on assumed values, search for a second minimum, cost profiles"
     )
     first = "left no time for: held-out clips from fitted first states"
     assert caplog.text.count(f"{first}, {skipped}") == 1
