@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -70,3 +71,16 @@ def test_without_the_extra_one_line_says_how_to_get_it(
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(LogError, match=r"a ULog of PX4.*pip install 'amhe\[ulog\]'"):
         survey(written(tmp_path))
+
+
+def test_zeros_at_its_end_are_left_out_and_between_its_messages_refused(tmp_path: Path) -> None:
+    """pyulog takes a second for each megabyte of them."""
+    whole, padded, torn = written(tmp_path), tmp_path / "padded.ulg", tmp_path / "torn.ulg"
+    content = whole.read_bytes()
+    padded.write_bytes(content + bytes(8 * 2**20))
+    torn.write_bytes(content + bytes(2**20) + content[-100:])
+    began = time.process_time()
+    assert [t.entries for t in survey(padded).topics] == [t.entries for t in survey(whole).topics]
+    with pytest.raises(LogError, match="a megabyte of zeros between its messages"):
+        survey(torn)
+    assert time.process_time() - began < 2.0

@@ -13,7 +13,7 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -41,6 +41,8 @@ MAGIC: Mapping[bytes, str] = {
 _ROWS = 2**16
 #: Bytes that pyulog leaves out of a name.
 _NOT_ASCII = bytes(range(128, 256))
+#: Bytes that are zero, in a row, from which they are no part of a ULog.
+_ZEROS = 2**20
 #: Groups of an HDF5 file within each other.
 _DEEPEST = 50
 
@@ -146,9 +148,14 @@ def _ulog(path: Path) -> list[NumberTable]:
     import pyulog
 
     printed = io.StringIO()  # pyulog prints what it finds damaged
+    content = _without_zeros(path)
+
+    def source() -> str | BinaryIO:  # pyulog closes what it has read
+        return str(path) if content is None else io.BytesIO(content)
+
     with redirect_stdout(printed):
-        _check_formats(path, pyulog.ULog(str(path), parse_header_only=True).message_formats)
-        log = pyulog.ULog(str(path))
+        _check_formats(path, pyulog.ULog(source(), parse_header_only=True).message_formats)
+        log = pyulog.ULog(source())
     problems = ["parts of it are damaged and skipped"] if log.file_corruption or printed.getvalue() else []
     if log.dropouts:
         lost = sum(dropout.duration for dropout in log.dropouts) / 1e3
@@ -164,6 +171,25 @@ def _ulog(path: Path) -> list[NumberTable]:
     if not found:
         raise LogError(f"{path}: a ULog without data")
     return [replace(found[0], notes=tuple(problems)), *found[1:]]
+
+
+def _without_zeros(path: Path) -> bytes | None:
+    """A ULog without the zeros at its end, which a recorder leaves that lost its power; None: it has none.
+
+    pyulog looks for a message at each byte of them, a second for a megabyte.
+
+    Raises:
+        LogError: It is zeros elsewhere.
+    """
+    with path.open("rb") as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
+        end = len(content)
+        while end and not content[max(0, end - _ZEROS) : end].strip(b"\0"):
+            end -= min(_ZEROS, end)
+        if content.find(bytes(_ZEROS), 0, end) >= 0:
+            raise LogError(
+                f"{path}: a megabyte of zeros between its messages: the recorder lost what was there"
+            )
+        return None if end == len(content) else content[:end]
 
 
 def _check_formats(path: Path, formats: Mapping[str, Any]) -> None:
