@@ -21,10 +21,13 @@ from amhe_cli.engine.rollout import (
     turns_of,
 )
 from amhe_cli.engine.states import controls, first_activations, without_contacts
+from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE, GearFriction
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
 RECORD_BYTES = 64 * 2**20
+#: What the friction of gears depends on.
+_FORCES = ("qfrc_actuator", "qfrc_damper", "qfrc_smooth", "qfrc_constraint", "qvel")
 #: Rollouts of different lengths are run in at most this many groups of similar length, so that a short
 #: one does not pay for the longest.
 LENGTH_GROUPS = 6
@@ -52,6 +55,7 @@ class CpuEngine:
         self._fields: dict[str, np.ndarray] = {}
         self._written = np.empty((0, len(edits.space)))
         self._controls = controls(model, input_spec)
+        self._gear = edits.gear_friction
 
     precision, device_bytes = float(np.finfo(np.float64).eps), 0
 
@@ -120,6 +124,10 @@ class CpuEngine:
         if self._batch is None or self._batch.nsim < count:
             batch = self._batch = mujoco.batch.Batch(self._model, count, self._threads)
             self._fields = {name: batch.expand(name) for name in self._edits.fields}
+            if self._gear is not None:  # each update overwrites the batch's own dry friction
+                for name in _FORCES:
+                    batch.bind(name)  # kept by the batch from here on
+                self._fields |= {n: np.repeat(getattr(self._model, n)[None], count, 0) for n in OF_GEARS}
             self._written = np.full((count, len(self._edits.space)), np.nan)
         return self._batch
 
@@ -143,19 +151,55 @@ class CpuEngine:
             control = np.concatenate((control, control[:, -1:]), axis=1)
             record.append("sensordata")
         try:
-            out = batch.rollout(
-                control.shape[1],
-                control=control if control.shape[2] else None,
-                control_spec=self._input_spec,
-                record=record,
-                ids=ids,
-            )
+            out = self._rolled_out(batch, ids, control, record)
         except (mujoco.FatalError, ValueError, RuntimeError) as error:
             raise SimulationError(f"MuJoCo refused a rollout: {error}") from error
         into.qpos[ids, :steps] = out["qpos"][:, :steps]
         into.qvel[ids, :steps] = out["qvel"][:, :steps]
         if into.sensordata is not None:
             into.sensordata[ids, :steps] = out["sensordata"][:, 1:]
+
+    def _rolled_out(
+        self, batch: mujoco.batch.Batch, ids: IntArray, control: FloatArray, record: list[str]
+    ) -> dict[str, FloatArray]:
+        """Records of some rollouts: in one piece, or in pieces between which friction changes."""
+
+        def run(inputs: FloatArray) -> dict[str, FloatArray]:
+            return batch.rollout(
+                inputs.shape[1],
+                control=inputs if inputs.shape[2] else None,
+                control_spec=self._input_spec,
+                record=record,
+                ids=ids,
+            )
+
+        if self._gear is None:
+            return run(control)
+        every = max(1, round(UPDATE / self._model.opt.timestep))
+        batch.expand("dof_frictionloss")[ids] = self._fields["dof_frictionloss"][ids]
+        before = batch.state[ids]
+        run(control[:, :1])  # for the forces at the start, upon which friction depends
+        batch.state[ids] = before
+        pieces = []
+        for first in range(0, control.shape[1], every):
+            self._set_friction(self._gear, batch, ids)
+            pieces.append(run(control[:, first : first + every]))
+        return {name: np.concatenate([piece[name] for piece in pieces], axis=1) for name in record}
+
+    def _set_friction(self, gear: GearFriction, batch: mujoco.batch.Batch, ids: IntArray) -> None:
+        """Set what friction can hold by the newest forces: those at the start of the last step."""
+        rows = ids[:, None]
+        holds = batch.expand("dof_frictionloss")
+        motor, damper, smooth, constraint, speed = (batch.bind(name)[rows, gear.dofs] for name in _FORCES)
+        holds[rows, gear.dofs] = gear.bound(
+            numbers=self._fields["numeric_data"][ids[:, None, None], gear.at],
+            dry=self._fields["dof_frictionloss"][rows, gear.dofs],
+            motor=motor,
+            smooth=smooth - damper - motor,
+            constraint=constraint,
+            speed=speed,
+            holds=holds[rows, gear.dofs],
+        )
 
 
 def _groups(lengths: IntArray) -> list[tuple[IntArray, int]]:

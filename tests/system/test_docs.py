@@ -39,6 +39,7 @@ SCENE = """
   <actuator><position name="servo" joint="hinge" kp="1"/></actuator>
 </mujoco>
 """
+SIGNALS = "signals: {joints: {topic: /q, joints: [elbow], noise: {position: 0.002}}}\n"
 PARAMETERS = "parameters:\n  mass: {targets: [{body: box, set: mass}]}\n"
 
 
@@ -49,10 +50,11 @@ def test_the_examples_of_signals_load(tmp_path: Path) -> None:
         for text in re.findall(r"```yaml\n(.*?)```", PAGE.read_text(), re.DOTALL)
         if text.startswith(("signals:", "parameters:"))
     ]
-    assert len(examples) == 3
+    assert len(examples) == 4
     for text in examples:
         parameters = "" if text.startswith("parameters:") else PARAMETERS
-        (tmp_path / "system.yaml").write_text(f"model: scene.xml\n{parameters}{text}")
+        signals = "" if "signals:" in text else SIGNALS
+        (tmp_path / "system.yaml").write_text(f"model: scene.xml\n{parameters}{text}{signals}")
         System.load(tmp_path, warn=False)
 
 

@@ -14,6 +14,7 @@ import warp as wp
 
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.states import first_activations
+from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: Constants that `set_const` derives from masses, inertias and armatures: each world has its own.
@@ -49,7 +50,17 @@ class Blueprint:
     @property
     def own(self) -> tuple[str, ...]:
         """Fields of the model of which each world has its own."""
-        return (*self.edits.fields, *(DERIVED if self.edits.needs_set_const else ()))
+        derived = DERIVED if self.edits.needs_set_const else ()
+        bounded = () if self.gear is None else ("dof_frictionloss",)
+        written = (
+            name for name in self.edits.fields if name != "numeric_data"
+        )  # no field of the card's model
+        return tuple(dict.fromkeys((*written, *derived, *bounded)))
+
+    @cached_property
+    def gear(self) -> GearFriction | None:
+        """The joints whose friction is not constant."""
+        return self.edits.gear_friction
 
 
 @dataclass(frozen=True, slots=True)

@@ -96,6 +96,52 @@ def write_inputs(
 
 
 @wp.kernel
+def hold_dry(begins: wp.array[bool], dry: wp.array2d[float], holds: wp.array2d[float]):
+    """Worlds that begin a rollout have their dry friction alone. Thread (world, dof)."""
+    world, dof = wp.tid()
+    if begins[world]:
+        holds[world, dof] = dry[world, dof]
+
+
+@wp.kernel
+def hold(
+    clock: wp.array[int],
+    every: int,
+    begins: wp.array[bool],
+    dofs: wp.array[int],
+    numbers: wp.array3d[float],
+    dry: wp.array2d[float],
+    qfrc_actuator: wp.array2d[float],
+    qfrc_damper: wp.array2d[float],
+    qfrc_smooth: wp.array2d[float],
+    qfrc_constraint: wp.array2d[float],
+    qvel: wp.array2d[float],
+    holds: wp.array2d[float],
+):
+    """What friction can hold, as `GearFriction.bound` has it. Thread (world, joint).
+
+    It is set before every so many steps; with 0, in the worlds that begin a rollout.
+    """
+    world, joint = wp.tid()
+    dof = dofs[joint]
+    if every == 0:
+        if not begins[world]:
+            return
+    elif (clock[world] + 1) % every != 0:
+        return
+    constraint = qfrc_constraint[world, dof]
+    motor = qfrc_actuator[world, dof]
+    contact = wp.sign(constraint) * wp.max(wp.abs(constraint) - holds[world, dof], 0.0)
+    external = qfrc_smooth[world, dof] - qfrc_damper[world, dof] - motor + contact
+    slow = wp.exp(-wp.pow(wp.abs(qvel[world, dof] / numbers[world, joint, 3]), numbers[world, joint, 4]))
+    found = dry[world, dof] + wp.abs(numbers[world, joint, 1] * external - numbers[world, joint, 0] * motor)
+    stuck = wp.abs(numbers[world, joint, 6] * external - numbers[world, joint, 5] * motor)
+    found += slow * (numbers[world, joint, 2] + stuck)
+    found += numbers[world, joint, 7] * wp.max(-motor * external, 0.0)
+    holds[world, dof] = wp.max(found, 0.0)
+
+
+@wp.kernel
 def watch(
     queue: wp.array2d[int],
     place: wp.array[int],

@@ -18,6 +18,7 @@ from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 from amhe_cli.engine.gpu import kernels
 from amhe_cli.engine.gpu.blueprint import Blueprint, Room
 from amhe_cli.engine.rollout import Starts, Wanted
+from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE
 
 #: Blocks of the input vector, in the order of mjtState: bit, array of mjw.Data.
 INPUTS = (
@@ -147,6 +148,10 @@ class Worlds:
             self._begins = wp.zeros(count, dtype=bool)
             self.step = captured(self._device, lambda: mjw.step(model, data))
             self._reset = captured(self._device, lambda: mjw.reset_data(model, data, self._begins))
+            if blueprint.gear is not None:
+                self._dry = wp.zeros_like(model.dof_frictionloss)
+                self._numbers = wp.zeros((count, *blueprint.gear.at.shape), dtype=float)
+                self._forces = captured(self._device, lambda: _forces(model, data))
             if blueprint.edits.needs_set_const:
                 self._derive = captured(self._device, lambda: mjw.set_const(model, data, restore=False))
         self._model, self._data = model, data
@@ -196,13 +201,15 @@ class Worlds:
                 (*progress[:2], self._begins, *first, data.qpos, data.qvel),
             ),
         ]
+        inputs = self._inputs(job, candidate, progress)
+        first_friction, friction = self._friction(inputs)
         state = (data.qpos, data.qvel, data.act, data.qacc_warmstart)
         watched = (*progress, self._array(lengths, np.int32), data.overflow, self._model.qpos0, *state)
         watch = self._recorded(kernels.watch, self.count, (*watched, completed, full))
         return Work(
             ends=job.ends,
-            begin=begin,
-            step=[*self._inputs(job, candidate, progress), self.step],
+            begin=[*begin, *first_friction],
+            step=[*inputs, self.step, *friction],
             record=self._records(job, into, progress),
             watch=watch,
             completed=completed,
@@ -233,6 +240,27 @@ class Worlds:
                 first += width
         return launches
 
+    def _friction(
+        self, inputs: Sequence[_Launch]
+    ) -> tuple[list[Callable[[], None]], list[Callable[[], None]]]:
+        """Launches that set what friction can hold: of worlds that begin a rollout, and after a step."""
+        gear, data = self._blueprint.gear, self._data
+        if gear is None:
+            return [], []
+        every = max(1, round(UPDATE / self._blueprint.model.opt.timestep))
+        holds, dofs = self._model.dof_frictionloss, self._array(gear.dofs, np.int32)
+        forces = (data.qfrc_actuator, data.qfrc_damper, data.qfrc_smooth, data.qfrc_constraint, data.qvel)
+        begins = self._recorded(kernels.hold_dry, self._dry.shape, (self._begins, self._dry, holds))
+        first, later = (
+            self._recorded(
+                kernels.hold,
+                (self.count, len(gear.dofs)),
+                (self.clock, each, self._begins, dofs, self._numbers, self._dry, *forces, holds),
+            )
+            for each in (0, every)
+        )
+        return [*inputs, begins, self._forces, first], [later]
+
     def _records(self, job: Job, into: list[AnyArray], progress: Sequence[Any]) -> list[_Launch]:
         """Launches that pick the wanted numbers after a step, of the worlds that have a queue."""
         steps = int(job.starts.lengths.max())
@@ -257,10 +285,14 @@ class Worlds:
         """Write each world's candidate, unless the worlds hold them already."""
         if all(map(np.array_equal, self._written, (theta, candidate))):
             return
-        edits, model = self._blueprint.edits, self._blueprint.model
-        arrays = {name: np.repeat(getattr(model, name)[None], len(theta), axis=0) for name in edits.fields}
+        edits, model, gear = self._blueprint.edits, self._blueprint.model, self._blueprint.gear
+        fields = {*edits.fields, *(() if gear is None else OF_GEARS)}
+        arrays = {name: np.repeat(getattr(model, name)[None], len(theta), axis=0) for name in fields}
         edits.write(arrays, theta)
         rows = self._xp.asarray(candidate)
+        if gear is not None:
+            self._view(self._numbers)[:] = self._up(arrays.pop("numeric_data")[:, gear.at])[rows]
+            self._view(self._dry)[:] = self._up(arrays["dof_frictionloss"])[rows]
         for name, values in arrays.items():
             into = self._view(getattr(self._model, name))
             into[:] = self._up(values)[rows].reshape(into.shape)
@@ -291,6 +323,13 @@ class Worlds:
 
     def _recorded(self, kernel: Any, size: Any, arguments: Sequence[Any]) -> _Launch:
         return _Launch(kernel, size, arguments, self._device)
+
+
+def _forces(model: Any, data: Any) -> None:
+    """Compute forces in the present states, and leave everything from which a step starts as it is."""
+    warm = wp.clone(data.qacc_warmstart)
+    mjw.forward(model, data)
+    wp.copy(data.qacc_warmstart, warm)
 
 
 def _namespace(device: Any) -> Any:

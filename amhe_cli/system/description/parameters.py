@@ -19,6 +19,7 @@ from amhe_cli.system.parameters.calibration import CalibrationNumber, SignalCali
 from amhe_cli.system.parameters.cells import Cells, range_cells
 from amhe_cli.system.parameters.delays import CommandDelays
 from amhe_cli.system.parameters.edits import Edit, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.gear_friction import BOTH, OWN, add_numbers, joint_of
 from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
@@ -37,16 +38,23 @@ _ORDER = {"mass": 0, "pseudo_inertia": 0, "gain": 0, "motor_constant": 0}
 
 
 def generalise(spec: mujoco.MjSpec, entry: SystemEntry) -> None:
-    """Compile bodies whose centre of mass will move without MuJoCo's short cuts for simple bodies."""
-    patterns = [
-        target.body
-        for parameter in entry.parameters.values()
-        for target in parameter.targets
-        if target.set in _GENERAL and target.body
-    ]
+    """Give the model what targets need.
+
+    Bodies whose centre of mass will move are compiled without MuJoCo's short cuts for simple bodies; joints
+    whose gear friction is set get its numbers.
+    """
+    targets = [target for parameter in entry.parameters.values() for target in parameter.targets]
+    moved = [target.body for target in targets if target.set in _GENERAL and target.body]
+    geared = [target.joint for target in targets if target.set in (*OWN, *BOTH) and target.joint]
     for body in spec.bodies:
-        if any(body.name == pattern or fnmatchcase(body.name, pattern) for pattern in patterns):
+        if _meant(body.name, moved):
             body.simple = 0
+    single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
+    add_numbers(spec, [j.name for j in spec.joints if j.type in single and _meant(j.name, geared)])
+
+
+def _meant(name: str, patterns: list[str]) -> bool:
+    return any(name == pattern or fnmatchcase(name, pattern) for pattern in patterns)
 
 
 @dataclass
@@ -290,6 +298,8 @@ def _joint_of(cells: Cells, model: mujoco.MjModel) -> int | None:
         return cells.row
     if cells.field.startswith("dof_"):
         return int(model.dof_jntid[cells.row])
+    if cells.field == "numeric_data":
+        return joint_of(model, cells.row)
     if cells.field == "tendon_range":
         return int(model.wrap_objid[model.tendon_adr[cells.row]])
     driven = cells.field == "actuator_forcerange" and model.actuator_trntype[cells.row] in (

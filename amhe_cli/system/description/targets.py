@@ -14,6 +14,7 @@ from amhe_cli.system.description.schema import TargetEntry
 from amhe_cli.system.model.elements import id_of, matching_rows
 from amhe_cli.system.model.gaps import gaps
 from amhe_cli.system.parameters.cells import Cells, range_cells
+from amhe_cli.system.parameters.gear_friction import number_cells
 from amhe_cli.system.parameters.inertia import principal_axis
 
 #: From a model, the row of an element and a target to the numbers that the target sets; raises ConfigError
@@ -172,6 +173,11 @@ def _joint(field: str, columns: tuple[int, ...] = ()) -> Mapping:
     return {"joint": cells}
 
 
+def _gear(word: str) -> Mapping[str, CellsOf]:
+    """Setters of a number of a joint's gear friction."""
+    return {"joint": lambda model, row, entry: number_cells(model, row, word)}
+
+
 def _motor(array: str, column: int, attribute: str) -> Mapping[str, CellsOf]:
     """Setters of a number of a DC motor."""
     return {"actuator": _of_motor(f"actuator_{array}", column, attribute)}
@@ -301,6 +307,15 @@ SETTERS: Mapping[str, Setter] = {
     "damping_cubic": Setter("N m s^3/rad^3", _joint("dof_dampingpoly", (1,))),
     "armature": Setter("kg m^2", _joint("dof_armature")),
     "friction_loss": Setter("N m", _joint("dof_frictionloss")),
+    "load_friction": Setter("-", _gear("load_friction"), lower=-inf),
+    "load_friction_motor": Setter("-", _gear("load_friction_motor"), lower=-inf),
+    "load_friction_external": Setter("-", _gear("load_friction_external"), lower=-inf),
+    "load_friction_quadratic": Setter("1/(N m)", _gear("load_friction_quadratic"), lower=-inf),
+    "stribeck_friction": Setter("N m", _gear("stribeck_friction"), lower=-inf),
+    "stribeck_exponent": Setter("-", _gear("stribeck_exponent"), positive=True),
+    "stribeck_load_friction": Setter("-", _gear("stribeck_load_friction"), lower=-inf),
+    "stribeck_load_friction_motor": Setter("-", _gear("stribeck_load_friction_motor"), lower=-inf),
+    "stribeck_load_friction_external": Setter("-", _gear("stribeck_load_friction_external"), lower=-inf),
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
     "backlash": Setter("rad", {"joint": _backlash}, positive=True),
     "gain": Setter("-", {"actuator": _gain}, positive=True),
@@ -314,7 +329,9 @@ SETTERS: Mapping[str, Setter] = {
     "bristle_damping": Setter("N m s/rad", _motor("dynprm", 6, "lugre"), positive=True),
     "coulomb_friction": Setter("N m", _motor("biasprm", 3, "lugre"), positive=True),
     "static_friction": Setter("N m", _motor("biasprm", 4, "lugre"), positive=True),
-    "stribeck_velocity": Setter("rad/s", _motor("biasprm", 5, "lugre"), positive=True),
+    "stribeck_velocity": Setter(
+        "rad/s", {**_motor("biasprm", 5, "lugre"), **_gear("stribeck_velocity")}, positive=True
+    ),
     "scale": Setter("-", {}, positive=True),
     "bias": Setter("-", {}, lower=-inf),
     "frame": Setter("-", {}, lower=-inf),

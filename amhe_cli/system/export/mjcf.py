@@ -12,6 +12,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.system.model.files import compiled
+from amhe_cli.system.parameters.gear_friction import add_numbers
 from amhe_cli.system.system import System
 
 #: Folder beside an exported model for its meshes, textures and height fields.
@@ -33,9 +34,13 @@ def identified_spec(system: System, theta: FloatArray) -> mujoco.MjSpec:
     compiled(spec)  # gives every element its row in the compiled model
     model = system.edits.apply(system.model, theta)
     _write_inertials(spec, model, {c.row for c in system.edits.cells if c.field in _INERTIAL})
+    if (gear := system.edits.gear_friction) is not None:
+        for dof, at in zip(gear.dofs, gear.at, strict=True):
+            joint = model.joint(model.dof_jntid[dof]).name
+            add_numbers(spec, [joint], model.numeric_data[at])
     for field, row in dict.fromkeys((c.field, c.row) for c in system.edits.cells):
         calibrated = field in _CALIBRATED or (field.startswith("actuator_") and row >= len(spec.actuators))
-        if field not in _INERTIAL and not calibrated:
+        if field not in (*_INERTIAL, "numeric_data") and not calibrated:
             _write(spec, model, field, row)
     return spec
 

@@ -16,6 +16,7 @@ from amhe_cli.system.parameters.calibration import CalibrationNumber
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.delays import DelayNumber
 from amhe_cli.system.parameters.edits import PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.gear_friction import GearFriction, GearNumber
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: Part of a model -> the fields of MjModel that describe it, by prefix.
@@ -68,6 +69,8 @@ def parts_of(model: mujoco.MjModel, edits: ModelEdits) -> dict[str, str]:
     """
     unedited = edits.own(model)
     parts = {part: _hash(_values(unedited, fields)) for part, fields in _FIELDS.items()}
+    if (gear := GearFriction.of(unedited)) is not None:
+        parts["gear friction"] = _hash((gear.dofs, unedited.numeric_data[gear.at]))
     return {"options": _hash(np.asarray(getattr(model.opt, name)) for name in _OPTIONS.split())} | parts
 
 
@@ -127,7 +130,7 @@ def _scalar(model: mujoco.MjModel, edit: ScalarEdit) -> str:
 
 def _name(model: mujoco.MjModel, cells: Cells) -> str:
     """Name of the element that a row belongs to; of its body, or its number, where it has none."""
-    if isinstance(cells, CalibrationNumber | DelayNumber):
+    if isinstance(cells, CalibrationNumber | DelayNumber | GearNumber):
         return cells.name
     prefix = cells.field.partition("_")[0]
     row = int(model.dof_jntid[cells.row]) if prefix == "dof" else cells.row

@@ -16,6 +16,7 @@ from amhe_cli.system.parameters.calibration import SignalCalibration
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.delays import CommandDelays, DelayNumber
 from amhe_cli.system.parameters.edits import Edit, Mode, PseudoInertiaEdit, ScalarEdit
+from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.inertia import inertia_about_com
 
 
@@ -187,6 +188,11 @@ class ModelEdits:
             except (mujoco.FatalError, ValueError) as error:
                 raise ConfigError(f"MuJoCo refuses these parameters: {error}") from None
         return edited
+
+    @property
+    def gear_friction(self) -> GearFriction | None:
+        """The joints whose friction is not constant; None where there is none."""
+        return GearFriction.of(self._model, {c.row for c in self.cells if c.field == "numeric_data"})
 
     def delays(self, theta: FloatArray) -> FloatArray:
         """Delays [s] of the engine's inputs under candidates theta (n, d), shape (n, nu).

@@ -1,0 +1,167 @@
+"""Friction of geared joints, which MuJoCo's constant `frictionloss` does not know.
+
+What friction of a joint can hold at most [N m] grows with the torque through its gear, and falls with speed:
+
+    f = f_c + |k_e tau_e - k_m tau_m| + exp(-|dq / v_s|^a) (f_s + |k_es tau_e - k_ms tau_m|) + q |tau_m tau_e|
+
+tau_m is the actuators' force at the joint, tau_e all other force on it but friction, and the last term is
+there only while the two pull against each other. f_c is the joint's `frictionloss`, and viscous friction its
+`damping`. With k_e and k_m, it is harder to drive such a joint back than to drive it. The models M1 to M6 of
+Duclusaud, Passault, Padois and Ly, "Extended friction models for the physics simulation of servo actuators",
+arXiv 2410.08650, are special cases, up to their form of the quadratic term.
+
+The numbers of a joint are those of `<custom><numeric name="gear_friction/JOINT" data="..."/>` in its model:
+part of it like all others, which MuJoCo only keeps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.system.parameters.cells import Cells
+
+#: Numbers of a joint in their order, each with its value where nothing says otherwise.
+OWN = {
+    "load_friction_motor": 0.0,  # k_m
+    "load_friction_external": 0.0,  # k_e
+    "stribeck_friction": 0.0,  # f_s [N m]
+    "stribeck_velocity": 0.1,  # v_s [rad/s]
+    "stribeck_exponent": 1.0,  # a
+    "stribeck_load_friction_motor": 0.0,  # k_ms
+    "stribeck_load_friction_external": 0.0,  # k_es
+    "load_friction_quadratic": 0.0,  # q [1/(N m)]
+}
+#: Targets that are numbers of both sides: k (tau_e - tau_m).
+BOTH = ("load_friction", "stribeck_load_friction")
+#: Those of the numbers that say how, not how much.
+_SHAPE = ("stribeck_velocity", "stribeck_exponent")
+#: Time between two updates of what friction can hold [s]. A batch of simulations stops for each.
+UPDATE = 0.004
+#: Fields from which an engine computes it, and of which it keeps its own.
+OF_GEARS = ("dof_frictionloss", "numeric_data")
+_PREFIX = "gear_friction/"
+_NAMES = tuple(OWN)
+
+
+@dataclass(frozen=True, slots=True)
+class GearNumber(Cells):
+    """One number of a joint's gear friction; `name` says which and whose."""
+
+    name: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class GearFriction:
+    """The gear friction of a model's joints.
+
+    Args:
+        dofs: Their degrees of freedom, shape (g,).
+        at: Where the numbers of each are in the model's `numeric_data`, shape (g, 8).
+    """
+
+    dofs: IntArray
+    at: IntArray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, set_by_parameters: Collection[int] = ()) -> GearFriction | None:
+        """That of the joints whose friction is not constant; None where there is no such joint.
+
+        Args:
+            model: The model.
+            set_by_parameters: Places in `numeric_data` that parameters set.
+        """
+        rows, acting = _rows(model), []
+        for joint, at in rows.items():
+            much = [place for name, place in zip(_NAMES, at, strict=True) if name not in _SHAPE]
+            if model.numeric_data[much].any() or not set(at).isdisjoint(set_by_parameters):
+                acting.append(joint)
+        if not acting:
+            return None
+        return cls(model.jnt_dofadr[acting].astype(np.int64), np.array([rows[joint] for joint in acting]))
+
+    def bound(
+        self,
+        numbers: FloatArray,
+        dry: FloatArray,
+        motor: FloatArray,
+        smooth: FloatArray,
+        constraint: FloatArray,
+        speed: FloatArray,
+        holds: FloatArray,
+    ) -> FloatArray:
+        """What friction of n simulations can hold at most [N m], shape (n, g).
+
+        All arguments are of these joints.
+
+        Args:
+            numbers: Their numbers, shape (n, g, 8).
+            dry: f_c, shape (n, g).
+            motor: tau_m, shape (n, g).
+            smooth: Other forces without viscous friction and constraints, shape (n, g).
+            constraint: Forces of constraints: friction, contacts, limits. Those above what friction could
+                hold are contacts, shape (n, g).
+            speed: dq, shape (n, g).
+            holds: What friction could hold when these forces acted, shape (n, g).
+        """
+        k_m, k_e, f_s, v_s, power, k_ms, k_es, quadratic = np.moveaxis(numbers, -1, 0)
+        external = smooth + np.sign(constraint) * np.maximum(np.abs(constraint) - holds, 0.0)
+        slow = np.exp(-(np.abs(speed / v_s) ** power))
+        found = dry + np.abs(k_e * external - k_m * motor)
+        found += slow * (f_s + np.abs(k_es * external - k_ms * motor))
+        found += quadratic * np.maximum(-motor * external, 0.0)
+        return np.maximum(found, 0.0)
+
+
+def _rows(model: mujoco.MjModel) -> dict[int, list[int]]:
+    """Joint -> where its numbers are in `numeric_data`."""
+    rows: dict[int, list[int]] = {}
+    for row in range(model.nnumeric):
+        name = model.numeric(row).name
+        if name.startswith(_PREFIX):
+            if model.numeric_size[row] != len(OWN):
+                raise ConfigError(
+                    f"the numeric {name!r} of the model needs {len(OWN)} numbers: {', '.join(OWN)}"
+                )
+            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name.removeprefix(_PREFIX))
+            if joint < 0:
+                raise ConfigError(f"the numeric {name!r} of the model names no joint")
+            first = int(model.numeric_adr[row])
+            rows[joint] = list(range(first, first + len(OWN)))
+    return rows
+
+
+def number_cells(model: mujoco.MjModel, joint: int, word: str) -> list[Cells]:
+    """Numbers of a joint that a target sets: its own, or those of both sides.
+
+    Raises:
+        ConfigError: The joint turns or slides about more than one axis.
+    """
+    name = model.joint(joint).name
+    if joint not in _rows(model):
+        raise ConfigError(f"joint {name!r} has no gear: only hinges and slides with a name have one")
+    at = _rows(model)[joint]
+    wanted = (f"{word}_motor", f"{word}_external") if word in BOTH else (word,)
+    return [GearNumber("numeric_data", at[_NAMES.index(one)], name=f"{one} of {name}") for one in wanted]
+
+
+def joint_of(model: mujoco.MjModel, place: int) -> int | None:
+    """Joint whose number stands at a place of `numeric_data`; None where it is no such number."""
+    return next((joint for joint, at in _rows(model).items() if place in at), None)
+
+
+def add_numbers(spec: mujoco.MjSpec, joints: Collection[str], values: FloatArray | None = None) -> None:
+    """Give joints of a spec gear friction, that of `OWN` or the values (8,); others' are left as they are."""
+    present = {numeric.name: numeric for numeric in spec.numerics}
+    for joint in joints:
+        name = _PREFIX + joint
+        if name not in present:
+            spec.add_numeric(name=name, size=len(OWN), data=list(OWN.values()))
+            present[name] = spec.numerics[-1]
+        if values is not None:
+            present[name].data = values
