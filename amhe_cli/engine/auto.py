@@ -53,12 +53,12 @@ class Opening:
         self._begin = begin
         #: What calls would have saved on the cards, and until these are open, once that has begun [s].
         self._saved, self._left = 0.0, None
-        #: Whether a call has been computed there.
-        self.done = False
+        #: Whether a call has been computed there, and whether the cards have refused one.
+        self.done = self.refused = False
 
     def takes(self, here: float, there: float) -> bool:
         """Whether the cards compute a call that takes so long on the processor, and on open cards [s]."""
-        if here > there:
+        if here > there and not self.refused:
             if self._left is None:
                 self._saved += here - there
                 if self._saved + FOLLOWING * (here - there) < START:
@@ -104,7 +104,7 @@ class AutoEngine:
     @property
     def device_bytes(self) -> int:
         """See `Engine.device_bytes`."""
-        return self._opened().device_bytes if self._opening.done else 0
+        return self._opened().device_bytes if self._opening.done and not self._opening.refused else 0
 
     @property
     def fewest(self) -> float:
@@ -115,32 +115,44 @@ class AutoEngine:
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
     ) -> Rollouts:
         """See `Engine.rollout`."""
-        engine = self._quicker(len(lengths), int(lengths.sum()), int(lengths.max()))
-        return engine.rollout(theta, qpos, qvel, inputs, lengths)
+        call = len(lengths), int(lengths.sum()), int(lengths.max())
+        return self._computed(*call, lambda engine: engine.rollout(theta, qpos, qvel, inputs, lengths))
 
     def predict(
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
     ) -> Predicted:
         """See `Engine.predict`."""
         count, lengths = len(theta), starts.lengths
-        engine = self._quicker(count * len(lengths), count * int(lengths.sum()), int(lengths.max()))
-        return engine.predict(theta, starts, errors, wanted)
+        call = count * len(lengths), count * int(lengths.sum()), int(lengths.max())
+        return self._computed(*call, lambda engine: engine.predict(theta, starts, errors, wanted))
 
     def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> AutoEngine:
         """See `Engine.upon`."""
         cpu, cards = self._cpu.upon(model, edits), lambda: self._opened().upon(model, edits)
         return AutoEngine(cpu, self._opening, cards, model, self._threads)
 
-    def _quicker(self, count: int, steps: int, longest: int) -> Engine:
-        """The engine for a call of so many rollouts, of so many steps together and in the longest of them."""
+    def _computed(self, count: int, steps: int, longest: int, call: Callable[[Engine], T]) -> T:
+        """A call of so many rollouts, of so many steps together and in the longest, by the quicker engine."""
         here, there = steps * self._line.core / self._threads, longest * self._line.on_card(count)
-        return self._opened() if self._opening.takes(here, there) else self._cpu
+        engine = self._opened() if self._opening.takes(here, there) else self._cpu
+        try:
+            return call(engine)
+        except SimulationError as error:
+            if engine is self._cpu:
+                raise
+            self._stand_aside(error)
+            return call(self._cpu)
 
     def _opened(self) -> Engine:
         if self._cards is None:
             try:
                 self._cards = self._open()
             except SimulationError as error:
-                logger.log(NOTE, "the CPU computes all rollouts: %s", error)
-                self._cards = self._cpu
-        return self._cards
+                self._stand_aside(error)
+        return self._cards or self._cpu
+
+    def _stand_aside(self, error: SimulationError) -> None:
+        """From now on the processor computes all, of variants too."""
+        if not self._opening.refused:
+            logger.log(NOTE, "the CPU computes all rollouts: %s", str(error).partition(";")[0])
+        self._opening.refused, self._cards = True, self._cpu

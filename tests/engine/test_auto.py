@@ -174,6 +174,25 @@ def test_a_model_that_the_cards_refuse_stays_on_the_processor(cards, monkeypatch
     ]
 
 
+def test_a_call_that_the_cards_refuse_goes_to_the_processor_and_so_do_all_others(
+    cards, monkeypatch, caplog
+) -> None:
+    def refuses(self: Cards, *arguments: object) -> None:
+        self.calls.append(0)
+        raise SimulationError("the graphics card has too little free memory; take the engine 'cpu'")
+
+    monkeypatch.setattr(Cards, "rollout", refuses)
+    caplog.set_level(NOTE, "amhe_cli")
+    engine, large = auto(), alike(2000)
+    variant = engine.upon(PENDULUM.model)
+    found = [each.rollout(*large).qpos for each in (engine, engine, variant)]
+    np.testing.assert_array_equal(found, 3 * [open_engine(PENDULUM).rollout(*large).qpos])
+    assert [one.calls for one in cards] == [[0]]
+    assert caplog.messages[1:] == [
+        "the CPU computes all rollouts: the graphics card has too little free memory"
+    ]
+
+
 def test_mujoco_warp_is_loaded_when_a_call_is_worth_it(monkeypatch, caplog) -> None:
     """It takes seconds; here it cannot be loaded at all."""
     monkeypatch.setattr("amhe_cli.engine.gpu.visible_cards", lambda: ["cuda:0"])

@@ -18,7 +18,9 @@ from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.gpu import card
 from amhe_cli.engine.gpu import engine as gpu
 from amhe_cli.engine.gpu.blueprint import Room
+from amhe_cli.engine.gpu.card import Card
 from amhe_cli.engine.gpu.engine import GpuEngine
+from amhe_cli.engine.gpu.worlds import Worlds
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.engine.step_cost import FEWEST, StepCost
@@ -120,7 +122,9 @@ def test_several_cards_share_a_prediction(monkeypatch: pytest.MonkeyPatch) -> No
     np.testing.assert_array_equal(to_host(three), to_host(one))
 
 
-def test_buffers_that_are_too_small_are_made_larger(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_buffers_that_are_too_small_are_made_larger(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
     """A cube on the floor touches it at four corners."""
     arguments = call(CUBE)
     (expected,) = open_engine(CUBE).predict(*arguments).values
@@ -130,6 +134,33 @@ def test_buffers_that_are_too_small_are_made_larger(monkeypatch: pytest.MonkeyPa
     np.testing.assert_allclose(to_host(found.values[0]), expected, atol=1e-4)
     monkeypatch.setattr(card, "DOUBLINGS", 0)
     assert not on(CUBE).predict(*arguments).completed.all(), "contacts were left out, and it is marked"
+    assert "the card has no room for all contacts" in caplog.text
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError("out of memory"), RuntimeError("Failed to allocate 8 bytes on device 'cuda:0'")]
+)
+def test_turns_get_smaller_where_the_memory_is_full(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    arguments = call(PENDULUM)
+    (expected,) = on(PENDULUM).predict(*arguments).values
+    asked, runs = [], Worlds.run
+
+    def run(self: Worlds, job: Any) -> Any:
+        asked.append(len(job.clip))
+        if len(job.clip) > most:
+            raise error
+        return runs(self, job)
+
+    monkeypatch.setattr(Worlds, "run", run)
+    monkeypatch.setattr(Card, "at_once", lambda self, record: max(1, int(32 * self.part)))
+    most = 6
+    np.testing.assert_array_equal(to_host(on(PENDULUM).predict(*arguments).values[0]), to_host(expected))
+    assert asked[0] > most >= max(asked[-3:])
+    most = 0
+    with pytest.raises(SimulationError, match="^the graphics card has too little free memory; take"):
+        on(PENDULUM).predict(*arguments)
 
 
 def test_an_estimate_is_that_of_the_processor() -> None:

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+
 import warp as wp
 
 from amhe_cli.core.errors import SimulationError
@@ -10,14 +15,44 @@ from amhe_cli.engine.gpu.worlds import Job, Worlds
 from amhe_cli.engine.rollout import Predicted
 from amhe_cli.engine.step_cost import FEWEST
 
-#: Share of the memory of a card that one set of worlds and its records may take.
-MEMORY_SHARE = 0.25
+logger = logging.getLogger(__name__)
+
+#: Share of a card's memory, and of what others leave free of it, that a set of worlds and its records take.
+MEMORY_SHARE, FREE_SHARE = 0.25, 0.5
 #: Buffers are doubled at most so many times; a world that needs more has not completed.
-DOUBLINGS = 4
+DOUBLINGS = 10
 #: Sets of worlds that are kept, of different size.
 KEPT = 3
 #: Rollouts at once on warp's own processor device, which is for tests.
 WITHOUT_CARD = 4096
+
+
+class NoRoomError(SimulationError):
+    """The card has too little free memory; fewer rollouts at once need less."""
+
+
+@contextmanager
+def refusals() -> Iterator[None]:
+    """What warp, CuPy and mujoco-warp raise, as errors in one line.
+
+    Raises:
+        NoRoomError: The card's memory is full.
+        SimulationError: They refused for another reason.
+    """
+    try:
+        yield
+    except MemoryError:
+        raise NoRoomError("the graphics card has too little free memory; take the engine 'cpu'") from None
+    except RuntimeError as error:
+        if any(sign in str(error) for sign in ("allocate", "out of memory", "primary context")):
+            raise NoRoomError("the graphics card has too little free memory; take the engine 'cpu'") from None
+        raise SimulationError(f"mujoco-warp refused a rollout: {str(error).splitlines()[0]}") from error
+
+
+@cache
+def free_bytes(device: str) -> int:
+    """Memory of a card that others left free when this process looked first [bytes]."""
+    return int(wp.get_device(device).free_memory)
 
 
 class Card:
@@ -32,14 +67,18 @@ class Card:
         self.blueprint, self._device = blueprint, device
         #: Buffers of a world; they grow.
         self.room = first_room(blueprint.model)
+        #: Part of the share of memory that is asked for, less where it was refused.
+        self.part = 1.0
         self._kept: dict[int, Worlds] = {}
         self._bytes: dict[Room, int] = {}
 
     @property
     def memory(self) -> int:
-        """Memory of the device [bytes]; 0 for warp's processor device."""
+        """Memory of the device that is ours to use [bytes]; 0 for warp's processor device."""
         device = wp.get_device(self._device)
-        return device.total_memory if device.is_cuda else 0
+        if not device.is_cuda:
+            return 0
+        return int(min(device.total_memory, FREE_SHARE / MEMORY_SHARE * free_bytes(self._device)))
 
     def run(self, job: Job) -> Predicted:
         """Run a job, again with larger buffers where they were too small.
@@ -48,18 +87,29 @@ class Card:
             The wanted numbers, shape (n, s, k) each, and False where a rollout diverged, shape (n,).
 
         Raises:
+            NoRoomError: The card's memory is full.
             SimulationError: mujoco-warp refused a rollout.
         """
         for last in (*DOUBLINGS * (False,), True):
-            try:
+            with refusals():
                 values, completed, full = self.worlds(len(job.queue)).run(job)
-            except RuntimeError as error:
-                raise SimulationError(f"mujoco-warp refused a rollout: {error}") from error
-            if last or not full:
+            if not full:
+                break
+            if last:
+                logger.warning("the card has no room for all contacts: such rollouts count as diverged")
                 break
             self.room = self.room.larger()
-            self._kept.clear()
+            self.clear()
         return Predicted(tuple(values), completed)
+
+    def clear(self) -> None:
+        """Give the worlds' memory back."""
+        self._kept.clear()
+
+    def narrow(self) -> None:
+        """From now on half as many rollouts at once."""
+        self.part *= 0.5
+        self.clear()
 
     def at_once(self, record: int) -> int:
         """How many rollouts the device holds, each with a record of so many bytes."""
@@ -67,7 +117,7 @@ class Card:
             return WITHOUT_CARD
         if self.room not in self._bytes:
             self._bytes[self.room] = bytes_per_world(self.blueprint, self.room, self._device)
-        return max(1, int(MEMORY_SHARE * self.memory / (self._bytes[self.room] + record)))
+        return max(1, int(self.part * MEMORY_SHARE * self.memory / (self._bytes[self.room] + record)))
 
     def worlds(self, count: int) -> Worlds:
         """Worlds for so many queues, of few different sizes, so that they are used again.

@@ -11,7 +11,7 @@ import numpy as np
 
 from amhe_cli.core.arrays import AnyArray, FloatArray, IntArray, to_host
 from amhe_cli.engine.gpu.blueprint import Blueprint, check_supported
-from amhe_cli.engine.gpu.card import Card
+from amhe_cli.engine.gpu.card import Card, NoRoomError, refusals
 from amhe_cli.engine.gpu.worlds import Job
 from amhe_cli.engine.rollout import (
     Call,
@@ -28,6 +28,8 @@ from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: A card gets at least so many rollouts of a call that several cards share.
 LEAST = 512
+#: Part of the usual share of a card's memory below which turns are not made smaller.
+SMALLEST = 1e-3
 
 
 class GpuEngine:
@@ -55,7 +57,8 @@ class GpuEngine:
         devices: Sequence[str],
     ) -> None:
         self._blueprint, self._devices = Blueprint(model, edits, input_spec, sensors), tuple(devices)
-        check_supported(self._blueprint, self._devices[0])
+        with refusals():
+            check_supported(self._blueprint, self._devices[0])
         self.cards = [Card(self._blueprint, device) for device in self._devices]
 
     @property
@@ -65,7 +68,8 @@ class GpuEngine:
 
     def load(self) -> None:
         """Load the kernels, and those that were never compiled for this model compile."""
-        self.cards[0].worlds(1)
+        with refusals():
+            self.cards[0].worlds(1)
 
     def rollout(
         self, theta: FloatArray, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray, lengths: IntArray
@@ -89,7 +93,19 @@ class GpuEngine:
     def predict(
         self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
     ) -> Predicted:
-        """See `Engine.predict`."""
+        """See `Engine.predict`; where a card's memory is full, in turns of half as many rollouts."""
+        while True:
+            try:
+                return self._predict(theta, starts, errors, wanted)
+            except NoRoomError:
+                if self.cards[0].part < SMALLEST:
+                    raise
+                for card in self.cards:
+                    card.narrow()
+
+    def _predict(
+        self, theta: FloatArray, starts: Starts, errors: FloatArray | None, wanted: Sequence[Wanted]
+    ) -> Predicted:
         count, clips, cards = len(theta), len(starts.lengths), len(self.cards)
         record = sum(8 * picked.rows.shape[1] * len(picked.columns) for picked in wanted)
         at_once = self.cards[0].at_once(record)
@@ -106,6 +122,7 @@ class GpuEngine:
         edits = edits or about.edits.upon(model)
         engine = GpuEngine(model, edits, about.input_spec, about.sensors, self._devices)
         for card, card_before in zip(engine.cards, self.cards, strict=True):
+            card.part = card_before.part
             card.room = card_before.room  # of one layout: what was too small once need not be tried again
         return engine
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from threading import Lock
@@ -165,13 +165,14 @@ class Worlds:
             diverged, shape (n,); and whether a buffer was too small.
         """
         n = len(job.clip)
-        with PREPARING, self.stream():
-            into = [self._xp.zeros((n, w.rows.shape[1], len(w.columns))) for w in job.wanted]
-            work = self.prepare(job, into)
-        work.run()
-        wp.synchronize_device(self._device)
-        full = work.full.numpy() != 0
-        completed = work.completed.numpy().astype(bool) & ~full
+        with self.stream():
+            with PREPARING:
+                into = [self._xp.zeros((n, w.rows.shape[1], len(w.columns))) for w in job.wanted]
+                work = self.prepare(job, into)
+            work.run()
+            wp.synchronize_device(self._device)
+            full = work.full.numpy() != 0
+            completed = work.completed.numpy().astype(bool) & ~full
         return into, completed, bool(full.any())
 
     def prepare(self, job: Job, into: list[AnyArray]) -> Work:
@@ -300,11 +301,16 @@ class Worlds:
             self._derive()
         self._written = theta.copy(), candidate.copy()
 
-    def stream(self) -> AbstractContextManager[Any]:
-        """Computations of the array library in the order of warp's own."""
+    @contextmanager
+    def stream(self) -> Iterator[None]:
+        """Computations of the array library on the same card as warp's, and in their order."""
         if not self._device.is_cuda:
-            return nullcontext()
-        return self._xp.cuda.Stream.from_external(self._device.stream)
+            yield
+            return
+        # CuPy's current card is one for each thread, and is the first unless it is told
+        cuda = self._xp.cuda
+        with cuda.Device(self._device.ordinal), cuda.Stream.from_external(self._device.stream):
+            yield
 
     def _up(self, values: FloatArray) -> AnyArray:
         return self._xp.asarray(np.ascontiguousarray(values, dtype=np.float32))

@@ -169,7 +169,17 @@ class Problem:
         """What the clips of an information know of their first states after a step of z (d,)."""
         reach = self.reach if found.nuisance.shape[1] else None  # recorded first states have no errors
         alike = None if reach is None else reach.first_alike
-        return found.first_states(dz, NARROWEST if self.rough else 0.0, alike)
+        return found.first_states(dz, NARROWEST if self.rough else self.finest, alike)
+
+    @property
+    def finest(self) -> float:
+        """Smallest sampling sd on a smooth cost, as a share of what is sampled.
+
+        The cube root of the engine's rounding balances the rounding of a central difference against its third
+        order. Samples of first states have the same floor as those of parameters: among wider ones the third
+        order of these would pass for slopes, and make them narrower still.
+        """
+        return max(1e-4, self.engine.precision ** (1 / 3))
 
     @cached_property
     def _some_clips(self) -> Sequence[Window]:
@@ -333,11 +343,10 @@ def spread_floor(problem: Problem) -> FloatArray:
     """Smallest sampling sd of z, shape (d,): a share of the parameter, or of a linear one's prior sd.
 
     On rough costs small steps measure the jitter of contacts, not the slope of the residuals; on smooth
-    ones they are exact, and large steps are not. There the cube root of the engine's rounding balances the
-    rounding of a central difference against its third order.
+    ones they are exact, and large steps are not.
     """
-    smooth = max(1e-4, problem.engine.precision ** (1 / 3))
-    return sampling_width(problem.system.space, problem.settings.identify.step if problem.rough else smooth)
+    share = problem.settings.identify.step if problem.rough else problem.finest
+    return sampling_width(problem.system.space, share)
 
 
 def _moved_columns(cost: MatchingCost, residuals: Residuals) -> dict[str, BoolArray]:

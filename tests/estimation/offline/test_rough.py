@@ -8,6 +8,7 @@ import pytest
 from amhe_cli.core.log import Log
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.states import touching
+from amhe_cli.estimation.core.information import marginalised
 from amhe_cli.estimation.offline import problem as module
 from amhe_cli.estimation.offline.clips import ClipPool, whole
 from amhe_cli.estimation.offline.problem import Problem
@@ -44,3 +45,16 @@ def test_a_cube_touches_where_it_stands_and_not_in_the_air(height, touches):
     model = System.load("cube_toss").model
     positions = np.array([[0, 0, 0.6, 1, 0, 0, 0], [0, 0, height, 1, 0, 0, 0.0]])
     assert touching(model, positions) == touches
+
+
+@pytest.mark.parametrize("digits", [7, 16])
+def test_first_states_are_sampled_no_finer_than_parameters(monkeypatch, pendulum, swing, digits):
+    """Beside wide samples of parameters, narrow ones of first states measure the bend of the others."""
+    monkeypatch.setattr("amhe_cli.engine.cpu.CpuEngine.precision", 10.0**-digits)
+    found = problem(pendulum, swing(2.0))
+    nx = 2
+    known = marginalised(np.zeros((1, 5)), np.zeros((1, 1, 5)), 1e9 * np.eye(5)[None, :nx], np.ones((1, 5)),
+                         np.zeros((1, nx)))  # fmt: skip
+    shape = found.first_states(known, np.zeros(1)).shape[0]
+    assert np.linalg.svd(shape, compute_uv=False).min() == pytest.approx(found.finest)
+    assert found.finest == pytest.approx({7: 10.0 ** (-7 / 3), 16: 1e-4}[digits])
