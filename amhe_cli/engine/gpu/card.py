@@ -39,13 +39,16 @@ def refusals() -> Iterator[None]:
         NoRoomError: The card's memory is full.
         SimulationError: They refused for another reason.
     """
+    full = NoRoomError("the graphics card has too little free memory; take the engine 'cpu'")
     try:
         yield
     except MemoryError:
-        raise NoRoomError("the graphics card has too little free memory; take the engine 'cpu'") from None
-    except RuntimeError as error:
-        if any(sign in str(error) for sign in ("allocate", "out of memory", "primary context")):
-            raise NoRoomError("the graphics card has too little free memory; take the engine 'cpu'") from None
+        raise full from None
+    except Exception as error:
+        if type(error) not in (RuntimeError, Exception):  # warp raises these two
+            raise
+        if any(sign in str(error) for sign in ("allocate", "out of memory", "primary context", "load CUDA")):
+            raise full from None
         raise SimulationError(f"mujoco-warp refused a rollout: {str(error).splitlines()[0]}") from error
 
 

@@ -28,8 +28,9 @@ from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: A card gets at least so many rollouts of a call that several cards share.
 LEAST = 512
-#: Part of the usual share of a card's memory below which turns are not made smaller.
-SMALLEST = 1e-3
+#: Part of the usual share of a card's memory below which turns are not made smaller: a card that is full
+#: again and again is left in a state that no later call can trust.
+SMALLEST = 0.1
 
 
 class GpuEngine:
