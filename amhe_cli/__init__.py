@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from amhe_cli.api.estimator import Estimator
     from amhe_cli.api.export import export
     from amhe_cli.api.identify import Interrupted, Result, identify
-    from amhe_cli.api.layout import layout
     from amhe_cli.api.pool import pool
     from amhe_cli.api.runs import probe, run
     from amhe_cli.api.show import show
@@ -45,7 +44,6 @@ _HOMES = {
     "convert": "amhe_cli.logs.convert",
     "export": "amhe_cli.api.export",
     "identify": "amhe_cli.api.identify",
-    "layout": "amhe_cli.api.layout",
     "limit": "amhe_cli.core.limits",
     "pool": "amhe_cli.api.pool",
     "probe": "amhe_cli.api.runs",
@@ -69,7 +67,6 @@ __all__ = [
     "convert",
     "export",
     "identify",
-    "layout",
     "limit",
     "pool",
     "probe",

@@ -1,21 +1,43 @@
 """Make the picture strips of the documentation: a task at a few instants, side by side.
 
-    python examples/make_strips.py t1 t5 --out docs/figures
+    MUJOCO_GL=egl python examples/make_strips.py t1 t5 --out docs/figures
 
-Needs EGL or OSMesa; a task takes about its own time.
+MUJOCO_GL=osmesa where there is no EGL; a task takes about its own time.
 """
 
 import argparse
 from pathlib import Path
 
+import mujoco
 import numpy as np
 from matplotlib.image import imsave
 
-from amhe_cli.robots.go1.run import RunOptions, open_run
-from amhe_cli.robots.go1.video import Film, strip
+from amhe_cli.robots.go1.model import layout
+from amhe_cli.robots.go1.run import Run, RunOptions, open_run
 
 #: Of one picture [pixels]; more is drawn, and the middle kept.
-SIZE, WIDTH = (640, 320), 400
+SIZE, WIDTH, GAP = (640, 320), 400, 6
+
+
+def pictures(run: Run, count: int) -> list[np.ndarray]:
+    """The plant at `count` instants of a run, seen from beside robot and box."""
+    seen = [run.plant.qpos.copy() for _ in run.episode.cycles()]
+    model, data, at = run.plant.model, mujoco.MjData(run.plant.model), layout(run.plant.model)
+    model.mat_reflectance[:] = 0.0
+    camera = mujoco.MjvCamera()
+    leg = run.task.floor.one_leg
+    camera.distance, camera.azimuth, camera.elevation = (2.2, 188, -24) if leg else (3.0, 108, -20)
+    found = []
+    with mujoco.Renderer(model, SIZE[1], SIZE[0]) as renderer:
+        for row in np.linspace(0, len(seen) - 1, count).astype(int):
+            data.qpos[:] = seen[row]
+            mujoco.mj_forward(model, data)
+            camera.lookat[:2] = 0.5 * (data.qpos[at.trunk][:2] + data.qpos[at.box][:2])
+            camera.lookat[2] = 0.16
+            renderer.update_scene(data, camera)
+            left = (SIZE[0] - WIDTH) // 2
+            found.append(renderer.render()[:, left : left + WIDTH].copy())
+    return found
 
 
 def main() -> None:
@@ -28,16 +50,13 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path())
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
+    white = np.full((SIZE[1], GAP, 3), 255, np.uint8)
     for task in given.tasks:
         run = open_run(RunOptions(task, given.mode, seed=given.seed, threads=2, duration=given.until or 40.0))
-        seen = [run.target.qpos for _ in run.episode.cycles()]
-        rows = np.linspace(0, len(seen) - 1, given.count).astype(int)
-        film = Film(run.plant.model, run.task.floor, SIZE)
-        picture = strip([film.frame(seen[row]) for row in rows], WIDTH)
-        film.close()
+        parts = [part for picture in pictures(run, given.count) for part in (white, picture)]
         path = given.out / f"{task}.jpg"
-        imsave(path, np.ascontiguousarray(picture), pil_kwargs={"quality": 88})
-        print(f"{path}: {picture.shape[1]} x {picture.shape[0]}, {path.stat().st_size / 1e3:.0f} kB")
+        imsave(path, np.concatenate(parts[1:], axis=1), pil_kwargs={"quality": 88})
+        print(f"{path}: {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -15,12 +15,9 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
 OURS = {"dev", "bench"}
 TABLE = (ROOT / "docs" / "security.md").read_text(encoding="utf-8").split("## What is installed")[1]
 ROWS = dict(re.findall(r"^\| `?(\w+)`? \| (`.*) \|$", TABLE.split("\n## ")[0], re.M))
-LICENCES = {
-    extra: dict(re.findall(r"`([\w-]+)` ([\w.-]+)", row.replace("`--video`", "")))
-    for extra, row in ROWS.items()
-}
+LICENCES = {extra: dict(re.findall(r"`([\w-]+)` ([\w.-]+)", row)) for extra, row in ROWS.items()}
 #: Packages whose metadata states no licence; it is in a file of their wheel.
-SILENT = {"motioncapture": "MIT License", "xacro": "Redistribution and use in source and binary forms"}
+SILENT = {"motioncapture": "MIT License"}
 
 
 def names(requirements: list[str]) -> set[str]:

@@ -2,23 +2,17 @@
 
 import json
 import os
-import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from amhe_cli.cli.main import run
-from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.robots.go1.run import MODES
 from amhe_cli.robots.go1.tasks import TASKS
 from amhe_cli.study.store import Store, Study, open_store, start
-from amhe_cli.system.description.folders import bundled_systems
 from amhe_cli.system.model.files import compiled, read_spec
-from amhe_cli.system.system import System
 from tests.study.cells_at_play import CODE, record
 
 
@@ -184,43 +178,3 @@ def test_what_mujoco_cannot_explain_is_an_error_too(tmp_path: Path, monkeypatch:
 
     with pytest.raises(ConfigError, match="cannot compile the model: Caught an unknown exception"):
         compiled(Broken())  # type: ignore[arg-type]
-
-
-def test_what_a_result_names_runs_no_code(tmp_path: Path, pendulum_log: Path, capsys) -> None:
-    """A result, a belief or a table of logs may name a system: of xacro, it is refused unread."""
-    payload = (
-        "[c for c in x.__class__.__base__.__subclasses__() if c.__name__=='_wrap_close'][0].__init__"
-        f".__globals__['system']('touch {tmp_path}/touched')"
-    )
-    mine = tmp_path / "mine"
-    shutil.copytree(bundled_systems()["pendulum"], mine)
-    yaml = (mine / "system.yaml").read_text()
-    model = next(line for line in yaml.splitlines() if line.startswith("model:"))
-    (mine / "system.yaml").write_text(yaml.replace(model, "model: robot.XACRO"))
-    (mine / "robot.XACRO").write_text(
-        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro">'
-        '<link name="b${[PAYLOAD for x in [()]]}"/></robot>'.replace("PAYLOAD", payload)
-    )
-    inputs = {"system": str(mine), "settings": {}, "logs": [{"path": str(pendulum_log)}]}
-    system = System.load("pendulum")
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        belief = belief_of(system, np.zeros(4), 0.01 * np.eye(4), {"logs": {name: name}})
-        belief.save(tmp_path / name / "belief.yaml")
-        record = {"schema_version": 1, "command": "identify", "inputs": inputs}
-        (tmp_path / name / "result.json").write_text(json.dumps(record))
-    result, out = tmp_path / "one", str(tmp_path / "out")
-    beliefs = [str(tmp_path / name / "belief.yaml") for name in ("one", "two")]
-    replay = {"schema_version": 1, "command": "mhe-replay", "inputs": inputs}
-    for command in (
-        ["view", str(result), "--save", f"{out}.html"],
-        ["pool", *beliefs],
-        ["export", beliefs[0], "--to", "mjcf", "-o", out],
-        ["identify", str(pendulum_log), "--system", str(mine), "-o", out],
-        ["inspect", str(pendulum_log), "--system", str(mine)],
-    ):
-        assert run(command) == 2, command
-        assert "a system names no xacro file; `amhe init`" in capsys.readouterr().err
-    (result / "result.json").write_text(json.dumps(replay | {"fixed": {}, "parameters": []}))
-    assert run(["view", str(result), "--save", f"{out}.html"]) == 2
-    assert not (tmp_path / "touched").exists()

@@ -17,8 +17,6 @@ from amhe_cli.estimation.design.design import known_record, plan_record
 from amhe_cli.estimation.design.files import log_name
 from amhe_cli.estimation.design.probe import ActuatorProbe, ProbeOptions, achieved
 from amhe_cli.system.system import System
-from amhe_cli.view.scene import scene_of
-from amhe_cli.view.scene_log import SceneLog
 
 
 def probe(
@@ -85,7 +83,7 @@ def probe(
         with filling(Path(excitation)) as folder:
             opened.excitation().write(folder)
     with _file(log, log_name(opened.system.signals)) as path:
-        ending = opened.run(plan, path, lambda: False, say, SceneLog(scene_of(opened.system)))
+        ending = opened.run(plan, path, lambda: False, say)
         if ending.error:
             raise ending.error
         found = achieved(opened.system, path, options)
@@ -144,8 +142,7 @@ def run(
     )  # fmt: skip
     opened = open_run(options)
     history, show = History(opened.task), progress or (lambda row: None)
-    drawing = SceneLog(scene_of(opened.system))
-    with closing(opened.episode.belief), _file(log) as path, recorder_of(opened, path, drawing) as recorder:
+    with closing(opened.episode.belief), _file(log) as path, recorder_of(opened, path) as recorder:
         ending = drive(opened.episode, recorder, history, lambda: False, lambda _, row: show(row))
     if ending.error:
         raise ending.error

@@ -90,14 +90,6 @@ class _ModelPath(click.Path):
     is_flag=True,
     help="Leave out the meshes of a URDF; boxes of the same mass and inertia take their place.",
 )
-@click.option(
-    "--xacro-arg",
-    "xacro_args",
-    metavar="NAME:=VALUE",
-    multiple=True,
-    callback=parsing.pairs(str),
-    help="Argument of a xacro file; repeat for more.",
-)
 @options.common
 @click.pass_obj
 def init(
@@ -112,11 +104,10 @@ def init(
     msg_path: Path | None,
     packages: dict[str, str],
     no_meshes: bool,
-    xacro_args: dict[str, str],
 ) -> None:
     """Write a system folder for MODEL whose signals are found in LOG...
 
-    MODEL is an MJCF, URDF or xacro file, or menagerie:NAME for a model of the package mujoco-menagerie.
+    MODEL is an MJCF or URDF file, or menagerie:NAME for a model of the package mujoco-menagerie.
     To try it: amhe init example:arm example:arm --actuators -o arm/
 
     Its system.yaml is commented: the signals matched to joints by name, candidate parameters, and what
@@ -131,9 +122,7 @@ def init(
     session.hush_mujoco()
     path = menagerie_model(model.removeprefix(_MENAGERIE)) if isinstance(model, str) else model
     known = packages_in(os.environ) if is_urdf(path) else {}
-    urdf = UrdfOptions(
-        {**known, **{name: Path(folder) for name, folder in packages.items()}}, not no_meshes, xacro_args
-    )
+    urdf = UrdfOptions({**known, **{name: Path(dir_) for name, dir_ in packages.items()}}, not no_meshes)
     folder = reserve(out, "init", force)
     guessed = init_system(
         path,

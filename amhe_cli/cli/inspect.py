@@ -20,50 +20,29 @@ if TYPE_CHECKING:
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
-@click.option(
-    "--layout",
-    "viewer",
-    type=click.Choice(("foxglove",)),
-    help="Write a layout with which this viewer opens the log: plots of each topic, and a 3-D panel where it "
-    "has poses. foxglove is Lichtblick too.",
-)
-@parsing.fresh_file("out", "-o", "--out", use="File of the layout, such as log.json.")
 @options.where
 @options.common
 @click.pass_obj
 def inspect(
     session: Session,
     logs: tuple[Path, ...],
-    viewer: str | None,
-    out: Path | None,
     inputs: Inputs,
 ) -> None:
     """List what is in LOG...: topics, types, rates, gaps, clocks, problems.
 
     With a system, named by --system or by the log itself, also what it needs and what is missing.
     """
-    from amhe_cli.core.files import write_whole
-    from amhe_cli.core.text import printable
     from amhe_cli.logs import members
     from amhe_cli.report.inspection import inspection_record, losses, print_inspection
-    from amhe_cli.report.layout import layout_of
 
-    if (viewer is None) != (out is None):
-        raise click.UsageError("--layout needs -o FILE, and -o FILE needs --layout")
     session.hush_mujoco()
     found = [_inspection(one, inputs) for path in logs for one in members(path)]
     session.warnings += [text for one in found for text in losses(one)]
-    if viewer and out:
-        if len(found) > 1:
-            raise click.UsageError("--layout is of one log; name one")
-        write_whole(out, layout_of(found[0], viewer))
     if session.json:
         session.print_json(session.record(logs=[inspection_record(one) for one in found]))
         return
     for one in found:
         print_inspection(one, session.console())
-    if out:
-        session.console().print(f"layout: {printable(str(out))}", soft_wrap=True)
 
 
 def _inspection(log: Member, inputs: Inputs) -> Inspection:

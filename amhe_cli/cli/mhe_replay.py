@@ -69,7 +69,6 @@ def mhe_replay(
     from amhe_cli.report.replay_files import replay_record
     from amhe_cli.system.provenance import estimator_provenance, inputs_record
     from amhe_cli.system.system import System
-    from amhe_cli.view.scene_log import measured_scene
 
     session.hush_mujoco()
     folder = out.reserve()
@@ -107,8 +106,7 @@ def mhe_replay(
             **replay_record(done), seed=seed, out=str(folder), provenance=origin,
             inputs=inputs_record(done.system, [recorded]),
         )  # fmt: skip
-        draw = measured_scene(done.system, recorded, problem.start.z)
-        write_replay(folder, done, predicted, fits, record, origin, draw, out.force)
+        write_replay(folder, done, predicted, fits, record, origin, out.force)
     if session.json:
         session.print_json(record)
     else:

@@ -54,7 +54,10 @@ GONE: dict[str, dict[str, str]] = {
         "--iterations": "--set mhe.iterations=L",
         "--learning-rate": "--set mhe.learning_rate=A",
         "--prior-weight": "--set mhe.prior_weight.NAME=W",
+        "--video": "amhe view RESULT, or --view while it runs",
     },
+    "inspect": {"--layout": "amhe view LOG"},
+    "init": {"--xacro-arg": "xacro FILE NAME:=VALUE > robot.urdf"},
     "probe": _SLOW
     | {
         "--speed": "--set probe.speed=X",
@@ -104,7 +107,7 @@ def pairs(
         form = str(param.metavar)  # pyright: ignore[reportAttributeAccessIssue]
         values: dict[str, V] = {}
         for text in given:
-            key, _, value = text.partition(":=" if ":=" in form else "=")
+            key, _, value = text.partition("=")
             if (key := key.strip()) in values:
                 raise click.BadParameter(f"{key} is given twice; leave one of them out", ctx, param)
             try:

@@ -143,11 +143,9 @@ def _played(
 ) -> tuple[Exception | None, dict[str, Accuracy | None]]:
     """Play a plan into its log: what went wrong, and how well the parameters are known, by what."""
     from amhe_cli.estimation.design.probe import achieved
-    from amhe_cli.view.scene import scene_of
-    from amhe_cli.view.scene_log import SceneLog
 
     with stopping(session) as stopped:
-        ending = probe.run(plan, log, stopped, say, SceneLog(scene_of(probe.system)))
+        ending = probe.run(plan, log, stopped, say)
     session.interrupted = ending.interrupted
     if isinstance(ending.error, OSError):  # as on a full disk
         raise ending.error

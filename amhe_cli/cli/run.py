@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from amhe_cli.report.run import TaskFacts
     from amhe_cli.robots.go1.history import History
     from amhe_cli.robots.go1.run import Run
-    from amhe_cli.robots.go1.video import Film
 
 _TASKS = (
     "t1: straight to a goal; t2: along a circle; t3: the mass changes; t4: the floor changes; "
@@ -46,12 +45,6 @@ _TASKS = (
 @options.work
 @options.duration("Stop after S seconds of the run.")
 @click.option(
-    "--video",
-    is_flag=True,
-    help="Write video.mp4 too; needs the extra [video] and EGL or OSMesa. Without a GPU a film of 30 s takes "
-    "minutes.",
-)
-@click.option(
     "--plant",
     type=parsing.EXISTING_FILE,
     metavar="XML",
@@ -72,7 +65,6 @@ def run(
     belief: Path | None,
     seed: int,
     duration: float,
-    video: bool,
     plant: Path | None,
     watch: bool,
     wire: dict[str, Any],
@@ -89,7 +81,6 @@ def run(
     from amhe_cli.core.files import filling
     from amhe_cli.report.run import print_run, verdict, write_run
     from amhe_cli.robots.go1.history import run_record
-    from amhe_cli.robots.go1.recording import film_of
     from amhe_cli.robots.go1.run import RunOptions, open_run
     from amhe_cli.system.provenance import run_provenance
 
@@ -112,9 +103,8 @@ def run(
     click.get_current_context().with_resource(closing(opened.episode.belief))
     if dry_run:
         return at_the_robot.dry_run(session, opened)
-    film = film_of(opened) if video else None
     with stopping(session) as stopped, filling(folder, keep=True, force=out.force) as scratch:
-        ending, history, link = _driven(session, opened, scratch, stopped, film, watch)
+        ending, history, link = _driven(session, opened, scratch, stopped, watch)
         if isinstance(ending.error, OSError):  # as on a full disk: no page either, but the log is kept
             raise ending.error
         session.interrupted = ending.interrupted
@@ -145,21 +135,17 @@ def run(
 
 
 def _driven(
-    session: Session, run: Run, folder: Path, stopped: Callable[[], bool], film: Film | None, watch: bool
+    session: Session, run: Run, folder: Path, stopped: Callable[[], bool], watch: bool
 ) -> tuple[Ending, History, dict[str, Any]]:
-    """Drive a run to its end, with its log, film and live page; how it ended, its history, and its link."""
+    """Drive a run to its end, with its log and live page; how it ended, its history, and its link."""
     from amhe_cli.cli.progress import progress
     from amhe_cli.live.loop import drive
     from amhe_cli.robots.go1.history import History
     from amhe_cli.robots.go1.recording import recorder_of
-    from amhe_cli.view.scene import scene_of
-    from amhe_cli.view.scene_log import SceneLog
 
     history, title = History(run.task), f"{run.options.task} {run.options.mode}"
     with ExitStack() as stack:
-        drawing = SceneLog(scene_of(run.system))
-        recorder = stack.enter_context(recorder_of(run, folder / "log.mcap", drawing))
-        shoot = stack.enter_context(film.shooting(folder / "video.mp4", later=run.live)) if film else None
+        recorder = stack.enter_context(recorder_of(run, folder / "log.mcap"))
         watching = stack.enter_context(watching_run(session, run)) if watch else None
 
         def go() -> Ending:
@@ -169,8 +155,6 @@ def _driven(
                     show(row)
                     if watching:
                         watching(cycle, row)
-                    if shoot and run.plant:
-                        shoot(row["time"], run.plant.qpos)
 
                 return drive(run.episode, recorder, history, stopped, on_cycle)
 

@@ -1,4 +1,4 @@
-"""What a film and a report draw on the floor on which a box is pushed."""
+"""What a report draws on the floor on which a box is pushed."""
 
 from __future__ import annotations
 

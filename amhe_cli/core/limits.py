@@ -31,8 +31,7 @@ class Limits:
             100 KiB.
         yaml_mib: A YAML file, or a JSON file that describes a dataset [MiB]; a recording of ten thousand
             files has a metadata.yaml of 2 MiB.
-        model_mib: A model file, and what xacro makes of one [MiB]; large robots have one.
-        xacro_seconds: Processor time of expanding a xacro file [s]; large robots take two.
+        model_mib: A model file [MiB]; large robots have one.
         model_elements: Elements of a model, also copies by <replicate> and <flexcomp>, a body as four; a hand
             has some hundred, a kitchen some thousand.
         model_numbers: Numbers of all height fields, textures and sizes of a model, where its images are not
@@ -49,7 +48,6 @@ class Limits:
     columns: int = 100_000
     fields: int = 20_000_000
     model_mib: int = 64
-    xacro_seconds: int = 20
     definition_mib: int = 1
     model_elements: int = 10_000
     model_numbers: int = 25_000_000

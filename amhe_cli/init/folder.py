@@ -59,12 +59,12 @@ def init_system(
     """Write a system folder that `amhe identify` can use at once.
 
     Args:
-        model_path: MJCF, URDF or xacro; it is copied with its files.
+        model_path: MJCF or URDF; it is copied with its files.
         logs: Logs of the robot; the noise is estimated from the first one.
         out: Folder to write; it appears whole or not at all.
         msg_path: Folder of `.msg` files for types that the logs do not define.
         force: Write into a folder that is not empty.
-        urdf: How to read a URDF or xacro.
+        urdf: How to read a URDF.
         actuators: The unknowns are those of all drives, and nothing else.
         group: With `actuators`: equal drives share their parameters.
         backlash: Joints, by names or patterns, that get a gap between drive and link, of unknown width.

@@ -62,10 +62,6 @@ SELDOM, NEVER = 0.1, 1.0
 class MoreMessages(Protocol):
     """Messages that only one robot or task has."""
 
-    def begin(self, log: LogWriter) -> None:
-        """Prepare the log, before the robot runs."""
-        ...
-
     def write(self, log: LogWriter, cycle: Cycle) -> None:
         """Append what a cycle has of them."""
         ...
@@ -106,8 +102,6 @@ class Recorder:
         self._log.define(TIMING, _TIMING)
         estimates.define(self._log)
         self._log.prepare(_TYPES)  # now, as a running robot does not wait
-        if self._more:
-            self._more.begin(self._log)
         for name, text in self._attachments.items():
             self._log.attach(name, "application/yaml", text.encode())
         return self

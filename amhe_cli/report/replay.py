@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from amhe_cli.core.files import json_text
 from amhe_cli.estimation.core.result import Fit
 from amhe_cli.estimation.online.predictions import Prediction
 from amhe_cli.estimation.online.replay import Replay
-from amhe_cli.logs import LogWriter
 from amhe_cli.report import figures, numbers, replay_figures
 from amhe_cli.report.folder import results
 from amhe_cli.report.page import Fold, Key, Section, Statement, fixed_statement, result_page
@@ -33,7 +32,6 @@ def write_replay(
     fits: Sequence[Fit],
     record: Mapping[str, Any],
     provenance: Mapping[str, Any],
-    draw: Callable[[LogWriter], None] = lambda log: None,
     force: bool = True,
 ) -> None:
     """Write estimates.mcap, estimates.csv, result.json and report.html, all or none.
@@ -45,7 +43,6 @@ def write_replay(
         fits: Measured against predicted in a few windows.
         record: Content of result.json.
         provenance: Versions, hashes, seed and command.
-        draw: Writes into estimates.mcap what 3-D panels show.
         force: Write into a folder that is not empty.
     """
     contents = {
@@ -60,7 +57,7 @@ def write_replay(
         "version": str(record["version"]),
     }
     with results(folder, lambda: replay_page(replay, fits, record, provenance), force) as scratch:
-        write_log(scratch / "estimates.mcap", replay, predicted, metadata, draw)
+        write_log(scratch / "estimates.mcap", replay, predicted, metadata)
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
 

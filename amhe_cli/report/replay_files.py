@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -155,7 +155,6 @@ def write_log(
     replay: Replay,
     predicted: Sequence[Prediction | None],
     metadata: Mapping[str, str],
-    draw: Callable[[LogWriter], None] = lambda log: None,
 ) -> None:
     """Write estimates, true values, diagnostics and predictions, with the time stamps of the replayed log.
 
@@ -164,11 +163,9 @@ def write_log(
         replay: The replay.
         predicted: For each estimate its prediction of the newest part of its window.
         metadata: The new log's metadata.
-        draw: Writes what 3-D panels show.
     """
     with LogWriter(path, metadata) as log:
         messages.define(log)
-        draw(log)
         for name, text in attachments(replay.system).items():
             log.attach(name, "application/yaml", text.encode())
         for i, (window, estimate) in enumerate(zip(replay.windows, replay.estimates, strict=True)):

@@ -73,7 +73,7 @@ class System(SystemData, Displayed):
         """Make a system from a MuJoCo model and plain dictionaries; no folder and no YAML is needed.
 
         Args:
-            model: Path of an MJCF, URDF or xacro file, or an MjSpec, which is copied. An MjModel is taken
+            model: Path of an MJCF or URDF file, or an MjSpec, which is copied. An MjModel is taken
                 while MuJoCo still has its source: it must be the last that was loaded from XML.
             parameters: Name -> entry with the keys that `parameters` has in `system.yaml`.
             signals: Name -> entry likewise; `topic` may be left out.

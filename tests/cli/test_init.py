@@ -139,11 +139,10 @@ def test_a_model_of_the_menagerie_without_a_network(
 def test_the_commands_of_the_docs_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, pendulum_log: Path
 ) -> None:
-    pytest.importorskip("xacro")
     page = (ROOT / "docs" / "systems.md").read_text(encoding="utf-8")
-    section = page.split("## Robots from URDF, xacro and the menagerie")[1].split("\n## ")[0]
+    section = page.split("## Robots from URDF and the menagerie")[1].split("\n## ")[0]
     commands = re.findall(r"^    amhe (init .*)$", section, re.MULTILINE)
-    assert len(commands) == 5
+    assert len(commands) == 4
     monkeypatch.setitem(sys.modules, "mujoco_menagerie", Menagerie("mujoco_menagerie"))
     monkeypatch.chdir(tmp_path)
     text = ARM.replace("//parts", "//arm_description")
@@ -152,8 +151,6 @@ def test_the_commands_of_the_docs_run(
     Path("arm_description/urdf").mkdir()
     Path("arm_description/urdf/arm.urdf").write_text(text)
     Path("arm.urdf").write_text(text)
-    xacro = text.replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"')
-    Path("arm.urdf.xacro").write_text(xacro.replace('mass value="1"', 'mass value="$(arg mass)"'))
     shutil.copy(pendulum_log, "run.mcap")
     for command in commands:
         name = "menagerie:pendulum" if "menagerie" in command else command.split()[1]

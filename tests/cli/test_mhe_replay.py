@@ -101,17 +101,6 @@ def test_the_log_of_estimates_is_read_back_by_ours(pushed: Path) -> None:
         np.testing.assert_allclose(log.values[:, i], column(pushed, name), rtol=1e-8)
 
 
-def test_the_log_shows_the_measured_scene(pushed: Path) -> None:
-    box = Signal("box", "/amhe/frames", ("position",), child_frame="scene/box")
-    shown = read_signals(pushed / "estimates.mcap", [box], 0.02, LogSettings())["box.position"].values
-    measured = read_signals(
-        LOGS / "t4.mcap", [Signal("box", "/box/odom", ("position",))], 0.02, LogSettings()
-    )["box.position"].values
-    count = min(len(shown), len(measured))
-    assert count > 100
-    np.testing.assert_allclose(shown[:count], measured[:count], atol=0.005)
-
-
 def test_the_log_predicts_the_measured_topics(pushed: Path) -> None:
     """Within a few times the sensors' noise, at the measurements' own times."""
     for topic, quantity, within in (

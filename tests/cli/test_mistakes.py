@@ -65,7 +65,6 @@ RUN = [
 ROBOT = [
     ("--mode true", "adaptive or baseline"),
     ("--plant robot.xml", "--plant is the robot of a simulation"),
-    ("--video --set go1.arm=operator", "--video films a simulated plant"),
     ("--host 192.0.2.1 --set go1.arm=auto", "for the emulator"),
     ("--host 192.0.2.1 --set go1.slow=2", "go1.slow is for the emulator"),
     ("--pose motioncapture", "vicon:"),

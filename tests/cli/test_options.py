@@ -48,6 +48,9 @@ def test_what_replaces_an_option_exists(command: str, option: str, instead: str)
     from amhe_cli.robots.go1.settings import PushSettings
 
     first, *rest = instead.split()
+    if not first.startswith("-"):
+        assert first == "xacro" or rest[0] in amhe.commands
+        return
     assert any(first in param.opts for param in amhe.commands[command].params)
     if rest:
         key, _, _ = rest[0].partition("=")

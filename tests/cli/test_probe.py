@@ -75,8 +75,6 @@ def test_the_probes_log_identifies_another_pendulum() -> None:
     assert run([*PENDULUM, "--plant", str(plant), "-o", "probe"]) == 0
     assert names("probe") == ["plan.json", "probe.mcap", "report.html", "result.json"]
     assert "truth" not in read_metadata(Path("probe/probe.mcap"))
-    drawn = {t.name: t.count for t in survey(Path("probe/probe.mcap")).topics if t.name.startswith("/amhe")}
-    assert drawn["/amhe/scene"] == 1 and 140 <= drawn["/amhe/frames"] <= 151, "50 in each of three seconds"
     less = ["-q", "--threads", "1", "--set", "identify.profile_points=0"]
     assert run(["identify", "probe/probe.mcap", "-o", "found", *less]) == 0
     found = {row["name"]: row for row in json.loads(Path("found/result.json").read_text())["parameters"]}
@@ -170,7 +168,6 @@ def test_a_go1_probes_a_box_and_writes_a_log_of_its_own(capsys) -> None:
     assert (truth["box_mass"], truth["floor_friction"]) == pytest.approx((3.5, 0.5)), "not those of t1"
     topics = {topic.name for topic in survey(Path("probe/probe.mcap")).topics}
     assert {"/joint_states", "/joint_commands", "/odom", "/box/odom", "/amhe/plan"} <= topics
-    assert {"/amhe/scene", "/amhe/frames"} <= topics
 
 
 @pytest.mark.medium

@@ -17,9 +17,7 @@ from mcap.writer import Writer
 
 from amhe_cli.cli import options
 from amhe_cli.cli.main import run
-from amhe_cli.core.errors import ConfigError
 from amhe_cli.logs import read_metadata, survey
-from amhe_cli.robots.go1 import video
 from amhe_cli.robots.go1.plant import Plant
 from amhe_cli.robots.go1.run import MODES
 from amhe_cli.robots.go1.tasks import LONGEST, TASKS
@@ -159,25 +157,6 @@ def test_a_fault_of_the_page_costs_no_log_and_is_one_line(monkeypatch, capsys) -
     assert names("out") == ["log.mcap", "result.json"]
     (line,) = [line for line in capsys.readouterr().err.splitlines() if "no page" in line]
     assert line.startswith("amhe run: error: report.html could not be made (RuntimeError: no page)")
-
-
-def test_without_an_encoder_a_film_is_refused_before_the_run(monkeypatch, capsys) -> None:
-    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    assert run(["run", "--task", "t1", "--video"]) == 2
-    assert "amhe[video]" in capsys.readouterr().err
-    assert names(".") == []
-
-
-@pytest.mark.medium
-def test_a_film_lies_beside_the_log() -> None:
-    pytest.importorskip("imageio_ffmpeg")
-    try:
-        video._gl_context(8, 8).free()
-    except ConfigError as error:
-        pytest.skip(str(error))
-    assert run(["run", "--task", "t1", "--video", "-o", "out", *QUICK, "--duration", "0.1"]) == 0
-    assert names("out") == ["log.mcap", "report.html", "result.json", "video.mp4"]
-    assert Path("out/video.mp4").stat().st_size > 1000
 
 
 @pytest.mark.medium

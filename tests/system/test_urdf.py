@@ -1,9 +1,8 @@
-"""URDF as ROS writes it: packages, meshes, mimic joints, links that MuJoCo alone would refuse; xacro."""
+"""URDF as ROS writes it: packages, meshes, mimic joints, links that MuJoCo alone would refuse."""
 
 from __future__ import annotations
 
 import struct
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -208,39 +207,6 @@ def test_the_library_takes_packages_and_meshes(tmp_path: Path) -> None:
     assert System.from_model(path, meshes=False, **parts).model.nmesh == 0
 
 
-XACRO = """<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">
-  <xacro:arg name="mass" default="1"/><xacro:include filename="$(find parts)/link.xacro"/>
-  <link name="base"/><xacro:my_link name="upper"/>
-  <joint name="shoulder" type="continuous"><parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
-  </joint></robot>"""
-LINK = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:macro name="my_link" params="name">
-  <link name="${name}"><inertial><mass value="$(arg mass)"/>
-    <inertia ixx="${1/100}" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
-</xacro:macro></robot>"""
-
-
-@pytest.mark.medium
-def test_a_xacro_file_is_expanded(tmp_path: Path) -> None:
-    pytest.importorskip("xacro")
-    path = written(tmp_path / "arm", XACRO, "arm.urdf.xacro")
-    with pytest.raises(
-        ConfigError, match=r"arm.urdf.xacro: xacro: no package 'parts' is known: .*`packages`"
-    ):
-        read(path)
-    written(tmp_path / "parts", LINK, "link.xacro")
-    with pytest.raises(ConfigError, match=r"link.xacro is neither in the folder of .*give its .*`packages`"):
-        read(path)
-    assert read(path, {"parts": tmp_path / "parts"}).body("upper").mass == pytest.approx(1.0)
-    written(tmp_path / "parts", "<package><name>parts</name></package>", "package.xml")
-    assert read(path).body("upper").mass == pytest.approx(1.0)
-    heavy = read_spec(path, UrdfOptions(xacro_args={"mass": "3"}))
-    assert compiled(heavy).body("upper").mass == pytest.approx(3.0)
-    assert "ament_index_python" not in sys.modules
-    with pytest.raises(ConfigError, match=r"broken.xacro: xacro: "):
-        read(written(tmp_path, XACRO.replace("my_link", "your_link"), "broken.xacro"))
-
-
-def test_without_xacro_a_line_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "xacro", None)
-    with pytest.raises(ConfigError, match=r"pip install 'amhe\[robots\]'"):
-        read(written(tmp_path, XACRO, "arm.xacro"))
+def test_a_xacro_file_is_refused_with_the_command_that_makes_a_urdf_of_it(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"arm.urdf.xacro: .* xacro FILE > robot.urdf"):
+        read(written(tmp_path, "<robot/>", "arm.urdf.xacro"))

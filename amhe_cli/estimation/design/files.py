@@ -14,7 +14,6 @@ from amhe_cli.core.signals import Signal
 from amhe_cli.logs import LogWriter
 from amhe_cli.logs.containers.table_writer import Columns, joined, write_csv
 from amhe_cli.logs.messages.signal_writer import write_samples
-from amhe_cli.logs.messages.writer import StateDrawing
 
 #: Topic of the commands of a system whose logs are tables.
 _COMMANDS = "/joint_commands"
@@ -67,7 +66,6 @@ def write_log(
     samples: Samples,
     about: Mapping[str, str],
     start: float,
-    drawn: tuple[StateDrawing, FloatArray, FloatArray] | None = None,
 ) -> None:
     """Write samples as the signals' system reads them: a table (.csv) or messages (.mcap).
 
@@ -77,7 +75,6 @@ def write_log(
         samples: Samples of the signals.
         about: Metadata.
         start: Time of the first sample [s].
-        drawn: What messages for 3-D panels show: times [s], shape (n,), and states (n, nq).
     """
     if path.suffix == ".csv":
         parts = [
@@ -91,16 +88,8 @@ def write_log(
         return
     plain = [replace(one, topic=one.topic or _COMMANDS, columns={}) for one in signals]
 
-    def stamp(time: float) -> int:
-        return round(1e9 * (time + start))
-
     with LogWriter(path, about) as file:
-        write_samples(file, plain, samples, stamp)
-        if drawn is not None:
-            drawing, times, states = drawn
-            drawing.begin(file, stamp(times[0]))
-            for time, qpos in zip(times, states, strict=True):
-                drawing.write_state(file, stamp(time), qpos)
+        write_samples(file, plain, samples, lambda time: round(1e9 * (time + start)))
 
 
 def _names(signal: Signal, quantity: str | None = None) -> tuple[str, ...]:

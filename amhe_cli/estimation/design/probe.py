@@ -20,12 +20,11 @@ from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.errors import AmheError, ConfigError, Ending, EstimationError, SimulationError
-from amhe_cli.core.log import Log, Window
+from amhe_cli.core.log import Log
 from amhe_cli.core.samples import sampled
 from amhe_cli.core.settings import Settings
 from amhe_cli.engine.bounds import Bounds, Broken, home_within
 from amhe_cli.engine.open import open_engine
-from amhe_cli.engine.states import home
 from amhe_cli.estimation.design.design import Accuracy, ProbePlan, accuracy, criterion, ensemble, parts_of
 from amhe_cli.estimation.design.excitation import Waves, candidates, driven_controls, slow_sine
 from amhe_cli.estimation.design.files import Excitation, write_log
@@ -39,8 +38,6 @@ from amhe_cli.estimation.design.playback import Playback
 from amhe_cli.estimation.design.recipes import Leeway, leeway_of, plain, recipes
 from amhe_cli.logs import read_log
 from amhe_cli.logs.messages.signal_writer import message_type
-from amhe_cli.logs.messages.writer import StateDrawing
-from amhe_cli.matching.starts import first_states
 from amhe_cli.system.model.elements import driven_joint
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.model_edits import ModelEdits
@@ -128,9 +125,8 @@ class Probe(Protocol):
         path: Path,
         stopped: Callable[[], bool],
         say: Say,
-        drawing: StateDrawing | None = None,
     ) -> Ending:
-        """Run the plan and write its log, with what `drawing` shows of its states where it holds messages."""
+        """Run the plan and write its log."""
         ...
 
 
@@ -247,7 +243,6 @@ class ActuatorProbe:
         path: Path,
         stopped: Callable[[], bool],
         say: Say,
-        drawing: StateDrawing | None = None,
     ) -> Ending:
         """See `Probe`; a simulation without a controller is over before anybody could stop it."""
         theta = np.array([self._truth[name] for name in self.system.space.names])
@@ -258,17 +253,8 @@ class ActuatorProbe:
         if self._options.plant is None:
             about["truth"] = json.dumps(self._truth)
         played = [s for s in self.system.signals if all(s.key(q) in log.series for q in s.quantities)]
-        drawn = None if drawing is None else (drawing, *self._states(log))
-        write_log(path, played, sampled(log), about, log.dt, drawn)  # a stamp of zero would mean: none
+        write_log(path, played, sampled(log), about, log.dt)  # a stamp of zero would mean: none
         return Ending()
-
-    def _states(self, log: Log) -> tuple[FloatArray, FloatArray]:
-        """Times [s] and states (n, nq) that a log holds as measured."""
-        system = self.system
-        rows = np.flatnonzero(log.usable(tuple(one.key for one in system.channels if one.sets_state)))
-        rest = home(system.model, system.keyframe, system.input_spec)[0]
-        times = np.array([float(i) * log.dt for i in rows])
-        return times, first_states(system, [Window(log, int(i), 1) for i in rows], rest, 0.0)[0]
 
     @cached_property
     def _motions(self) -> Sequence[Waves]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from amhe_cli.core import rotations
-from amhe_cli.core.arrays import FloatArray
 from amhe_cli.logs.messages.mcap_writer import McapWriter
 
 #: Levels of a diagnostic_msgs/DiagnosticStatus.
@@ -210,18 +209,6 @@ class LogWriter(McapWriter):
         """A geometry_msgs/Pose of a position (3,) and a quaternion w, x, y, z."""
         point, turn = self.vector(position, "Point"), self.quaternion(orientation)
         return self.message("geometry_msgs/msg/Pose", position=point, orientation=turn)
-
-
-class StateDrawing(Protocol):
-    """Writes into a log what 3-D panels show of a run."""
-
-    def begin(self, log: LogWriter, stamp_ns: int) -> None:
-        """Write what never changes, with the time of the first state [ns]."""
-        ...
-
-    def write_state(self, log: LogWriter, stamp_ns: int, qpos: FloatArray) -> None:
-        """Write a state, shape (nq,), with its time [ns]."""
-        ...
 
 
 def _numbers(values: ArrayLike) -> np.ndarray:

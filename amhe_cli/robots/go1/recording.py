@@ -1,4 +1,4 @@
-"""What a run writes while it goes on: the log and the film."""
+"""What a run writes while it goes on: the log and the task's own messages in it."""
 
 from __future__ import annotations
 
@@ -9,18 +9,12 @@ import numpy as np
 
 from amhe_cli import __version__
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.rotations import exp
 from amhe_cli.core.signals import Signal
 from amhe_cli.live.episode import Cycle
 from amhe_cli.live.recorder import NEVER, SELDOM, Recorder, Throttle, stamp_ns
 from amhe_cli.logs import LogWriter
-from amhe_cli.logs.messages.writer import StateDrawing
-from amhe_cli.robots.go1.model import layout
 from amhe_cli.robots.go1.run import Run, measured
-from amhe_cli.robots.go1.settings import settings_of
-from amhe_cli.robots.go1.state import coordinates
-from amhe_cli.robots.go1.video import Film, check_encoder
 from amhe_cli.system.provenance import attachments
 
 #: Recorded in addition to the system's own signals. It measures no orientation, which is in /odom.
@@ -34,13 +28,12 @@ _IMU = Signal(
 _PATH_POINTS = 49
 
 
-def recorder_of(run: Run, path: Path, drawing: StateDrawing | None = None) -> Recorder:
+def recorder_of(run: Run, path: Path) -> Recorder:
     """The recorder of a run's log, with the metadata that say what the log shows.
 
     Args:
         run: The run.
         path: Path of the log.
-        drawing: Gets the state of each cycle, the true one where it is known.
     """
     options = run.options
     metadata = {
@@ -56,27 +49,17 @@ def recorder_of(run: Run, path: Path, drawing: StateDrawing | None = None) -> Re
     if run.first_truth and not run.task.changes:  # values that change are in /amhe/truth
         metadata["truth"] = json.dumps(run.first_truth)
     signals = (*run.system.signals, _IMU)
-    return Recorder(path, signals, metadata, attachments(run.system), RunMessages(run, drawing))
+    return Recorder(path, signals, metadata, attachments(run.system), RunMessages(run))
 
 
 class RunMessages:
-    """Writes path, goal and reference of a run's task, and its state as drawn, for viewers."""
+    """Writes path, goal and reference of a run's task, for viewers."""
 
-    def __init__(self, run: Run, drawing: StateDrawing | None) -> None:
+    def __init__(self, run: Run) -> None:
         self._path, self._throttle = run.task.path, Throttle()
-        self._drawing, self._layout = drawing, layout(run.system.model)
-        self._first = stamp_ns(settings_of(run.system).control.period)
-
-    def begin(self, log: LogWriter) -> None:
-        """Write what never changes."""
-        if self._drawing:
-            self._drawing.begin(log, self._first)
 
     def write(self, log: LogWriter, cycle: Cycle) -> None:
         """Write the messages that are due in a cycle."""
-        if self._drawing:
-            qpos, _ = coordinates(self._layout, cycle.truth or cycle.estimate)
-            self._drawing.write_state(log, stamp_ns(cycle.time), qpos)
         path, stamp, reference = self._path, stamp_ns(cycle.time), cycle.plan.reference
         if self._throttle.due("/amhe/path", cycle.time, NEVER):
             points = path.points(np.linspace(0.0, path.length, _PATH_POINTS if path.curvature else 2))
@@ -110,15 +93,3 @@ def _write_path(log: LogWriter, stamp: int, points: FloatArray) -> None:
     ]
     message = log.message("nav_msgs/msg/Path", header=log.header("world"), poses=poses)
     log.write("/amhe/path", "nav_msgs/msg/Path", stamp, message)
-
-
-def film_of(run: Run) -> Film:
-    """The camera of a run's film.
-
-    Raises:
-        ConfigError: A film cannot be drawn, or not be encoded.
-    """
-    if run.plant is None:
-        raise ConfigError("`video` films a simulated plant; leave it out with `target=go1`")
-    check_encoder()
-    return Film(run.plant.model, run.task.floor)

@@ -85,7 +85,7 @@ class Task:
 
     @property
     def floor(self) -> Floor:
-        """What a film and a report draw on the floor."""
+        """What a report draws on the floor."""
         path = self.path
         placed = [(c.beyond_x, c.floor_friction) for c in self.changes if c.beyond_x is not None]
         return Floor(

@@ -22,7 +22,7 @@ from amhe_cli.system.description.schema import Description, SystemEntry, robot_g
 from amhe_cli.system.description.signals import draft_wiring
 from amhe_cli.system.model.elements import id_of
 from amhe_cli.system.model.files import compiled, read_spec, read_without_meshes, resize_boxes, spec_of
-from amhe_cli.system.model.urdf import XACRO, UrdfOptions, is_urdf
+from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 
 logger = logging.getLogger(__name__)
 
@@ -233,9 +233,6 @@ def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Sett
 def _spec(file: YamlFile, path: Path, entry: SystemEntry, boxes: bool) -> mujoco.MjSpec | None:
     if not path.is_file():
         file.problem(("model",), f"no file {entry.model!r} beside this one; give an MJCF or a URDF")
-        return None
-    if path.suffix.lower() == XACRO:
-        file.problem(("model",), "a system names no xacro file; `amhe init` writes a system folder of one")
         return None
     try:
         spec = read_without_meshes(path) if boxes else read_spec(path)

@@ -30,7 +30,7 @@ def read_spec(path: Path, urdf: UrdfOptions | None = None) -> mujoco.MjSpec:
     """Read a model file; the fixed links of a URDF stay bodies that parameters can name.
 
     Args:
-        path: MJCF, URDF or xacro.
+        path: MJCF or URDF.
         urdf: How to read a URDF; None: with its meshes, and packages in the folders above it.
 
     Raises:

@@ -1,4 +1,4 @@
-"""URDF as ROS writes it, xacro included, as text that MuJoCo reads.
+"""URDF as ROS writes it, as text that MuJoCo reads.
 
 MuJoCo reads links, joints, limits, `<dynamics>` and `<mimic>` by itself, but it knows no packages: it looks
 for a mesh by its base name only, beside the file. Here each mesh gets its absolute path.
@@ -6,22 +6,16 @@ for a mesh by its base name only, beside the file. Here each mesh gets its absol
 
 from __future__ import annotations
 
-import json
 import logging
-import subprocess
-import sys
 from collections.abc import Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
-from tempfile import TemporaryFile
 from xml.etree import ElementTree
 
 import numpy as np
 
 from amhe_cli.core.errors import ConfigError
-from amhe_cli.core.limits import beyond, limits
+from amhe_cli.core.limits import limits
 from amhe_cli.system.model.cost import check_elements, check_size
 from amhe_cli.system.model.packages import Places
 
@@ -29,12 +23,8 @@ logger = logging.getLogger(__name__)
 
 #: Attributes of <inertia>, and their places in the matrix.
 _INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
-#: Ending of the name of a xacro file; only `amhe init` and `System.from_model` open one.
-XACRO = ".xacro"
-#: The program that expands xacro files.
-_PROCESS = Path(__file__).with_name("xacro_process.py")
-#: Warnings of xacro that are shown.
-_SHOWN = 20
+#: Ending of the name of a xacro file: a program that writes a URDF, which amhe does not run.
+_XACRO = ".xacro"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,31 +35,33 @@ class UrdfOptions:
         packages: Folders of ROS packages by name. Others are looked for above the URDF: folders of that
             name, or whose package.xml has it.
         meshes: Whether links keep their meshes.
-        xacro_args: Arguments of a xacro file.
     """
 
     packages: Mapping[str, str | Path] = field(default_factory=dict)
     meshes: bool = True
-    xacro_args: Mapping[str, str] = field(default_factory=dict)
 
 
 def is_urdf(path: Path) -> bool:
-    """Whether a model file is a URDF, or a xacro file of one."""
-    return path.suffix.lower() in (".urdf", XACRO)
+    """Whether a model file is a URDF, or the xacro file of one."""
+    return path.suffix.lower() in (".urdf", _XACRO)
 
 
 def urdf_text(path: Path, options: UrdfOptions) -> tuple[str, list[str]]:
     """Text of a URDF that MuJoCo reads, and the links whose shapes were all left out with the meshes.
 
     Raises:
-        ConfigError: It is no XML, xacro fails, a mass or inertia is no number, or a mesh is missing or of a
+        ConfigError: It is no XML, or xacro; a mass or inertia is no number, or a mesh is missing or of a
             kind that MuJoCo cannot read.
     """
     check_size(path, limits().model_mib, "model_mib")
-    source = _expanded(path, options) if path.suffix.lower() == XACRO else path.read_bytes()
+    if path.suffix.lower() == _XACRO:
+        raise ConfigError(
+            f"{path}: a xacro file is a program that writes a URDF; write it, and give that: xacro FILE > "
+            "robot.urdf (of ROS, or of pip install xacro)"
+        )
     try:
         parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
-        root = ElementTree.fromstring(source, parser)
+        root = ElementTree.fromstring(path.read_bytes(), parser)
     except ElementTree.ParseError as error:
         raise ConfigError(f"{path}: not a URDF: {error}") from None
     check_elements(root, path)
@@ -142,46 +134,3 @@ def _compiler(root: ElementTree.Element) -> dict[str, str]:
         inner = root.find(tag)
         root = ElementTree.SubElement(root, tag) if inner is None else inner
     return root.attrib
-
-
-def _expanded(path: Path, options: UrdfOptions) -> str:
-    """A xacro file with its macros expanded, in a process that runs no code of it and whose cost is bounded.
-
-    Raises:
-        ConfigError: xacro is not installed, or it refuses the file, or the file costs too much.
-    """
-    if find_spec("xacro") is None:
-        raise ConfigError(
-            f"{path}: a xacro file needs the package xacro: pip install 'amhe[robots]'; or write the URDF "
-            "with ROS's own: xacro FILE > robot.urdf"
-        )
-    packages = {name: str(Path(folder).absolute()) for name, folder in options.packages.items()}
-    task = {
-        "path": str(path.absolute()),
-        "args": dict(options.xacro_args),
-        "packages": packages,
-        "sys_path": sys.path,
-        "seconds": limits().xacro_seconds,
-        "mebibytes": limits().model_mib,
-    }
-    command = [sys.executable, "-I", "-B", "-X", "utf8", str(_PROCESS)]
-    with TemporaryFile() as answered, TemporaryFile() as said:  # a pipe would have no limit
-        with suppress(subprocess.TimeoutExpired):
-            subprocess.run(
-                command, input=json.dumps(task).encode(), stdout=answered, stderr=said, env={},
-                timeout=3 * limits().xacro_seconds, check=False,
-            )  # fmt: skip
-        answered.seek(0)
-        said.seek(0)
-        lines = said.read().decode(errors="replace").splitlines()
-        try:
-            answer = json.loads(answered.read())
-        except ValueError:  # the kernel or the time limit ended it
-            raise ConfigError(
-                f"{path}: xacro: {beyond('xacro_seconds', 'its time, its memory or what it makes is')}"
-            ) from None
-    if "error" in answer:
-        raise ConfigError(f"{path}: xacro: {answer['error']}")
-    for line in lines[:_SHOWN]:
-        logger.warning("xacro: %s", line)
-    return answer["text"]

@@ -19,7 +19,6 @@ from amhe_cli.estimation.design.information import clips_of, information_at
 from amhe_cli.estimation.design.probe import ActuatorProbe, Probe, ProbeOptions, Say, believing
 from amhe_cli.live.loop import drive
 from amhe_cli.logs import read_log
-from amhe_cli.logs.messages.writer import StateDrawing
 from amhe_cli.robots.go1.history import History
 from amhe_cli.robots.go1.model import SYSTEM
 from amhe_cli.robots.go1.probing.motions import (
@@ -121,7 +120,6 @@ class PushProbe:
         path: Path,
         stopped: Callable[[], bool],
         say: Say,
-        drawing: StateDrawing | None = None,
     ) -> Ending:
         """See `Probe`: closed-loop on the task's own box, or the robot's.
 
@@ -130,10 +128,10 @@ class PushProbe:
         """
         motion = named_motion(plan.parts[-1].name)
         if not self._robot:
-            return self.push(motion, plan.seconds, path, stopped, say, drawing=drawing)
+            return self.push(motion, plan.seconds, path, stopped, say)
         run = self.on_robot(motion, plan.seconds, self._robot)
         try:
-            return self._record(run, path, stopped, say, self._robot.attend, drawing)
+            return self._record(run, path, stopped, say, self._robot.attend)
         except AmheError as error:  # it did not begin to run: keep the plan
             path.unlink(missing_ok=True)
             return Ending(error=error)
@@ -146,11 +144,10 @@ class PushProbe:
         stopped: Callable[[], bool] = lambda: False,
         say: Say = lambda text: None,
         mode: str = "adaptive",
-        drawing: StateDrawing | None = None,
     ) -> Ending:
         """Run any motion in simulation, for so long [s] with the approach; `baseline` keeps to the belief."""
         task = self._as_it_is(motion, seconds)
-        return self._record(self._open(task, self._options.seed, mode), path, stopped, say, drawing=drawing)
+        return self._record(self._open(task, self._options.seed, mode), path, stopped, say)
 
     def on_robot(self, motion: Motion, seconds: float, robot: Go1OnLink) -> Run:
         """Prepare a motion on the robot; nothing is sent yet.
@@ -213,11 +210,10 @@ class PushProbe:
         stopped: Callable[[], bool] = lambda: False,
         say: Say = lambda text: None,
         attend: Attend = _nobody,
-        drawing: StateDrawing | None = None,
     ) -> Ending:
         """Run to the end and record; a fall is an end too."""
         history = History(run.task)
-        with recorder_of(run, path, drawing) as recorder, attend(run.target, recorder, history):
+        with recorder_of(run, path) as recorder, attend(run.target, recorder, history):
             ending = drive(
                 run.episode, recorder, history, stopped, lambda _, row: say(f"pushing, {row['time']:.1f} s")
             )
