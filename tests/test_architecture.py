@@ -48,7 +48,6 @@ WALLS = {
     "click": ("cli",),
     "cmaes": ("estimation",),
     "cupy": ("engine",),
-    "cyclonedds": ("robots/go1",),
     "distributed": ("study/executors.py",),
     "google": ("logs",),
     "h5py": ("logs",),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from amhe_cli.robots.go1.link.open import WireOptions
     from amhe_cli.robots.go1.run import Run
 
-POSES = ("natnet", "motioncapture", "ros2", "udp")
+POSES = ("natnet", "motioncapture", "udp")
 _PORT = parsing.WholeNumber(1, 65535)
 #: Of the attributes of a terminal: flags of its input, the keys that mean something to it, and none of them.
 _INPUT, _CONTROL, _NO_KEY = 0, 6, b"\0"
@@ -35,8 +35,8 @@ reach_options = parsing.bundled(
     click.option(
         "--pose-host",
         metavar="ADDRESS",
-        help="go1: of motion capture; motioncapture: KIND:ADDRESS; udp: to listen on; ros2: domain.  "
-        "[default: natnet 192.168.123.100, udp 127.0.0.1, ros2 0]",
+        help="go1: of motion capture; motioncapture: KIND:ADDRESS; udp: to listen on.  "
+        "[default: natnet 192.168.123.100, udp 127.0.0.1]",
     ),
     click.option(
         "--pose-port", type=_PORT, metavar="N", help="go1: likewise.  [default: natnet 1510, udp 1512]"

@@ -38,16 +38,10 @@ class AdaptiveBelief:
     Args:
         start: Parameters by name before the first estimate.
         tracker: Tracker that estimates them.
-        on_estimate: Called with each new estimate.
     """
 
-    def __init__(
-        self,
-        start: Mapping[str, float],
-        tracker: Tracker,
-        on_estimate: Callable[[Estimate], None] | None = None,
-    ) -> None:
-        self._belief, self._tracker, self._on_estimate = dict(start), tracker, on_estimate
+    def __init__(self, start: Mapping[str, float], tracker: Tracker) -> None:
+        self._belief, self._tracker = dict(start), tracker
 
     def at(self, time: float) -> dict[str, float]:
         """See `BeliefSource`: line 9 of Algorithm 1."""
@@ -59,8 +53,6 @@ class AdaptiveBelief:
         for estimate in news:
             if isinstance(estimate, Estimate):
                 self._belief |= zip(estimate.belief.names, estimate.theta.tolist(), strict=True)
-                if self._on_estimate:
-                    self._on_estimate(estimate)
         return news
 
     def close(self) -> None:

@@ -69,7 +69,6 @@ ROBOT = [
     ("--host 192.0.2.1 --set go1.slow=2", "go1.slow is for the emulator"),
     ("--pose motioncapture", "vicon:"),
     ("--set go1.box=go1", "same name"),
-    ("--pose ros2 --pose-host lab", "number of a DDS domain"),
     ("--set go1.trips.tilt=-1", "go1.trips.tilt"),
     ("--set go1.trips.tilt=3", "go1.trips.tilt"),
     ("--set go1.trips.state_age=1000", "go1.trips.state_age"),

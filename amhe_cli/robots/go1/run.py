@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -18,7 +18,7 @@ from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.rotations import exp, multiply
 from amhe_cli.core.yaml_file import merged
 from amhe_cli.engine.open import open_engine
-from amhe_cli.estimation.online.horizon import Estimate, MovingHorizon, check_window
+from amhe_cli.estimation.online.horizon import MovingHorizon, check_window
 from amhe_cli.estimation.online.tracker import Tracker
 from amhe_cli.estimation.online.workers import PATIENCE, InProcess, InStep
 from amhe_cli.live.belief import AdaptiveBelief, FixedBelief
@@ -215,7 +215,6 @@ def belief_source(
     system: System,
     plant: Plant | None,
     slow: float = 1.0,
-    on_estimate: Callable[[Estimate], None] | None = None,
 ) -> BeliefSource:
     """Source of the controller's belief: the plant, where there is one, fixed parameters, or an estimator.
 
@@ -226,7 +225,6 @@ def belief_source(
         plant: Plant behind a simulated target; None for a real robot.
         slow: How many seconds of the wall clock one second of the run takes: the estimator has that much
             longer.
-        on_estimate: Called with each new estimate.
 
     Raises:
         ConfigError: Unknown mode, or a belief that does not suit.
@@ -247,7 +245,7 @@ def belief_source(
     budget = slow * (mhe.budget or mhe.update_period)
     live = _live(options, system)
     worker = InProcess(factory, budget, slow * PATIENCE) if live else InStep(factory, mhe.latency)
-    return AdaptiveBelief(fixed, Tracker(system, worker), on_estimate)
+    return AdaptiveBelief(fixed, Tracker(system, worker))
 
 
 def estimator_of(options: RunOptions, start: Belief, belief: Belief | None = None) -> MovingHorizon:

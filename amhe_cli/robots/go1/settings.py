@@ -83,10 +83,6 @@ class PoseSettings(SettingsGroup):
     """natnet: port from which Motive sends its frames, besides its command port; others are ignored."""
     peer: str = ""
     """udp: ADDRESS:PORT that poses are taken from; by default the first that sends one."""
-    interface: str = "127.0.0.1"
-    """ros2: address of the network interface that DDS uses."""
-    peers: tuple[str, ...] = ()
-    """ros2: addresses of the computers that publish poses, which DDS does not look for by multicast."""
 
 
 class Go1Settings(SettingsGroup):

@@ -5,10 +5,8 @@ from __future__ import annotations
 import ipaddress
 import socket
 from dataclasses import dataclass
-from functools import partial
 
 from amhe_cli.core.errors import ConfigError, one_of
-from amhe_cli.estimation.online.horizon import Estimate
 from amhe_cli.live.episode import Episode
 from amhe_cli.robots.go1.judge import Judge
 from amhe_cli.robots.go1.link.calibration import Calibration
@@ -26,7 +24,7 @@ from amhe_cli.robots.go1.tasks import Task
 
 #: The robot's own address and port, as it leaves the factory.
 HOST, PORT = "192.168.123.10", 8007
-_POSE_HOSTS = {"natnet": "192.168.123.100", "udp": "127.0.0.1", "ros2": "0"}
+_POSE_HOSTS = {"natnet": "192.168.123.100", "udp": "127.0.0.1"}
 _POSE_PORTS = {"natnet": natnet.PORT, "udp": udp.PORT}
 
 
@@ -75,7 +73,7 @@ def open_go1_run(options: RunOptions, wire: WireOptions, task: Task | None = Non
         threads = min(options.threads, cores)
         controller = controller_for(task, behaviour, system, samples, threads, options.engine)
     judge = Judge(task, behaviour.running_cost, period, options.duration)
-    belief = belief_source(options, task, system, None, settings.slow, partial(_publish, feed))
+    belief = belief_source(options, task, system, None, settings.slow)
     episode = Episode(target, StateEstimator(behaviour.standing), controller, belief, Sampler(period), judge)
     return Run(options, task, system, episode, target, None, judge, {})
 
@@ -100,10 +98,6 @@ def _clock(wire: WireOptions, settings: Go1Settings) -> Clock:
     return Clock(settings.slow)
 
 
-def _publish(feed: PoseFeed, estimate: Estimate) -> None:
-    feed.publish(estimate.belief.names, estimate.theta, estimate.sd)
-
-
 def _refuse(options: RunOptions) -> None:
     if options.mode == "true":
         raise ConfigError(
@@ -119,8 +113,6 @@ def _feed(wire: WireOptions, settings: Go1Settings) -> FeedOptions:
     host = wire.pose_host or _POSE_HOSTS.get(wire.pose)
     if host is None:
         raise ConfigError("`pose=motioncapture` needs `pose_host` KIND:HOST, such as vicon:192.168.1.5")
-    if wire.pose == "ros2" and host and not host.isdecimal():
-        raise ConfigError(f"`pose_host` {host}: `pose=ros2` takes the number of a DDS domain, such as 0")
     port = wire.pose_port if wire.pose_port is not None else _POSE_PORTS.get(wire.pose, 0)
     bodies = (settings.trunk, settings.box)
     if bodies[0] == bodies[1]:

@@ -22,12 +22,11 @@ from amhe_cli.robots.go1.link.child import POSES, Child, Pipe, begun, take_prior
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap
 from amhe_cli.robots.go1.poses.motioncapture import MotionCapture
 from amhe_cli.robots.go1.poses.natnet import NatNet
-from amhe_cli.robots.go1.poses.ros2 import Ros2
-from amhe_cli.robots.go1.poses.source import EstimateSink, PoseError, PoseSource, Sighting
+from amhe_cli.robots.go1.poses.source import PoseError, PoseSource, Sighting
 from amhe_cli.robots.go1.poses.udp import UdpPoses
 from amhe_cli.robots.go1.settings import PoseSettings
 
-KINDS = ("natnet", "motioncapture", "ros2", "udp")
+KINDS = ("natnet", "motioncapture", "udp")
 _WAIT, _STEP, _START = 0.05, 0.005, 20.0
 #: A stamp further ahead than this is wrong [s], unless so many in a row are.
 _AHEAD, _AGAIN = 0.25, 100
@@ -41,7 +40,7 @@ class FeedOptions:
     Args:
         kind: One of `KINDS`.
         host: natnet: Motive's host; motioncapture: KIND:HOST, such as vicon:192.168.1.5; udp: own address to
-            listen on; ros2: the domain's number, or ''.
+            listen on.
         port: Port of natnet or udp.
         bodies: Names of the two bodies.
         seconds: Longest wait for the first poses [s].
@@ -65,9 +64,6 @@ def source_of(options: FeedOptions) -> PoseSource:
             return NatNet(options.host, options.port, options.seconds, options.settings.data_port)
         case "udp":
             return UdpPoses(options.host, options.port, options.settings.peer)
-        case "ros2":
-            who = options.settings.interface, options.settings.peers
-            return Ros2(list(options.bodies), int(options.host or 0), *who)
         case _:
             kind, _, host = options.host.partition(":")
             return MotionCapture(kind, host)
@@ -154,12 +150,6 @@ class PoseFeed:
             PoseError: The source has died.
         """
         return [pose for message in self._messages() if (pose := _pose(message)) is not None]
-
-    def publish(self, names: Sequence[str], values: FloatArray, sd: FloatArray) -> None:
-        """Send estimates of parameters to those behind the source, where it can; values, sd (d,)."""
-        if self._child is not None:
-            estimates = {"names": list(names), "values": values.tolist(), "sd": sd.tolist()}
-            self._child.pipe.send(json.dumps(estimates).encode())
 
     def _messages(self) -> list[dict[str, Any]]:
         if self._child is None:
@@ -249,9 +239,7 @@ def main() -> None:
         while pipe.open:
             for seen in source.wait(_WAIT):
                 sender.pass_on(seen)
-            for message in pipe.received():
-                if isinstance(source, EstimateSink):
-                    source.publish(**json.loads(message))
+            list(pipe.received())  # nothing comes; at the end of the program it is closed
     except PoseError as error:
         sender.say({"error": str(error)})
     finally:

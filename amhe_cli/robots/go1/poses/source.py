@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 import numpy as np
 
@@ -61,15 +60,6 @@ class PoseSource(Protocol):
 
     def close(self) -> None:
         """Disconnect."""
-        ...
-
-
-@runtime_checkable
-class EstimateSink(Protocol):
-    """A source that can also publish estimates, to whoever listens."""
-
-    def publish(self, names: Sequence[str], values: Sequence[float], sd: Sequence[float]) -> None:
-        """Publish the newest estimates of parameters, and their sd, in the parameters' own units."""
         ...
 
 

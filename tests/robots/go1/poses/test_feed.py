@@ -21,14 +21,6 @@ from hypothesis import strategies as st
 from amhe_cli.robots.go1.link.clock import Clock, ClockMap
 from amhe_cli.robots.go1.poses import udp
 from amhe_cli.robots.go1.poses.feed import FeedOptions, PoseFeed
-from amhe_cli.robots.go1.poses.ros2 import (
-    ESTIMATES,
-    Ros2,
-    configuration,
-    headed,
-    joint_state_type,
-    pose_types,
-)
 from amhe_cli.robots.go1.poses.source import PoseError
 
 CLOCK = Clock()
@@ -172,79 +164,6 @@ def test_libmotioncapture_comes_through() -> None:
     assert abs(seen["go1"].time - CLOCK.now()) < 5.0
 
 
-def test_ros2_poses_and_odometry_come_through() -> None:
-    pytest.importorskip("cyclonedds")
-    from cyclonedds.domain import DomainParticipant
-    from cyclonedds.pub import DataWriter
-    from cyclonedds.topic import Topic
-
-    domain = 77
-    source = Ros2(["/go1/pose", "/box/odom"], domain)
-    source.connect()
-    stamped, odometry = pose_types()
-    participant = DomainParticipant(domain)
-    writers = [
-        DataWriter(participant, Topic(participant, f"rt/{name}", kind))
-        for name, kind in (("go1/pose", stamped), ("box/odom", odometry))
-    ]
-
-    pose = stamped.__annotations__["pose"]
-    point, turn = pose.__annotations__["position"], pose.__annotations__["orientation"]
-    here = pose(point(1.0, 2.0, 0.3), turn(0.0, 0.0, 0.6, 0.8))
-    posed, twisted = odometry.__annotations__["pose"], odometry.__annotations__["twist"]
-    twist = twisted.__annotations__["twist"]
-    vector = twist.__annotations__["linear"]
-    still = twisted(twist(vector(0.0, 0.0, 0.0), vector(0.0, 0.0, 0.0)), [0.0] * 36)
-    seen, end = {}, time.monotonic() + 10.0
-    while len(seen) < 2 and time.monotonic() < end:
-        writers[0].write(headed(stamped, 12.5, pose=here))
-        spread = posed(here, [0.0] * 36)
-        writers[1].write(headed(odometry, 12.5, child_frame_id="box", pose=spread, twist=still))
-        seen |= {one.body: one for one in source.wait(0.1)}
-    source.close()
-    assert set(seen) == {"/go1/pose", "/box/odom"}
-    for one in seen.values():
-        np.testing.assert_allclose(one.position, [1.0, 2.0, 0.3])
-        np.testing.assert_allclose(one.orientation, [0.8, 0.0, 0.0, 0.6])
-        assert one.stamp == 12.5
-
-
-def test_estimates_go_back_to_ros2_even_to_who_comes_late() -> None:
-    pytest.importorskip("cyclonedds")
-    from cyclonedds.core import Policy, Qos
-    from cyclonedds.domain import Domain, DomainParticipant
-    from cyclonedds.sub import DataReader
-    from cyclonedds.topic import Topic
-
-    names, values, sd = ["box_mass", "floor_friction"], np.array([3.9, 0.41]), np.array([0.2, 0.03])
-    begun = time.time()
-    with PoseFeed(FeedOptions("ros2", "78", 0, ("/go1/pose", "/box/odom"), 1.0)) as feed:
-        feed.publish(names, 2.0 * values, sd)
-        feed.publish(names, values, sd)
-        _domain = Domain(78, configuration("127.0.0.1"))
-        listener = DomainParticipant(78)
-        kept = Qos(Policy.Reliability.Reliable(0), Policy.Durability.TransientLocal)
-        reader = DataReader(listener, Topic(listener, f"rt{ESTIMATES}", joint_state_type(), qos=kept), kept)
-        received, end = [], time.monotonic() + 15.0
-        while not (received and received[-1].position[0] == 3.9) and time.monotonic() < end:
-            received += reader.take(10)
-            time.sleep(0.01)
-    assert received, "nothing came"
-    assert list(received[-1].name) == names
-    np.testing.assert_array_equal(received[-1].position, values)
-    np.testing.assert_array_equal(received[-1].effort, sd)
-    assert not received[-1].velocity
-    stamp = received[-1].header.stamp
-    assert begun - 1.0 < stamp.sec + 1e-9 * stamp.nanosec < time.time() + 1.0
-
-
-def test_a_source_that_tells_nobody_takes_estimates_without_harm() -> None:
-    port = free_port()
-    with sending(port, *BODIES), PoseFeed(FeedOptions("udp", "127.0.0.1", port, BODIES, 3.0)) as feed:
-        feed.publish(["box_mass"], np.array([3.9]), np.array([0.2]))
-        assert set(feed.first()) == set(BODIES)
-
-
 @pytest.mark.medium
 @settings(deadline=None, max_examples=50)
 @given(st.binary(max_size=300) | st.text(max_size=200).map(str.encode))
@@ -292,14 +211,6 @@ def test_poses_are_taken_from_the_named_port_only() -> None:
             other.sendto(MESSAGE % (b"box", 1), ("127.0.0.1", port))
             one.sendto(MESSAGE % (b"go1", 1), ("127.0.0.1", port))
             assert [seen.body for seen in source.wait(1.0)] == ["go1"]
-
-
-def test_dds_keeps_to_its_interface() -> None:
-    pytest.importorskip("cyclonedds")
-    source = Ros2(["/go1/pose"], 79, "192.0.2.7")
-    assert "domain 79 on 192.0.2.7" in source.about
-    with pytest.raises(PoseError, match="`go1.poses.interface`"):
-        source.connect()
 
 
 MESSAGE = b'{"body": "%s", "position": [1, 2, %d], "orientation": [1, 0, 0, 0]}'
