@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping
 from typing import Any
 
@@ -13,9 +14,12 @@ from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.corrections import corrected
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import LogError, one_of
+from amhe_cli.core.readout import cleaned
 from amhe_cli.core.resample import common_rows, longest_bridge, resample, too_many
 from amhe_cli.core.series import Series
 from amhe_cli.core.signals import DERIVED, Measured, Signal
+
+logger = logging.getLogger(__name__)
 
 #: Quaternions may be off the unit norm by this much.
 _NORM = 0.05
@@ -47,6 +51,12 @@ def series_of(
         times = (stamps_ns[key] - start_ns) / 1e9
         samples = _samples(arrays[key], signal, times.size, system.widths, name)
         bridge = longest_bridge(times, system.settings.logs.max_gap, signal.held)
+        for quantity in samples:
+            samples[quantity], notes = cleaned(
+                signal, quantity, samples[quantity], times, system.settings.logs
+            )
+            for note in notes:
+                logger.warning("%s: signal %r: %s", name, key, note)
         for quantity in signal.quantities:
             source = quantity if quantity in samples else DERIVED[quantity]
             derived = source != quantity

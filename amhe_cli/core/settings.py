@@ -40,6 +40,10 @@ class LogSettings(SettingsGroup):
     slower than this is allowed five of its own median periods."""
     align: bool = False
     """Correct the estimated clock offsets between topics; they are reported in any case."""
+    spikes: Literal["drop", "keep"] = "drop"
+    """Single samples of a motion that leap out of it and back: no motion explains them."""
+    repeats: Literal["drop", "keep"] = "drop"
+    """Values that a bus repeats because the sensor is slower: the first of them is the measurement."""
 
 
 class ClipSettings(SettingsGroup):

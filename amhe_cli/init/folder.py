@@ -12,6 +12,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.errors import AmheError, ConfigError
+from amhe_cli.core.readout import resolution
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
 from amhe_cli.init.backlash import backlash_parameters
@@ -262,6 +263,7 @@ def _noise(quantity: str, values: np.ndarray, valid: np.ndarray) -> float:
     """Noise sd of a series, from its third differences, which are nearly zero for smooth motion.
 
     Velocities count three times: most logs filter or differentiate them, and they would outweigh poses.
+    A sensor that counts steps errs by their uniform distribution, also where the median is none.
     The result is at least a quarter of the usual noise: no model is better than that.
     """
     if quantity == "orientation":
@@ -276,4 +278,6 @@ def _noise(quantity: str, values: np.ndarray, valid: np.ndarray) -> float:
     # 1.4826: sd from the median of a normal distribution; 20 = 1 + 9 + 9 + 1; 1.2: interpolation has averaged
     sd = 1.2 * 1.4826 * float(np.median(np.abs(third[whole]))) / np.sqrt(20.0)
     sd *= 3.0 if "velocity" in quantity else 1.0
+    ragged = float(np.sqrt(np.mean(third[whole] ** 2) / 20.0))  # steady motion has steps too, but evenly
+    sd = max(sd, min(ragged, max(map(resolution, values[valid].T)) / np.sqrt(12.0)))
     return float(f"{np.clip(sd, usual / 4.0, usual * 100.0):.2g}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.differentiate import differentiated
 from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.readout import cleaned
 from amhe_cli.core.resample import common_rows, longest_bridge, resample, too_many
 from amhe_cli.core.series import Series
 from amhe_cli.core.settings import LogSettings
@@ -78,7 +79,20 @@ def read_tracks(
     signals = signals_on_tables(log.connections, signals)
     samples = collect(log, signals, definitions)
     times = on_one_clock(log.path, signals, samples, settings)
-    return [SignalTrack(s, times[s.name], samples[s.name].pick(times[s.name].kept)) for s in signals]
+    tracks = [SignalTrack(s, times[s.name], samples[s.name].pick(times[s.name].kept)) for s in signals]
+    return [_cleaned(log.path, track, settings) for track in tracks]
+
+
+def _cleaned(path: Path, track: SignalTrack, settings: LogSettings) -> SignalTrack:
+    """The track without spikes and repeats, which are warned of."""
+    seconds = (track.times.stamps_ns - track.times.stamps_ns[0]) / 1e9
+    values = dict(track.samples.values)
+    wanted = dict.fromkeys(q if q in values else DERIVED.get(q, q) for q in track.signal.quantities)
+    for quantity in (q for q in wanted if q in values):
+        values[quantity], notes = cleaned(track.signal, quantity, values[quantity], seconds, settings)
+        for note in notes:
+            logger.warning("%s: topic %r: %s", path, track.signal.topic, note)
+    return replace(track, samples=replace(track.samples, values=values))
 
 
 def grid_of(

@@ -1,0 +1,126 @@
+"""Spikes and repeats are left out; impacts, commands and slow motions are not."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import amhe_cli as amhe
+from amhe_cli.cli.main import run
+from amhe_cli.core.readout import resolution, spikes, updates
+
+ROOT = Path(__file__).parents[2]
+TOSSES = ROOT.parent / "shared" / "data" / "cube_tosses"
+TIMES = np.arange(0.0, 6.0, 0.005)
+
+
+def swing(rng: np.random.Generator, noise: float = 0.001) -> np.ndarray:
+    """A quantised swing with noise, shape (n, 1) [rad]."""
+    angle = 1.2 * np.sin(3.0 * TIMES) + rng.normal(0.0, noise, TIMES.size)
+    return 0.0015 * np.round(angle[:, None] / 0.0015)
+
+
+@given(
+    st.integers(0, 2**16), st.lists(st.integers(3, TIMES.size - 4), max_size=5, unique=True), st.booleans()
+)
+def test_spikes_are_found_and_nothing_else(seed: int, rows: list[int], wraps: bool) -> None:
+    rng = np.random.default_rng(seed)
+    kept = [row for row in sorted(rows) if all(abs(row - other) > 10 for other in rows if other != row)]
+    clean = swing(rng)
+    sizes = rng.uniform(0.5, 3.1, len(kept)) * rng.choice([-1.0, 1.0], len(kept))
+    values = clean.copy()
+    values[kept, 0] += sizes
+    found, off = spikes((values + np.pi) % (2 * np.pi) - np.pi if wraps else values, wraps=wraps)
+    np.testing.assert_array_equal(found, kept)
+    np.testing.assert_allclose(off, np.abs(sizes), atol=0.06)  # in units of what the swing moves by
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-3])
+def test_a_bounce_is_no_spike(noise: float) -> None:
+    rng = np.random.default_rng(1)
+    height, speed, rows = 1.0, 0.0, []
+    for _ in range(1000):
+        speed -= 9.81 * 0.005
+        height += 0.005 * speed
+        if height < 0.0:
+            height, speed = -height, -0.8 * speed
+        rows.append((height, speed))
+    track = np.array(rows) + rng.normal(0.0, noise, (1000, 2))
+    assert not spikes(track)[0].size
+
+
+def test_an_orientation_that_changes_sign_is_no_spike_and_one_that_leaps_is() -> None:
+    half = 0.3 * np.sin(2.0 * TIMES)
+    quaternions = np.stack([np.cos(half), 0 * half, 0 * half, np.sin(half)], axis=1)
+    quaternions[100] *= -1.0
+    quaternions[300:] *= -1.0
+    assert not spikes(quaternions, turns=True)[0].size
+    quaternions[500] = [0.0, 1.0, 0.0, 0.0]
+    assert spikes(quaternions, turns=True)[0].tolist() == [500]
+
+
+def test_repeats_of_a_slow_sensor_are_no_news_and_a_slow_motion_is() -> None:
+    rng = np.random.default_rng(2)
+    speed = 0.0767 * np.round(3.6 * np.cos(3.0 * TIMES + 0.01 * rng.normal(size=TIMES.size)) / 0.0767)
+    fresh, every = updates(np.repeat(speed[::4], 4)[:, None])
+    assert every == 4
+    np.testing.assert_array_equal(np.flatnonzero(fresh), np.arange(0, TIMES.size, 4))
+    slow = 0.0015 * np.round(0.1 * TIMES[:, None] / 0.0015)  # a new value in every third sample
+    assert updates(slow)[1] == 1
+    assert updates(swing(rng))[1] == 1
+    assert resolution(slow[:, 0]) == pytest.approx(0.0015)
+    assert resolution(np.sin(TIMES)) == 0.0
+
+
+def write(path: Path, position: np.ndarray, velocity: np.ndarray) -> Path:
+    table = np.column_stack([TIMES, position, velocity, np.sin(TIMES)])
+    np.savetxt(path, table, delimiter=",", header="time,position,velocity,torque", comments="")
+    return path
+
+
+def test_a_log_is_read_without_them_and_says_so(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(3)
+    position, velocity = swing(rng)[:, 0], np.repeat(3.6 * np.cos(3.0 * TIMES)[::4], 4)
+    position[862] = 3.14
+    path = write(tmp_path / "log.csv", position, velocity)
+    system = ROOT / "examples" / "systems" / "simple_pendulum"
+    with caplog.at_level(logging.WARNING):
+        log = amhe.read_log(path, amhe.System.load(system))
+    assert "1 sample of position left out, the largest 2." in caplog.text
+    assert "rad at 4.31 s" in caplog.text
+    assert "velocity is updated in every 4th message: 900 repeats are no data" in caplog.text
+    angle = log["joints.position"]
+    row = round(4.31 / log.dt)
+    assert not angle.sampled[row] and angle.valid[row]
+    assert angle.values[row, 0] == pytest.approx(0.5 * (position[861] + position[863]), abs=0.01)
+    assert log["joints.velocity"].sampled.sum() == pytest.approx(TIMES.size / 4, abs=2)
+    kept = amhe.System.load(system, {"logs": {"spikes": "keep", "repeats": "keep"}})
+    assert amhe.read_log(path, kept)["joints.position"].values[row, 0] == pytest.approx(3.14)
+    assert run(["inspect", str(path), "--system", str(system)]) == 0
+    assert "1 sample of position left out" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not TOSSES.exists(), reason="the real tosses of ../shared/data are not here")
+def test_real_impacts_are_no_spikes() -> None:
+    systems = [
+        amhe.System.load("cube_toss", {"logs": {"spikes": how, "repeats": how}}) for how in ("drop", "keep")
+    ]
+    for path in sorted(TOSSES.glob("*.mcap")):
+        first, second = (amhe.read_log(path, system).digest() for system in systems)
+        assert first == second, path.name
+
+
+def test_init_takes_the_resolution_for_the_least_noise(tmp_path: Path) -> None:
+    coarse = 0.6 * np.round(3.6 * np.cos(0.7 * TIMES) / 0.6)  # most third differences are none
+    path = write(tmp_path / "log.csv", 1.2 * np.sin(0.7 * TIMES), coarse)
+    model = ROOT / "examples" / "systems" / "simple_pendulum" / "model.xml"
+    assert run(["init", str(model), str(path), "-o", str(tmp_path / "system"), "-q"]) == 0
+    noise = {c.key: c.noise for c in amhe.System.load(tmp_path / "system").channels}
+    assert 0.03 < noise["joints.velocity"] <= 0.6 / np.sqrt(12.0) + 0.01
