@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from amhe_cli.cli.inputs import Inputs
-from amhe_cli.system.description.folders import bundled_root
+from amhe_cli.core.bundled import bundled_root
 
 LOGS = {"pendulum": "pendulum", "pusher": "pusher", "t1": "go1_push", "t4": "go1_push"}
 

@@ -23,7 +23,7 @@ class _ModelPath(click.Path):
         """Leave the names of menagerie models as they are; any other value is a path."""
         kind, colon, name = str(value).partition(":")
         if colon and kind == "example":
-            from amhe_cli.system.description.folders import bundled_models
+            from amhe_cli.core.bundled import bundled_models
 
             return log_path.example(self, name, bundled_models(), param, ctx)
         named = str(value).startswith(_MENAGERIE)

@@ -82,7 +82,7 @@ class Inputs:
 
 def bundled_log() -> Path:
     """The log that is replayed if none is given: a Go1 pushes a box onto another floor."""
-    from amhe_cli.system.description.folders import bundled_logs
+    from amhe_cli.core.bundled import bundled_logs
 
     return bundled_logs()["t4"]
 
@@ -130,7 +130,7 @@ def _folder_named_in(stated: Mapping[Path, Mapping[str, str]]) -> Path:
 
 def _to_describe(log: Path) -> str:
     """Model and log for `amhe init`: those of a bundled example where the log is one."""
-    from amhe_cli.system.description.folders import bundled_logs, bundled_models
+    from amhe_cli.core.bundled import bundled_logs, bundled_models
 
     names = (name for name in bundled_models() if bundled_logs().get(name) == log)
     return next((f"example:{name} example:{name}" for name in names), f"MODEL.xml {log}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from amhe_cli.cli import log_path, options, parsing
-from amhe_cli.cli.session import Session
+from amhe_cli.cli.session import UNREADABLE, Session
 
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
@@ -27,10 +27,11 @@ def inspect(
     session: Session,
     logs: tuple[Path, ...],
     inputs: Inputs,
-) -> None:
+) -> int | None:
     """List what is in LOG...: topics, types, rates, gaps, clocks, problems.
 
-    With a system, named by --system or by the log itself, also what it needs and what is missing.
+    With a system, named by --system or by the log itself, also what it needs and what is missing; exit code 4
+    where a log is not usable for it.
     """
     from amhe_cli.logs import members
     from amhe_cli.report.inspection import inspection_record, losses, print_inspection
@@ -40,9 +41,9 @@ def inspect(
     session.warnings += [text for one in found for text in losses(one)]
     if session.json:
         session.print_json(session.record(logs=[inspection_record(one) for one in found]))
-        return
-    for one in found:
+    for one in () if session.json else found:
         print_inspection(one, session.console())
+    return UNREADABLE if any(one.usable is False for one in found) else None
 
 
 def _inspection(log: Member, inputs: Inputs) -> Inspection:

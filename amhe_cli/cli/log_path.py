@@ -28,14 +28,14 @@ class _LogPath(click.Path):
     ) -> list[CompletionItem]:
         """Complete the names of examples; any other path is completed by the shell."""
         if incomplete and "example:".startswith(incomplete[:8]):
-            from amhe_cli.system.description.folders import bundled_logs
+            from amhe_cli.core.bundled import bundled_logs
 
             names = (f"example:{name}" for name in bundled_logs())
             return [CompletionItem(name) for name in names if name.startswith(incomplete)]
         return super().shell_complete(ctx, param, incomplete)
 
     def _example(self, name: str, param: click.Parameter | None, ctx: click.Context | None) -> Path:
-        from amhe_cli.system.description.folders import bundled_logs
+        from amhe_cli.core.bundled import bundled_logs
 
         return example(self, name, bundled_logs(), param, ctx)
 

@@ -60,8 +60,10 @@ def view(
 
     session.hush_mujoco()
     found = viewed(source, inputs, overrides)
-    opened, known = found.open().starting_from(
-        belief or found.belief, fix=found.record.fixed, belief_anyway=belief_anyway
+    opened, known = (
+        found.open()
+        .fixing(found.record.fixed)
+        .starting_from(belief or found.belief, belief_anyway=belief_anyway)
     )
     logs, held_out = found.read(opened)
     page = page_of(

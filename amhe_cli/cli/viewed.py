@@ -177,6 +177,9 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     if (made := record.inputs) is None:
         again = f"run `amhe {record.command}` again, or {_INSTEAD}"
         raise ConfigError(f"{path}: an earlier amhe wrote it, without what it was made from; {again}")
+    made.logs = [log.model_copy(update={"path": _from(source, log.path)}) for log in made.logs]
+    if made.system is not None and made.system not in bundled_systems():
+        made.system = str(_from(source, Path(made.system)))
     if record.command == "mhe-replay":  # estimates of a part of a log stand in the whole log
         made.logs = [log.model_copy(update={"start": None, "end": None}) for log in made.logs]
     inputs = replace(inputs, system=inputs.system or made.system)
@@ -190,6 +193,14 @@ def viewed(source: Path, inputs: Inputs, overrides: Overrides) -> Viewed:
     return Viewed(
         source, record, made, inputs, Overrides(merged(overrides.shared, made.settings), overrides.chosen)
     )
+
+
+def _from(folder: Path, path: Path) -> Path:
+    """A path of a result, which was relative to where the command ran: here, or above the result's folder."""
+    if path.is_absolute() or path.exists():
+        return path
+    above = (parent / path for parent in folder.resolve().parents)
+    return next((there for there in above if there.exists()), path)
 
 
 def system_of_result(belief: Path) -> System | None:

@@ -9,6 +9,7 @@ from typing import overload
 
 import numpy as np
 
+from amhe_cli.core.bundled import example
 from amhe_cli.core.corrections import corrected
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, warn_of
@@ -55,8 +56,8 @@ def read_log(
     """Read what a system needs from one log or several, onto the clock of its model.
 
     Args:
-        paths: A log of any format that docs/logs.md lists, or a sequence of them; in a sequence, a LeRobot
-            dataset stands for all its episodes, and a data set file for all its logs.
+        paths: A log of any format that docs/logs.md lists, `example:NAME`, or a sequence of them; in a
+            sequence, a LeRobot dataset stands for all its episodes, and a data set file for all its logs.
         system: Says which topics are read, and the time step.
         topics: Name of a signal -> topic to read it from instead.
         start, end: Part of each log, in seconds from its start.
@@ -71,12 +72,12 @@ def read_log(
     """
     if start is not None and end is not None and end <= start:
         raise ConfigError(f"`end`: {end:g} is not after `start` {start:g}")
-    given = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    given = [example(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
     found = [(path, one) for path in given for one in members(path, system)]
     if any(is_data_set(path) for path in given) and (start is not None or end is not None):
         raise ConfigError("`start` and `end`: a data set file says which part of each log counts: from, to")
     if isinstance(paths, str | Path) and len(found) > 1:
-        only_member(Path(paths))
+        only_member(given[0])
     folder, settings = None if msg_path is None else Path(msg_path), system.settings.logs
     how = {"topics": dict(topics or {}), "start": start, "end": end, "msg_path": folder and str(folder)}
     logs = []

@@ -150,7 +150,12 @@ def print_identification(
     if result.interrupted:
         console.print("interrupted: these are the best values so far", style="yellow")
     if folder is not None:
-        console.print(Text(f"report: {folder / 'report.html'}", overflow="fold"), soft_wrap=True)
+        belief = folder / "belief.yaml"
+        for what, then in (
+            ("report", folder / "report.html"),
+            ("next", f"amhe view {folder} shows the motion, amhe export {belief} hands the values on"),
+        ):
+            console.print(Text(f"{what}: {then}", overflow="fold"), soft_wrap=True)
 
 
 def _print_parameters(result: Identification, console: Console) -> None:

@@ -18,8 +18,8 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.errors import ConfigError, LogError
-from amhe_cli.system.description.folders import bundled_root
 
 ROOT = Path(__file__).parents[2]
 #: Few clips and iterations: these tests are about the calls.
@@ -39,7 +39,7 @@ def system() -> amhe.System:
 
 @pytest.fixture(scope="module")
 def log(system: amhe.System) -> amhe.Log:
-    return amhe.read_log(bundled_root() / "examples" / "logs" / "pendulum.mcap", system, end=6.0)
+    return amhe.read_log("example:pendulum", system, end=6.0)
 
 
 @pytest.fixture(scope="module")
@@ -362,3 +362,8 @@ def test_a_run_gives_its_measures() -> None:
     measures = amhe.run("t1", "true", duration=0.2, settings={"control": {"samples": 5, "horizon": 6}})
     assert (measures["task"], measures["mode"], measures["success"]) == ("t1", "true", False)
     assert measures["goal_error_m"] > 0.5
+
+
+def test_an_example_that_does_not_exist_is_one_line_that_lists_all() -> None:
+    with pytest.raises(amhe.AmheError, match="no example 'pendulums'; did you mean 'pendulum'"):
+        amhe.read_log("example:pendulums", amhe.System.load("pendulum"))

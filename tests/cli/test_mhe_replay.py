@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from amhe_cli.cli.main import amhe, run
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.settings import LogSettings, MheSettings
 from amhe_cli.core.signals import Signal
 from amhe_cli.estimation.online.horizon import MovingHorizon
 from amhe_cli.logs import read_metadata, read_signals, survey
-from amhe_cli.system.description.folders import bundled_root
 from amhe_cli.system.system import System
 from tests.conftest import PENDULUM_TRUTH, write_pendulum_log
 

@@ -285,6 +285,20 @@ def test_a_replay_of_an_own_system_needs_no_option_again(own_result: Path, tmp_p
     assert data["recordings"][0]["curves"]
 
 
+def test_paths_of_a_result_are_looked_for_above_it(
+    own_result: Path, pendulum_log: Path, tmp_path: Path, monkeypatch
+) -> None:
+    """The command ran in a folder of its own, and named its files from there."""
+    work = tmp_path / "work"
+    shutil.copytree(own_result, work)
+    shutil.copy(pendulum_log, work / "log.mcap")
+    record = json.loads((work / "out" / "result.json").read_text())
+    record["inputs"]["system"], record["inputs"]["logs"][0]["path"] = "mine", "log.mcap"
+    (work / "out" / "result.json").write_text(json.dumps(record))
+    monkeypatch.chdir(tmp_path)
+    assert run(["view", "work/out", "--save", "page.html"]) == 0
+
+
 def test_a_system_that_moved_is_one_line_that_names_the_option(
     own_result: Path, tmp_path: Path, capsys
 ) -> None:

@@ -8,10 +8,10 @@ from pathlib import Path
 import mujoco
 import pytest
 
+from amhe_cli.core.bundled import bundled_logs, bundled_models
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.init.folder import init_system
 from amhe_cli.init.model import overlaps
-from amhe_cli.system.description.folders import bundled_logs, bundled_models
 from amhe_cli.system.system import System
 
 JOINTS = ("left_hip", "left_knee", "right_hip", "right_knee")

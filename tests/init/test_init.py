@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.folder import init_system
@@ -18,7 +19,6 @@ from amhe_cli.init.names import is_command, matched, names_the_same
 from amhe_cli.init.parameters import guess_parameters
 from amhe_cli.init.signals import Guess, Topic, fields_example, foreign, notes_on
 from amhe_cli.logs import LogWriter, read_signals
-from amhe_cli.system.description.folders import bundled_root
 from amhe_cli.system.description.schema import SignalEntry
 from amhe_cli.system.system import System
 from tests.system.test_urdf import mesh_file

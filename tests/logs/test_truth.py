@@ -3,9 +3,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.logs import LogWriter, read_truth
-from amhe_cli.system.description.folders import bundled_root
 
 SECOND = 10**9
 

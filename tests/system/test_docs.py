@@ -6,7 +6,7 @@ import re
 import shutil
 from pathlib import Path
 
-from amhe_cli.system.description.folders import bundled_root
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.system.description.schema import KINDS, ParameterEntry, SignalEntry
 from amhe_cli.system.description.targets import WORDS
 from amhe_cli.system.system import System

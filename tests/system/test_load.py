@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.yaml_file import YamlFile, scalar
-from amhe_cli.system.description.folders import bundled_root, find_system
+from amhe_cli.system.description.folders import find_system
 from amhe_cli.system.description.targets import WORDS
 from amhe_cli.system.system import System
 from tests.conftest import MODELS

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import amhe_cli as amhe
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.log import Window
 from amhe_cli.engine.open import open_engine
 from amhe_cli.matching.cost import MatchingCost
-from amhe_cli.system.description.folders import bundled_root
 
 LOG = bundled_root() / "examples" / "logs" / "pusher.mcap"
 

@@ -1,11 +1,11 @@
-"""System folders by path and by name, and what comes with amhe; quick to import, as completion needs it."""
+"""System folders by path and by name; quick to import, as completion needs it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 
-import amhe_cli
+from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.errors import ConfigError, one_of
 from amhe_cli.core.yaml_file import YamlFile
 
@@ -13,31 +13,9 @@ from amhe_cli.core.yaml_file import YamlFile
 FILE_NAME = "system.yaml"
 
 
-def bundled_root() -> Path:
-    """Folder that holds `models` and `examples/logs`: inside a wheel, or the top of a checkout."""
-    package = Path(amhe_cli.__file__).parent
-    inside = package / "_bundled"
-    return inside if inside.is_dir() else package.parent
-
-
 def bundled_systems() -> dict[str, Path]:
     """Names and folders of the systems that come with amhe."""
     return {p.parent.name: p.parent for p in sorted((bundled_root() / "models").glob(f"*/{FILE_NAME}"))}
-
-
-def bundled_logs() -> dict[str, Path]:
-    """Names and files of the logs that come with amhe."""
-    return _examples(".mcap", ".csv")
-
-
-def bundled_models() -> dict[str, Path]:
-    """Names and files of the models that come with logs of their own, to try `amhe init` on."""
-    return _examples(".xml")
-
-
-def _examples(*suffixes: str) -> dict[str, Path]:
-    files = sorted((bundled_root() / "examples" / "logs").iterdir())
-    return {path.stem: path for path in files if path.suffix in suffixes}
 
 
 def find_system(name_or_dir: str | Path) -> Path:
