@@ -74,6 +74,23 @@ class _ModelPath(click.Path):
     help="Put a free gap of unknown width between this joint and its drive: a name or a pattern, '*' for "
     "all; repeat for more.",
 )
+@click.option(
+    "--drive",
+    "drives",
+    metavar="JOINT=MAKER:TYPE",
+    multiple=True,
+    callback=parsing.pairs(str),
+    help="Take gain, limit and armature of this joint's drive, or those of a pattern, from the library "
+    "(`amhe drives`); repeat for more.",
+)
+@click.option(
+    "--volts", type=click.FloatRange(min=0.1), help="Supply of these drives.  [default: the data sheet's]"
+)
+@click.option(
+    "--gain-p",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Their position gain, in the drive's own unit.  [default: that in a column of the log]",
+)
 @options.force
 @options.msg_path
 @click.option(
@@ -100,6 +117,9 @@ def init(
     actuators: bool,
     group: bool,
     backlash: tuple[str, ...],
+    drives: dict[str, str],
+    volts: float | None,
+    gain_p: float | None,
     force: bool,
     msg_path: Path | None,
     packages: dict[str, str],
@@ -114,11 +134,14 @@ def init(
     was guessed. Read it, correct it, then: amhe identify LOG --system DIR.
     """
     from amhe_cli.init.folder import init_system
+    from amhe_cli.init.from_library import Chosen
     from amhe_cli.init.menagerie import menagerie_model
     from amhe_cli.init.ros_packages import packages_in
     from amhe_cli.report.folder import reserve
     from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 
+    if not drives and (volts is not None or gain_p is not None):
+        raise click.UsageError("--volts and --gain-p belong to --drive")
     session.hush_mujoco()
     path = menagerie_model(model.removeprefix(_MENAGERIE)) if isinstance(model, str) else model
     known = packages_in(os.environ) if is_urdf(path) else {}
@@ -134,6 +157,7 @@ def init(
         actuators=actuators,
         group=group,
         backlash=backlash,
+        drives=Chosen(drives, volts, gain_p) if drives else None,
     )
     if session.json:
         session.print_json(session.record(system=str(folder), guessed=guessed))

@@ -19,6 +19,7 @@ from amhe_cli.cli import options
 from amhe_cli.cli.calibrate import calibrate
 from amhe_cli.cli.compare import compare
 from amhe_cli.cli.convert import convert
+from amhe_cli.cli.drives import drives
 from amhe_cli.cli.emulate import emulate
 from amhe_cli.cli.eval import evaluate
 from amhe_cli.cli.export import export
@@ -44,7 +45,7 @@ from amhe_cli.cli.view import view
 #: The commands, by what they are for.
 GROUPS = {
     "Start": (inspect, init, identify, view),
-    "More": (compare, pool, probe, mhe_replay, export, convert),
+    "More": (compare, pool, probe, mhe_replay, export, convert, drives),
     "Go1": (run_task, evaluate, emulate, calibrate),
 }
 

@@ -16,6 +16,7 @@ from amhe_cli.core.readout import resolution
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
 from amhe_cli.init.backlash import backlash_parameters
+from amhe_cli.init.from_library import Chosen, library_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
 from amhe_cli.init.parameters import guess_parameters, guessed_masses, sharing
 from amhe_cli.init.signals import (
@@ -56,6 +57,7 @@ def init_system(
     actuators: bool = False,
     group: bool = False,
     backlash: Sequence[str] = (),
+    drives: Chosen | None = None,
 ) -> list[str]:
     """Write a system folder that `amhe identify` can use at once.
 
@@ -69,6 +71,7 @@ def init_system(
         actuators: The unknowns are those of all drives, and nothing else.
         group: With `actuators`: equal drives share their parameters.
         backlash: Joints, by names or patterns, that get a gap between drive and link, of unknown width.
+        drives: Drives of the library, for gains, limits and armatures.
 
     Returns:
         The guesses, in sentences.
@@ -83,7 +86,8 @@ def init_system(
         raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
     spec = read_spec(model_path, urdf)
     model = compiled(spec)
-    topics = _with_tables(_topics(logs, msg_path), model)
+    found = _topics(logs, msg_path)
+    topics = _with_tables(found, model)
     rewrite, notes = is_urdf(model_path), list[str]()
     if rewrite:
         notes += notes_on_urdf(spec, model) + free_root(spec, topics)
@@ -98,6 +102,9 @@ def init_system(
     else:
         parameters = guess_parameters(model, guesses, guessed_gains=added)
         notes += sharing(parameters)
+    if drives is not None:
+        parameters, gain = library_parameters(model, parameters, drives, logs, found, msg_path)
+        notes += gain
     notes += overlaps(model)
     _refuse_nothing(model, topics, guesses, parameters)
     if backlash:

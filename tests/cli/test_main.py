@@ -188,7 +188,9 @@ def test_an_unknown_option_names_the_nearest(capsys) -> None:
     assert "--seed" in err
 
 
-@pytest.mark.parametrize("command", sorted(set(entry.amhe.commands) - {"emulate", "calibrate"}))  # no paths
+@pytest.mark.parametrize(
+    "command", sorted(set(entry.amhe.commands) - {"emulate", "calibrate", "drives"})
+)  # no paths
 def test_a_path_that_does_not_exist_is_a_usage_error(command, capsys, tmp_path) -> None:
     task = ["--task", "t1", "--belief"]
     option = {
