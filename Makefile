@@ -7,7 +7,7 @@ PIP := $(BIN)/python -m pip --quiet --quiet --disable-pip-version-check
 
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: help demo test test-fast test-lowest lint format docs results-report bench clean
+.PHONY: help demo test test-fast test-lowest lint format docs site results-report bench clean
 
 help:
 	@echo "make demo    identify a pushed box from the bundled Go1 log, print the table, write the report"
@@ -19,6 +19,7 @@ help:
 	@echo "make lint    ruff and pyright"
 	@echo "make format  let ruff format the code"
 	@echo "make docs    write docs/cli.md from the commands' own help"
+	@echo "make site    the documentation as a site with search, in site/"
 	@echo "make results-report"
 	@echo "             tables and figures of docs/results/, in docs/results.md"
 	@echo "make bench   run the benchmarks"
@@ -47,6 +48,9 @@ format: .venv/.installed-dev
 
 docs: .venv/.installed-dev
 	$(BIN)/python docs/make_cli_docs.py
+
+site: .venv/.installed-dev
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 results-report: .venv/.installed
 	$(BIN)/python docs/make_results.py
