@@ -30,8 +30,8 @@ def test_every_drive_has_a_source_and_numbers_that_a_drive_can_have(one: Library
     assert all(number is None or 0.0 < number < 1000.0 for number in numbers)
     assert (one.gains == "counts") == (one.duty_per_count is not None)
     assert (one.armature is None) == (one.armature_sd is None)
-    if one.no_load_speed is not None and one.stall_torque is not None:  # full duty does no work at no load: limit = kv * speed
-        assert servo.kv and servo.limit
+    if one.no_load_speed is not None and one.stall_torque is not None:
+        assert servo.kv and servo.limit  # at no load the back-EMF takes all of full duty
         assert servo.kv * one.no_load_speed == pytest.approx(servo.limit / (one.max_duty or 1.0))
 
 
@@ -40,7 +40,8 @@ def test_counts_become_newton_metres() -> None:
     assert xl330.kp == pytest.approx(100 * 4096 / (2 * np.pi) / (256 * 885) * 7.4 * 0.52 / 5.0, rel=1e-3)
     at_12 = drive("feetech:sts3215", volts=12.0)
     assert at_12.name == "feetech:sts3215-12v"
-    assert at_12.servo(12.0, 32).kp == pytest.approx(2.0 * at_12.servo(12.0, 16).kp)
+    soft, stiff = (at_12.servo(12.0, gain).kp for gain in (16, 32))
+    assert soft and stiff == pytest.approx(2.0 * soft)
     assert drive("robstride:03").servo(gain_p=40.0).kp == 40.0
     with pytest.raises(ConfigError, match="no public measurement"):
         drive("feetech:sts3250").servo(gain_p=16)
