@@ -18,9 +18,10 @@ from amhe_cli.core.files import filling
 from amhe_cli.engine.cpu import hush_mujoco
 from amhe_cli.report.folder import reserve
 from amhe_cli.system.description.folders import named_system
-from amhe_cli.system.export.isaaclab import isaaclab_text
+from amhe_cli.system.export.isaaclab import ISAACLAB_TOOL
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
-from amhe_cli.system.export.mjlab import mjlab_text
+from amhe_cli.system.export.mjlab import MJLAB_TOOL
+from amhe_cli.system.export.randomisation import randomisation
 from amhe_cli.system.export.urdf import identified_urdf
 from amhe_cli.system.system import System
 
@@ -81,10 +82,9 @@ def export(
     if to in ("urdf", "isaaclab"):
         source = None if urdf is None else Path(urdf)
         contents["identified.urdf"] = identified_urdf(opened, known.estimate, source)
-    if to == "mjlab":
-        contents["mjlab_events.py"] = mjlab_text(opened, known)
-    if to == "isaaclab":
-        contents["isaaclab_events.py"] = isaaclab_text(opened, known)
+    for tool, name in ((MJLAB_TOOL, "mjlab"), (ISAACLAB_TOOL, "isaaclab")):
+        if to == name:
+            contents[f"{name}_events.py"] = randomisation(opened, known, tool)
     if to == "samples":
         contents |= _samples(opened, known, count, models, seed)
     _write(folder, opened, contents)

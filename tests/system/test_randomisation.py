@@ -9,13 +9,16 @@ from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.core.belief import belief_of
+from amhe_cli.core.belief import Belief, belief_of
 from amhe_cli.core.statistics import Z90
-from amhe_cli.system.export.isaaclab import isaaclab_text
-from amhe_cli.system.export.mjlab import mjlab_text
+from amhe_cli.system.export.actuators import usual_load
+from amhe_cli.system.export.isaaclab import ISAACLAB_TOOL
+from amhe_cli.system.export.mjlab import MJLAB_TOOL
+from amhe_cli.system.export.randomisation import randomisation
 from amhe_cli.system.parameters.inertia import (
     body_numbers,
     log_cholesky,
@@ -26,6 +29,15 @@ from amhe_cli.system.parameters.inertia import (
 from amhe_cli.system.system import System
 
 Write = Callable[..., Path]
+
+
+def mjlab_text(system: System, belief: Belief) -> str:
+    return randomisation(system, belief, MJLAB_TOOL)
+
+
+def isaaclab_text(system: System, belief: Belief) -> str:
+    return randomisation(system, belief, ISAACLAB_TOOL)
+
 
 #: Arguments of mjlab 1.6.0's functions, `env` and `env_ids` apart.
 _FIELD = {"ranges", "asset_cfg", "distribution", "operation", "axes", "shared_random"}
@@ -194,7 +206,7 @@ def test_isaac_lab_takes_every_term(written: Write, monkeypatch: pytest.MonkeyPa
     low, high = terms["hand_com"].params["com_range"]["x"]
     assert low < 0.0 < high
     assert "# friction, " in text  # what no term covers is named
-    assert "# late, " in text
+    assert "# late, " not in text  # the actuators have it
     assert "that of damping and armature is 0.90" in text
 
 
@@ -265,3 +277,38 @@ def test_one_servo_is_drawn_alone(written: Write, monkeypatch: pytest.MonkeyPatc
     np.testing.assert_allclose(model.actuator_biasprm[:, 1, 2], -1.0)
     np.testing.assert_allclose(model.actuator_forcerange[:, 1], 4 * [[-5.0, 5.0]], rtol=0.02)
     assert not any(getattr(model, name)[:, [0, 2]].any() for name in fields)
+
+
+GEARED = """  late: {nominal: 0.01, bounds: [0, 0.05], prior_sd: 0.002, targets: [{set: command_delay}]}
+  load: {nominal: 0.1, bounds: [-0.2, 1], prior_sd: 0.05, targets: [{joint: hip, set: load_friction}]}
+"""
+
+
+@pytest.mark.parametrize(("write", "module_name"), [(mjlab_text, "mjlab"), (isaaclab_text, "isaaclab")])
+def test_actuators_have_the_identified_numbers(
+    write: Callable[..., str], module_name: str, written: Write, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = System.load(written(GEARED, COMMANDED))
+    belief = belief_of(system, np.zeros(2), np.diag([1.0, 1e-6]))
+    text = write(system, belief)
+    names = loaded(text, monkeypatch)
+    one = {"mjlab": "BuiltinPositionActuatorCfg", "isaaclab": "DelayedPDActuatorCfg"}[module_name]
+    kind = {"mjlab": "actuator", "isaaclab": "actuators"}[module_name]
+    module(monkeypatch, f"{module_name}.{kind}", **{one: lambda **values: values})
+    made = names["identified_actuators"](timestep=0.001)
+    (servo,) = made if module_name == "mjlab" else made.values()
+    assert (servo["stiffness"], servo["damping"], servo["effort_limit"]) == (20.0, 1.0, 5.0)
+    assert servo["armature"] == 0.01
+    lags = [servo[key] for key in servo if "delay" in key]
+    assert lags == [7, 13]  # 10 ms +- 1.645 times 2 ms
+    dry = servo.get("frictionloss", servo.get("friction"))
+    model = system.edits.apply(system.model, belief.estimate)
+    load = usual_load(model)[model.joint("hip").dofadr[0]]
+    assert dry == pytest.approx(0.05 + 2 * 0.1 * load, rel=1e-3) and load > 0.1
+    assert "friction of gears: constant" in text
+
+
+def test_the_usual_load_is_that_of_gravity() -> None:
+    xml = '<mujoco><worldbody><body><joint axis="0 1 0" limited="true" range="80 100"/>'
+    xml += '<geom type="sphere" size=".01" pos="0 0 -.5" mass="2"/></body></worldbody></mujoco>'
+    assert usual_load(mujoco.MjModel.from_xml_string(xml))[0] == pytest.approx(9.81, rel=0.02)

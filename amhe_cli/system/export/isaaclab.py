@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from amhe_cli.core.belief import Belief
-from amhe_cli.system.export.randomisation import Drawn, Event, ends, randomisation
-from amhe_cli.system.system import System
+from amhe_cli.system.export.actuators import Form, PositionServo, actuators_text, lost
+from amhe_cli.system.export.randomisation import Drawn, Event, Tool, ends
 
 #: The versions that the file was checked against.
 ISAACLAB = "2.3.2 and 3.0.0"
@@ -44,19 +43,6 @@ class IdentifiedEventsCfg:
 
 $entries
 '''
-
-
-def isaaclab_text(system: System, belief: Belief) -> str:
-    """Python file with a configuration class of Isaac Lab's events (`isaaclab.managers.EventTermCfg`)."""
-    head = (
-        f"Isaac Lab {ISAACLAB}",
-        "class EventCfg(IdentifiedEventsCfg): ...  # or copy the terms into your own",
-        f"Functions and arguments were checked against the source of Isaac Lab {ISAACLAB}; none was run.",
-    )
-    form = "    {} = {}"
-    return randomisation(
-        system, belief, _events, head=head, entity='"robot"', names=list, entry=form, text=_TEXT
-    )
 
 
 def _events(draws: Drawn) -> Iterator[Event]:
@@ -104,3 +90,32 @@ def _bodies(draws: Drawn) -> Iterator[Event]:
             }
         }
         yield Event("com", "mdp.randomize_rigid_body_com", "body", [draws.model.body(row).name], values)
+
+
+def _servo(servo: PositionServo) -> dict[str, object]:
+    return {
+        "joint_names_expr": [servo.joint], "stiffness": servo.stiffness, "damping": servo.damping,
+        "effort_limit": servo.effort, "armature": servo.armature, "friction": servo.friction,
+        "dynamic_friction": servo.friction, "viscous_friction": servo.viscous,
+        "min_delay": servo.delay[0], "max_delay": servo.delay[1],
+    }  # fmt: skip
+
+
+_FORM = Form(
+    "isaaclab.actuators", "DelayedPDActuatorCfg", "{}", _servo,
+    "for `ArticulationCfg(actuators=identified_actuators(timestep))`",
+)  # fmt: skip
+#: Isaac Lab (`isaaclab.managers.EventTermCfg`).
+ISAACLAB_TOOL = Tool(
+    _events,
+    (
+        f"Isaac Lab {ISAACLAB}",
+        "class EventCfg(IdentifiedEventsCfg): ...  # or copy the terms into your own",
+        f"Functions and arguments were checked against the source of Isaac Lab {ISAACLAB}; none was run.",
+    ),
+    '"robot"',
+    list,
+    "    {} = {}",
+    _TEXT,
+    lambda draws: (actuators_text(draws, _FORM), lost(draws)),
+)

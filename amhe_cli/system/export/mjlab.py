@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
-from amhe_cli.core.belief import Belief
-from amhe_cli.system.export.randomisation import Drawn, Event, ends, randomisation
+from amhe_cli.system.export.actuators import Form, PositionServo, actuators_text, lost
+from amhe_cli.system.export.randomisation import Drawn, Event, Tool, ends
 from amhe_cli.system.parameters.inertia import PSEUDO_NAMES, log_cholesky_of, pseudo_inertia, upper_factor
-from amhe_cli.system.system import System
 
 #: The version that the file was run with (`benchmarks/mjlab_events.py`).
 MJLAB = "1.6.0"
@@ -65,19 +64,6 @@ def identified_events(entity: str = "robot") -> dict[str, EventTermCfg]:
 $entries
     }
 '''
-
-
-def mjlab_text(system: System, belief: Belief) -> str:
-    """Python file with a function that returns the events of mjlab (`mjlab.managers.EventTermCfg`)."""
-    head = (
-        f"mjlab {MJLAB}",
-        "env_cfg.events |= identified_events()",
-        f"Files of this kind, with all its kinds of terms, were run with mjlab {MJLAB}.",
-    )
-    form = '        "{}": {},'
-    return randomisation(
-        system, belief, _events, head=head, entity="entity", names=tuple, entry=form, text=_TEXT
-    )
 
 
 def _events(draws: Drawn) -> Iterator[Event]:
@@ -166,3 +152,35 @@ def _contacts(draws: Drawn) -> Iterator[Event]:
                 }  # fmt: skip
                 values |= {"isotropic": True} if kind == "pair" else {}
                 yield Event(f"friction_{column}", f"dr.{name}", kind, names, values)
+
+
+def _servo(servo: PositionServo) -> dict[str, object]:
+    return {
+        "target_names_expr": (servo.joint,), "stiffness": servo.stiffness, "damping": servo.damping,
+        "effort_limit": servo.effort, "armature": servo.armature, "frictionloss": servo.friction,
+        "viscous_damping": servo.viscous, "delay_min_lag": servo.delay[0], "delay_max_lag": servo.delay[1],
+    }  # fmt: skip
+
+
+_FORM = Form(
+    "mjlab.actuator",
+    "BuiltinPositionActuatorCfg",
+    "()",
+    _servo,
+    "for `EntityArticulationInfoCfg(actuators=identified_actuators(timestep))`; delete those of the XML from "
+    "its spec",
+)
+#: mjlab (`mjlab.managers.EventTermCfg`).
+MJLAB_TOOL = Tool(
+    _events,
+    (
+        f"mjlab {MJLAB}",
+        "env_cfg.events |= identified_events()",
+        f"Files of this kind, with all its kinds of terms, were run with mjlab {MJLAB}.",
+    ),
+    "entity",
+    tuple,
+    '        "{}": {},',
+    _TEXT,
+    lambda draws: (actuators_text(draws, _FORM), lost(draws)),
+)

@@ -7,7 +7,7 @@ inertia. `mjlab.py` and `isaaclab.py` name the terms and the text about them.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from textwrap import indent
 
@@ -121,39 +121,44 @@ class Drawn:
                 yield row, self.range("actuator_gainprm", [row], 0), kd
 
 
-def randomisation(
-    system: System,
-    belief: Belief,
-    events: Callable[[Drawn], Iterable[Event]],
-    *,
-    head: Sequence[str],
-    entity: str,
-    names: Callable[[list[str]], Sequence[str]],
-    entry: str,
-    text: str,
-) -> str:
-    """Python file of a belief's intervals, as events of a tool.
+@dataclass(frozen=True, slots=True)
+class Tool:
+    """How a tool that trains takes a belief.
 
     Args:
-        system: The system.
-        belief: A belief about it.
         events: The events of a model's numbers under draws.
-        head: The tool's name and version, a line of code that takes the file's events, and a sentence that
-            says how files of this kind were checked.
+        head: Its name and version, a line of code that takes the file's events, and a sentence that says how
+            files of this kind were checked.
         entity: Code of the robot's name.
-        names: The collection that the tool takes names as: tuple or list.
+        names: The collection that it takes names as: tuple or list.
         entry: Form of an entry, with its name and its text for the braces; its spaces stand before each line.
         text: The rest of the file, with `$entries` in the entries' place.
+        actuators: Code of the identified actuators, and lines about what is lost in it.
     """
+
+    events: Callable[[Drawn], Iterable[Event]]
+    head: Sequence[str]
+    entity: str
+    names: Callable[[list[str]], Sequence[str]]
+    entry: str
+    text: str
+    actuators: Callable[[Drawn], tuple[str, Sequence[str]]]
+
+
+def randomisation(system: System, belief: Belief, tool: Tool) -> str:
+    """Python file of a belief's intervals as events of a tool, and of its actuators."""
     draws = _drawn(system, belief)
     entries = []
-    for event in events(draws):
-        selector = f"{event.kind}_names={code(names([re.escape(name) for name in event.names]))}"
+    for event in tool.events(draws):
+        selector = f"{event.kind}_names={code(tool.names([re.escape(name) for name in event.names]))}"
         values = "".join(f'        "{key}": {code(value)},\n' for key, value in event.values.items())
-        term = _TERM.format(function=event.function, entity=entity, selector=selector, values=values)
-        spaces = entry[: len(entry) - len(entry.lstrip())]
-        entries.append(indent(entry.lstrip().format(event.name, term), spaces))
-    return _head(draws, belief, *head) + text.replace("$entries", "\n".join(entries))
+        term = _TERM.format(function=event.function, entity=tool.entity, selector=selector, values=values)
+        spaces = tool.entry[: len(tool.entry) - len(tool.entry.lstrip())]
+        entries.append(indent(tool.entry.lstrip().format(event.name, term), spaces))
+    actuators, lost = tool.actuators(draws)
+    late = system.edits.late if actuators else frozenset()
+    head = _head(draws, belief, [*_left_out(draws, belief, late), *lost], *tool.head)
+    return head + tool.text.replace("$entries", "\n".join(entries)) + actuators
 
 
 def ends(values: FloatArray) -> tuple[float, float]:
@@ -184,9 +189,9 @@ def _written(system: System, theta: FloatArray) -> dict[str, FloatArray]:
     return arrays
 
 
-def _head(draws: Drawn, belief: Belief, tool: str, use: str, checked: str) -> str:
+def _head(draws: Drawn, belief: Belief, out: Sequence[str], tool: str, use: str, checked: str) -> str:
     """Docstring of the file, and comments on what is not in it."""
-    left = "".join(f"# {line}\n" for line in _left_out(draws, belief))
+    left = "".join(f"# {line}\n" for line in out)
     missing = f"#\n# Identified, but not in these terms:\n{left}" if left else ""
     return f'''"""What amhe {__version__} identified of {draws.system.name}, as randomisation for {tool}.
 
@@ -209,11 +214,14 @@ def _correlations(belief: Belief) -> str:
     return f"that of {belief.names[row]} and {belief.names[column]} is {matrix.max():.2f} here."
 
 
-def _left_out(draws: Drawn, belief: Belief) -> Iterator[str]:
-    """A line for each parameter that moves a number which no event covers, or none of the model's."""
+def _left_out(draws: Drawn, belief: Belief, late: Collection[str]) -> Iterator[str]:
+    """A line for each parameter that moves a number which no event covers, or none of the model's.
+
+    Actuators cover those that are `late`, which delay commands.
+    """
     for column, name in enumerate(belief.names):
         moved = _moved(draws.system, belief, column)
-        if moved and moved <= draws.used:
+        if (moved or name in late) and moved <= draws.used:
             continue
         low, high = ends(draws.theta[:, column])
         what = "" if draws.system.sets[name] == name else f": {draws.system.sets[name]}"
