@@ -17,14 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.arrays import AnyArray, BoolArray, FloatArray, IntArray
 
 #: Bins that a spectrum is averaged over, at least, and as a share of the frequency.
 _BINS, _SHARE = 16, 0.1
-#: Sd by which an averaged spectrum must exceed the floor to be motion.
-_SURE = 6.0
-#: Samples from which either end is taken, at least, and as a share of 1 / band.
-_FEWEST, _BENT = 15, 2.0
+#: Times by which an averaged spectrum must exceed the floor to be motion, and by how many of its sd: what is
+#: hardly above the noise is noise that is not white, such as an encoder's steps.
+_ABOVE, _SURE = 30.0, 6.0
+#: Samples that first say what the ends are; then the spectrum above this times the band does, so often.
+_NEAREST, _CLEAR, _TURNS = 15, 1.3, 4
 #: Beyond the last of the motion, its spectrum falls with this power of the frequency.
 _FALLS = 8
 #: Parts of the upper half of all frequencies.
@@ -64,47 +65,79 @@ def smooth(values: FloatArray, dt: float) -> Smooth:
     n = len(values)
     frequency: FloatArray = np.asarray(np.fft.rfftfreq(2 * n - 2, dt), dtype=np.float64)
     omega = 2.0 * np.pi * frequency[:, None]
-    base = _between_ends(values, np.zeros(values.shape[1], dtype=np.int64), dt)
-    for turn in range(2):
-        away = values - base[0]
-        # an odd motion that has no bend at its ends goes on smoothly beyond them
-        spectrum = np.fft.rfft(np.concatenate((away, -away[-2:0:-1])), axis=0)
-        power = np.abs(spectrum) ** 2 / (2 * n - 2)
-        gain, band, floor = _wiener(power, frequency, np.ptp(values, axis=0))
-        if turn == 0:
-            reach = np.clip(_BENT / (band * dt), _FEWEST, n // 2).astype(np.int64)
-            base = _between_ends(values, reach, dt)
-    values, first, second = (
-        base[k] + np.fft.irfft((1j * omega) ** k * gain * spectrum, 2 * n - 2, axis=0)[:n] for k in range(3)
-    )
+    cubics = _cubics(n, dt)
+    of_cubics, whole = _spectrum(cubics[0]), _spectrum(values)
+    first = np.concatenate((_ends(values), np.zeros((2, values.shape[1]))))  # in the order of the cubics
+    ends, found, band, floor = first, values, frequency[-1:], np.zeros(values.shape[1])
+    for turn in range(_TURNS):
+        if turn:
+            bend = np.sqrt((found**2).mean(axis=0))
+            expected = np.stack((*2 * [2.0 * np.sqrt(floor)], *2 * [bend]))
+            ends = first + _corrections(
+                of_cubics, whole - of_cubics @ first, frequency > _CLEAR * band[:, None], floor * n, expected
+            )
+        spectrum = whole - of_cubics @ ends
+        gain, band, floor = _wiener(np.abs(spectrum) ** 2 / (2 * n - 2), frequency, np.ptp(values, axis=0))
+        smoothed, slopes, found = (
+            cubics[k] @ ends + np.fft.irfft((1j * omega) ** k * gain * spectrum, 2 * n - 2, axis=0)[:n]
+            for k in range(3)
+        )
     sd = np.array([np.sqrt(floor * (omega ** (2 * k) * gain).mean(axis=0)) for k in range(3)])
-    return Smooth(values, first, second, sd, band, np.sqrt(floor))
+    return Smooth(smoothed, slopes, found, sd, band, np.sqrt(floor))
 
 
-def _between_ends(values: FloatArray, reach: IntArray, dt: float) -> list[FloatArray]:
-    """The cubic that has the values and second derivatives of both ends, and its derivatives, (n, k) each.
+def _spectrum(values: FloatArray) -> AnyArray:
+    """Spectrum (f, k) of values (n, k) that go on beyond either end as odd functions of the time from there.
+
+    What is zero there, and does not bend, has no step in it, and none in its first three derivatives.
+    """
+    return np.fft.rfft(np.concatenate((values, -values[-2:0:-1])), axis=0)
+
+
+def _ends(values: FloatArray) -> FloatArray:
+    """First and last value of parabolas through the nearest samples, shape (2, k)."""
+    some = min(_NEAREST, len(values))
+    both = np.concatenate((values[:some], values[: -some - 1 : -1]), axis=1)
+    powers = np.vander(np.arange(some), 3, increasing=True)
+    return np.linalg.lstsq(powers, both, rcond=None)[0][0].reshape(2, -1)
+
+
+def _corrections(
+    of_cubics: AnyArray, left: AnyArray, above: BoolArray, noise: FloatArray, expected: FloatArray
+) -> FloatArray:
+    """Multiples (4, k) of the cubics that leave least of a spectrum where there is no motion.
 
     Args:
-        values: Positions, shape (n, k).
-        reach: Samples of each column from which they are taken, shape (k,); 0 for no second derivative.
-        dt: Time between two positions [s].
+        of_cubics: Spectrum of the cubics, shape (f, 4).
+        left: Spectrum of what they shall explain, shape (f, k).
+        above: Frequencies without motion of each column, shape (k, f).
+        noise: Variance of the real and of the imaginary part of the noise's spectrum, shape (k,).
+        expected: Sd of the multiples before, shape (4, k).
     """
-    n, columns = len(values), []
-    for column, some in zip(values.T, reach, strict=True):
-        near = max(int(some), min(_FEWEST, n))
-        both = np.stack((column[:near], column[: -near - 1 : -1]), axis=1)
-        fitted = np.polynomial.polynomial.polyfit(np.arange(near) * dt, both, 3 if some else 2)
-        columns.append([fitted[0], 2.0 * fitted[2] * (some > 0)])
-    (x0, x1), (a0, a1) = np.moveaxis(np.array(columns), 0, -1)
-    length = (n - 1) * dt
-    t = np.arange(n)[:, None] * dt
-    jerk = (a1 - a0) / length
-    slope = (x1 - x0) / length - length * (a0 / 2.0 + (a1 - a0) / 6.0)
-    return [
-        x0 + t * (slope + t * (a0 / 2.0 + t * jerk / 6.0)),
-        slope + t * (a0 + t * jerk / 2.0),
-        a0 + t * jerk,
+    found = np.empty_like(expected)
+    for k, some in enumerate(above):
+        parts = (np.concatenate((one.real, one.imag)) for one in (of_cubics[some], left[some, k]))
+        slopes, target = (one / np.sqrt(noise[k]) for one in parts)
+        known = slopes.T @ slopes + np.diag(1.0 / np.maximum(expected[:, k], 1e-300) ** 2)
+        found[:, k] = np.linalg.lstsq(known, slopes.T @ target, rcond=None)[0]
+    return found
+
+
+def _cubics(n: int, dt: float) -> FloatArray:
+    """Cubics (3, n, 4), with their derivatives, of unit value or second derivative at one end, 0 elsewhere.
+
+    A motion less the right sum of them is zero at both ends, and does not bend there. The right one leaves
+    least above the band of the motion.
+    """
+    s, length = np.linspace(0.0, 1.0, n), (n - 1) * dt
+    after = np.stack((s, (s**3 - s) / 6.0)), np.stack((np.ones(n), (3.0 * s**2 - 1.0) / 6.0))
+    after = (*after, np.stack((np.zeros(n), s)))
+    both = [
+        np.stack((sign * one[0, ::-1], one[0], sign * length**2 * one[1, ::-1], length**2 * one[1]), axis=1)
+        / length**k
+        for k, (sign, one) in enumerate(zip((1, -1, 1), after, strict=True))
     ]
+    return np.stack(both)
 
 
 def _wiener(
@@ -116,7 +149,7 @@ def _wiener(
     floor = np.min([part.mean(axis=0) for part in np.array_split(power[count // 2 :], _PARTS)], axis=0)
     floor = np.maximum(floor, (_ROUNDING * extent) ** 2 + 1e-300)
     over, rows = mean / floor, np.arange(count)[:, None]
-    moves = over > 1.0 + _SURE * np.sqrt(2.0 / bins)[:, None]  # the sd of a mean of white noise's bins
+    moves = over > np.maximum(_ABOVE, 1.0 + _SURE * np.sqrt(2.0 / bins)[:, None])  # the sd of such a mean
     last = np.maximum(count - 1 - np.argmax(moves[::-1], axis=0), 1)
     band = frequency[last]
     shape = np.maximum.accumulate(np.where(rows <= last, over, 1.0)[::-1], axis=0)[::-1]

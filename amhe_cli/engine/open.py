@@ -14,6 +14,7 @@ import numpy as np
 from amhe_cli.core.errors import NOTE, ConfigError, SimulationError
 from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
+from amhe_cli.engine.inverse import InverseEngine
 from amhe_cli.engine.rollout import Engine
 from amhe_cli.engine.spread import SpreadEngine
 from amhe_cli.engine.states import collides
@@ -57,6 +58,8 @@ def open_engine(
     senses = system.senses if sensors is None else sensors
     edits = system.edits if model is None else system.edits.upon(model)
     about = (model or system.model, edits, system.input_spec)
+    if system.match == "effort":
+        return InverseEngine(*about)
     if kind == "gpu":
         return _gpu_engine(executor, *about, senses)
     if executor is not None:

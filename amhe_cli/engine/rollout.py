@@ -7,7 +7,7 @@ late (they describe the state before the step); the engine shifts them.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
 
@@ -45,6 +45,42 @@ def joined(parts: Sequence[Rollouts]) -> Rollouts:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Along:
+    """The measured motion of c clips, at s instants of each, for an engine that follows it.
+
+    Args:
+        qpos, qvel, qacc: The motion, shape (c, s, nq), (c, s, nv) and (c, s, nv).
+        dry: Share of each joint's dry friction that its motion has to overcome, shape (c, s, nv).
+        inputs: What acts beside the joints' own actuators, shape (c, s, nu); None: nothing.
+        keys: Something for each clip that is equal only where all of these are.
+    """
+
+    qpos: FloatArray
+    qvel: FloatArray
+    qacc: FloatArray
+    dry: FloatArray
+    inputs: FloatArray | None
+    keys: tuple[Hashable, ...]
+
+    @property
+    def flat(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """qpos, qvel and qacc of all clips, one after the other, shape (c s, nq) and (c s, nv)."""
+        qpos, qvel, qacc = (one.reshape(-1, one.shape[2]) for one in (self.qpos, self.qvel, self.qacc))
+        return qpos, qvel, qacc
+
+    def of(self, clips: IntArray) -> Along:
+        """The motion of some of the clips."""
+        return Along(
+            qpos=self.qpos[clips],
+            qvel=self.qvel[clips],
+            qacc=self.qacc[clips],
+            dry=self.dry[clips],
+            inputs=None if self.inputs is None else self.inputs[clips],
+            keys=tuple(self.keys[i] for i in clips),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Starts:
     """First states and inputs of the rollouts of c clips.
 
@@ -56,6 +92,7 @@ class Starts:
         first_index: Tangent coordinates of the first state (nv of qpos, then nv of qvel) that may be
             wrong, shape (nx,).
         first_sd: Sd of their errors on each clip [SI], shape (c, nx).
+        along: The measured motion, where efforts are matched.
     """
 
     qpos: FloatArray
@@ -65,6 +102,7 @@ class Starts:
     lengths: IntArray
     first_index: IntArray
     first_sd: FloatArray
+    along: Along | None = None
 
     @property
     def horizon(self) -> int:
@@ -80,6 +118,7 @@ class Starts:
             inputs=self.inputs[clips],
             lengths=self.lengths[clips],
             first_sd=self.first_sd[clips],
+            along=None if self.along is None else self.along.of(clips),
         )
 
     def at_half_steps(self) -> Starts:
@@ -140,12 +179,12 @@ class Wanted:
     """Numbers to pick from the rollouts of c clips, at most s times on each.
 
     Args:
-        source: The array of `Rollouts`.
+        source: The array of `Rollouts`; 'effort' are generalised forces along a motion, at its own instants.
         rows: Row (instant - 1) of each sample in that array, shape (c, s); below the clip's length.
         columns: The k columns to pick from that array.
     """
 
-    source: Literal["qpos", "qvel", "sensordata"]
+    source: Literal["qpos", "qvel", "sensordata", "effort"]
     rows: IntArray
     columns: tuple[int, ...]
 
@@ -160,8 +199,11 @@ class Wanted:
     def pick(self, rollouts: Rollouts, count: int) -> FloatArray:
         """The numbers of p candidates, shape (p, c, s, k), from rollouts in the order (p, c)."""
         source = getattr(rollouts, self.source)
+        return self.picked(source.reshape(count, len(self.rows), *source.shape[1:]))
+
+    def picked(self, source: FloatArray) -> FloatArray:
+        """The numbers of p candidates, shape (p, c, s, k), from their array (p, c, H, n)."""
         clips = len(self.rows)
-        source = source.reshape(count, clips, *source.shape[1:])
         return source[:, np.arange(clips)[:, None, None], self.rows[..., None], np.array(self.columns)]
 
 

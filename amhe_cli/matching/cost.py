@@ -187,7 +187,8 @@ class MatchingCost:
             return predicted
         numbers, values = self.system.edits.numbers(theta), []
         for observed, true in zip(self.clips.observed, predicted.values, strict=True):
-            reading = calibration.readings.get(observed.channel.key)
+            reading = calibration.readings.get(observed.channel.series)
+            reading = None if reading is None else reading.of(observed.channel.part)
             if reading is not None and reading.band is not None:
                 apart = true.reshape(*true.shape[:2], -1, observed.memory, true.shape[-1])
                 true = averaged(reading, numbers, self.system.dt, apart)

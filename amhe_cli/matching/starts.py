@@ -141,14 +141,15 @@ def first_index(system: System) -> IntArray:
     They are the same for all logs of a system: what one of them measured exactly has an error of no size.
 
     Returns:
-        Indices among the 2 nv of the tangent space (nv of the positions, then nv of the velocities), (nx,).
+        Indices among the 2 nv of the tangent space (nv of the positions, then nv of the velocities), (nx,);
+        none where efforts are matched, as the whole motion is measured.
     """
     wrong = np.zeros(2 * system.model.nv, dtype=bool)
-    for channel in system.channels:
+    for channel in system.channels if system.match == "motion" else ():
         if channel.sets_state:
             wrong[tangent_of(system, channel)] = True
     nv, dofs = system.model.nv, system.model.jnt_dofadr
-    for _, beside, measured in unmeasured(system, gaps(system.model)):
+    for _, beside, measured in unmeasured(system, gaps(system.model)) if wrong.any() else ():
         wrong[dofs[beside]] = True
         wrong[nv + dofs[beside]] = wrong[nv + dofs[measured]]
     return np.flatnonzero(wrong)

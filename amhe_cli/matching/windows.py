@@ -12,6 +12,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.rollout import Starts, Wanted
 from amhe_cli.engine.states import home
+from amhe_cli.matching.efforts import along_of, measured_effort
 from amhe_cli.matching.readings import remembered
 from amhe_cli.matching.starts import first_index, first_sds, first_states
 from amhe_cli.system.description.data import Channel, Input
@@ -28,7 +29,7 @@ class Observed:
         memory: Steps that the sensor averages over, the sample's own the last.
         measured: The measurements, shape (c, s, columns).
         mask: False on padding, shape (c, s).
-        noise: Sd of one column [SI].
+        noise: Sd of one column [SI]; shape (c, s, 1) where it differs from sample to sample.
     """
 
     channel: Channel
@@ -36,11 +37,20 @@ class Observed:
     memory: int
     measured: FloatArray
     mask: BoolArray
-    noise: float
+    noise: float | FloatArray
+
+    def of(self, clips: IntArray) -> Observed:
+        """What it measured on some of the clips."""
+        noise = self.noise[clips] if isinstance(self.noise, np.ndarray) else self.noise
+        rows, measured, mask = (one[clips] for one in (self.rows, self.measured, self.mask))
+        return replace(self, rows=rows, measured=measured, mask=mask, noise=noise)
 
     @property
     def wanted(self) -> Wanted:
         """What an engine predicts for the samples, newest first, shape (c, s * memory)."""
+        if self.channel.source == "effort":  # an engine that follows the motion has no other instants
+            rows = np.broadcast_to(np.arange(self.rows.shape[1]), self.rows.shape)
+            return Wanted("effort", rows, self.channel.columns)
         ages = np.arange(self.memory)
         rows = np.maximum(self.rows[..., None] - ages, 0).reshape(len(self.rows), -1)
         return Wanted(self.channel.source, rows, self.channel.columns)
@@ -69,10 +79,7 @@ class Clips:
 
     def of(self, clips: IntArray) -> Clips:
         """Some of the clips."""
-        observed = tuple(
-            replace(o, rows=o.rows[clips], measured=o.measured[clips], mask=o.mask[clips])
-            for o in self.observed
-        )
+        observed = tuple(o.of(clips) for o in self.observed)
         windows = tuple(self.windows[i] for i in clips)
         return Clips(windows, self.starts.of(clips), observed, self.counts[clips])
 
@@ -91,13 +98,16 @@ def prepare(
     Raises:
         LogError: A window starts where the state was not measured.
     """
-    compared = [c for c in system.channels if c.compared]
-    memory = {c.key: remembered(system.calibration.readings.get(c.key), system.dt) for c in compared}
-    observed = tuple(_observed(c, windows, noise_scale.get(c.key, 1.0), memory[c.key]) for c in compared)
+    compared, starts = [c for c in system.channels if c.compared], starts_of(system, windows, smoothing)
+    if system.match == "effort":
+        starts, observed = _following(system, compared, windows, noise_scale, starts)
+    else:
+        memory = {c.key: remembered(system.calibration.readings.get(c.key), system.dt) for c in compared}
+        observed = [_observed(c, windows, noise_scale.get(c.key, 1.0), memory[c.key]) for c in compared]
     observed = tuple(o for o in observed if o.mask.any())
     return Clips(
         windows=tuple(windows),
-        starts=starts_of(system, windows, smoothing),
+        starts=starts,
         observed=observed,
         counts=np.maximum(sum(o.mask.sum(axis=1) * o.width for o in observed), 1.0),
     )
@@ -118,6 +128,33 @@ def starts_of(system: System, windows: Sequence[Window], smoothing: float) -> St
         first_index=first_index(system),
         first_sd=first_sds(system, [w.log for w in windows]),
     )
+
+
+def _following(
+    system: System,
+    compared: Sequence[Channel],
+    windows: Sequence[Window],
+    noise_scale: Mapping[str, float],
+    starts: Starts,
+) -> tuple[Starts, list[Observed]]:
+    """Starts with the windows' motion, and each joint's effort along it."""
+    along, places = along_of(system, windows)
+    count, most = along.qvel.shape[:2]
+    rows = np.zeros((count, most), dtype=np.int64)
+    for i, (window, (path, own)) in enumerate(zip(windows, places, strict=True)):
+        rows[i, : own.size] = path.rows[own] - window.start - 1
+    found = []
+    for channel in compared:
+        names = windows[0].log[channel.key].columns
+        for part in channel.parts(names):
+            values, sd = np.zeros((count, most, 1)), np.ones((count, most, 1))
+            mask = np.zeros((count, most), dtype=bool)
+            for i, (window, (path, own)) in enumerate(zip(windows, places, strict=True)):
+                span = i, slice(0, own.size)
+                values[(*span, 0)], mask[span], sd[(*span, 0)] = measured_effort(part, window, path, own)
+            scale = noise_scale.get(part.key, 1.0)
+            found.append(Observed(part, rows, 1, values, mask, scale * sd))
+    return replace(starts, along=along), found
 
 
 def _history(system: System) -> int:

@@ -124,6 +124,12 @@ class Acting:
     joint_force: BoolArray
     joint: BoolArray
 
+    @staticmethod
+    def nothing(model: mujoco.MjModel) -> Acting:
+        """One state in which no actuator and no limit acts."""
+        widths = model.nactuator, model.nactuator, model.nu, model.njnt, model.njnt
+        return Acting(*(np.zeros((1, width), dtype=bool) for width in widths))
+
 
 def acting(
     model: mujoco.MjModel, input_spec: int, qpos: FloatArray, qvel: FloatArray, inputs: FloatArray

@@ -65,6 +65,7 @@ class System(SystemData, Displayed):
         signals: Mapping[str, Any],
         settings: Mapping[str, Any] | Settings | None = None,
         keyframe: str | None = None,
+        match: str = "motion",
         name: str | None = None,
         packages: Mapping[str, str | Path] | None = None,
         meshes: bool = True,
@@ -79,6 +80,8 @@ class System(SystemData, Displayed):
             signals: Name -> entry likewise; `topic` may be left out.
             settings: Nested settings over the defaults.
             keyframe: Name of the keyframe that holds the state of everything that no signal gives.
+            match: What is compared with the logs: the 'motion' under what drives it, or the 'effort' of the
+                joints along their motion.
             name: Name of the system; None: that of the model.
             packages: Folders of the ROS packages that a URDF's meshes lie in, by name; others are looked for
                 in the folders above the URDF.
@@ -88,7 +91,7 @@ class System(SystemData, Displayed):
         Raises:
             ConfigError: One line for each mistake, `path.of.the.key: what, what would be valid`.
         """
-        entry = {"parameters": parameters, "signals": signals, "settings": settings or {}}
+        entry = {"parameters": parameters, "signals": signals, "settings": settings or {}, "match": match}
         entry |= {"keyframe": keyframe} if keyframe else {}
         made = described(model, entry, name, UrdfOptions(packages or {}, meshes), warn=warn)
         return cls(**vars(made))

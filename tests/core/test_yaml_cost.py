@@ -35,6 +35,6 @@ def test_a_file_of_mistakes_is_refused_in_seconds(tmp_path: Path) -> None:
     assert len(lines) == 101
     assert lines[3] == (
         f"{tmp_path}/system.yaml:1:1: no key 'k0'; there is: "
-        "boxes, keyframe, model, parameters, robot, settings, signals"
+        "boxes, keyframe, match, model, parameters, robot, settings, signals"
     )
     assert lines[-1] == f"{tmp_path}/system.yaml: 139903 more mistakes"

@@ -283,7 +283,8 @@ class Problem:
         at_ends = cost.residuals(np.concatenate((np.zeros((1, self.active.size)), *ends)))
         felt = np.any([columns.any(axis=1) for columns in _moved_columns(cost, at_ends).values()], axis=0)
         felt = (felt | ~at_ends.completed[1:].all(axis=1)).reshape(2, -1).any(axis=0)
-        qpos, inputs = self._states(cost, np.zeros(len(self.system.space)))
+        forwards = self.system.match == "motion"
+        qpos, inputs = self._states(cost, np.zeros(len(self.system.space))) if forwards else ([], [])
         rows = np.linspace(0, len(qpos) - 1, min(len(qpos), _LOOKS)).astype(int)
         cells = {parameter.name: own for parameter, own in self.system.edits.by_parameter()}
         model, reasons = self.system.model, {}
@@ -296,7 +297,7 @@ class Problem:
                     " near its nominal value, but at its bounds one does: give a nominal value of the right "
                     "size, or a wider prior"
                 )
-            if pairs := needed_contacts(model, cells.get(parameter.of_model, ())):
+            if forwards and (pairs := needed_contacts(model, cells.get(parameter.of_model, ()))):
                 gap, pair = nearest(model, qpos[rows], inputs[rows], self.system.input_spec, pairs)
                 if gap > _TOUCH:
                     one, other = (geom_name(model, geom) for geom in pair)
@@ -311,6 +312,8 @@ class Problem:
         """Whether anything touches, or reaches a limit of its range, in rollouts at the prior's mean."""
         if self.whole is not None:
             return self.whole.touches
+        if self.system.match == "effort":
+            return False  # nothing is rolled out
         return touching(self.system.model, self._states(self.cost(self._some_clips), self._off_grid)[0])
 
     def _states(self, cost: MatchingCost, z: FloatArray) -> tuple[FloatArray, FloatArray]:

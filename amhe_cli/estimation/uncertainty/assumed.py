@@ -147,6 +147,8 @@ class _Neighbourhood:
 def _changes(problem: Problem, about: _Neighbourhood) -> Iterator[_Change]:
     """Numerical choices of the model, each by one standard deviation."""
     settings, cost = problem.settings.identify.assumed, about.fit.slopes.cost
+    if problem.system.match == "effort":
+        return  # nothing is integrated, and nothing touches
     variants = contact_variants(problem.engine, problem.system.unedited) if settings.contacts else {}
     softness = Source("the softness of contacts", amount=2.0**settings.contacts, unit="times")
     for engine in variants.values():  # a factor of two to either side: each has half of the variance
@@ -359,6 +361,8 @@ def _acting_values(problem: Problem, fit: FinalFit) -> list[Assumed]:
 def _acting(problem: Problem, fit: FinalFit) -> Acting:
     """What acts in the rollouts at the estimate."""
     system, cost, found = problem.system, fit.slopes.cost, []
+    if system.match == "effort":
+        return Acting.nothing(system.model)
     most = max(1, EXAMINED // len(cost.clips.windows))  # of each clip
     for done in cost.rolled_out(fit.z, fit.slopes.first.mean if fit.slopes.first.mean.size else None):
         inside = np.arange(done.inputs.shape[1] - 1) < (done.lengths * done.rollouts.completed)[:, None] - 1

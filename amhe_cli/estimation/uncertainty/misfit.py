@@ -13,6 +13,7 @@ from amhe_cli.estimation.offline.search import SearchState
 from amhe_cli.estimation.uncertainty.fit import FinalFit, Finding
 from amhe_cli.matching.cost import Residuals
 from amhe_cli.matching.windows import Observed
+from amhe_cli.system.description.data import PART
 from amhe_cli.system.description.targets import gain_cells
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.system import System
@@ -68,12 +69,12 @@ def unexplained(system: System, fit: FinalFit) -> tuple[str, ...]:
     Residuals that are large but independent are noise, however little was declared.
     """
     found = []
-    noise = {channel.key: channel.noise or 0.0 for channel in system.channels}
+    noise = {o.channel.key: float(np.mean(o.noise)) for o in fit.slopes.cost.clips.observed}
     moved = {each.channel.key: _scatter(each) for each in fit.slopes.cost.clips.observed}
     for key, (scale, white) in sorted(_misfits(fit).items(), key=lambda item: -item[1][0]):
         if scale > MISSED and not white:
             text = f"the model misses {key} by {scale:.0f} times its noise: {_remedy(system, key)}"
-            missed, quantity = scale * noise[key], key.rsplit(".", 1)[1]
+            missed, quantity = noise[key], key.partition(PART)[0].rsplit(".", 1)[1]
             advice = f"; if it cannot be better, declare what it misses, noise: {{{quantity}: {missed:.2g}}}"
             found.append(text + advice * (missed < moved[key]))
     return tuple(found)
@@ -154,6 +155,7 @@ def _remedy(system: System, key: str) -> str:
 
 def held_fixed(system: System, key: str) -> list[str]:
     """What a system holds fixed and may have wrong where it misses a channel, in the order to look at it."""
+    key = key.partition(PART)[0]
     held, reading = _of_drives(system), system.calibration.readings.get(key)
     if key.endswith(".effort") and not (reading and system.calibration.set_rows & set(reading.scale)):
         held.insert(0, f"the scale of {key}, read as forces and torques")

@@ -113,7 +113,7 @@ def _weight(alone: Parts, pair: tuple[str, str], excess: FloatArray, joint: Floa
 
 def _kinds(fit: FinalFit) -> Parts:
     """What each kind of measurement says alone, such as positions and velocities."""
-    kinds = [o.channel.key.rsplit(".", 1)[1].replace("_", " ") for o in fit.slopes.cost.clips.observed]
+    kinds = [o.channel.quantity.replace("_", " ") for o in fit.slopes.cost.clips.observed]
     if len(set(kinds)) < 2:
         return {}
     return {

@@ -40,7 +40,8 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
     """Channel on clip i, its initial and identified predictions of shape (2, samples, columns)."""
     keep = observed.mask[i]
     measured, (initial, identified) = observed.measured[i, keep], predicted[:, keep]
-    columns = window.log[observed.channel.key].columns
+    columns = window.log[observed.channel.series].columns
+    columns = columns if observed.channel.part is None else columns[observed.channel.part :][:1]
     if observed.channel.kind == "rotation":
         zero = measured[0]
         measured, initial, identified = (_turn(zero, q) for q in (measured, initial, identified))
@@ -55,7 +56,7 @@ def fit_of(observed: Observed, predicted: FloatArray, window: Window, i: int, he
         initial=initial,
         identified=identified,
         valid=np.ones(int(keep.sum()), dtype=bool),
-        noise=observed.noise,
+        noise=float(np.mean(observed.noise)),
         held_out=held_out,
     )
 

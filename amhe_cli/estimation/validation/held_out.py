@@ -273,7 +273,7 @@ def _sizes(observed: Observed, residuals: FloatArray) -> FloatArray:
     """Error of each sample (c, s) from whitened residuals (c, s, k): of a pose a distance, else the mean."""
     if any(measures(observed.channel, quantity) for quantity in ("position", "orientation")):
         return observed.noise * np.linalg.norm(residuals, axis=-1)
-    return observed.noise * np.abs(residuals).mean(axis=-1)
+    return np.abs(observed.noise * residuals).mean(axis=-1)
 
 
 def _mean(errors: FloatArray) -> float:

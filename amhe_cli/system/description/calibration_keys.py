@@ -196,8 +196,8 @@ class CalibrationDraft:
     def _columns(self, name: str, quantity: str) -> list[str]:
         """Names of a quantity's columns: joints, or axes."""
         entry = self.entries[name]
-        if entry.joints is not None:
-            return list(entry.joints)
+        if joints := entry.joints or entry.joint_force:
+            return list(joints)
         if (name, quantity) in self.forces:
             return ["x", "y", "z"]
         width = len(self.channels[name, quantity].columns)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,6 +14,9 @@ from amhe_cli.core.settings import Settings
 from amhe_cli.core.signals import Signal
 from amhe_cli.system.parameters.calibration import SignalCalibration
 from amhe_cli.system.parameters.model_edits import ModelEdits
+
+#: What stands between a series and the column of it that is a channel of its own.
+PART = " of "
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,18 +31,39 @@ class Channel:
         noise: Measurement noise sd [SI] of one column; None: unknown.
         unit: Unit of the residual.
         compared: Rollouts are held against it; else it only sets the state that they start from.
+        part: The one column of the series that it is; None: all of them.
         slope: For a velocity: at a window's start it is the slope of the positions that were measured within
             this time before and after [s]; 0: as recorded.
     """
 
     key: str
     kind: Literal["linear", "rotation"]
-    source: Literal["qpos", "qvel", "sensordata"]
+    source: Literal["qpos", "qvel", "sensordata", "effort"]
     columns: tuple[int, ...]
     noise: float | None
     unit: str
     compared: bool = True
     slope: float = 0.0
+    part: int | None = None
+
+    @property
+    def series(self) -> str:
+        """Key of its series in the log."""
+        return self.key if self.part is None else self.key.partition(PART)[0]
+
+    @property
+    def quantity(self) -> str:
+        """What it measures."""
+        return self.series.rsplit(".", 1)[1]
+
+    def parts(self, names: Sequence[str]) -> Iterator[Channel]:
+        """Each column as a channel of its own.
+
+        Args:
+            names: What the columns are called.
+        """
+        for i, (column, name) in enumerate(zip(self.columns, names, strict=True)):
+            yield replace(self, key=f"{self.key}{PART}{name}", columns=(column,), part=i)
 
     @property
     def integral(self) -> str:
@@ -98,6 +122,8 @@ class SystemData:
         settings: The system's own settings over the defaults.
         calibration: What stands between the model's quantities and the log's numbers.
         keyframe: Keyframe that holds the state of everything that no signal gives; None: the model's own.
+        match: What is compared with the logs: the motion under recorded commands, or the joints' efforts
+            along the recorded motion.
         given: Settings in place of those in the folder's `system.yaml`, as `System.load` takes them.
     """
 
@@ -117,3 +143,4 @@ class SystemData:
     keyframe: int | None = None
     calibration: SignalCalibration = field(default_factory=SignalCalibration)
     given: Mapping[str, Any] = field(default_factory=dict)
+    match: Literal["motion", "effort"] = "motion"

@@ -16,6 +16,7 @@ from amhe_cli.core.settings import MheSettings, Settings
 from amhe_cli.core.yaml_file import Place, YamlFile, merged
 from amhe_cli.system.description.cautions import caution
 from amhe_cli.system.description.data import SystemData
+from amhe_cli.system.description.efforts import matching_efforts
 from amhe_cli.system.description.folders import FILE_NAME, find_system
 from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
@@ -27,7 +28,7 @@ from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 logger = logging.getLogger(__name__)
 
 #: Keys of `system.yaml` that overrides name directly; every other override is a setting.
-_OWN_KEYS = ("parameters", "signals", "keyframe", "model", "boxes")
+_OWN_KEYS = ("parameters", "signals", "keyframe", "model", "boxes", "match")
 
 
 def load(
@@ -136,8 +137,10 @@ def _built(
     draft = draft_wiring(source, entry, spec, _compiled(source, spec))
     base = _compiled(source, spec)
     wiring = draft.wired(base)
-    calibrated = draft.calibrated(entry.signals, wiring, base)
     delays = draft.commanded(base, wiring)
+    if entry.match == "effort":
+        wiring = matching_efforts(source, entry.signals, wiring, base)
+    calibrated = draft.calibrated(entry.signals, wiring, base)
     space, edits, calibration = unknowns_of(source, entry, base, calibrated, delays)
     keyframe = _keyframe(source, entry, base)
     _refuse_strangers(source, entry)
@@ -168,6 +171,7 @@ def _built(
         settings=entry.settings,
         keyframe=keyframe,
         calibration=calibration,
+        match=entry.match,
     )
 
 

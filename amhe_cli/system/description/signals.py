@@ -228,6 +228,7 @@ def _driven_joint_force(draft: WiringDraft, name: str, entry: SignalEntry) -> No
     names, logged = names_of_log(entry.joint_force)
     rows = single_joints(draft.model, names)
     quantity = one_quantity(entry, "value" if str(entry.type).endswith("MultiArray") else "effort")
+    check_noise(entry, (quantity,))  # of what is compared where efforts are matched
     signal = signal_of(name, entry, (quantity,), logged, is_input=True)
     columns: list[int | str] = [int(draft.model.jnt_dofadr[row]) for row in rows]
     draft.driven.append(Drive(signal.key(quantity), _JOINT_FORCE, columns))

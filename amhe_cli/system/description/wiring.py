@@ -223,7 +223,7 @@ def chosen(entry: SignalEntry, usual: tuple[str, ...]) -> tuple[str, ...]:
 
 def one_quantity(entry: SignalEntry, usual: str) -> str:
     """The one quantity of a signal of plain numbers."""
-    if entry.noise and entry.sensor is None:
+    if entry.noise and entry.sensor is None and entry.joint_force is None:
         raise ConfigError("noise is for what is compared with the model; a command is not")
     given = [entry.quantity] if isinstance(entry.quantity, str) else list(entry.quantity or ())
     given = given or list(entry.fields) or list(entry.columns) or [usual]

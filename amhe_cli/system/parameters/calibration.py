@@ -54,6 +54,11 @@ class Reading:
     memory: float = 0.0
     sign: float = 1.0
 
+    def of(self, column: int | None) -> Reading:
+        """The reading of one column; None: of all."""
+        one = slice(None) if column is None else slice(column, column + 1)
+        return replace(self, scale=self.scale[one], bias=self.bias[one])
+
 
 @dataclass(frozen=True, eq=False)
 class SignalCalibration:

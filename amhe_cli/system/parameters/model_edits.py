@@ -163,9 +163,13 @@ class ModelEdits:
 
     def values(self, field: str, theta: FloatArray) -> FloatArray:
         """An array of the model that parameters write into, under candidates theta (n, d), shape (n, ...)."""
+        return self.written(theta)[field]
+
+    def written(self, theta: FloatArray) -> dict[str, FloatArray]:
+        """The arrays of the model that parameters write into, (n, ...), under candidates theta (n, d)."""
         arrays = {name: np.repeat(getattr(self._model, name)[None], len(theta), 0) for name in self.fields}
         self.write(arrays, theta)
-        return arrays[field]
+        return arrays
 
     def numbers(self, theta: FloatArray) -> FloatArray:
         """Numbers of the signals' calibration under candidates theta (n, d), shape (n, k)."""

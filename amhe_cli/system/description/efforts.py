@@ -1,0 +1,89 @@
+"""How a log meets a model that is run backwards: the joints' efforts are compared, and the motion is given.
+
+Efforts are those that `joints` measure, or those that would drive the model forwards, as `joint_force` or
+through plain motors. What other actuators were told is of no concern.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from amhe_cli.system.description.data import Channel, Input
+from amhe_cli.system.description.schema import Description, SignalEntry
+from amhe_cli.system.description.wiring import Wiring, split_key, unit_of
+
+#: State bits of the forces at joints and of the controls.
+_JOINT_FORCE, _CTRL = int(mujoco.mjtState.mjSTATE_QFRC_APPLIED), int(mujoco.mjtState.mjSTATE_CTRL)
+_AT_JOINT = mujoco.mjtTrn.mjTRN_JOINT
+
+
+def matching_efforts(
+    file: Description, entries: Mapping[str, SignalEntry], wiring: Wiring, model: mujoco.MjModel
+) -> Wiring:
+    """The wiring with efforts as what is compared, and without what commands actuators.
+
+    Args:
+        file: Takes note where no signal measures an effort.
+        entries: The signals.
+        wiring: The wiring for rollouts.
+        model: The final model.
+    """
+    channels = []
+    for channel in wiring.channels:
+        if channel.source != "sensordata":
+            channels.append(replace(channel, compared=False))
+        elif (dofs := _acted_on(channel, model)) is not None:
+            channels.append(replace(channel, source="effort", columns=dofs))
+    driven = {one.key: _driven(one, wiring.input_spec, model) for one in wiring.inputs}
+    forces = {key: dofs for key, dofs in driven.items() if dofs}
+    for key, dofs in forces.items():
+        name, quantity = split_key(key)
+        unit = unit_of("effort", [int(model.jnt_type[model.dof_jntid[dof]]) for dof in dofs])
+        noise = entries[name].noise.get(quantity)
+        channels.append(Channel(key, "linear", "effort", dofs, noise, unit))
+    if all(channel.source != "effort" for channel in channels):
+        file.problem(
+            ("match",),
+            "no signal measures an effort: give joints the noise of their efforts, noise: {effort: 0.1}, or "
+            "name the joints that a measured torque acts on, joint_force: [...]",
+        )
+    signals = tuple(
+        replace(s, is_input=s.is_input and not any(s.key(q) in forces for q in s.quantities))
+        for s in wiring.signals
+    )
+    inputs = tuple(one for one in wiring.inputs if one.key not in forces and not one.delayed)
+    return Wiring(signals, tuple(channels), inputs, wiring.input_spec)
+
+
+def _acted_on(channel: Channel, model: mujoco.MjModel) -> tuple[int, ...] | None:
+    """Degrees of freedom whose actuator forces a channel measures; None of another channel."""
+    kind = int(mujoco.mjtSensor.mjSENS_JOINTACTFRC)
+    rows = [row for row in range(model.nsensor) if int(model.sensor_adr[row]) in channel.columns]
+    if any(int(model.sensor_type[row]) != kind for row in rows):
+        return None
+    return tuple(int(model.jnt_dofadr[model.sensor_objid[row]]) for row in rows)
+
+
+def _driven(force: Input, input_spec: int, model: mujoco.MjModel) -> tuple[int, ...]:
+    """Degrees of freedom that an input acts on with its own numbers: as forces, or through plain motors."""
+
+    def part(bit: int, width: int) -> range:
+        begin = mujoco.mj_stateSize(model, input_spec & (bit - 1))
+        return range(begin, begin + width) if input_spec & bit else range(0)
+
+    applied, controls = part(_JOINT_FORCE, model.nv), part(_CTRL, model.nu)
+    if force.columns[0] in applied:
+        return tuple(column - applied.start for column in force.columns)
+    found = []
+    for column in force.columns if force.delayed and split_key(force.key)[1] == "effort" else ():
+        row = int(np.flatnonzero(model.actuator_ctrladr == column - controls.start)[0])
+        kinds = model.actuator_trntype[row], model.actuator_gaintype[row], model.actuator_biastype[row]
+        plain = kinds == (_AT_JOINT, mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE)
+        size = model.actuator_gear[model.actuator_outadr[row], 0] * model.actuator_gainprm[row, 0]
+        if plain and size == 1.0 and not model.actuator_dyntype[row]:
+            found.append(int(model.jnt_dofadr[model.actuator_trnid[row, 0]]))
+    return tuple(found) if len(found) == len(force.columns) else ()

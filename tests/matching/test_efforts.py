@@ -1,0 +1,151 @@
+"""Efforts along the measured motion: what an engine predicts, what is compared, what identification finds."""
+
+import mujoco
+import numpy as np
+import pytest
+
+from amhe_cli.api.identify import identify
+from amhe_cli.core.errors import ConfigError, SimulationError
+from amhe_cli.core.log import Log
+from amhe_cli.engine.inverse import forces_along
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.offline.clips import whole
+from amhe_cli.matching.cost import MatchingCost
+from amhe_cli.system.system import System
+
+DT = 0.002
+XML = """
+<mujoco><option timestep="0.002"/><default><joint damping="0.2" frictionloss="0.3" armature="0.05"/></default>
+<worldbody><body name="upper"><joint name="a" axis="0 1 0"/>
+    <inertial pos="0 0 -0.2" mass="1.5" diaginertia="0.02 0.02 0.002"/>
+    <body name="lower" pos="0 0 -0.4"><joint name="b" axis="0 1 0"/>
+      <inertial pos="0.02 0 -0.15" mass="0.7" diaginertia="0.008 0.008 0.001"/></body></body>
+</worldbody><actuator><position name="pa" joint="a" kp="300"/><motor name="mb" joint="b"/></actuator></mujoco>
+"""
+JOINTS = ["a", "b"]
+PARAMETERS = {
+    "lower": {"targets": [{"set": "mass", "body": "lower"}], "prior_sd": 0.3},
+    "link": {"targets": [{"set": "pseudo_inertia", "body": "upper"}], "prior_sd": 0.3},
+    "friction": {"targets": [{"set": "friction_loss", "joint": "a"}], "prior_sd": 0.5},
+    "damping": {"targets": [{"set": "damping", "joint": "b"}], "prior_sd": 0.5},
+    "offset": {
+        "targets": [{"set": "bias", "signal": "torque", "quantity": "effort", "joint": "b"}],
+        "nominal": 0.0, "bounds": [-1.0, 1.0], "prior_sd": 0.3,
+    },
+    "scale": {
+        "targets": [{"set": "scale", "signal": "torque", "quantity": "effort", "joint": "a"}],
+        "nominal": 1.0, "bounds": [0.8, 1.2], "prior_sd": 0.01, "scale": "linear",
+    },
+}  # fmt: skip
+SIGNALS = {
+    "joints": {"joints": JOINTS, "noise": {"position": 1e-4}},
+    "torque": {"joint_force": JOINTS, "noise": {"effort": 0.1}},
+}
+EXACT = {"identify": {"profile_points": 0, "assumed": 0}}
+
+
+def system_of(**changes):
+    """The arm, its efforts to be matched."""
+    given = {"parameters": PARAMETERS, "signals": SIGNALS, "settings": EXACT, "match": "effort"}
+    return System.from_model(mujoco.MjSpec.from_string(XML), **(given | changes))
+
+
+def path(t, derivative=0, rng=None):
+    """Positions, or their derivatives, of two joints on sines of 0.2 to 1.3 Hz."""
+    rng = rng or np.random.default_rng(8)
+    w = 2 * np.pi * np.array([0.2, 0.5, 1.3])[:, None, None]
+    phase, size = rng.uniform(0, 6, (3, 1, 2)), rng.uniform(0.2, 0.5, (3, 1, 2))
+    return (size * w**derivative * np.sin(w * t[:, None] + phase + derivative * np.pi / 2)).sum(axis=0)
+
+
+def recorded(system, theta, noise=1.0, seconds=12.0, seed=0):
+    """A log of the arm at theta: torques are those that its motion needs."""
+    t, rng = np.arange(0.0, seconds, DT), np.random.default_rng(seed)
+    q, v, a = (path(t, k) for k in range(3))
+    model = system.edits.apply(system.model, theta)
+    tau = forces_along(model, q, v, a).needed + model.dof_frictionloss * np.sign(v)
+    values = dict(zip(system.space.names, theta, strict=True))
+    tau = np.array([values["scale"], 1.0]) * tau + np.array([0.0, values["offset"]])
+    arrays = {
+        "joints": {"time": t, "position": q + 1e-4 * noise * rng.standard_normal(q.shape)},
+        "torque": {"time": t, "effort": tau + 0.1 * noise * rng.standard_normal(q.shape)},
+    }
+    return Log.from_arrays(arrays, system)
+
+
+@pytest.fixture(scope="module")
+def system():
+    return system_of()
+
+
+def truth(system, seed=0):
+    """Parameters that are one prior sd or so off the nominal ones."""
+    z = np.random.default_rng([seed, 7]).uniform(-1.2, 1.2, len(system.space))
+    return system.space.theta_of(system.space.clip(z))
+
+
+def test_the_table_of_an_engine_is_what_mujoco_computes(system):
+    log, theta = recorded(system, truth(system)), truth(system, 1)
+    cost = MatchingCost(system, [whole(log)], open_engine(system), system.settings.cost)
+    found = cost.predict(system.space.z_of(theta)[None])
+    model, along = system.edits.apply(system.model, theta), cost.clips.starts.along
+    assert along is not None
+    forces = forces_along(model, *along.flat).needed + model.dof_frictionloss * along.dry[0]
+    values = dict(zip(system.space.names, theta, strict=True))
+    assert found.values[0][0, 0, :, 0] == pytest.approx(values["scale"] * forces[:, 0], abs=1e-9)
+    assert found.values[1][0, 0, :, 0] == pytest.approx(forces[:, 1] + values["offset"], abs=1e-9)
+    with pytest.raises(SimulationError, match="nothing is rolled out"):
+        cost.engine.rollout(theta[None], along.qpos[0], along.qvel[0], np.zeros((1, 1, 0)), np.ones(1, int))
+
+
+def test_residuals_at_the_truth_are_the_noise(system):
+    theta = truth(system)
+    cost = MatchingCost(system, [whole(recorded(system, theta))], open_engine(system), system.settings.cost)
+    residuals = cost.residuals(system.space.z_of(theta)[None])
+    for observed, values in zip(cost.clips.observed, residuals.values, strict=True):
+        white = values[0, 0, observed.mask[0], 0]
+        assert white.std() == pytest.approx(1.0, abs=0.2)
+        assert abs(np.corrcoef(white[1:], white[:-1])[0, 1]) < 0.3
+        # nothing is compared where the joint turns over, or its dry friction is not known
+        slow = np.abs(path((observed.rows[0] + 1) * DT, 1)[:, observed.channel.part]) < 0.01
+        assert not observed.mask[0][slow].any()
+
+
+def test_the_truth_is_found_within_its_intervals(system):
+    outside = []
+    for seed in range(4):
+        theta = truth(system, seed)
+        found = identify(system, recorded(system, theta, seed=seed), threads=1)
+        for (name, p), value in zip(found.parameters.items(), theta, strict=True):
+            if not p.interval[0] <= value <= p.interval[1]:
+                outside.append(name)
+        lower = found.parameters["lower"]
+        assert lower.estimate == pytest.approx(theta[0], rel=0.1)
+        assert set(found.found.noise_scale) == {"torque.effort of a", "torque.effort of b"}
+        assert all(0.8 < scale < 1.2 for scale in found.found.noise_scale.values())
+    assert len(outside) <= 0.25 * 4 * len(system.space)
+
+
+def test_a_motor_s_command_counts_as_its_torque_and_no_effort_is_refused():
+    signals = {
+        "joints": {"joints": JOINTS, "noise": {"position": 1e-4}},
+        "torque": {"actuators": ["mb"]},
+        "command": {"actuators": ["pa"]},
+    }
+    only = {name: PARAMETERS[name] for name in ("lower", "friction")}
+    system = system_of(signals=signals, parameters=only)
+    (effort,) = [c for c in system.channels if c.source == "effort"]
+    assert (effort.key, effort.columns, system.inputs) == ("torque.effort", (1,), ())
+    with pytest.raises(ConfigError, match="no signal measures an effort"):
+        system_of(signals={"joints": SIGNALS["joints"], "command": {"actuators": ["pa"]}}, parameters=only)
+
+
+def test_efforts_of_joint_states_are_compared_whatever_commands_them():
+    signals = {
+        "joints": {"joints": JOINTS, "noise": {"position": 1e-4, "effort": 0.1}},
+        "command": {"actuators": ["pa"]},
+    }
+    only = {name: PARAMETERS[name] for name in ("lower", "friction")}
+    system = system_of(signals=signals, parameters=only)
+    assert [c.columns for c in system.channels if c.compared] == [(0, 1)]
+    assert system.inputs == ()
