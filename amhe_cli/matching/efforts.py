@@ -39,7 +39,7 @@ _KEPT = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Path:
+class EffortPath:
     """A log's motion at the instants at which its efforts are compared, T of them.
 
     Args:
@@ -61,7 +61,7 @@ class Path:
     every: int
 
 
-def path_of(system: System, log: Log) -> Path:
+def path_of(system: System, log: Log) -> EffortPath:
     """The path of a log; see `motion_of` for its errors."""
     return _path(_Key(system), log)
 
@@ -83,7 +83,7 @@ class _Key:
 
 
 @lru_cache(maxsize=_KEPT)
-def _path(key: _Key, log: Log) -> Path:
+def _path(key: _Key, log: Log) -> EffortPath:
     system = key.system
     model, motion = system.model, motion_of(system, log)
     step = max(1, int(1.0 / (_RATE * max(float(motion.band.max()), 1e-9) * motion.step)))
@@ -104,7 +104,7 @@ def _path(key: _Key, log: Log) -> Path:
     known = (np.abs(dry) > _ACTS) & (np.abs(dry - other) < _KNOWN) | ~rubs
     variance = effort_variance(model, motion.qpos[rows], motion.qvel[rows], motion.qacc[rows], motion.sd)
     every = step * round(motion.step / log.dt)
-    return Path(motion.rows[rows], motion, rows, dry, known, variance, every)
+    return EffortPath(motion.rows[rows], motion, rows, dry, known, variance, every)
 
 
 @cache
@@ -124,7 +124,7 @@ def lowpassed(values: FloatArray, rows: IntArray, step: int) -> FloatArray:
     return spans[rows - kernel.size // 2] @ kernel
 
 
-def along_of(system: System, windows: Sequence[Window]) -> tuple[Along, list[tuple[Path, IntArray]]]:
+def along_of(system: System, windows: Sequence[Window]) -> tuple[Along, list[tuple[EffortPath, IntArray]]]:
     """The motion of windows, padded to the longest, and which instants of its log's path each has."""
     places = []
     for window in windows:
@@ -150,7 +150,7 @@ def along_of(system: System, windows: Sequence[Window]) -> tuple[Along, list[tup
 
 
 def measured_effort(
-    channel: Channel, window: Window, path: Path, own: IntArray
+    channel: Channel, window: Window, path: EffortPath, own: IntArray
 ) -> tuple[FloatArray, BoolArray, FloatArray]:
     """What one column of a series measured at m instants of a path: values, which count, and their sd, (m,).
 
@@ -168,7 +168,7 @@ def measured_effort(
 
 
 @lru_cache(maxsize=4 * _KEPT)
-def _filtered(path: Path, log: Log, key: str) -> tuple[FloatArray, BoolArray, FloatArray]:
+def _filtered(path: EffortPath, log: Log, key: str) -> tuple[FloatArray, BoolArray, FloatArray]:
     """A series after the low-pass along a path (T, k), where it is known (T,), and its noise sd (k,)."""
     series, half = log[key], _REACH * path.every
     total = len(series.valid)
