@@ -17,7 +17,14 @@ from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.offline.clips import split_held_out, whole
-from amhe_cli.estimation.validation.comparison import AtHorizon, Compared, at_horizon, best_of, verdict
+from amhe_cli.estimation.validation.comparison import (
+    AtHorizon,
+    Compared,
+    at_horizon,
+    best_of,
+    simplest_of,
+    verdict,
+)
 from amhe_cli.estimation.validation.horizon import HORIZONS, errors_of, starts
 from amhe_cli.report.comparison import comparison_record, comparison_table, write_comparison
 from amhe_cli.report.folder import reserve
@@ -86,6 +93,7 @@ def compare(
     threads: int | None = None,
     engine: str = "cpu",
     max_time: float | None = None,
+    simplest: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> Comparison:
     """Fit each system to the same logs, and score all on the same clips that were not fitted.
@@ -98,6 +106,7 @@ def compare(
         threads: CPU threads; None: all cores. Results do not depend on it.
         engine: What computes the rollouts: 'cpu', 'gpu', or 'auto', for each call the quicker.
         max_time: Time of the whole comparison [s], shared evenly; None: no limit.
+        simplest: Prefer the system with the fewest parameters of those within one standard error of the best.
         progress: Called with a line of text now and then.
 
     Raises:
@@ -133,7 +142,7 @@ def compare(
     say("held-out clips")
     parts = [whole(log) for log in unseen[0]] if held_out else split_held_out(logs[0], clips.held_out)[1]
     found = _scored(alike, results, unseen, parts, seed, threads, engine)
-    best = best_of(found)
+    best = simplest_of(found, [len(one.space) for one in alike]) if simplest else best_of(found)
     return Comparison(
         names=names,
         found=tuple(result.found for result in results),

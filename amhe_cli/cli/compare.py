@@ -14,6 +14,7 @@ from amhe_cli.cli.session import Session
 if TYPE_CHECKING:
     from amhe_cli.cli.progress import Shown
     from amhe_cli.cli.settings import Overrides
+    from amhe_cli.system.system import System
 
 
 @click.command(cls=parsing.Command, short_help="Which of several models predicts better?")
@@ -28,6 +29,12 @@ if TYPE_CHECKING:
     help="Log to fit; more may follow, as in --logs run*.csv.",
 )
 @options.held_out("Log to score on")
+@click.option(
+    "--friction",
+    is_flag=True,
+    help="Compare the friction models M1 to M6 of the one SYSTEM, and take the smallest within one standard "
+    "error of the best.",
+)
 @options.msg_path
 @click.option(
     "--max-time",
@@ -45,6 +52,7 @@ def compare(
     given: tuple[str, ...],
     logs: tuple[Path, ...],
     held_out: tuple[Path, ...],
+    friction: bool,
     msg_path: Path | None,
     overrides: Overrides,
     out: options.Output,
@@ -52,8 +60,9 @@ def compare(
 ) -> None:
     """Fit each SYSTEM to the same logs, and compare how well they predict what was not fitted.
 
-    SYSTEM is a bundled system or a folder with a system.yaml. Writes result.json and report.html, and the
-    files of each identification in a folder of its name.
+    SYSTEM is a bundled system or a folder with a system.yaml. With --friction it is one, and the models are
+    those of its joints' friction: constant, larger at rest, growing with load (docs/systems.md).
+    Writes result.json and report.html, and the files of each identification in a folder of its name.
     """
     from amhe_cli.api.compare import compare as run
     from amhe_cli.cli.inputs import Inputs
@@ -67,10 +76,14 @@ def compare(
     folder = out.reserve()
     inputs = [Inputs(name, {}, msg_path, None, None) for name in systems]
     opened = [one.open(logs, overrides) for one in inputs]
+    if friction:
+        opened = _with_frictions(opened)
+        inputs = inputs * len(opened)
     read = [one.read(system, logs) for one, system in zip(inputs, opened, strict=True)]
     scored = [one.read(system, held_out) for one, system in zip(inputs, opened, strict=True)]
     with progress(session, "compare", _shown) as show:
-        found = run(opened, read, held_out=scored if held_out else None, progress=show, **how)
+        unseen = scored if held_out else None
+        found = run(opened, read, held_out=unseen, simplest=friction, progress=show, **how)
     record = session.record(**found.record(), out=str(folder))
     found.write(folder, record, session.command_line)
     if session.json:
@@ -83,7 +96,29 @@ def compare(
     console.print()
     for text in found.verdicts:
         console.print(text)
+    if friction:
+        console.print("\n".join(_lines(opened[0], found.names[found.best])), soft_wrap=True)
     console.print(f"report: {folder / 'report.html'}", soft_wrap=True)
+
+
+def _with_frictions(systems: Sequence[System]) -> list[System]:
+    """The one system with each friction model."""
+    from amhe_cli.core.errors import ConfigError
+    from amhe_cli.system.friction_models import friction_models
+
+    if len(systems) != 1:
+        raise ConfigError("--friction compares friction models of one SYSTEM; give one")
+    return list(friction_models(systems[0]).values())
+
+
+def _lines(plain: System, name: str) -> list[str]:
+    """What to write into `system.yaml` to go on with a friction model."""
+    from amhe_cli.init.text import flow
+    from amhe_cli.system.friction_models import MODELS, friction_entries
+
+    entries = friction_entries(plain, name)
+    head = f"{name}: {MODELS[name][1]}" + ("; add to the parameters of system.yaml:" if entries else "")
+    return [head, *(f"  {key}: {flow(entry)}" for key, entry in entries.items())]
 
 
 def _parted(given: Sequence[str]) -> tuple[list[str], tuple[Path, ...]]:

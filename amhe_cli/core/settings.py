@@ -109,6 +109,13 @@ class AssumedSettings(SettingsGroup):
     """Dry friction of a joint, as a share of it."""
     stiffness: Share = 0.1
     """Stiffness of a joint's spring, as a share of it."""
+    load_friction: Share = 0.2
+    """How much of a geared joint's load its dry friction may grow by, where it does not in the model."""
+    stribeck: Share = 0.5
+    """How much larger a geared joint's dry friction may be at rest, as a share of it."""
+    spring: Share = 0.03
+    """Stiffness that a geared joint may have besides the model's, as its cables give it: torque at one radian
+    as a share of gravity's largest one."""
     geometry: Share = 0.01
     """Distance from one joint to the next, as a share of it."""
     gravity: Annotated[float, Field(ge=0, allow_inf_nan=False)] = 0.01
@@ -160,6 +167,9 @@ class IdentifySettings(SettingsGroup):
     logs with known parameters show. No log averages it away: it is added to the noise's sd."""
     assumed: AssumedSettings = AssumedSettings()
     """How far numbers of the model that are no parameters may be off."""
+    geared: list[str] = []
+    """Joints with a gear, by names or patterns. What their friction may have besides a constant is then an
+    assumed value too: `load_friction`, `stribeck` and `spring`. Joints of direct drives have none."""
     profile_points: Annotated[int, Field(ge=0)] = 11
     """Points of each parameter's cost profile; 0 draws none."""
 

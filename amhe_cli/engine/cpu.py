@@ -21,7 +21,7 @@ from amhe_cli.engine.rollout import (
     turns_of,
 )
 from amhe_cli.engine.states import controls, first_activations, without_contacts
-from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE, GearFriction
+from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE, GearFriction, ahead
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
@@ -180,18 +180,25 @@ class CpuEngine:
         before = batch.state[ids]
         run(control[:, :1])  # for the forces at the start, upon which friction depends
         batch.state[ids] = before
-        pieces = []
+        pieces, now = [], None
         for first in range(0, control.shape[1], every):
-            self._set_friction(self._gear, batch, ids)
+            now = self._set_friction(self._gear, batch, ids, every, now)
             pieces.append(run(control[:, first : first + every]))
         return {name: np.concatenate([piece[name] for piece in pieces], axis=1) for name in record}
 
-    def _set_friction(self, gear: GearFriction, batch: mujoco.batch.Batch, ids: IntArray) -> None:
-        """Set what friction can hold by the newest forces: those at the start of the last step."""
+    def _set_friction(
+        self,
+        gear: GearFriction,
+        batch: mujoco.batch.Batch,
+        ids: IntArray,
+        every: int,
+        before: FloatArray | None,
+    ) -> FloatArray:
+        """Set what friction can hold by the newest forces, and return what these alone say."""
         rows = ids[:, None]
         holds = batch.expand("dof_frictionloss")
         motor, damper, smooth, constraint, speed = (batch.bind(name)[rows, gear.dofs] for name in _FORCES)
-        holds[rows, gear.dofs] = gear.bound(
+        now = gear.bound(
             numbers=self._fields["numeric_data"][ids[:, None, None], gear.at],
             dry=self._fields["dof_frictionloss"][rows, gear.dofs],
             motor=motor,
@@ -200,6 +207,8 @@ class CpuEngine:
             speed=speed,
             holds=holds[rows, gear.dofs],
         )
+        holds[rows, gear.dofs] = now if before is None else ahead(now, before, every)
+        return now
 
 
 def _groups(lengths: IntArray) -> list[tuple[IntArray, int]]:

@@ -42,7 +42,7 @@ def system_text(
         f"# A first system, guessed by `amhe init` from {printable(original)} and {printable(names)}.",
         "# Read it, correct it, then: amhe identify LOG --system THIS_FOLDER",
         *(f"#   {printable(note)}" for note in notes),
-        f"model: {_flow(model)}",
+        f"model: {flow(model)}",
         "",
         "# The unknowns. nominal and prior_sd are the prior, before a log is read; prior_sd is the",
         "# standard deviation of log(value) with scale: log (0.5 is a factor of 1.65), else of the value.",
@@ -60,22 +60,22 @@ def system_text(
 
 
 def _parameter(guess: Guess) -> Iterator[str]:
-    yield f"  {_flow(guess.name)}:  # {printable(guess.why)}"
+    yield f"  {flow(guess.name)}:  # {printable(guess.why)}"
     for key, value in guess.entry.items():
         if key != "targets":
-            yield f"    {key}: {_flow(value)}"
+            yield f"    {key}: {flow(value)}"
     yield "    targets:"
-    yield from (f"      - {_flow(target)}" for target in guess.entry["targets"])
+    yield from (f"      - {flow(target)}" for target in guess.entry["targets"])
 
 
 def _signal(guess: Guess) -> Iterator[str]:
-    yield f"  {_flow(guess.name)}:  # {printable(guess.why)}"
-    yield from (f"    {key}: {_flow(value)}" for key, value in guess.entry.items())
+    yield f"  {flow(guess.name)}:  # {printable(guess.why)}"
+    yield from (f"    {key}: {flow(value)}" for key, value in guess.entry.items())
     if guess.noise:
-        yield f"    noise: {_flow(guess.noise)}"
+        yield f"    noise: {flow(guess.noise)}"
 
 
-def _flow(value: Any) -> str:
+def flow(value: Any) -> str:
     """A value on one line of YAML."""
     plain = dict(value) if isinstance(value, Mapping) else value
     text = yaml.safe_dump(plain, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)

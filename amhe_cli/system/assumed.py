@@ -16,12 +16,15 @@ import numpy as np
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.parameters import Parameter, ParameterSpace
+from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.system.description.data import Channel
 from amhe_cli.system.description.targets import gain_cells
+from amhe_cli.system.model.elements import matching_rows
 from amhe_cli.system.model.files import compiled
 from amhe_cli.system.parameters.calibration import SignalCalibration
 from amhe_cli.system.parameters.cells import Cells, range_cells
 from amhe_cli.system.parameters.edits import Mode
+from amhe_cli.system.parameters.gear_friction import number_cells
 from amhe_cli.system.parameters.model_edits import ModelEdits
 from amhe_cli.system.system import System
 
@@ -50,6 +53,7 @@ class Assumed:
         sd: How far it may be off: a share where multiplied [-], else in the number's own unit.
         amount, unit: `sd` as people read it, such as 10 and '%'.
         acts: Share of the steps in which it acts; None for what always does.
+        grows: It can only become more: less of it has no effect that a slope would show.
     """
 
     setting: str
@@ -61,6 +65,7 @@ class Assumed:
     amount: float
     unit: str
     acts: float | None = None
+    grows: bool = False
 
     @property
     def parameter(self) -> Parameter:
@@ -202,6 +207,7 @@ def assumed_of(
     for setting, kind, members in (*_drives(model, acts), *_joints(model, acts)):
         free = [member for member in members if not _set(member.cells, taken)]
         found += _grouped(model, setting, kind, getattr(settings, setting), free)
+    found += _gears(model, system.settings.identify.geared, settings, taken)
     found += _ranges(model, settings.joint_limit, acts.joint)
     found += _centres(model, edits, settings.center_of_mass, felt)
     found += _masses(model, settings.mass, taken)
@@ -310,6 +316,44 @@ def _ranges(model: mujoco.MjModel, share: float, hit: BoolArray) -> Iterator[Ass
         yield Assumed(
             "joint_limit", name, "", ends, "add", sd, 100.0 * share, "% of it", float(hit[:, row].mean())
         )
+
+
+def _gears(
+    model: mujoco.MjModel,
+    geared: Sequence[str],
+    settings: AssumedSettings,
+    taken: Collection[tuple[str, int]],
+) -> Iterator[Assumed]:
+    """What friction of geared joints may have besides a constant, and the springs that cables make."""
+    rows = {row for pattern in geared for row in matching_rows(model, "joint", pattern)}
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    for row in sorted(rows):
+        name, dof, body = model.joint(row).name, int(model.jnt_dofadr[row]), int(model.jnt_bodyid[row])
+        dry, arm = float(model.dof_frictionloss[dof]), data.subtree_com[body] - data.xanchor[row]
+        weight = float(model.body_subtreemass[body] * np.linalg.norm(model.opt.gravity))
+        lever = float(np.linalg.norm(arm - (arm @ data.xaxis[row]) * data.xaxis[row]))
+        share, rest, stiffness = (
+            settings.load_friction / np.sqrt(2.0),
+            settings.stribeck * dry,
+            settings.spring,
+        )
+        stiffness *= weight * lever
+        for setting, word, what, sd, unit in (
+            ("load_friction", "load_friction_motor", "whatever its motor does", share, "% of the torque"),
+            ("load_friction", "load_friction_external", "whatever its load", share, "% of the load"),
+            ("stribeck", "stribeck_friction", "also at rest", rest, "N m"),
+        ):
+            cells = tuple(number_cells(model, row, word))
+            if sd and not _set(cells, taken):
+                what = f"the constant friction of {name}, {what}"
+                amount = 100.0 * sd if unit.startswith("%") else sd
+                yield Assumed(setting, what, "", cells, "add", sd, amount, unit, grows=True)
+        spring = (Cells("jnt_stiffness", row),)
+        if stiffness and not _set(spring, taken) and not np.any(model.jnt_stiffness[row]):
+            yield Assumed(
+                "spring", f"no spring at {name}", "", spring, "add", stiffness, stiffness, "N m/rad"
+            )
 
 
 def _moving(model: mujoco.MjModel) -> list[int]:

@@ -1,12 +1,19 @@
 """`amhe compare`: systems fitted to the same logs, and scored on the same clips."""
 
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import amhe_cli as amhe
 from amhe_cli.cli.compare import _parted
+from amhe_cli.engine.open import open_engine
+from amhe_cli.system.friction_models import friction_models
+from tests.conftest import MODELS
 
 QUICK = {
     "clips": {"count": 6},
@@ -50,3 +57,50 @@ def test_wrong_arguments_are_one_line(pendulum_log: Path) -> None:
         amhe.compare([system], [[log]])
     with pytest.raises(amhe.AmheError, match="the same logs"):
         amhe.compare([system, system], [[log], []])
+
+
+@pytest.mark.slow
+def test_the_smallest_friction_model_that_explains_a_geared_joint_wins(tmp_path: Path) -> None:
+    """Its lines can be pasted into system.yaml, and the result is a file like all others."""
+    truth = friction_models(amhe.System.load("pendulum", QUICK))["M3"]
+    rng = np.random.default_rng(4)
+    time = np.arange(0.0, 6.0, truth.dt)
+    command = (
+        0.7 * np.sin(1.3 * time + 2.0 * np.sin(0.7 * time))[:, None] + 0.2 * np.sin(11.0 * time)[:, None]
+    )
+    theta = truth.space.nominal.copy()
+    theta[list(truth.space.names).index("load_friction")] = 0.25
+    engine = open_engine(truth, threads=1)
+    zeros = np.zeros((1, 1))
+    motion = engine.rollout(theta[None], zeros, zeros, command[None], np.array([len(time)])).qpos[0]
+    log = tmp_path / "log.csv"
+    rows = np.column_stack((time, motion + rng.normal(0.0, 0.002, motion.shape), command))[::5]
+    np.savetxt(log, rows, delimiter=",", header="time,hinge,target", comments="")
+    folder = tmp_path / "servo"
+    shutil.copytree(MODELS / "pendulum", folder)
+    text = (folder / "system.yaml").read_text().partition("\nsignals:")[0]
+    signals = (
+        "\nsignals:\n  joints: {columns: {position: [hinge]}, joints: [hinge], noise: {position: 0.002}}\n"
+        "  command: {columns: {position: [target]}, actuators: [servo]}\n"
+    )
+    (folder / "system.yaml").write_text(text + signals)
+    quick = [
+        "--set=clips.count=4",
+        "--set=identify.iterations=3",
+        "--set=identify.profile_points=0",
+        "--set=identify.first_state=never",
+    ]
+    out = tmp_path / "out"
+    given = ["compare", "--friction", str(folder), "--logs", str(log), "-o", str(out), "--threads=1", *quick]
+    done = subprocess.run([sys.executable, "-m", "amhe_cli", *given], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    record = json.loads((out / "result.json").read_text())
+    assert [one["name"] for one in record["systems"]] == ["M1", "M2", "M3", "M4", "M5", "M6"]
+    assert record["best"] == "M3"
+    lines = done.stdout.split("add to the parameters of system.yaml:\n")[1].splitlines()[0]
+    again = text.replace("parameters:\n", f"parameters:\n{lines}\n") + signals
+    (folder / "system.yaml").write_text(again)
+    system = amhe.System.load(folder)
+    assert "load_friction" in system.space.names
+    with pytest.raises(amhe.AmheError, match="parameters of its gears' friction"):
+        friction_models(system)

@@ -10,8 +10,11 @@ from __future__ import annotations
 import mujoco_warp as mjw
 import warp as wp
 
+from amhe_cli.system.parameters.gear_friction import AHEAD
+
 #: MuJoCo's own bound (mjMAXVAL): a state beyond it has diverged.
 LARGEST = wp.constant(1.0e10)
+LEAP = wp.constant(AHEAD)
 #: Buffers that were too small; the worlds are made again with larger ones.
 FULL = wp.constant(
     int(
@@ -103,6 +106,13 @@ def hold_dry(begins: wp.array[bool], dry: wp.array2d[float], holds: wp.array2d[f
         holds[world, dof] = dry[world, dof]
 
 
+@wp.func
+def under_load(k_e: float, external: float, k_m: float, motor: float):
+    """As `gear_friction` has it."""
+    sign = wp.sign(k_e * wp.abs(external) + k_m * wp.abs(motor))
+    return sign * wp.abs(k_e * external - k_m * motor)
+
+
 @wp.kernel
 def hold(
     clock: wp.array[int],
@@ -116,9 +126,10 @@ def hold(
     qfrc_smooth: wp.array2d[float],
     qfrc_constraint: wp.array2d[float],
     qvel: wp.array2d[float],
+    before: wp.array2d[float],
     holds: wp.array2d[float],
 ):
-    """What friction can hold, as `GearFriction.bound` has it. Thread (world, joint).
+    """What friction can hold, as `GearFriction.bound` and `ahead` have it. Thread (world, joint).
 
     It is set before every so many steps; with 0, in the worlds that begin a rollout.
     """
@@ -134,11 +145,17 @@ def hold(
     contact = wp.sign(constraint) * wp.max(wp.abs(constraint) - holds[world, dof], 0.0)
     external = qfrc_smooth[world, dof] - qfrc_damper[world, dof] - motor + contact
     slow = wp.exp(-wp.pow(wp.abs(qvel[world, dof] / numbers[world, joint, 3]), numbers[world, joint, 4]))
-    found = dry[world, dof] + wp.abs(numbers[world, joint, 1] * external - numbers[world, joint, 0] * motor)
-    stuck = wp.abs(numbers[world, joint, 6] * external - numbers[world, joint, 5] * motor)
+    found = dry[world, dof] + under_load(numbers[world, joint, 1], external, numbers[world, joint, 0], motor)
+    stuck = under_load(numbers[world, joint, 6], external, numbers[world, joint, 5], motor)
     found += slow * (numbers[world, joint, 2] + stuck)
     found += numbers[world, joint, 7] * wp.max(-motor * external, 0.0)
-    holds[world, dof] = wp.max(found, 0.0)
+    now = wp.max(found, 0.0)
+    if every == 0:
+        holds[world, dof] = now
+    else:
+        line = now + (now - before[world, joint]) * (0.5 + 0.5 / float(every))
+        holds[world, dof] = wp.clamp(line, now / LEAP, now * LEAP)
+    before[world, joint] = now
 
 
 @wp.kernel

@@ -151,6 +151,7 @@ class Worlds:
             if blueprint.gear is not None:
                 self._dry = wp.zeros_like(model.dof_frictionloss)
                 self._numbers = wp.zeros((count, *blueprint.gear.at.shape), dtype=float)
+                self._before = wp.zeros((count, len(blueprint.gear.dofs)), dtype=float)
                 self._forces = captured(self._device, lambda: _forces(model, data))
             if blueprint.edits.needs_set_const:
                 self._derive = captured(self._device, lambda: mjw.set_const(model, data, restore=False))
@@ -256,7 +257,17 @@ class Worlds:
             self._recorded(
                 kernels.hold,
                 (self.count, len(gear.dofs)),
-                (self.clock, each, self._begins, dofs, self._numbers, self._dry, *forces, holds),
+                (
+                    self.clock,
+                    each,
+                    self._begins,
+                    dofs,
+                    self._numbers,
+                    self._dry,
+                    *forces,
+                    self._before,
+                    holds,
+                ),
             )
             for each in (0, every)
         )

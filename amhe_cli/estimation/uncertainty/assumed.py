@@ -289,11 +289,13 @@ class _Nuisances:
             return np.zeros((len(fit.weight), 0, fit.slopes.residual.shape[1]))
         system = with_assumed(self.problem.system, self.values)
         cost = fit.slopes.cost.upon(self.problem.engine.upon(system.model, system.edits), system)
-        steps = size * np.concatenate((np.eye(k), -np.eye(k)))
+        down = np.diag([-float(not value.grows) for value in self.values])
+        steps = size * np.concatenate((np.eye(k), down))
         z = np.concatenate((fit.z + steps @ moves.T, steps), axis=1)
         first = fit.slopes.first.mean + np.einsum("pk,cxk->pcx", steps, turns)
         residuals = cost.residuals(z, first if first.shape[2] else None)
-        change = np.einsum("pk,pcr->ckr", steps, residuals.flat) / (2.0 * size**2)
+        change = (residuals.flat[:k] - residuals.flat[k:]) / (size * (1.0 - down.diagonal()))[:, None, None]
+        change = change.swapaxes(0, 1)
         gz, gx = np.split(fit.slopes.gain, [len(fit.z)], axis=1)
         return change - np.einsum("dk,cdr->ckr", moves, gz) - np.einsum("cxk,cxr->ckr", turns, gx)
 

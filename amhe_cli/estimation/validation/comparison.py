@@ -115,6 +115,26 @@ def best_of(found: Sequence[AtHorizon]) -> int:
     return int(np.mean([np.log(one.ratios).mean(axis=1) for one in telling], axis=0).argmin())
 
 
+def simplest_of(found: Sequence[AtHorizon], sizes: Sequence[int]) -> int:
+    """The smallest model that is within one standard error of the best.
+
+    The standard error is that of the paired difference, in the mean over the horizons, from the interval of
+    the bootstrap.
+
+    Args:
+        found: Errors at each horizon.
+        sizes: Number of parameters of each model.
+    """
+    best, telling = best_of(found), [one for one in found if one.clips >= FEWEST]
+    within = np.zeros(len(sizes), dtype=bool)
+    within[best] = True
+    if telling:
+        worse = np.mean([np.log(one.ratios[:, best]) for one in telling], axis=0)
+        width = np.mean([np.log(one.upper[:, best] / one.lower[:, best]) for one in telling], axis=0)
+        within |= worse <= width / (2.0 * 1.96)
+    return min(map(int, np.flatnonzero(within)), key=lambda i: (sizes[i], i != best))
+
+
 def verdict(found: Sequence[AtHorizon], names: Sequence[str], best: int, other: int) -> str:
     """What the logs say of the best system against another one, in words."""
     one, two = names[best], names[other]
@@ -127,6 +147,9 @@ def verdict(found: Sequence[AtHorizon], names: Sequence[str], best: int, other: 
         times = _listed([f"{at.horizon:.3g} s" for at in wins])
         worse = _listed([f"{at.horizon:.3g} s" for at in losses])
         return f"{one} predicts better than {two} after {times}, and worse after {worse}"
+    if losses:
+        sizes = _listed([f"{1.0 - at.ratios[other, best]:.0%} after {at.horizon:.3g} s" for at in losses])
+        return f"{two} predicts better than {one}: its error is smaller by {sizes}"
     if all(at.clips < FEWEST for at in found):
         return f"the logs cannot tell {one} from {two}: fewer than {FEWEST} clips were held out"
     return f"the logs cannot tell {one} from {two}: their errors differ by no more than chance"

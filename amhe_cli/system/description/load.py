@@ -21,7 +21,7 @@ from amhe_cli.system.description.folders import FILE_NAME, find_system
 from amhe_cli.system.description.parameters import generalise, unknowns_of
 from amhe_cli.system.description.schema import Description, SystemEntry, robot_groups, validated
 from amhe_cli.system.description.signals import draft_wiring
-from amhe_cli.system.model.elements import id_of
+from amhe_cli.system.model.elements import id_of, matching_rows
 from amhe_cli.system.model.files import compiled, read_spec, read_without_meshes, resize_boxes, spec_of
 from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
 
@@ -143,7 +143,7 @@ def _built(
     calibrated = draft.calibrated(entry.signals, wiring, base)
     space, edits, calibration = unknowns_of(source, entry, base, calibrated, delays)
     keyframe = _keyframe(source, entry, base)
-    _refuse_strangers(source, entry)
+    _refuse_strangers(source, entry, base)
     source.raise_problems()
     for parameter_name, parameter in entry.parameters.items():
         if not delays.commands and any(target.set == "command_delay" for target in parameter.targets):
@@ -175,8 +175,13 @@ def _built(
     )
 
 
-def _refuse_strangers(file: Description, entry: SystemEntry) -> None:
-    """Refuse settings of parameters that do not exist."""
+def _refuse_strangers(file: Description, entry: SystemEntry, model: mujoco.MjModel) -> None:
+    """Refuse settings of parameters and joints that do not exist."""
+    for pattern in entry.settings.identify.geared:
+        try:
+            matching_rows(model, "joint", pattern)
+        except ConfigError as error:
+            file.problem(("settings", "identify", "geared"), str(error))
     mhe, identify = entry.settings.mhe, entry.settings.identify
     for group, setting, given in (
         ("mhe", "prior_weight", mhe.prior_weight),
@@ -231,7 +236,8 @@ def _check_names(file: YamlFile, overrides: Mapping[str, Any], schema: type[Sett
         if not isinstance(known, Mapping) or not isinstance(given, Mapping):
             continue
         for name in set(given) - set(known):
-            raise ConfigError(f"setting {group}.{name}: {one_of(group[:-1], str(name), map(str, known))}")
+            if "targets" not in (given[name] or {}):  # else it is a whole new parameter
+                raise ConfigError(f"setting {group}.{name}: {one_of(group[:-1], str(name), map(str, known))}")
 
 
 def _spec(file: YamlFile, path: Path, entry: SystemEntry, boxes: bool) -> mujoco.MjSpec | None:

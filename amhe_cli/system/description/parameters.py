@@ -46,6 +46,7 @@ def generalise(spec: mujoco.MjSpec, entry: SystemEntry) -> None:
     targets = [target for parameter in entry.parameters.values() for target in parameter.targets]
     moved = [target.body for target in targets if target.set in _GENERAL and target.body]
     geared = [target.joint for target in targets if target.set in (*OWN, *BOTH) and target.joint]
+    geared += entry.settings.identify.geared
     for body in spec.bodies:
         if _meant(body.name, moved):
             body.simple = 0
