@@ -11,7 +11,7 @@ from amhe_cli.cli.progress import Shown, progress
 from amhe_cli.cli.session import Session
 
 
-@click.command(cls=parsing.Command, short_help="A log in another format: MCAP, CSV, npz.")
+@click.command(cls=parsing.Command, short_help="A log as tables: CSV, npz.")
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
@@ -21,11 +21,11 @@ from amhe_cli.cli.session import Session
     type=click.Path(path_type=Path),
     required=True,
     metavar="OUT",
-    help="What to write: OUT.mcap, OUT.csv or OUT.npz; without an ending, a folder of CSV files.",
+    help="What to write: OUT.csv or OUT.npz; without an ending, a folder of CSV files.",
 )
 @click.option(
     "--each",
-    type=click.Choice(("mcap", "csv", "npz", "folder")),
+    type=click.Choice(("csv", "npz", "folder")),
     help="Write each LOG in this form into the folder OUT; needed for several logs.",
 )
 @options.system_or("none: everything that is numeric is written")
@@ -44,7 +44,7 @@ def convert(
     msg_path: Path | None,
     force: bool,
 ) -> None:
-    """Write LOG... in another format, with the log's metadata.
+    """Write LOG... as tables, with the log's metadata.
 
     With --system only the signals of that system are written, by their names.
     """

@@ -1,4 +1,4 @@
-"""A log in another format: MCAP, CSV, npz, or a folder of CSV files."""
+"""A log as tables: CSV, npz, or a folder of CSV files."""
 
 from __future__ import annotations
 
@@ -12,25 +12,21 @@ import numpy as np
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.files import filling
 from amhe_cli.core.settings import LogSettings
-from amhe_cli.core.signals import QUANTITIES, Measured, Signal, remapped
-from amhe_cli.logs.collect import missing
+from amhe_cli.core.signals import Measured, Signal, remapped
 from amhe_cli.logs.containers.folder import StoredLog, open_log
 from amhe_cli.logs.containers.raw import Batch, Connection, readable
-from amhe_cli.logs.containers.table_file import ENCODING as TABLE
 from amhe_cli.logs.containers.table_file import clock_among
 from amhe_cli.logs.containers.table_writer import Columns, joined, write_csv, write_npz
 from amhe_cli.logs.messages.definitions import Definitions
-from amhe_cli.logs.messages.signal_writer import write_samples
 from amhe_cli.logs.messages.types import TYPES
-from amhe_cli.logs.messages.writer import LogWriter
 from amhe_cli.logs.survey import Survey, TopicSurvey, read_metadata, survey
-from amhe_cli.logs.tables import fields_of, signals_on_tables, table_columns, table_name
+from amhe_cli.logs.tables import fields_of, table_columns, table_name
 from amhe_cli.logs.tracks import SignalTrack, read_tracks
 
 logger = logging.getLogger(__name__)
 
 #: Endings of the files that are written; a path without an ending is a folder of CSV files.
-FORMS = (".mcap", ".csv", ".npz", "")
+FORMS = (".csv", ".npz", "")
 #: A longer array in a message is an image or a cloud of points; such a topic has no place in a table.
 _LONGEST = 1000
 #: Messages between two calls of `Progress`.
@@ -49,17 +45,16 @@ def convert(
     force: bool = False,
     progress: Progress | None = None,
 ) -> None:
-    """Write a log in another format, with its metadata.
+    """Write a log as tables, with its metadata.
 
-    In a table the times count from the log's first sample, and values are in SI units. Signals or topics
+    The times count from the log's first sample, and values are in SI units. Signals or topics
     with clocks of their own share the rows of one table, with blank cells; in a folder, each has a file of
     its own.
 
     Args:
         path: A log of any format that docs/logs.md lists; of a LeRobot dataset, one episode.
-        out: What to write: a file that ends in .mcap, .csv or .npz; without an ending, a folder of CSVs.
-        system: Only its signals are written, called by their names; None: everything that is numeric. To
-            MCAP, messages are copied as they are.
+        out: What to write: a file that ends in .csv or .npz; without an ending, a folder of CSVs.
+        system: Only its signals are written, called by their names; None: everything that is numeric.
         topics: Name of a signal of the system -> topic to read it from instead.
         msg_path: Folder of .msg files for message types that the log does not define.
         force: Replace a file that exists; write into a folder that is not empty.
@@ -79,9 +74,6 @@ def convert(
     with readable(path):
         log = replace(open_log(path), watch=watch)
         metadata = read_metadata(path)
-        if out.suffix == ".mcap":
-            _to_mcap(log, out, signals, definitions, settings, metadata)
-            return
         tables = [one for one in log.connections if table_columns(one)]
         only_tables = signals is None and 0 < len(tables) == len(log.connections)
         if only_tables:
@@ -112,7 +104,7 @@ def _to_folder(
     files: dict[str, str] = {}
     for name in parts:
         if (other := files.setdefault(table_name(name), name)) != name:
-            raise ConfigError(f"{out}: topics {other!r} and {name!r} would share a file; write .mcap or .csv")
+            raise ConfigError(f"{out}: topics {other!r} and {name!r} would share a file; write .csv")
     with filling(out) as folder:
         for name, group in parts.items():
             write_csv(folder / f"{table_name(name)}.csv", joined(group), metadata, start_ns)
@@ -125,7 +117,10 @@ def check_out(out: Path, force: bool) -> None:
         ConfigError: It exists and `force` is not given, or its ending is none of `FORMS`.
     """
     if out.suffix not in FORMS:
-        raise ConfigError(f"{out}: a log is written as .mcap, .csv, .npz, or, without an ending, as a folder")
+        raise ConfigError(
+            f"{out}: a log is written as .csv, .npz, or, without an ending, as a folder; rosbags-convert, "
+            "which comes with amhe, writes bags and MCAP files"
+        )
     if out.exists() and out.is_dir() == bool(out.suffix):
         raise ConfigError(f"{out}: is a {'folder' if out.is_dir() else 'file'}; choose another name")
     if not force and out.exists() and (out.suffix or any(out.iterdir())):
@@ -143,50 +138,6 @@ def _counter(progress: Progress | None) -> Callable[[Batch], None]:
             progress(count)
 
     return watch
-
-
-def _to_mcap(
-    log: StoredLog,
-    out: Path,
-    signals: Sequence[Signal] | None,
-    definitions: Definitions,
-    settings: LogSettings,
-    metadata: Mapping[str, str],
-) -> None:
-    """Messages as they are; the tables' rows as JSON, or as ROS messages of the system's signals."""
-    tables = any(connection.encoding == TABLE for connection in log.connections)
-    tracks = _tracks(log, signals, definitions, settings) if tables and signals else []
-    there = signals_on_tables(log.connections, signals or ())
-    copied = set()
-    with filling(out.parent) as folder, LogWriter(folder / out.name, metadata) as writer:
-        if tracks:
-            _write(writer, signals or (), tracks)
-            return
-        for batch in log.batches({signal.topic for signal in there} or None):
-            writer.copy(batch)
-            copied.add(batch.connection.topic)
-        for signal in there:
-            if signal.topic not in copied:
-                raise LogError(f"{log.path}: {missing(log, signal)}")
-    for problem in log.problems:
-        logger.warning("%s: %s", log.path, problem)
-
-
-def _write(writer: LogWriter, signals: Sequence[Signal], tracks: Sequence[SignalTrack]) -> None:
-    """Signals as the messages that ROS has for them, on topics of their own names where they have none."""
-    start_ns = min(int(track.times.stamps_ns[0]) for track in tracks)
-    samples = {
-        track.signal.key(quantity): ((track.times.stamps_ns - start_ns) / 1e9, values)
-        for track in tracks
-        for quantity in track.samples.values
-        if (values := track.carried(quantity)) is not None
-    }
-    carried = {s.name: tuple(q for q in QUANTITIES if s.key(q) in samples) for s in signals}
-    named = [
-        replace(s, topic=s.topic or f"/{s.name}", quantities=carried[s.name], fields={}) for s in signals
-    ]
-    origin_ns = start_ns if start_ns > 0 else 10**9  # a header stamp of 0 is one that was not set
-    write_samples(writer, named, samples, lambda time: origin_ns + round(1e9 * time))
 
 
 def _tracks(

@@ -13,8 +13,6 @@ from amhe_cli.core.errors import LogError, one_of
 from amhe_cli.core.signals import DERIVED, Signal
 from amhe_cli.logs.containers.raw import Connection
 from amhe_cli.logs.containers.table_file import ENCODING
-from amhe_cli.logs.messages.json_rows import schema_columns
-from amhe_cli.logs.messages.types import TYPES
 
 #: Last part of a column's name, for the numbers of a quantity that has no entries of its own.
 _PARTS = {"orientation": ("w", "x", "y", "z")}
@@ -22,23 +20,17 @@ _XYZ = ("x", "y", "z")
 
 
 def fields_of(connection: Connection) -> dict[str, int | None]:
-    """Column of a table -> how many numbers one cell holds, None for a single one; {} for any other topic.
-
-    JSON messages whose schema lists plain numbers and arrays of a fixed length are the rows of a table, too.
-    """
-    if connection.encoding == ENCODING:
-        return dict(json.loads(connection.definition))
-    return schema_columns(connection.definition) if connection.encoding == "json" else {}
+    """Column of a table -> how many numbers one cell holds, None for a single one; {} for any other topic."""
+    return dict(json.loads(connection.definition)) if connection.encoding == ENCODING else {}
 
 
 def table_columns(connection: Connection) -> tuple[str, ...]:
     """Columns of a table as people write them, 'q1' or 'positions[6]'; none for other connections."""
-    fields = {} if connection.type in TYPES else fields_of(connection)
-    return tuple(f"{name}[{count}]" if count else name for name, count in fields.items())
+    return tuple(f"{name}[{count}]" if count else name for name, count in fields_of(connection).items())
 
 
 def signals_on_tables(connections: Sequence[Connection], signals: Sequence[Signal]) -> list[Signal]:
-    """The signals with their topics and fields, where these are tables or JSON messages like rows of one.
+    """The signals with their topics and fields, where the log holds tables.
 
     A log of one table needs no topic: every signal is read from it. In any other log, a signal without a
     topic is read from the topic of its own name.
@@ -46,28 +38,15 @@ def signals_on_tables(connections: Sequence[Connection], signals: Sequence[Signa
     Raises:
         LogError: A column is absent, or a signal does not name the columns to read.
     """
-    named = [signal if signal.topic else replace(signal, topic=f"/{signal.name}") for signal in signals]
-    tables = {one.topic.strip("/"): one for one in connections if table_columns(one)}
-    if any(one.encoding == ENCODING for one in connections):
+    tables = {one.topic.strip("/"): one for one in connections if one.encoding == ENCODING}
+    if tables:
         return [_on_table(tables, signal) for signal in signals]
-    only = len(tables) == len(connections)
-    return [
-        _on_table(tables, signal) if tables and _is_table(messages, connections, only) else messages
-        for signal, messages in zip(signals, named, strict=True)
-    ]
+    return [signal if signal.topic else replace(signal, topic=f"/{signal.name}") for signal in signals]
 
 
 def table_name(topic: str) -> str:
     """Name of the table, and of its file, that holds a topic."""
     return "".join("_" if c in "/." or not c.isprintable() else c for c in topic.strip("/"))
-
-
-def _is_table(signal: Signal, connections: Sequence[Connection], only: bool) -> bool:
-    """Whether a signal is read from JSON messages as from a table; `only`: there are no others."""
-    here = [one for one in connections if one.topic == signal.topic]
-    if any(one.type in TYPES for one in here):
-        return False
-    return bool(signal.columns) or (only and not (here and signal.fields))
 
 
 def _on_table(tables: Mapping[str, Connection], signal: Signal) -> Signal:

@@ -13,7 +13,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
-from unittest.mock import Mock
 
 import lz4.frame
 import numpy as np
@@ -25,7 +24,6 @@ from mcap.writer import CompressionType, Writer
 from amhe_cli.core.errors import AmheError, LogError
 from amhe_cli.core.limits import limit
 from amhe_cli.logs import Survey, survey
-from amhe_cli.logs.containers.arrow_file import unfolded_size
 from amhe_cli.logs.containers.folder import open_log
 from tests.logs.log_makers import ROS2, motion, write_rosbag2
 from tests.logs.test_lerobot import dataset
@@ -407,15 +405,6 @@ def _parquet(path: Path) -> None:
             file.write_table(pa.table({"time": zeros}))
 
 
-def _feather(path: Path) -> None:
-    pa = pytest.importorskip("pyarrow")
-    batch = pa.record_batch({"time": np.zeros(2**20)})
-    options = pa.ipc.IpcWriteOptions(compression="zstd")
-    with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, batch.schema, options=options) as file:
-        for _ in range(12):
-            file.write_batch(batch)
-
-
 def _lists(path: Path) -> None:
     pa = pytest.importorskip("pyarrow")
     import pyarrow.parquet as parquet
@@ -425,7 +414,7 @@ def _lists(path: Path) -> None:
 
 
 @pytest.mark.medium
-@pytest.mark.parametrize("write", [_npz, _hdf5, _parquet, _lists, _feather])
+@pytest.mark.parametrize("write", [_npz, _hdf5, _parquet, _lists])
 def test_tables_of_zeros(write: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / f"log{'.npz' if write is _npz else ''}"
     write(path)
@@ -512,32 +501,6 @@ def test_a_list_of_episodes_that_is_too_large(tmp_path: Path) -> None:
             file.write_table(table)
     with pytest.raises(AmheError, match="beyond the limit growth = 100"):
         survey(Path(f"{folder}#0"))
-
-
-def test_a_feather_batch_is_measured_before_it_is_unfolded(tmp_path: Path, monkeypatch) -> None:
-    pa = pytest.importorskip("pyarrow")
-    _feather(tmp_path / "log")
-    monkeypatch.setattr(pa.ipc, "open_file", Mock(side_effect=AssertionError("it was unfolded")))
-    with limit(piece_mib=1):
-        assert "beyond the limit growth = 100" in refused(tmp_path / "log")
-
-
-@pytest.mark.parametrize("compression", [None, "zstd", "lz4"])
-def test_the_unfolded_size_of_a_feather_batch(tmp_path: Path, compression: str | None) -> None:
-    pa = pytest.importorskip("pyarrow")
-    batch = pa.record_batch({"time": np.zeros(1000), "q": np.random.default_rng(0).normal(size=1000)})
-    options = pa.ipc.IpcWriteOptions(compression=compression)
-    with (
-        pa.OSFile(str(tmp_path / "log"), "wb") as sink,
-        pa.ipc.new_file(sink, batch.schema, options=options) as file,
-    ):
-        file.write_batch(batch)
-    with pa.memory_map(str(tmp_path / "log")) as source:
-        source.seek(8)
-        found = [
-            unfolded_size(m) for m in pa.ipc.MessageReader.open_stream(source) if m.type == "record batch"
-        ]
-    assert found == [batch.nbytes]
 
 
 _EVERY_BYTE = """

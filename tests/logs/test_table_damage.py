@@ -8,7 +8,6 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pyarrow
-import pyarrow.feather
 import pyarrow.parquet
 import pytest
 
@@ -39,7 +38,7 @@ def written(folder: Path, suffix: str) -> Path:
             for name, array in arrays.items():
                 file[name] = array
     else:
-        write = {"parquet": pyarrow.parquet.write_table, "feather": pyarrow.feather.write_feather}[suffix]
+        write = pyarrow.parquet.write_table
         write(pyarrow.table(arrays), path)
     return path
 
@@ -63,7 +62,7 @@ def mutated(content: bytes, rng: np.random.Generator) -> bytes:
     return content[:place] + b"9" * 400 + content[place:]
 
 
-@pytest.mark.parametrize("suffix", ["csv", "npz", "h5", "parquet", "feather", "ulg"])
+@pytest.mark.parametrize("suffix", ["csv", "npz", "h5", "parquet", "ulg"])
 def test_damage_is_reported_in_one_line(suffix: str, tmp_path: Path) -> None:
     content = written(tmp_path, suffix).read_bytes()
     rng = np.random.default_rng(7)

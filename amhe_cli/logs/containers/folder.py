@@ -24,7 +24,7 @@ from amhe_cli.logs.containers.table_formats import open_tables
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _BATCH_BYTES = 2**25
 #: Endings of the tables that make a folder a log; a single file may have any name.
-_TABLES = (".csv", ".tsv", ".npz", ".npy", ".parquet", ".feather", ".h5", ".hdf5")
+_TABLES = (".csv", ".tsv", ".npz", ".parquet", ".h5", ".hdf5")
 
 
 _READERS: tuple[tuple[bytes, Callable[[Path], LogFile]], ...] = (
@@ -151,7 +151,7 @@ def _open_file(path: Path) -> LogFile:
         raise LogError(f"{path}: the file ends after {len(head)} bytes")
     raise LogError(
         f"{path}: begins with {_shown(head)}, which is no log that is known: MCAP, rosbag2 .db3, ROS 1 .bag, "
-        "ULog, CSV, npz, parquet, feather, HDF5; save its numbers as one of these"
+        "ULog, CSV, npz, parquet, HDF5; save its numbers as one of these"
     )
 
 

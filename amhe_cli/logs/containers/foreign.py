@@ -48,6 +48,8 @@ _STARTS: Mapping[bytes, str] = {
     b"<mujoco": "a MuJoCo model, no log; for a system from model and log: amhe init {name} LOG",
     b"<robot": "a URDF model, no log; for a system from model and log: amhe init {name} LOG",
     b"<?xml": "an XML file, no log; for a system from a model and a log: amhe init MODEL LOG",
+    b"\x93NUMPY": f"one numpy array; {_AS_TABLE}",
+    b"ARROW1": "a feather (Arrow) file; with pandas: pandas.read_feather(PATH).to_parquet('run.parquet')",
     b"{": "JSON text, which is read in an MCAP file only; save its numbers as CSV, or as .npz",
     b"[": "JSON text, which is read in an MCAP file only; save its numbers as CSV, or as .npz",
     b"%YAML": "a YAML file, no log",

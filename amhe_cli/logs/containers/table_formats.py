@@ -1,6 +1,6 @@
-"""The files that hold tables: text (CSV, TSV ...), .npz, .npy, ULog, parquet, feather and HDF5.
+"""The files that hold tables: text (CSV, TSV ...), .npz, ULog, parquet and HDF5.
 
-The last three need the extra [tables], ULog the extra [ulog].
+The last two need the extra [tables], ULog the extra [ulog].
 """
 
 from __future__ import annotations
@@ -23,16 +23,14 @@ from amhe_cli.core.errors import LogError
 from amhe_cli.core.limits import beyond, limits
 from amhe_cli.core.text import printable
 from amhe_cli.logs.containers import text_table
-from amhe_cli.logs.containers.arrow_file import feather_arrays, parquet_arrays
+from amhe_cli.logs.containers.arrow_file import parquet_arrays
 from amhe_cli.logs.containers.compression import check_growth
 from amhe_cli.logs.containers.table_file import Column, NumberTable, TableFile, is_time, listed
 
 #: First bytes of the binary tables -> name of the format.
 MAGIC: Mapping[bytes, str] = {
     b"PK\x03\x04": "npz",
-    b"\x93NUMPY": "npy",
     b"PAR1": "parquet",
-    b"ARROW1": "feather",
     b"\x89HDF\r\n\x1a\n": "HDF5",
     b"ULog\x01\x125": "ULog",
 }
@@ -67,20 +65,11 @@ def open_tables(path: Path) -> list[TableFile]:
         return [TableFile(path, "TSV" if dialect.delimiter == b"\t" else "CSV", table)]
     tables = {
         "npz": _npz,
-        "npy": _npy,
         "parquet": _parquet,
-        "feather": _feather,
         "HDF5": _hdf5,
         "ULog": _ulog,
     }[format](path)
     return [TableFile(path, format, table) for table in tables]
-
-
-def _npy(path: Path) -> list[NumberTable]:
-    array = np.load(path, allow_pickle=False, mmap_mode="r")
-    if array.dtype.names is None:
-        raise LogError(f"{path}: an array without names; save it with np.savez(file, time=t, position=q)")
-    return [in_memory(path, _stem(path), {name: array[name] for name in array.dtype.names})]
 
 
 def _npz(path: Path) -> list[NumberTable]:
@@ -101,11 +90,6 @@ def _npz(path: Path) -> list[NumberTable]:
 def _parquet(path: Path) -> list[NumberTable]:
     needed(path, "pyarrow", "a parquet file")
     return [in_memory(path, _stem(path), parquet_arrays(path))]
-
-
-def _feather(path: Path) -> list[NumberTable]:
-    needed(path, "pyarrow", "a feather file")
-    return [in_memory(path, _stem(path), feather_arrays(path))]
 
 
 def _hdf5(path: Path) -> list[NumberTable]:

@@ -1,18 +1,13 @@
-"""JSON messages as rows of numbers, and back."""
+"""JSON messages as rows of numbers."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
 from datetime import UTC, datetime
-from math import isfinite, nan
+from math import nan
 from typing import Any
 
-import numpy as np
-
-from amhe_cli.logs.containers.raw import Batch, Connection, batch_of
-from amhe_cli.logs.containers.table_file import clock_among
 from amhe_cli.logs.messages.layout import KEPT, MalformedMessageError
 from amhe_cli.logs.messages.rows import TIMES, Row
 
@@ -78,48 +73,6 @@ class _JsonRow(Row):
             return
         self.number(f"{path}.sec", int(moment.timestamp()))
         self.number(f"{path}.nanosec", 1000 * moment.microsecond)
-
-
-def schema_columns(schema: str) -> dict[str, int | None]:
-    """Fields of a JSON schema that are numbers, None, or arrays of a fixed count of numbers, that count."""
-    try:
-        properties = json.loads(schema)["properties"]
-        return {
-            name: None if entry["type"] != "array" else int(entry["maxItems"])
-            for name, entry in properties.items()
-            if entry["type"] in ("number", "integer")
-            or (entry["type"] == "array" and entry["items"]["type"] == "number" and entry["maxItems"] > 0)
-        }
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        return {}
-
-
-def rows_as_json(batch: Batch) -> Batch:
-    """Rows of a table as JSON messages of the same stamps, their times left out; a blank cell is null."""
-    fields = json.loads(batch.connection.definition)
-    clock = clock_among(dict(fields))
-    properties, template, columns, place = {}, [], list[int](), 0
-    for name, count in fields:
-        size = count or 1
-        if name != clock:
-            number = {"type": "number"}
-            several = {"type": "array", "items": number, "minItems": count, "maxItems": count}
-            properties[name] = number if count is None else several
-            cells = "%s" if count is None else f"[{','.join(['%s'] * size)}]"
-            template.append(f"{json.dumps(name).replace('%', '%%')}:{cells}")
-            columns += range(place, place + size)
-        place += size
-    rows = batch.buffer.view(np.float64).reshape(-1, place)[:, columns]
-    text = "{" + ",".join(template) + "}"
-    payloads = [(text % tuple(map(_cell, row))).encode() for row in rows.tolist()]
-    schema = json.dumps({"type": "object", "properties": properties})
-    topic = f"/{batch.connection.topic.strip('/')}"
-    own = Connection(topic, batch.connection.type, "json", schema, "")
-    return replace(batch_of(own, [], [], payloads), log_ns=batch.log_ns, publish_ns=batch.publish_ns)
-
-
-def _cell(number: float) -> str:
-    return repr(number) if isfinite(number) else "null"
 
 
 def _number(value: Any) -> float:

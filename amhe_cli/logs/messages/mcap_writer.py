@@ -1,4 +1,4 @@
-"""Write MCAP files of messages of any type, or of messages of another log as they are."""
+"""Write MCAP files of messages of any type."""
 
 from __future__ import annotations
 
@@ -8,15 +8,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from amhe_cli import __version__
 from amhe_cli.core.files import whole
-from amhe_cli.logs.containers.raw import Batch, Connection
-from amhe_cli.logs.containers.table_file import ENCODING as TABLE
-from amhe_cli.logs.messages.json_rows import rows_as_json
 
 
 class McapWriter:
@@ -34,7 +30,6 @@ class McapWriter:
         self._channels: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
         self._sequence: dict[int, int] = {}
-        self._copied: dict[Connection, int] = {}
         self._full = False
 
     def __enter__(self) -> Self:
@@ -106,21 +101,6 @@ class McapWriter:
             with self._file:
                 raise
 
-    def copy(self, batch: Batch) -> None:
-        """Append messages of another log as they are; the rows of a table become JSON messages."""
-        batch = rows_as_json(batch) if batch.connection.encoding == TABLE else batch
-        connection = batch.connection
-        if connection not in self._copied:
-            schema = self._mcap.register_schema(*_schema(connection))
-            self._copied[connection] = self._mcap.register_channel(
-                connection.topic, connection.encoding, schema
-            )
-        channel = self._copied[connection]
-        stamps = (ns.view(np.uint64).tolist() for ns in (batch.log_ns, batch.publish_ns))
-        ends = (batch.starts + batch.lengths).tolist()
-        for log_ns, publish_ns, start, end in zip(*stamps, batch.starts.tolist(), ends, strict=True):
-            self._add(channel, log_ns, batch.buffer[start:end].tobytes(), publish_ns)
-
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, for instance the configuration or the model."""
         with self._keeping():
@@ -136,12 +116,3 @@ class McapWriter:
             text, _ = self._store.generate_msgdef(msgtype, ros_version=2)
             self._schemas[msgtype] = self._mcap.register_schema(msgtype, "ros2msg", text.encode())
         return self._schemas[msgtype]
-
-
-def _schema(connection: Connection) -> tuple[str, str, bytes]:
-    """Name, encoding and data of the MCAP schema of a connection."""
-    binary = connection.encoding == "protobuf"
-    data = connection.definition.encode("latin-1" if binary else "utf-8")
-    name = connection.type.replace("/msg/", "/") if connection.encoding == "ros1" else connection.type
-    usual = {"json": "jsonschema", "protobuf": "protobuf", "cdr": "ros2msg", "ros1": "ros1msg"}
-    return name, connection.definition_format or usual.get(connection.encoding, ""), data
