@@ -56,7 +56,7 @@ def compared(truths: FloatArray, known: Sequence[FloatArray], rng: np.random.Gen
 
     weight, prior, zero = np.ones(k * CLIPS), np.eye(d), np.zeros(d)
     z = posterior(zero, found(zero), weight, prior).step
-    channel = SimpleNamespace(channel=SimpleNamespace(key="joints.position"))
+    channel = SimpleNamespace(channel=SimpleNamespace(key="joints.position", quantity="position"))
     slopes = SimpleNamespace(cost=SimpleNamespace(clips=SimpleNamespace(observed=[channel])))
     fit: Any = SimpleNamespace(
         z=z, found=found(z), weight=weight, posterior=posterior(z, found(z), weight, prior), slopes=slopes
