@@ -21,6 +21,7 @@ ALLOWED: dict[str, set[str]] = {
     "engine": {"core", "system"},
     "matching": {"core", "system", "engine"},
     "estimation": {"core", "logs", "system", "engine", "matching"},
+    "check": {"core", "logs", "system", "engine", "estimation"},
     "view": {"core", "logs", "system", "engine", "matching", "estimation"},
     "control": {"core", "engine"},
     "live": {"core", "logs", "system", "engine", "estimation", "control"},
@@ -31,7 +32,7 @@ ALLOWED: dict[str, set[str]] = {
     "cli": {
         "api",
         "core", "logs", "system", "init", "engine", "estimation", "live", "report", "study", "robots/go1",
-        "view",
+        "view", "check",
     },
 }  # fmt: skip
 
@@ -56,7 +57,7 @@ WALLS = {
     "matplotlib": ("report",),
     "mcap": ("logs",),
     "motioncapture": ("robots/go1",),
-    "mujoco": ("system", "init", "engine", "view", "robots/go1", "api/identify.py"),
+    "mujoco": ("system", "init", "check", "engine", "view", "robots/go1", "api/identify.py"),
     "mujoco_menagerie": ("init",),
     "mujoco_warp": ("engine",),
     "natnet": ("robots/go1",),

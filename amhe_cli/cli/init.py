@@ -12,10 +12,10 @@ from amhe_cli.cli import log_path, options, parsing
 from amhe_cli.cli.session import Session
 from amhe_cli.core.text import printable
 
-_MENAGERIE = "menagerie:"
+MENAGERIE = "menagerie:"
 
 
-class _ModelPath(click.Path):
+class ModelPath(click.Path):
     """An existing file, `menagerie:NAME`, or the model of a bundled `example:NAME`."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -25,12 +25,12 @@ class _ModelPath(click.Path):
             from amhe_cli.core.bundled import bundled_models
 
             return log_path.example(self, name, bundled_models(), param, ctx)
-        named = str(value).startswith(_MENAGERIE)
+        named = str(value).startswith(MENAGERIE)
         return str(value) if named else super().convert(value, param, ctx)
 
 
 @click.command(cls=parsing.Command, short_help="A model and logs to a first system folder.")
-@click.argument("model", type=_ModelPath(exists=True, dir_okay=False, readable=False, path_type=Path))
+@click.argument("model", type=ModelPath(exists=True, dir_okay=False, readable=False, path_type=Path))
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
 )
@@ -131,7 +131,7 @@ def init(
     if not drives and (volts is not None or gain_p is not None):
         raise click.UsageError("--volts and --gain-p belong to --drive")
     session.hush_mujoco()
-    path = menagerie_model(model.removeprefix(_MENAGERIE)) if isinstance(model, str) else model
+    path = menagerie_model(model.removeprefix(MENAGERIE)) if isinstance(model, str) else model
     known = packages_in(os.environ) if is_urdf(path) else {}
     urdf = UrdfOptions({**known, **{name: Path(dir_) for name, dir_ in packages.items()}}, not no_meshes)
     folder = reserve(out, "init", force)

@@ -17,6 +17,7 @@ import click
 
 from amhe_cli.cli import options
 from amhe_cli.cli.calibrate import calibrate
+from amhe_cli.cli.check import check
 from amhe_cli.cli.compare import compare
 from amhe_cli.cli.convert import convert
 from amhe_cli.cli.drives import drives
@@ -44,7 +45,7 @@ from amhe_cli.cli.view import view
 
 #: The commands, by what they are for.
 GROUPS = {
-    "Start": (inspect, init, identify, view),
+    "Start": (inspect, init, check, identify, view),
     "More": (compare, pool, probe, mhe_replay, export, convert, drives),
     "Go1": (run_task, evaluate, emulate, calibrate),
 }
