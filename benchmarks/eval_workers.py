@@ -11,7 +11,6 @@ from __future__ import annotations
 import argparse
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -20,7 +19,7 @@ from common import PROJECT, paired, show
 
 from amhe_cli.study.cells import Cell
 from amhe_cli.study.conduct import conduct
-from amhe_cli.study.executors import local
+from amhe_cli.study.executors import pool_of
 from amhe_cli.study.plan import EvalOptions, planned, run_cell, study_of
 from amhe_cli.study.store import start
 
@@ -77,7 +76,7 @@ def _eval(workers: int, cells: int, duration: float) -> None:
     planned_cells: list[Cell] = planned(options, study)
     with TemporaryDirectory() as folder:
         store = start(Path(folder), study, resume=False, force=False)
-        conduct(store, planned_cells, run_cell, partial(local, workers), lambda: False, lambda result: None)
+        conduct(store, planned_cells, run_cell, pool_of(workers, None), lambda: False, lambda result: None)
 
 
 def _bare(workers: int, cells: int, duration: float) -> None:

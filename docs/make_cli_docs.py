@@ -31,7 +31,9 @@ at all.
 
 ## Completion
 
-TAB completes commands, options, their choices and files. One line in the shell's file switches it on:
+TAB completes commands, options and their choices, systems (bundled ones and folders), `example:` logs, tasks,
+modes, targets, formats, the system's parameters, `menagerie:` models and files. One line in the shell's file
+switches it on:
 
 | shell | file | line |
 |---|---|---|

@@ -49,6 +49,7 @@ WALLS = {
     "click": ("cli",),
     "cmaes": ("estimation",),
     "cupy": ("engine",),
+    "distributed": ("study/executors.py",),
     "google": ("logs",),
     "h5py": ("logs",),
     "jinja2": ("report",),
@@ -310,8 +311,8 @@ def texts_of(module: str) -> Iterator[str]:
             yield node.value
 
 
-#: Texts may name the options of a whole command: 'amhe eval --report'.
-OF_A_COMMAND = re.compile(r"`?(amhe \w+|mavlogdump.py)[^`]*")
+#: Texts may name the options of a whole command: 'amhe eval --report', 'dask worker ... --nthreads'.
+OF_A_COMMAND = re.compile(r"`?(amhe \w+|dask worker|mavlogdump.py)[^`]*|--nthreads 1`")
 
 
 def test_the_library_speaks_of_arguments_not_of_options() -> None:

@@ -33,3 +33,12 @@ def deadly(number: int) -> int:
 def slow(seconds: float) -> float:
     time.sleep(seconds)
     return seconds
+
+
+def process_id_after(request: tuple[str, float]) -> int:
+    """Write down the process that does it, then take so long [s]."""
+    place, seconds = request
+    with Path(place).open("a", encoding="utf-8") as file:
+        file.write(f"{os.getpid()}\n")
+    time.sleep(seconds)
+    return os.getpid()

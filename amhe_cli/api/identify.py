@@ -6,6 +6,7 @@ import io
 import logging
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
@@ -195,6 +196,7 @@ def identify(
     engine: str = "cpu",
     max_time: float | None = None,
     checkpoint: str | Path | None = None,
+    executor: Executor | None = None,
     progress: Callable[[Iteration, int], None] | None = None,
 ) -> Result:
     """Find the parameters under which rollouts of the model match the logs, and how well they are known.
@@ -217,6 +219,7 @@ def identify(
         max_time: Time [s] for the search, which stops with the best so far, and for its conclusion, which
             leaves out checks that would take too long, with a warning; None: no limit.
         checkpoint: File in which the search is saved after each iteration; it is resumed if the file exists.
+        executor: Computes the rollouts with its workers in place of threads of this process.
         progress: Called after each iteration with its record and the expected number of iterations; then
             before each part of the conclusion, whose `stage` is 'conclusion' and whose `method` is the part.
 
@@ -260,6 +263,7 @@ def identify(
         max_time=max_time,
         checkpoint=None if checkpoint is None else Path(checkpoint),
         prior=start,
+        executor=executor,
         engine=engine,
     )
     begun = time.monotonic()

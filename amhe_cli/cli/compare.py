@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import log_path, options, parsing
+from amhe_cli.cli import completion, log_path, options, parsing
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 @click.command(cls=parsing.Command, short_help="Which of several models predicts better?")
-@click.argument("given", nargs=-1, required=True, metavar="SYSTEM...")
+@click.argument("given", nargs=-1, required=True, metavar="SYSTEM...", shell_complete=completion.systems)
 @click.option(
     "--logs",
     multiple=True,

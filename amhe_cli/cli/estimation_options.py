@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import click
 
-from amhe_cli.cli import options, parsing
+from amhe_cli.cli import completion, options, parsing
 
 belief_anyway = click.option(
     "--belief-anyway",
@@ -27,6 +27,7 @@ narrowing = parsing.stacked(
     click.option(
         "--fix",
         metavar="NAME=VALUE",
+        shell_complete=completion.parameters("="),
         multiple=True,
         callback=parsing.pairs(float),
         help="Take a parameter as known; it is not estimated. Repeat for more.",
@@ -34,6 +35,7 @@ narrowing = parsing.stacked(
     click.option(
         "--only",
         metavar="NAME,NAME",
+        shell_complete=completion.parameters(),
         multiple=True,
         callback=lambda ctx, param, given: list(parsing.listed(ctx, param, given)) or None,
         help="Estimate these parameters (names, or patterns such as 'left_*') and fix all others.",
@@ -85,6 +87,7 @@ estimator = parsing.stacked(
         "mhe.prior_weight",
         multiple=True,
         metavar="NAME=W",
+        shell_complete=completion.parameters("="),
         help="How firmly a parameter is held at its last estimate; repeat for more.  "
         "[default: 0; of go1_push box_inertia_scale=30]",
     ),

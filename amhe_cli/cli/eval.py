@@ -1,16 +1,15 @@
-"""`amhe eval`: tasks by modes by seeds, and what they say together."""
+"""`amhe eval`: tasks by modes by seeds, on this machine or a cluster, and what they say together."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from amhe_cli.cli import options, parsing
+from amhe_cli.cli import completion, options, parsing
 from amhe_cli.cli.progress import Shown, progress
 from amhe_cli.cli.session import Session, stopping
 from amhe_cli.core.text import printable
@@ -37,6 +36,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 @click.option(
     "--tasks",
     metavar="T,...",
+    shell_complete=completion.listed(options.TASKS),
     callback=parsing.listed,
     default=",".join(TASKS),
     show_default=True,
@@ -45,6 +45,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 @click.option(
     "--modes",
     metavar="M,...",
+    shell_complete=completion.listed(options.MODES),
     callback=parsing.listed,
     help="Likewise.  [default: all; with --ablate, adaptive]",
 )
@@ -75,7 +76,7 @@ def _beliefs(ctx: click.Context, param: click.Parameter, value: tuple[str, ...])
 )
 @options.duration("Stop each run after S seconds of it.")
 @options.engine
-@options.workers
+@options.spread
 @click.option("--resume", is_flag=True, help="Go on in OUT: run what is missing or has failed.")
 @click.option(
     "--report",
@@ -91,6 +92,7 @@ def evaluate(
     session: Session,
     engine: str,
     workers: int,
+    cluster: str | None,
     resume: bool,
     report: Path | None,
     overrides: Overrides,
@@ -100,11 +102,11 @@ def evaluate(
     """Run tasks in modes over seeds, and make the paper's tables and figures of what came out.
 
     Each run is a cell with a result file of its own in OUT/cells; what is done is kept, whatever stops the
-    rest. Writes summary.json, tables (plain, Markdown, CSV), figures (PNG) and report.html.
+    rest. Writes summary.json, tables (plain, Markdown, LaTeX, CSV, JSON), figures (PNG, PDF) and report.html.
     Exit code 1 where a cell brought no result.
     """
     from amhe_cli.study.conduct import conduct
-    from amhe_cli.study.executors import local
+    from amhe_cli.study.executors import pool_of
     from amhe_cli.study.plan import EvalOptions, planned, study_of
     from amhe_cli.study.run import run_cell
     from amhe_cli.study.store import open_store, start
@@ -126,7 +128,7 @@ def evaluate(
         session.say("", f"{len(cells) - len(missing)} of {len(cells)} cells are done already")
     shown = _counted(len(missing))
     with stopping(session) as stopped, progress(session, "eval", shown, every=True) as on_result:
-        conduct(store, missing, run_cell, partial(local, workers), stopped, on_result)
+        conduct(store, missing, run_cell, pool_of(workers, cluster), stopped, on_result)
     left = len(store.missing(cells))
     session.interrupted = stopped()
     _tell(session, store, left)

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     "--checkpoint", use="Save the search here as it goes; resume from it, to the bit, if it exists."
 )
 @options.work
+@options.spread_if_chosen
 @options.tuning
 @options.out
 @options.common
@@ -56,6 +57,8 @@ def identify(
     belief_anyway: bool,
     fix: dict[str, float],
     only: list[str] | None,
+    workers: int | None,
+    cluster: str | None,
     overrides: Overrides,
     out: options.Output,
     **how: Any,
@@ -72,6 +75,7 @@ def identify(
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
     from amhe_cli.report.identification import print_identification
+    from amhe_cli.study.executors import executor_of
 
     session.hush_mujoco()
     folder = out.reserve()
@@ -81,10 +85,10 @@ def identify(
     opened.starting_from(belief, **known)  # a mistake in an option is found before long logs are read
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)
-    with progress(session, "identify", _shown) as show:
+    with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
         try:
             result = run(
-                opened, training, held_out=validation, prior=belief,
+                opened, training, held_out=validation, prior=belief, executor=executor,
                 progress=lambda iteration, total: show((iteration, total)), **known, **how,
             )  # fmt: skip
         except Interrupted as stop:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 from amhe_cli.cli import log_path, options, parsing
 from amhe_cli.cli.session import Session
@@ -27,6 +28,17 @@ class ModelPath(click.Path):
             return log_path.example(self, name, bundled_models(), param, ctx)
         named = str(value).startswith(MENAGERIE)
         return str(value) if named else super().convert(value, param, ctx)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Complete the names of menagerie models; any other path is completed by the shell."""
+        if incomplete and incomplete.startswith(MENAGERIE[: len(incomplete)]):
+            from amhe_cli.init.menagerie import menagerie_names
+
+            names = (MENAGERIE + name for name in menagerie_names())
+            return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+        return super().shell_complete(ctx, param, incomplete)
 
 
 @click.command(cls=parsing.Command, short_help="A model and logs to a first system folder.")

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.shell_completion import CompletionItem
 
 
 class _LogPath(click.Path):
@@ -21,6 +22,17 @@ class _LogPath(click.Path):
         if mark and (Path(folder) / "meta" / "info.json").exists():
             return Path(value)
         return super().convert(value, param, ctx)
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """Complete the names of examples; any other path is completed by the shell."""
+        if incomplete and "example:".startswith(incomplete[:8]):
+            from amhe_cli.core.bundled import bundled_logs
+
+            names = (f"example:{name}" for name in bundled_logs())
+            return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+        return super().shell_complete(ctx, param, incomplete)
 
     def _example(self, name: str, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         from amhe_cli.core.bundled import bundled_logs

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from amhe_cli import __version__
-from amhe_cli.cli import log_path
+from amhe_cli.cli import completion, log_path
 from amhe_cli.cli.parsing import (
     EXISTING_FILE,
     EXISTING_FOLDER,
@@ -147,6 +147,7 @@ def system_or(default: str) -> Callable[[F], F]:
     return click.option(
         "--system",
         metavar="NAME|DIR",
+        shell_complete=completion.systems,
         help=f"A bundled system or your own system folder.  [default: {default}]",
     )
 
@@ -268,14 +269,27 @@ work = stacked(
 )
 
 
-workers = click.option(
-    "--workers",
-    type=WholeNumber(min=1),
-    metavar="N",
-    default=_cores,
-    show_default="all cores",
-    help="Processes on this machine.",
-)
+def _spread(default: Callable[[], int] | None, shown: str) -> Callable[[F], F]:
+    return stacked(
+        click.option(
+            "--workers",
+            type=WholeNumber(min=1),
+            metavar="N",
+            default=default,
+            show_default=shown,
+            help="Processes on this machine.",
+        ),
+        click.option(
+            "--cluster",
+            metavar="tcp://HOST:PORT",
+            help="A dask scheduler whose workers do it instead; needs the extra [cluster]. Whoever reaches "
+            "its port can run any code as you (docs/scaling.md).",
+        ),
+    )
+
+
+spread = _spread(_cores, "all cores")
+spread_if_chosen = _spread(None, "none: threads of this one")
 
 force = click.option("--force", is_flag=True, help="Write into an existing OUT that is not empty.")
 

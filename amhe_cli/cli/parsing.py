@@ -57,8 +57,6 @@ GONE: dict[str, dict[str, str]] = {
         "--video": "amhe view RESULT, or --view while it runs",
     },
     "inspect": {"--layout": "amhe view LOG"},
-    "identify": {"--workers": "--threads", "--cluster": "--engine"},
-    "eval": {"--cluster": "amhe eval on each machine, as docs/results.md says"},
     "init": {"--xacro-arg": "xacro FILE NAME:=VALUE > robot.urdf"},
     "probe": _SLOW
     | {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import logging
-from concurrent.futures import Future
+from concurrent.futures import Executor, Future
 from functools import cache
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from amhe_cli.engine.auto import AutoEngine, Opening, in_background
 from amhe_cli.engine.cpu import CpuEngine
 from amhe_cli.engine.inverse import InverseEngine
 from amhe_cli.engine.rollout import Engine
+from amhe_cli.engine.spread import SpreadEngine
 from amhe_cli.engine.states import collides
 from amhe_cli.system.parameters.model_edits import ModelEdits
 from amhe_cli.system.system import System
@@ -33,6 +34,7 @@ def open_engine(
     system: System,
     *,
     threads: int = 1,
+    executor: Executor | None = None,
     kind: str = "cpu",
     sensors: bool | None = None,
     model: mujoco.MjModel | None = None,
@@ -42,12 +44,14 @@ def open_engine(
     Args:
         system: The system.
         threads: Number of CPU threads; results do not depend on it.
+        executor: Executor whose workers compute the rollouts, instead of threads of this process; it must
+            stay open.
         kind: One of `KINDS`; 'auto' decides for each call, by its rollouts and their lengths.
         sensors: Whether rollouts record sensors; None: if the system needs them.
         model: Roll out this model of the same layout; None: the system's own.
 
     Raises:
-        ConfigError: There is no such kind of engine.
+        ConfigError: There is no such kind of engine, or it cannot use workers.
         SimulationError: This computer has no card or lacks its libraries, or the model does not suit.
     """
     check_kind(kind)
@@ -57,7 +61,9 @@ def open_engine(
     if system.match == "effort":
         return InverseEngine(*about)
     if kind == "gpu":
-        return _gpu_engine(*about, senses)
+        return _gpu_engine(executor, *about, senses)
+    if executor is not None:
+        return SpreadEngine(executor, *about, senses)
     cpu = CpuEngine(*about, threads, senses)
     if kind == "cpu":
         return cpu
@@ -69,7 +75,7 @@ def open_engine(
 
     @cache
     def begin() -> Future[Engine]:
-        return in_background(lambda: _loaded(_gpu_engine(*about, senses)))
+        return in_background(lambda: _loaded(_gpu_engine(None, *about, senses)))
 
     engine = AutoEngine(cpu, Opening(begin), lambda: begin().result(), about[0], threads)
     logger.log(
@@ -89,12 +95,17 @@ def check_kind(kind: str) -> None:
         raise ConfigError(f"no engine {kind!r}; there is: {', '.join(KINDS)}")
 
 
-def _gpu_engine(model: mujoco.MjModel, edits: ModelEdits, input_spec: int, sensors: bool) -> GpuEngine:
+def _gpu_engine(
+    executor: Executor | None, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, sensors: bool
+) -> GpuEngine:
     """The engine on all cards of this computer.
 
     Raises:
+        ConfigError: Workers were requested.
         SimulationError: mujoco-warp or a card is missing, or it cannot simulate the model.
     """
+    if executor is not None:
+        raise ConfigError("the engine 'gpu' computes on the cards of this computer; leave `workers` out")
     cards = _cards()
     try:
         from amhe_cli.engine.gpu.engine import GpuEngine

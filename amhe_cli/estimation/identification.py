@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeVar
@@ -44,6 +45,8 @@ class IdentifyOptions:
             checks for which there is no time are left out; None: no limit.
         checkpoint: File to save the search in after every iteration, and to resume from.
         prior: A belief to start from instead of the system's own prior.
+        executor: Executor whose workers compute the rollouts; None: threads of this process. Results do not
+            depend on it.
         engine: Kind of engine, see `open_engine`.
     """
 
@@ -53,6 +56,7 @@ class IdentifyOptions:
     max_time: float | None = None
     checkpoint: Path | None = None
     prior: Belief | None = None
+    executor: Executor | None = None
     engine: str = "cpu"
 
 
@@ -114,7 +118,7 @@ def _pose(
         fit, held = [whole(log) for log in training], [whole(log) for log in in_order(held_out)]
     else:
         fit, held = split_held_out(training, clips.held_out)
-    engine = open_engine(system, threads=options.threads, kind=options.engine)
+    engine = open_engine(system, threads=options.threads, executor=options.executor, kind=options.engine)
     problem = Problem(system, ClipPool(system, fit, clips), engine, options.seed, threads=options.threads)
     if not problem.clips:
         raise EstimationError(_no_clips(problem.pool))

@@ -7,6 +7,15 @@ from pathlib import Path
 from amhe_cli.core.errors import ConfigError, one_of
 
 
+def menagerie_names() -> list[str]:
+    """Names of the models; none without the package."""
+    try:
+        import mujoco_menagerie
+    except ImportError:
+        return []
+    return mujoco_menagerie.names()
+
+
 def menagerie_model(name: str) -> Path:
     """The XML file of a model, which the package downloads on first use.
 
@@ -25,8 +34,8 @@ def menagerie_model(name: str) -> Path:
             "model's XML file in a clone of the MuJoCo Menagerie"
         ) from None
     robot, _, entry = name.partition("/")
-    if robot not in (names := mujoco_menagerie.names()):
-        raise ConfigError(one_of("model of the menagerie", robot, names))
+    if robot not in menagerie_names():
+        raise ConfigError(one_of("model of the menagerie", robot, menagerie_names()))
     try:
         return mujoco_menagerie.get(robot).xml(entry or None)
     except mujoco_menagerie.DownloadError as error:

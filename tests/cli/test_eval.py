@@ -1,4 +1,4 @@
-"""`amhe eval` from the outside: cells, files, streams, exit codes, interruption."""
+"""`amhe eval` from the outside: cells, files, streams, exit codes, interruption, both executors."""
 
 import json
 import os
@@ -21,6 +21,7 @@ from amhe_cli.study.code import code
 from amhe_cli.study.plan import EvalOptions, planned, study_of
 from amhe_cli.study.run import run_cell
 from amhe_cli.study.store import open_store
+from tests.clusters import Cluster
 from tests.study.cells_at_play import result
 
 ROOT = Path(__file__).parents[2]
@@ -69,12 +70,15 @@ def test_a_study_leaves_a_file_a_cell_and_all_that_is_made_of_them(done: Path) -
     assert {p.suffix for p in (done / "tables").glob("measures.*")} == {
         ".txt",
         ".md",
+        ".tex",
         ".csv",
+        ".json",
     }
     assert {p.name for p in (done / "figures").iterdir()} >= {
         "paths.png",
+        "paths.pdf",
         "speed.png",
-        "final.png",
+        "final.pdf",
     }
 
 
@@ -108,8 +112,55 @@ def test_the_report_is_made_again_of_the_cells_alone(done: Path, capsys) -> None
     printed = json.loads(capsys.readouterr().out)
     assert (printed["command"], printed["cells"], printed["failed"]) == ("eval", 4, {})
     assert printed["summary"] == json.loads((done / "summary.json").read_text())
-    for path in ("report.html", "summary.json", "tables/measures.csv", "tables/table2.md"):
+    for path in ("report.html", "summary.json", "tables/measures.csv", "tables/table2.tex"):
         assert (Path("out") / path).read_bytes() == (done / path).read_bytes()
+
+
+@pytest.mark.medium
+@pytest.mark.usefixtures("no_figures")
+def test_a_cluster_gives_the_same_cells_as_this_machine(done: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    with Cluster(tmp_path) as cluster:
+        cluster.worker()
+        assert run(["eval", *GRID, *QUICK, "-q", "-o", "out", "--cluster", cluster.address]) == 0
+    assert cells_of(Path("out")) == cells_of(done)
+
+
+@pytest.fixture
+def certificates(tmp_path: Path) -> dict[str, str]:
+    """An authority and a certificate that it signed, made as docs/scaling.md says, by dask's names."""
+    if shutil.which("openssl") is None:
+        pytest.skip("needs openssl")
+    commands = [
+        line
+        for line in (ROOT / "docs" / "scaling.md").read_text().splitlines()
+        if line.startswith("openssl ")
+    ]
+    assert len(commands) == 3
+    for command in commands:
+        subprocess.run(command.split(), cwd=tmp_path, check=True, capture_output=True)
+    return {"ca-file": "ca.pem", "cert": "me.pem", "key": "me.key"}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_figures")
+def test_a_cluster_behind_tls(done: Path, tmp_path: Path, certificates: dict[str, str], capsys) -> None:
+    pytest.importorskip("distributed")
+    import dask
+
+    options = tuple(word for name, file in certificates.items() for word in (f"--tls-{name}", file))
+    command = ["eval", *GRID, *QUICK, "-q", "--cluster"]
+    with Cluster(tmp_path, options, "tls") as cluster:
+        assert cluster.address.startswith("tls://")
+        cluster.worker()
+        assert run([*command, cluster.address, "-o", "a"]) == 2
+        assert "names no certificates for TLS" in capsys.readouterr().err
+        plain = cluster.address.replace("tls:", "tcp:")
+        assert run([*command, plain, "-o", "b"]) == 1, "no way in without TLS"
+        ours = {"ca-file": "ca.pem", "client.cert": "me.pem", "client.key": "me.key"}
+        with dask.config.set({f"distributed.comm.tls.{name}": file for name, file in ours.items()}):  # pyright: ignore[reportPrivateImportUsage]
+            assert run([*command, cluster.address, "-o", "out"]) == 0
+    assert cells_of(Path("out")) == cells_of(done)
 
 
 @pytest.mark.medium
@@ -170,6 +221,15 @@ def test_a_study_of_other_code_is_not_mixed_with_this(done: Path, capsys) -> Non
     assert run(["eval", *GRID, *QUICK, "-q", "-o", "out", "--resume"]) == 2
     assert "holds cells of sources ffffffffffff" in the_line(capsys)
     assert run(["eval", "--report", "out", "-q"]) == 0
+
+
+def test_where_no_scheduler_answers_the_command_fails_in_one_line(monkeypatch, capsys) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr("amhe_cli.study.executors.PATIENCE", 0.5)
+    assert run(["eval", *GRID, "-q", "-o", "out", "--cluster", "tcp://127.0.0.1:9"]) == 1
+    assert "no scheduler answers at tcp://127.0.0.1:9" in the_line(capsys)
+    assert run(["eval", *GRID, "-q", "-o", "other", "--cluster", "nonsense://here:1"]) == 2
+    assert "nonsense" in the_line(capsys)
 
 
 def test_a_worker_of_other_code_refuses_to_run() -> None:

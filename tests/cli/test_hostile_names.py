@@ -5,6 +5,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from click.shell_completion import CompletionItem
 
 from amhe_cli.cli.main import run
 from amhe_cli.core.text import printable
@@ -97,3 +98,17 @@ def test_a_log_chooses_no_model(tmp_path: Path, capsys) -> None:
     capsys.readouterr()
     assert run(["view", str(log), "--save", str(tmp_path / "page.html")]) == 0
     assert "mine.xml" not in capsys.readouterr().err
+
+
+def test_completion_opens_no_folder_that_a_log_names(own_system: Path, tmp_path: Path) -> None:
+    import click
+
+    from amhe_cli.cli.completion import parameters
+
+    log = write_pendulum_log(tmp_path / "log.mcap", 0.1, system="own")
+    context = click.Context(click.Command("identify"))
+    context.args = [str(log)]
+    offered: list[CompletionItem] = parameters()(context, click.Option(["--fix"]), "")
+    assert offered == []
+    context.params = {"system": "own"}
+    assert "load_mass" in {item.value for item in parameters()(context, click.Option(["--fix"]), "")}

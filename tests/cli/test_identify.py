@@ -172,6 +172,18 @@ def test_an_interrupted_run_keeps_the_best_so_far(pendulum_log: Path, number: in
 
 
 @pytest.mark.medium
+def test_workers_find_the_same_parameters_to_the_bit(tmp_path: Path, pendulum_log: Path) -> None:
+    few = ("identify.iterations=1", "identify.profile_points=0", "clips.count=8")
+    quick = ["--to", "3", "-q", *(word for setting in few for word in ("--set", setting))]
+    assert run(["identify", str(pendulum_log), "-o", str(tmp_path / "here"), *quick]) == 0
+    assert run(["identify", str(pendulum_log), "-o", str(tmp_path / "there"), *quick, "--workers", "1"]) == 0
+    here, there = (json.loads((tmp_path / out / "result.json").read_text()) for out in ("here", "there"))
+    for own in ("seconds", "out"):
+        del here[own], there[own]
+    assert here == there
+
+
+@pytest.mark.medium
 def test_fixed_parameters_are_listed_and_condition_the_belief(done: Path, pendulum_log: Path, capsys) -> None:
     command = ["identify", str(pendulum_log), "-q", "--seed", "3", *QUICK, "--json", "-o", "out"]
     narrow = ["--belief", str(done / "belief.yaml"), "--only", "load_*", "--fix", "damping=0.05"]

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +23,12 @@ from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.system import System
 from tests.conftest import MODELS
 
-#: How every engine is opened; `warp` is that of graphics cards on
+#: How every engine is opened; `spread` gives it two worker processes, `warp` is that of graphics cards on
 #: the processor. A new engine is one more line.
 ENGINES: dict[str, dict[str, Any]] = {
     "one thread": {"threads": 1},
     "two threads": {"threads": 2},
+    "two processes": {"spread": True},
     "warp": {"device": "cpu"},
 }
 
@@ -53,6 +56,12 @@ Open = Callable[..., Engine]
 Call = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
+@pytest.fixture(scope="module")
+def workers() -> Iterator[Executor]:
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+        yield executor
+
+
 @pytest.fixture(
     params=[pytest.param(n, marks=pytest.mark.slow if n == "warp" else ()) for n in ENGINES], scope="module"
 )
@@ -61,7 +70,8 @@ def opened(request: pytest.FixtureRequest) -> Open:
     given = dict(ENGINES[request.param])
     if "device" in given:
         return partial(on_warp, device=given["device"])
-    return lambda system, **more: open_engine(system, **given, **more)
+    executor = request.getfixturevalue("workers") if given.pop("spread", False) else None
+    return lambda system, **more: open_engine(system, executor=executor, **given, **more)
 
 
 def on_warp(
@@ -228,7 +238,10 @@ def test_a_prediction_that_is_cut_to_save_memory_is_the_same_to_the_bit(
     errors = rng.normal(size=(count, 20, starts.first_index.size))
     whole = open_engine(CUBE).predict(theta, starts, errors, wanted)
     monkeypatch.setattr(cpu, "RECORD_BYTES", limit)
-    parts = open_engine(CUBE, **ENGINES[name]).predict(theta, starts, errors, wanted)
+    given = dict(ENGINES[name])
+    with ThreadPoolExecutor(1) as worker:  # where the limit is the same, unlike in another process
+        engine = open_engine(CUBE, executor=worker if given.pop("spread", False) else None, **given)
+        parts = engine.predict(theta, starts, errors, wanted)
     np.testing.assert_array_equal(parts.completed, whole.completed)
     for one, other in zip(parts.values, whole.values, strict=True):
         np.testing.assert_array_equal(one, other)

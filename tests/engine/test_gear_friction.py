@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 from typing import Any
 
 import mujoco
@@ -36,6 +39,12 @@ WORDS = {
 }
 
 
+@pytest.fixture(scope="module")
+def workers() -> Iterator[Executor]:
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+        yield executor
+
+
 @pytest.fixture(
     params=[pytest.param(n, marks=pytest.mark.slow if n == "warp" else ()) for n in ENGINES], scope="module"
 )
@@ -43,7 +52,8 @@ def opened(request: pytest.FixtureRequest) -> Open:
     given = dict(ENGINES[request.param])
     if "device" in given:
         return partial(on_warp, device=given["device"])
-    return lambda system, **more: open_engine(system, **given, **more)
+    executor = request.getfixturevalue("workers") if given.pop("spread", False) else None
+    return lambda system, **more: open_engine(system, executor=executor, **given, **more)
 
 
 def hoist(words: dict[str, float] = WORDS, xml: str = HOIST, joint: str = "lift") -> System:

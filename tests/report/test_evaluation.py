@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 import re
 from pathlib import Path
 
@@ -91,8 +92,12 @@ def test_every_form_holds_every_row(groups: Groups, name: str) -> None:
     lines = formats.text(table).splitlines()
     assert len({len(line) for line in lines[3 : 3 + len(table.rows)]}) <= 2
     assert formats.markdown(table).count("\n| ") == len(table.rows) + 2
+    tex = formats.latex(table)
+    assert tex.count(r" \\") == len(table.rows) + 1
+    assert not set("±≤≥–−×") & set(tex)
+    assert not [line for line in tex.splitlines() if "_" in line.replace(r"\_", "") and "label" not in line]
     rows = list(csv.DictReader(io.StringIO(formats.comma_separated(table))))
-    assert len(rows) == len(table.records)
+    assert len(rows) == len(table.records) == len(json.loads(formats.as_json(table))["rows"])
 
 
 def test_numbers_of_the_csv_are_not_rounded(groups: Groups) -> None:

@@ -39,7 +39,7 @@ class Column:
 
     Args:
         name: Its name, a unit behind it.
-        kind: 'number', 'array' of numbers, 'date' [ns since 1970], or 'text', which is not read.
+        kind: 'number', 'array' of numbers in one cell, 'date' [ns since 1970], or 'text', which is not read.
         count: Numbers in one cell; 1 but for arrays.
     """
 

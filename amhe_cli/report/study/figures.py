@@ -1,4 +1,4 @@
-"""The figures of a study: in one style, each as SVG for the page and PNG for elsewhere."""
+"""The figures of a study: in one style, each as SVG for the page, PNG and PDF for elsewhere."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ class Drawing:
 
 
 def drawn(drawings: Sequence[Drawing], folder: Path) -> list[Section]:
-    """Draw figures, write each as PNG, and return them as sections of a page.
+    """Draw figures, write each as PNG and PDF, and return them as sections of a page.
 
     Args:
         drawings: The figures to draw.
@@ -87,6 +87,7 @@ def drawn(drawings: Sequence[Drawing], folder: Path) -> list[Section]:
             figure.savefig(
                 folder / f"{drawing.name}.png", dpi=200, facecolor="white", metadata={"Software": None}
             )
+            figure.savefig(folder / f"{drawing.name}.pdf", metadata={"CreationDate": None})
         sections.append(
             Section(drawing.title, drawing.caption, figure=element, natural=True, name=drawing.name)
         )

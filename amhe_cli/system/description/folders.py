@@ -1,11 +1,13 @@
-"""System folders by path and by name."""
+"""System folders by path and by name; quick to import, as completion needs it."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 from amhe_cli.core.bundled import bundled_root
 from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.yaml_file import YamlFile
 
 #: The file that makes a folder a system.
 FILE_NAME = "system.yaml"
@@ -53,3 +55,12 @@ def named_system(name: str, source: str, folder: str | None = None) -> Path:
             f"with amhe: give its folder with `system={folder or 'DIR'}`"
         )
     return bundled
+
+
+def parameter_names(folder: Path) -> list[str]:
+    """Names under `parameters:` in a system folder, as they stand there; nothing is checked."""
+    try:
+        named = YamlFile(folder / FILE_NAME, patient=True).own.get("parameters")
+    except ConfigError:
+        return []
+    return [str(name) for name in named] if isinstance(named, Mapping) else []

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -309,12 +310,12 @@ def test_a_change_is_allowed_until_the_misfit_has_risen_by_nine() -> None:
     assert allowed(36.0) == pytest.approx(0.5), "the misfit rises with the square of the change"
 
 
-def sliding(noise: float) -> tuple[Problem, Any]:
+def sliding(noise: float, executor: Executor | None = None) -> tuple[Problem, Any]:
     """A sliding cube's final fit at the truth, of a log with this noise [SI]."""
     system = System.load("cube_toss", {**CHEAP, "clips": {"count": 4, "length": [0.1, 0.2]}})
     channels = tuple(replace(channel, noise=noise) for channel in system.channels)
     system = replace(system, channels=channels)
-    engine = open_engine(system)
+    engine = open_engine(system, executor=executor)
     pool = ClipPool(system, [whole(fall(system, noise))], system.settings.clips)
     problem = Problem(system, pool, engine, 0)
     z = np.zeros(len(system.space))
@@ -353,6 +354,21 @@ def test_a_sharp_log_that_rules_other_contacts_out_allows_less_of_them() -> None
         rows = [k for k, source in enumerate(term.sources) if "contacts" in source.name]
         moves.append(np.abs(term.errors[:, rows]).max())
     assert moves[0] < 0.3 * moves[1]
+
+
+def test_variants_are_rolled_out_by_the_workers_that_were_given() -> None:
+    models: set[bytes] = set()
+
+    class Noting(ThreadPoolExecutor):
+        def submit(self, fn, /, *args, **kwargs):
+            models.add(args[0])
+            return super().submit(fn, *args, **kwargs)
+
+    here = assumed(*sliding(1e-4))[0]
+    with Noting(1) as executor:
+        spread = assumed(*sliding(1e-4, executor))[0]
+    assert len(models) >= 5, "the model itself, softer, harder, at half the step, solved for longer"
+    np.testing.assert_array_equal(here.errors, spread.errors)
 
 
 # -- forces and masses ---------------------------------------------------------------------------------------

@@ -1,0 +1,106 @@
+"""What the shell offers on TAB, beyond options, choices and paths.
+
+The functions are `shell_complete=` of options. They import nothing heavy: a shell waits for the answer.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable
+from glob import escape
+from pathlib import Path
+
+import click
+from click.shell_completion import BashComplete, CompletionItem, add_completion_class, split_arg_string
+
+from amhe_cli.cli.log_path import LOG
+
+#: The system of commands that were given no log.
+_ONLY = "go1_push"
+
+Completer = Callable[[click.Context, click.Parameter, str], list[CompletionItem]]
+
+
+def systems(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Bundled systems, system folders that begin so, and any other folder by the shell."""
+    from amhe_cli.system.description.folders import FILE_NAME, bundled_systems
+
+    start, _, name = incomplete.rpartition("/")
+    near = sorted(Path(start or ".").glob(f"{escape(name)}*/{FILE_NAME}"))
+    names = [*bundled_systems(), *(str(path.parent) for path in near)]
+    return [CompletionItem(incomplete, type="dir"), *_beginning(names, incomplete)]
+
+
+def parameters(ending: str = "") -> Completer:
+    """Names of the system's parameters, with commas between them, each with an ending such as '='."""
+
+    def complete(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
+        from amhe_cli.core.errors import AmheError
+        from amhe_cli.system.description.folders import bundled_systems, find_system, parameter_names
+
+        given = ctx.params.get("system")
+        try:
+            folder = find_system(given) if given else bundled_systems()[_named_by_log(ctx) or _ONLY]
+        except (AmheError, KeyError):
+            return []
+        return _listed((name + ending for name in parameter_names(folder)), incomplete)
+
+    return complete
+
+
+def listed(names: Iterable[str]) -> Completer:
+    """Some of these names, with commas between them."""
+    known = tuple(names)
+    return lambda ctx, param, incomplete: _listed(known, incomplete)
+
+
+def _named_by_log(ctx: click.Context) -> str | None:
+    """The system that the first log on the command line names."""
+    if not ctx.args:  # click leaves the words before an option without a value there
+        return None
+    from amhe_cli.core.errors import AmheError
+    from amhe_cli.logs import read_metadata
+
+    try:
+        return read_metadata(LOG.convert(ctx.args[0], None, ctx)).get("system")
+    except (AmheError, OSError, click.BadParameter):
+        return None
+
+
+def _beginning(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    return [CompletionItem(name) for name in names if name.startswith(incomplete)]
+
+
+def _listed(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    done, comma, _ = incomplete.rpartition(",")
+    return _beginning((f"{done}{comma}{name}" for name in names if name not in done.split(",")), incomplete)
+
+
+class _Bash(BashComplete):
+    """Bash cuts words at ':' and '=', and takes an answer for their last piece only.
+
+    So it is asked for the line up to the cursor, in place of its pieces, and for the last piece.
+    """
+
+    source_template = (
+        BashComplete.source_template.replace("${COMP_WORDS[*]}", "${COMP_LINE:0:COMP_POINT}")
+        .replace("COMP_CWORD=$COMP_CWORD", 'COMP_CWORD="${COMP_WORDS[COMP_CWORD]}"')
+        .replace("COMPREPLY+=($value)", 'COMPREPLY+=($value); [[ "$value" == *= ]] && compopt -o nospace')
+    )
+    #: What of the word to be completed bash has cut off.
+    _before = ""
+
+    def get_completion_args(self) -> tuple[list[str], str]:
+        """The words before the one that is to be completed, and that one."""
+        line, piece = os.environ["COMP_WORDS"], os.environ["COMP_CWORD"].lstrip(":=")
+        words = split_arg_string(line)
+        incomplete = "" if not words or line[-1].isspace() else words.pop()
+        self._before = incomplete.removesuffix(piece)
+        return words[1:], incomplete
+
+    def format_completion(self, item: CompletionItem) -> str:
+        """One line for bash."""
+        return f"{item.type},{item.value.removeprefix(self._before)}"
+
+
+add_completion_class(_Bash)
