@@ -68,6 +68,11 @@ class ModelPath(click.Path):
     "their parameters.",
 )
 @click.option(
+    "--gains",
+    is_flag=True,
+    help="With --actuators: gain, velocity gain, force limit and filter of each servo are unknown, too.",
+)
+@click.option(
     "--backlash",
     metavar="JOINT",
     multiple=True,
@@ -116,6 +121,7 @@ def init(
     out: Path | None,
     actuators: bool,
     group: bool,
+    gains: bool,
     backlash: tuple[str, ...],
     drives: dict[str, str],
     volts: float | None,
@@ -156,6 +162,7 @@ def init(
         urdf=urdf,
         actuators=actuators,
         group=group,
+        gains=gains,
         backlash=backlash,
         drives=Chosen(drives, volts, gain_p) if drives else None,
     )

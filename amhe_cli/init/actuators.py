@@ -10,6 +10,7 @@ import numpy as np
 from amhe_cli.init.drives import (
     KINDS,
     delay,
+    drive_numbers,
     gain_scale,
     joint_parameter,
     kin,
@@ -30,11 +31,17 @@ _OF_ACTUATOR = ("gaintype", "biastype", "gainprm", "biasprm", "forcelimited", "f
 
 
 def actuator_parameters(
-    spec: mujoco.MjSpec, model: mujoco.MjModel, signals: Sequence[Guess], guessed_gains: bool, group: bool
+    spec: mujoco.MjSpec,
+    model: mujoco.MjModel,
+    signals: Sequence[Guess],
+    guessed_gains: bool,
+    group: bool,
+    gains: bool = False,
 ) -> list[Guess]:
     """Armature, viscous and dry friction and the encoder's zero of each joint, and one delay of all commands.
 
-    Gains are fixed: a log of positions shows only their ratio to masses, armatures and frictions.
+    Gains are fixed: a log of positions shows only their ratio to masses, armatures and frictions. It shows
+    more where a servo saturates, or a load is known.
 
     Args:
         spec: The model's source: it has the classes of joints.
@@ -42,6 +49,7 @@ def actuator_parameters(
         signals: Signals of the log; every joint that it measures has a drive.
         guessed_gains: Whether `init` added the actuators; then the masses are known better than the gains.
         group: Equal drives share their parameters, all but the zero of the encoder.
+        gains: Gain, velocity gain, limit of force and filter of each servo are free, too.
     """
     joints, actuators = measured_joints(model, signals), moved_by(signals)
     groups = _groups(spec, model, joints) if group else {joint: [joint] for joint in joints}
@@ -50,7 +58,9 @@ def actuator_parameters(
         for name, alike in groups.items()
         for kind, field, meaning in KINDS
     ]
-    guesses += [*_zeros(model, joints, signals), *_gains(model, actuators, guessed_gains)]
+    guesses += _zeros(model, joints, signals)
+    free = drive_numbers(model, actuators, guessed_gains)
+    guesses += free if gains else _gains(model, actuators, guessed_gains)
     return [*guesses, *(delay(model.opt.timestep) if actuators else ())]
 
 

@@ -21,6 +21,8 @@ _KNOWN = (0.5, 10.0)
 _UNKNOWN = (1.0, 100.0)
 #: Prior sd (log scale) of the gains that a model file gives its actuators.
 GAIN_SD = 0.1
+#: Prior sd (log scale) of a limit of force that a model file gives.
+_LIMIT_SD = 0.2
 #: Prior sd (log scale) of a servo's gains that nobody has measured: a factor of 4.5 either way at one sd.
 _GUESSED_GAIN = 1.5
 #: Delay from a command's stamp to its action [s]: real servos have 5 to 20 ms, and models leave it out.
@@ -174,6 +176,48 @@ def servo_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[Gue
         for kind, nominal, why in gains:
             entry = entry_of(nominal, True, [{"actuator": name, "set": kind}], _GUESSED_GAIN)
             yield Guess(f"{name}_{'gain' if kind == 'gain' else 'kv'}", entry, why)
+
+
+def drive_numbers(model: mujoco.MjModel, actuators: Sequence[str], guessed: bool) -> Iterator[Guess]:
+    """Gain, velocity gain, limit of force and filter of each servo, as far as it has them."""
+    why = "the model's; a log determines it beside inertias where the drive saturates, or a mass is known"
+    for name in actuators:
+        row = model.actuator(name).id
+        if commanded(model, row) == "effort":
+            continue
+        filtered = int(model.actuator_dyntype[row]) in (
+            int(mujoco.mjtDyn.mjDYN_FILTER),
+            int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
+        )
+        gain = (_GUESSED_GAIN if guessed else GAIN_SD), True
+        for word, suffix, (sd, has) in (
+            ("gain", "gain", gain),
+            (
+                "actuator_damping",
+                "kv",
+                (gain[0], commanded(model, row) == "position" and model.actuator_biasprm[row, 2]),
+            ),
+            ("force_limit", "force_limit", (_LIMIT_SD, model.actuator_forcelimited[row])),
+            ("filter_time_constant", "filter", (_KNOWN[0], filtered)),
+        ):
+            if has:
+                entry = {"scale": "log", "prior_sd": sd, "targets": [{"actuator": name, "set": word}]}
+                yield Guess(f"{name}_{suffix}", entry, f"{word} of {name}; {why}")
+
+
+def geared_joints(model: mujoco.MjModel, actuators: Sequence[str]) -> list[str]:
+    """Joints with a gear, as far as a model shows it: of position servos, and motors with a ratio."""
+    rows = [model.actuator(name).id for name in actuators]
+    joints = [
+        model.joint(model.actuator_trnid[row, 0]).name
+        for row in rows
+        if int(model.actuator_trntype[row]) <= int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)
+        and (
+            commanded(model, row) == "position"
+            or abs(model.actuator_gear[model.actuator_outadr[row], 0]) > 1.0
+        )
+    ]
+    return [name for name in dict.fromkeys(joints) if name in single_joints(model)]
 
 
 def delay(step: float) -> Iterator[Guess]:

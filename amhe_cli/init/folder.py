@@ -16,6 +16,7 @@ from amhe_cli.core.readout import resolution
 from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
 from amhe_cli.init.backlash import backlash_parameters
+from amhe_cli.init.drives import geared_joints, moved_by
 from amhe_cli.init.from_library import Chosen, library_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
 from amhe_cli.init.parameters import guess_parameters, guessed_masses, sharing
@@ -56,6 +57,7 @@ def init_system(
     urdf: UrdfOptions | None = None,
     actuators: bool = False,
     group: bool = False,
+    gains: bool = False,
     backlash: Sequence[str] = (),
     drives: Chosen | None = None,
 ) -> list[str]:
@@ -70,6 +72,7 @@ def init_system(
         urdf: How to read a URDF.
         actuators: The unknowns are those of all drives, and nothing else.
         group: With `actuators`: equal drives share their parameters.
+        gains: With `actuators`: gain, velocity gain, limit of force and filter of each servo are free, too.
         backlash: Joints, by names or patterns, that get a gap between drive and link, of unknown width.
         drives: Drives of the library, for gains, limits and armatures.
 
@@ -80,8 +83,9 @@ def init_system(
         ConfigError: The model cannot be read, or nothing in the logs is a part of it.
         LogError: A log cannot be read.
     """
-    if group and not actuators:
-        raise ConfigError("`group` is for the drives of `actuators`: give both")
+    for name, given in (("group", group), ("gains", gains)):
+        if given and not actuators:
+            raise ConfigError(f"`{name}` is for the drives of `actuators`: give both")
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
     spec = read_spec(model_path, urdf)
@@ -97,7 +101,7 @@ def init_system(
     model = compiled(spec)
     guesses = guess_signals(model, topics)
     if actuators:
-        parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group)
+        parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group, gains=gains)
         notes += floating(model, guesses) + (ungrouped(parameters) if group else [])
     else:
         parameters = guess_parameters(model, guesses, guessed_gains=added)
@@ -119,10 +123,11 @@ def init_system(
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         folder = Path(scratch)
         name = copy_model(spec, model_path, folder, rewrite=rewrite)
+        geared = geared_joints(compiled(spec), moved_by(guesses))
         head = (name, model_path.name, [str(log) for log in logs])
 
         def write() -> None:
-            text = system_text(*head, guesses, parameters, notes, skeletons, spare)
+            text = system_text(*head, guesses, parameters, notes, skeletons, spare, geared)
             (folder / FILE_NAME).write_text(text)
 
         write()

@@ -14,6 +14,13 @@ from amhe_cli.init.signals import Guess
 #: Comment above a signal that is to be completed by hand.
 _SKELETON = "this type is not built in: correct the paths of its numbers to use it"
 
+#: Comment above the joints that have a gear.
+_GEARED = (
+    "",
+    "# Servos have gears, whose friction grows with load: intervals allow for it. Name no direct drives;",
+    "# with known loads, `amhe compare --friction` says what it is.",
+)
+
 
 def system_text(
     model: str,
@@ -24,6 +31,7 @@ def system_text(
     notes: Sequence[str],
     skeletons: Sequence[Sequence[str]] = (),
     spare: Sequence[Guess] = (),
+    geared: Sequence[str] = (),
 ) -> str:
     """Text of a `system.yaml`.
 
@@ -36,6 +44,7 @@ def system_text(
         notes: Sentences for the user.
         skeletons: Signals to complete by hand, as lines; written as comments.
         spare: Parameters that are not free; written as comments.
+        geared: Joints with a gear.
     """
     names = ", ".join(Path(log).name for log in logs)
     lines = [
@@ -55,6 +64,8 @@ def system_text(
         "signals:",
         *(line for guess in guesses for line in _signal(guess)),
         *(f"  # {printable(line)}" for skeleton in skeletons for line in (_SKELETON, *skeleton)),
+        *(_GEARED if geared else ()),
+        *(line for line in ("settings:", "  identify:", f"    geared: {flow(list(geared))}") if geared),
     ]
     return "\n".join(lines) + "\n"
 

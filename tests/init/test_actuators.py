@@ -15,6 +15,7 @@ from amhe_cli.init.model import overlaps
 from amhe_cli.system.system import System
 
 JOINTS = ("left_hip", "left_knee", "right_hip", "right_knee")
+MOTOR = '<motor name="right_knee" joint="right_knee"/>'
 ROOT = '<body name="trunk" pos="0 0 1">{0}<geom size="0.1" mass="5"/>'
 
 
@@ -33,7 +34,7 @@ def robot(free: str = "", right: float = 0.2) -> str:
 
 
 def made(
-    folder: Path, model: str, group: bool = False, backlash: Sequence[str] = ()
+    folder: Path, model: str, group: bool = False, backlash: Sequence[str] = (), gains: bool = False
 ) -> tuple[System, list[str]]:
     folder.mkdir(exist_ok=True)
     (folder / "robot.xml").write_text(model)
@@ -46,6 +47,7 @@ def made(
         folder / "out",
         actuators=True,
         group=group,
+        gains=gains,
         backlash=backlash,
     )
     return System.load(folder / "out"), notes
@@ -164,3 +166,23 @@ def test_efforts_that_are_not_compared_are_named(tmp_path: Path) -> None:
     notes = init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "out", actuators=True)
     (note,) = [note for note in notes if note.startswith("not compared: the efforts tau_left_hip")]
     assert "joint: NAME" in note
+
+
+def test_gains_limits_and_filters_of_drives_are_free_if_asked(tmp_path: Path) -> None:
+    """Each servo has those numbers that the model gives it; its joint has a gear, a motor's has none."""
+    model = robot().replace('kp="20" kv="0.5"', 'kp="20" kv="0.5" forcerange="-3 3"', 1)
+    model = model.replace('joint="left_knee" kp="20"', 'joint="left_knee" timeconst="0.02" kp="20"')
+    model = model.replace('<position name="right_knee" joint="right_knee" kp="20" kv="0.5"/>', MOTOR)
+    system, _ = made(tmp_path, model, gains=True)
+    free = {
+        name
+        for name in system.space.names
+        if name.split("_", 2)[-1] in ("gain", "kv", "force_limit", "filter")
+    }
+    of_hips = {f"{side}_hip_{word}" for side in ("left", "right") for word in ("gain", "kv")}
+    assert free == of_hips | {"left_hip_force_limit", "left_knee_gain", "left_knee_kv", "left_knee_filter"}
+    assert system.space.named(system.space.nominal)["left_knee_filter"] == pytest.approx(0.02)
+    assert system.settings.identify.geared == ["left_hip", "left_knee", "right_hip"]
+    assert "gain_scale" not in system.sets
+    with pytest.raises(ConfigError, match="`gains` is for the drives"):
+        init_system(tmp_path / "robot.xml", [tmp_path / "log.csv"], tmp_path / "more", gains=True)

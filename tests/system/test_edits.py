@@ -322,3 +322,20 @@ def test_two_parameters_cannot_set_the_same_number(written: Write) -> None:
     )
     with pytest.raises(ConfigError, match="parameter 'one' already sets this number"):
         System.load(folder)
+
+
+def test_a_number_is_set_before_others_are_added_to_it(with_target: Write) -> None:
+    """In any order in the file: else what is added would be lost."""
+    folder = with_target("{joint: hip, set: damping, mode: add}", "bounds: [-0.05, 1]")
+    text = (folder / "system.yaml").read_text()
+    more = "parameters:\n  late: {nominal: 0.5, targets: [{joint: hip, set: damping}]}"
+    for place in (
+        text.replace("parameters:", more, 1),
+        text.replace("\nsignals:", f"\n{more[12:]}\nsignals:", 1),
+    ):
+        (folder / "system.yaml").write_text(place)
+        system = System.load(folder)
+        names = list(system.space.names)
+        theta = np.zeros(2)
+        theta[names.index("late")], theta[1 - names.index("late")] = 0.5, 0.25
+        assert system.edits.apply(system.model, theta).dof_damping[6] == pytest.approx(0.75)

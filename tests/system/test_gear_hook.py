@@ -10,9 +10,8 @@ import mujoco
 import numpy as np
 import pytest
 
-from amhe_cli.system.parameters.gear_friction import UPDATE
-
 DOCS = Path(__file__).parents[2] / "docs" / "systems.md"
+STEP = 0.004
 ARM = """<mujoco><option timestep="{dt}"/><worldbody><body><joint name="hip" axis="0 1 0" frictionloss=".01"/>
   <geom type="sphere" size=".02" pos=".2 0 0" mass="1"/></body></worldbody>
   <actuator><motor name="m" joint="hip"/></actuator>
@@ -26,7 +25,7 @@ def test_a_gear_that_locks_holds_its_load(k: float, moves: bool) -> None:
     )
     names: dict[str, Any] = {}
     exec(code, names)
-    model = mujoco.MjModel.from_xml_string(ARM.format(dt=UPDATE, k=k))
+    model = mujoco.MjModel.from_xml_string(ARM.format(dt=STEP, k=k))
     data, hook = mujoco.MjData(model), names["GearFriction"](model)
     mujoco.mj_forward(model, data)
     for _ in range(50):

@@ -63,7 +63,7 @@ class _Unknowns:
     """What has been read of the parameters so far."""
 
     parameters: list[Parameter] = field(default_factory=list)
-    edits: list[tuple[int, Edit]] = field(default_factory=list)
+    edits: list[tuple[tuple[int, bool], Edit]] = field(default_factory=list)
     calibrated: list[ScalarEdit] = field(default_factory=list)
     set_by: dict[tuple[str, int, int], str] = field(default_factory=dict)
     late: list[ScalarEdit] = field(default_factory=list)
@@ -127,7 +127,11 @@ def _add_plain(
         elif selector == "signal":
             unknowns.calibrated.append(edit)
         else:
-            unknowns.edits.append((_ORDER.get(target.set, 1), edit))
+            rank = (
+                _ORDER.get(target.set, 1),
+                target.mode != "value",
+            )  # what is scaled or added to is set first
+            unknowns.edits.append((rank, edit))
     if len(reached) < len(entry.targets):
         return
     try:
@@ -184,7 +188,7 @@ def _add_pseudo(
         return
     sd = PSEUDO_PRIOR_SD if entry.prior_sd is None else entry.prior_sd
     unknowns.parameters += [Parameter(f"{name}.{k}", "-", 0.0, lower, upper, False, sd) for k in PSEUDO_NAMES]
-    unknowns.edits.append((0, edit))
+    unknowns.edits.append(((0, False), edit))
 
 
 def _claim(unknowns: _Unknowns, name: str, target: TargetEntry, cells: list[Cells]) -> None:

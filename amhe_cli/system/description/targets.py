@@ -35,6 +35,8 @@ _CONTROLLERS = {
     "integral_limit": {_PID: ("actuator_dynprm", 0), _DC_MOTOR: ("actuator_dynprm", 8)},
     "slew_limit": {_PID: ("actuator_dynprm", 1), _DC_MOTOR: ("actuator_dynprm", 7)},
 }
+#: MuJoCo's numbers of actuators that filter their command.
+_FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 #: Axis of a target -> columns.
 _AXES = {"x": (0,), "y": (1,), "z": (2,), "all": (0, 1, 2)}
 #: Axes of a frame, in the order of its numbers.
@@ -275,6 +277,16 @@ def _joint_force_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> l
     return range_cells(model, "jnt_actfrcrange", row)
 
 
+def _filter(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Time constant of an actuator that filters its command."""
+    if int(model.actuator_dyntype[row]) not in _FILTERS:
+        name = model.actuator(row).name
+        raise ConfigError(
+            f"actuator {name!r} filters nothing in the model: give it timeconst, or dyntype='filterexact'"
+        )
+    return [Cells("actuator_dynprm", row, (0,))]
+
+
 def _ctrl_limit(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
     """Both ends of an actuator's range of controls."""
     ctrl = int(model.actuator_ctrladr[row])
@@ -318,8 +330,9 @@ SETTERS: Mapping[str, Setter] = {
     "stribeck_load_friction_external": Setter("-", _gear("stribeck_load_friction_external"), lower=-inf),
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
     "backlash": Setter("rad", {"joint": _backlash}, positive=True),
-    "gain": Setter("-", {"actuator": _gain}, positive=True),
+    "gain": Setter("-", {"actuator": _gain}),
     "actuator_damping": Setter("-", {"actuator": _actuator_damping}),
+    "filter_time_constant": Setter("s", {"actuator": _filter}, positive=True),
     "integral_gain": Setter("-", {"actuator": _controller("integral_gain")}, positive=True),
     "integral_limit": Setter("rad s", {"actuator": _controller("integral_limit")}, positive=True),
     "slew_limit": Setter("rad/s", {"actuator": _controller("slew_limit")}, positive=True),
