@@ -23,6 +23,7 @@ from amhe_cli.cli.convert import convert
 from amhe_cli.cli.drives import drives
 from amhe_cli.cli.emulate import emulate
 from amhe_cli.cli.eval import evaluate
+from amhe_cli.cli.explain import explain
 from amhe_cli.cli.export import export
 from amhe_cli.cli.identify import identify
 from amhe_cli.cli.init import init
@@ -46,7 +47,7 @@ from amhe_cli.cli.view import view
 #: The commands, by what they are for.
 GROUPS = {
     "Start": (inspect, init, check, identify, view),
-    "More": (compare, pool, probe, mhe_replay, export, convert, drives),
+    "More": (compare, explain, pool, probe, mhe_replay, export, convert, drives),
     "Go1": (run_task, evaluate, emulate, calibrate),
 }
 

@@ -13,7 +13,8 @@ from amhe_cli.core.belief import belief_of
 from amhe_cli.core.errors import NOTE
 from amhe_cli.core.log import Window
 from amhe_cli.core.statistics import part_of
-from amhe_cli.estimation.core.result import ClipCount, HeldOut, Identification
+from amhe_cli.estimation.core.result import ClipCount, HeldOut, Identification, Missing
+from amhe_cli.estimation.explain.explain import explain
 from amhe_cli.estimation.offline.bodies import body_numbers
 from amhe_cli.estimation.offline.cma import CmaState
 from amhe_cli.estimation.offline.combinations import combinations
@@ -34,8 +35,10 @@ from amhe_cli.estimation.uncertainty.fit import (
 from amhe_cli.estimation.uncertainty.ledger import LEAST, Ledger
 from amhe_cli.estimation.uncertainty.minimum import SHARE, Rival, second_minimum
 from amhe_cli.estimation.uncertainty.misfit import (
+    ASKED,
     blamed,
     left_out,
+    misfits,
     report_misfit,
     report_unsettled,
     unexplained,
@@ -50,7 +53,7 @@ from amhe_cli.system.system import System
 logger = logging.getLogger(__name__)
 
 #: Parts of a conclusion, for its progress, and linearisations of all clips that it needs at least.
-PARTS, RESERVE = 9, 3
+PARTS, RESERVE = 10, 3
 #: Steps that a settled search may still take with the noise that it has left.
 STEPS = 2
 
@@ -73,6 +76,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     for text in own:
         logger.log(NOTE, text)
     held_out, misfit = _judged(problem, finding, fit, validation, watch)
+    missing = _missing(problem, finding, fit, watch)
     ledger, rival, exact = _ledger(problem, finding, fit, watch)
     evidence = Evidence(
         z=finding.z,
@@ -117,6 +121,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         bodies=body_numbers(system, finding.z, ledger.covariance, problem.rng(5)),
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(system.space, fit, each_log(problem, fit)),
+        missing=missing,
     )
 
 
@@ -154,6 +159,20 @@ def _judged(
     if held_out and forwards and watch.allows("error against horizon", _predictions(problem, validation)):
         held_out = replace(held_out, horizons=horizon_errors(problem, validation, finding.z))
     return held_out, (*against, *shown)
+
+
+def _missing(problem: Problem, finding: Finding, fit: FinalFit, watch: Watch) -> Missing | None:
+    """What the model lacks, where it misses the logs by more than twice their noise."""
+    missed = any(scale > ASKED and not white for scale, white in misfits(fit).values())
+    if not (missed and finding.done and watch.allows("what the model lacks", problem.linearisation)):
+        return None
+    found = explain(problem.system, problem.pool.parts, fit.z, problem.rng(9))
+    for row in found.rows[:1]:
+        logger.warning(
+            f"{row.place}: {row.text}: so the logs say, it explains {row.share:.0%} of the motion there that "
+            "the model does not"
+        )
+    return found
 
 
 def _validated(

@@ -16,6 +16,7 @@ from amhe_cli.core.log import Log, Window, in_order
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.conclude import PARTS, RESERVE, conclude
 from amhe_cli.estimation.core.result import Identification
+from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.offline import cma, search
 from amhe_cli.estimation.offline.checkpoint import Checkpoint
 from amhe_cli.estimation.offline.clips import ClipPool, evenly, split_held_out, whole
@@ -94,6 +95,11 @@ def identify(
     training = in_order(training)
     watch = Watch(on_iteration, options.max_time, PARTS)
     problem, validation = _pose(system, training, held_out, options)
+    for wrong in mended(system, problem.pool.parts, problem.rng(8))[:1]:
+        logger.warning(
+            f"{wrong.text}: put right, {wrong.share:.0%} of the motion that the prior does not explain goes; "
+            "nothing was changed"
+        )
     watch.keep(RESERVE * problem.linearisation)
     kept = Checkpoint(options.checkpoint, problem, options.method)
     finding = _search(problem, validation, options.method, watch, kept)

@@ -174,11 +174,11 @@ def _inputs(
     for i, window in enumerate(windows):
         rows = np.clip(np.arange(window.start - history, window.start + horizon), 0, window.stop - 1)
         for source in system.inputs:
-            inputs[i][:, list(source.columns)] = _driving(source, window.log)[rows]
+            inputs[i][:, list(source.columns)] = driving(source, window.log)[rows]
     return inputs
 
 
-def _driving(source: Input, log: Log) -> FloatArray:
+def driving(source: Input, log: Log) -> FloatArray:
     """Values of an input over a log, shape (T, columns): in the model's frame, or as a force's moment."""
     values = log[source.key].values
     if source.frame:

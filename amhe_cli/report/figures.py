@@ -21,7 +21,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.text import printable
-from amhe_cli.estimation.core.result import Fit, Iteration, ParameterResult
+from amhe_cli.estimation.core.result import Fit, Iteration, MissingRow, ParameterResult
 from amhe_cli.report import numbers
 from amhe_cli.report.page import Key
 
@@ -358,3 +358,22 @@ def fit_legend(initial: str, identified: str) -> tuple[Key, ...]:
         Key(f"predicted with {identified}", IDENTIFIED),
         Key("below: measured minus the latter, and the declared noise (band)", shape=""),
     )
+
+
+def missing_figure(rows: Sequence[MissingRow]) -> Markup | None:
+    """Force that nothing else explains, against the variable of each cause; None where there is none."""
+    drawn = [(row, *row.against) for row in rows if row.against is not None]
+    if not drawn:
+        return None
+    grid = Grid(len(drawn), min(3, len(drawn)), height=2.6)
+    with styled("missing"):
+        figure = grid.figure()
+        for index, (row, name, values, force, explained) in enumerate(drawn):
+            axes = grid.axes(figure, index, bottom=0.5)
+            some = np.linspace(0, len(values) - 1, min(len(values), 2 * MAX_POINTS)).astype(int)
+            _dots(axes, values[some], force[some], MEASURED)
+            _dots(axes, values[some], explained[some], IDENTIFIED)
+            axes.set_title(f"{row.place}: {row.kind}")
+            axes.set_xlabel(name)
+            axes.locator_params(nbins=5)
+        return svg(figure)

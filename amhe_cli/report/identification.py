@@ -21,6 +21,7 @@ from amhe_cli.report.bodies import body_table
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
+from amhe_cli.report.missing import missing_record, print_missing
 from amhe_cli.report.tables import NUMBER, Table, rich_table
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
 from amhe_cli.system.system import System
@@ -81,6 +82,7 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "rollouts": {"count": result.rollouts, "diverged": result.diverged},
             "clips": asdict(result.clips),
             "noise_scale": result.noise_scale,
+            "missing": missing_record(result.missing),
             "iterations": len(result.iterations),
             "logs": result.logs,
         }
@@ -143,6 +145,8 @@ def print_identification(
     for c in known_together(result)[:MAX_COMBINATIONS]:
         console.print(f"known together: {c.text} to {numbers.percent(c.sd)}")
     console.print(f"held-out: {held_out_line(result.held_out)}")
+    if result.missing:
+        print_missing(result.missing, console)
     if result.clips.thinned:
         console.print(f"fitted: {result.clips.fitted_of}")
     if truth:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.belief import Belief
@@ -293,6 +294,48 @@ class RunEstimate:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MissingRow:
+    """One cause of what a model does not explain.
+
+    Args:
+        kind, place: What is missing, and where.
+        text: It in words.
+        share: Share of the unexplained force there that it explains on data that were not fitted.
+        rivals: Other causes that explain as much, in words.
+        repair: Entries of `parameters` in `system.yaml` that let the model have it; {}: none does.
+        against: What the picture shows: name, values (n,), unexplained force (n,), and the cause's (n,).
+    """
+
+    kind: str
+    place: str
+    text: str
+    share: float
+    rivals: tuple[str, ...] = ()
+    repair: Mapping[str, Any] = field(default_factory=dict)
+    against: tuple[str, FloatArray, FloatArray, FloatArray] | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Missing:
+    """What explains the motion that a model does not, most first.
+
+    Args:
+        rows: The causes.
+        chance: Share that chance would explain.
+        tested: Number of candidates.
+        start, left: What the model, and what it and the rows leave of the accelerations, as a share.
+        untested: Why nothing could be tested; '': it was.
+    """
+
+    rows: tuple[MissingRow, ...] = ()
+    chance: float = 0.0
+    tested: int = 0
+    start: float = 0.0
+    left: float = 0.0
+    untested: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Identification:
     """The result of `amhe identify`."""
 
@@ -316,6 +359,7 @@ class Identification:
     spreads: tuple[OwnSpread, ...] = ()
     bodies: tuple[BodyNumber, ...] = ()
     runs: tuple[RunEstimate, ...] = ()
+    missing: Missing | None = None  # None: the model misses the logs by no more than twice their noise
 
 
 def known_together(result: Identification) -> list[Combination]:

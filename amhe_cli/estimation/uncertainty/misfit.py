@@ -24,6 +24,8 @@ logger = logging.getLogger(__name__)
 UNSETTLED, MOVING = 2.0, 1.0
 #: Last iterations that show whether the cost still falls.
 STALLED = 3
+#: Residuals of this many noise sd are asked what they lack.
+ASKED = 2.0
 #: Residuals of this many noise sd are a wrong model.
 MISFIT = 3.0
 #: Residuals of this many times the declared noise make every number the model's, unless they are noise:
@@ -54,7 +56,7 @@ def report_unsettled(problem: Problem, finding: Finding, fit: FinalFit) -> None:
 
 def report_misfit(system: System, fit: FinalFit) -> None:
     """Warn of channels that the model does not explain."""
-    for key, (scale, white) in _misfits(fit).items():
+    for key, (scale, white) in misfits(fit).items():
         if scale > MISFIT:
             wrong = "" if white else f"{_remedy(system, key)}; or "
             logger.warning(
@@ -71,7 +73,7 @@ def unexplained(system: System, fit: FinalFit) -> tuple[str, ...]:
     found = []
     noise = {o.channel.key: float(np.mean(o.noise)) for o in fit.slopes.cost.clips.observed}
     moved = {each.channel.key: _scatter(each) for each in fit.slopes.cost.clips.observed}
-    for key, (scale, white) in sorted(_misfits(fit).items(), key=lambda item: -item[1][0]):
+    for key, (scale, white) in sorted(misfits(fit).items(), key=lambda item: -item[1][0]):
         if scale > MISSED and not white:
             text = f"the model misses {key} by {scale:.0f} times its noise: {_remedy(system, key)}"
             missed, quantity = noise[key], key.partition(PART)[0].rsplit(".", 1)[1]
@@ -88,7 +90,7 @@ def _scatter(observed: Observed) -> float:
 
 def blamed(system: System, fit: FinalFit) -> dict[str, tuple[str, ...]]:
     """Where the model misses the logs: parameters that several joints share, and what to do about each."""
-    missed = [(scale, key) for key, (scale, white) in _misfits(fit).items() if scale > MISFIT and not white]
+    missed = [(scale, key) for key, (scale, white) in misfits(fit).items() if scale > MISFIT and not white]
     if not missed:
         return {}
     scale, key = max(missed)
@@ -129,7 +131,7 @@ def left_out(fit: FinalFit) -> tuple[str, ...]:
     )
 
 
-def _misfits(fit: FinalFit) -> dict[str, tuple[float, bool]]:
+def misfits(fit: FinalFit) -> dict[str, tuple[float, bool]]:
     """For each channel, residual sd over declared noise, and whether the residuals are white."""
     keys = [observed.channel.key for observed in fit.slopes.cost.clips.observed]
     return {key: (fit.scale.get(key, 1.0), time < WHITE) for key, time in zip(keys, fit.times, strict=True)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import mujoco
@@ -135,3 +136,41 @@ def control_of(model: mujoco.MjModel, row: int, quantity: str) -> int:
     if quantity not in inputs:
         raise ConfigError(one_of(f"quantity that actuator {name!r} takes", quantity, inputs))
     return first + inputs.index(quantity)
+
+
+@dataclass(frozen=True, slots=True)
+class Dof:
+    """One degree of freedom of a model.
+
+    Args:
+        name: Name of its joint; of a free body, or of a ball joint, with the axis: 'box x', 'box roll'.
+        kind: Of a hinge or slide that; 'linear' and 'angular' are those of free bodies and ball joints.
+        place: Column of qpos, of hinges and slides; else -1.
+        joint: Row of its joint.
+    """
+
+    name: str
+    kind: str
+    place: int
+    joint: int
+
+    @property
+    def turns(self) -> bool:
+        """Whether it is an angle, and its force a torque."""
+        return self.kind in ("hinge", "angular")
+
+
+def dofs_of(model: mujoco.MjModel) -> list[Dof]:
+    """All degrees of freedom of a model, in its order."""
+    found: list[Dof] = []
+    for row in range(model.njnt):
+        kind, name = mujoco.mjtJoint(model.jnt_type[row]), model.joint(row).name or f"joint {row}"
+        body = model.body(model.jnt_bodyid[row]).name or name
+        if kind == mujoco.mjtJoint.mjJNT_FREE:
+            found += [Dof(f"{body} {axis}", "linear", -1, row) for axis in "xyz"]
+        if kind in (mujoco.mjtJoint.mjJNT_FREE, mujoco.mjtJoint.mjJNT_BALL):
+            found += [Dof(f"{body} {axis}", "angular", -1, row) for axis in ("roll", "pitch", "yaw")]
+        else:
+            single = "hinge" if kind == mujoco.mjtJoint.mjJNT_HINGE else "slide"
+            found.append(Dof(name, single, int(model.jnt_qposadr[row]), row))
+    return found

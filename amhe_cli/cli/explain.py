@@ -1,0 +1,55 @@
+"""`amhe explain`: what a model lacks, or a log has wrong, from a result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from amhe_cli.cli import options, parsing
+from amhe_cli.cli.session import Session
+
+if TYPE_CHECKING:
+    from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.cli.settings import Overrides
+
+
+@click.command(cls=parsing.Command, short_help="What a model lacks, or a log has wrong.")
+@click.argument("source", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="RESULT")
+@options.where
+@options.seed
+@options.tuning
+@options.common
+@click.pass_obj
+def explain(session: Session, source: Path, inputs: Inputs, seed: int, overrides: Overrides) -> None:
+    """Name what explains the motion that the model of a RESULT does not.
+
+    RESULT is the folder that `amhe identify` wrote; its logs must still be where they were. Some hundred
+    causes are tried, in the log (signs, order, units, delays) and in the model (springs, friction, gains,
+    limits, loads, what repeats). One is named if it explains more than chance on parts that were not fitted.
+    """
+    import numpy as np
+
+    from amhe_cli.cli.viewed import viewed
+    from amhe_cli.core.each_log import named, searched
+    from amhe_cli.core.errors import ConfigError
+    from amhe_cli.estimation.explain.explain import explain as run
+    from amhe_cli.estimation.offline.clips import whole
+    from amhe_cli.report.missing import missing_record, print_missing
+
+    session.hush_mujoco()
+    found = viewed(source, inputs, overrides)
+    if found.belief is None:
+        raise ConfigError(f"{source}: is no result of `amhe identify`")
+    opened, _ = found.open().starting_from(found.belief, fix=found.record.fixed)
+    logs = named([log for group in found.read(opened) for log in group])
+    space = searched(opened.space, logs)
+    from dataclasses import replace
+
+    system = replace(opened, space=space)
+    missing = run(system, [whole(log) for log in logs], np.zeros(len(space)), np.random.default_rng(seed))
+    if session.json:
+        session.print_json(session.record(missing=missing_record(missing)))
+    else:
+        print_missing(missing, session.console())

@@ -1,0 +1,167 @@
+"""Logs that are not what they say: a joint with the other sign, two in each other's place, another unit.
+
+Each candidate is the log as it would be if that were put right. It is scored by what is left of the measured
+accelerations at the prior's values, in units of the accelerations: a number that no unit changes. Beside the
+model, each joint's drive, friction and inertia may be off, at a price.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.core.log import Log, Window
+from amhe_cli.engine.states import controls
+from amhe_cli.estimation.explain.motion import motion_in
+from amhe_cli.estimation.explain.regression import LEVEL, SIGNS, blocks_of, memory_of
+from amhe_cli.estimation.explain.unexplained import along, apart_in, direction, missing
+from amhe_cli.system.model.elements import dofs_of
+from amhe_cli.system.system import System
+
+#: Instants that decide, and the price of a share of all force that a joint's drive or friction is off.
+_INSTANTS, _PRICE = 600, 0.1
+#: Factors from numbers to SI units that are tried.
+_UNITS = {"degrees": np.pi / 180.0, "thousandths": 1e-3, "radians, and are read as degrees": 180.0 / np.pi}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mended:
+    """A log as it would be if something were put right.
+
+    Args:
+        kind, place, text: What would be put right, and where, in words.
+        mend: A log -> the log with it put right.
+        share, left: Share of the unexplained acceleration that goes with it, and what is left.
+    """
+
+    kind: str
+    place: str
+    text: str
+    mend: Callable[[Log], Log]
+    share: float = 0.0
+    left: float = 0.0
+
+
+def mended(system: System, parts: Sequence[Window], rng: np.random.Generator) -> list[Mended]:
+    """What, put right, leaves less of the accelerations than the logs as they are; most first.
+
+    Args:
+        system: The system.
+        parts: Parts of its logs; the longest decides.
+        rng: Generator of the signs of blocks.
+    """
+    part = max(parts, key=lambda one: one.length)
+    candidates = [] if system.match == "effort" else list(_candidates(system))
+    if not candidates or (start := _left(system, part)) is None:
+        return []
+    blocks = blocks_of([slice(0, len(start))], memory_of(start[:, None], [slice(0, len(start))]))
+    start = _by_block(start, blocks)
+    signs = rng.choice([-1.0, 1.0], (SIGNS, len(start)))
+    found, gains = [], []
+    for one in candidates:
+        left = _left(system, replace(part, log=one.mend(part.log)))
+        if left is None or len(left) != blocks[-1].stop:
+            continue
+        if left.mean() > 1.0:  # no better than a prediction that nothing accelerates
+            continue
+        left = _by_block(left, blocks)
+        gain = start - left
+        gains.append(gain / max(np.sqrt((gain**2).sum()), 1e-300))  # Student's t, but for a factor
+        found.append(replace(one, share=1.0 - float(left.sum() / start.sum()), left=float(left.sum())))
+    if not gains:
+        return []
+    chance = np.quantile(np.max(signs @ np.array(gains).T, axis=1), 1.0 - LEVEL)
+    good = [one for one, gain in zip(found, gains, strict=True) if gain.sum() > chance and one.share > 0.0]
+    return sorted(good, key=lambda one: -one.share)
+
+
+def _candidates(system: System) -> Iterator[Mended]:
+    """Signs, units and order of joints and commands that are columns of a signal."""
+    model = system.model
+    dofs = {dof.place: dof for dof in dofs_of(model) if dof.place >= 0}
+    columns = [
+        (channel.key, i, dofs[place].name, "joint", dofs[place].turns)
+        for channel in system.channels if channel.source == "qpos" and channel.kind == "linear"
+        for i, place in enumerate(channel.columns) if place in dofs
+    ]  # fmt: skip
+    place = controls(model, system.input_spec) or slice(0, 0)
+    for source in system.inputs:
+        for i, at in enumerate(source.columns):
+            rows = np.flatnonzero(np.array(model.actuator_ctrladr) == at - place.start)
+            if source.delayed and rows.size:
+                name = f"command of {model.actuator(int(rows[0])).name}"
+                columns.append((source.key, i, name, "command", True))
+    for key, i, name, what, turns in columns:
+        sign = "joint sign" if what == "joint" else "command"
+        yield Mended(sign, name, f"the log's {name} has the other sign", _scaled(key, {i: -1.0}))
+        for unit, factor in _UNITS.items() if turns else ():
+            yield Mended("unit", name, f"the log's {name} is in {unit}", _scaled(key, {i: factor}))
+    for (key, i, one, what, *kind), (other, j, two, _, *too) in combinations(columns, 2):
+        if key == other and kind == too:
+            word = "swapped joints" if what == "joint" else "exchanged"
+            text = f"the log's {one} and {two} are in each other's place"
+            yield Mended(word, f"{one}, {two}", text, _swapped(key, i, j))
+
+
+def _keys(key: str) -> tuple[str, ...]:
+    signal = key.rpartition(".")[0]
+    return tuple(dict.fromkeys((key, f"{signal}.velocity" if key.endswith(".position") else key)))
+
+
+def _scaled(key: str, factors: dict[int, float]) -> Callable[[Log], Log]:
+    def mend(log: Log) -> Log:
+        series = dict(log.series)
+        for name in _keys(key):
+            if name in series:
+                values = np.array(series[name].values)
+                for column, factor in factors.items():
+                    values[:, column] *= factor
+                series[name] = replace(series[name], values=values)
+        return replace(log, series=series)
+
+    return mend
+
+
+def _swapped(key: str, i: int, j: int) -> Callable[[Log], Log]:
+    def mend(log: Log) -> Log:
+        series = dict(log.series)
+        for name in _keys(key):
+            if name in series:
+                values = np.array(series[name].values)
+                values[:, [i, j]] = values[:, [j, i]]
+                series[name] = replace(series[name], values=values)
+        return replace(log, series=series)
+
+    return mend
+
+
+def _left(system: System, part: Window) -> FloatArray | None:
+    """What is left of the accelerations at each instant, in units of them and with the price, shape (n,)."""
+    theta = np.array(system.space.nominal)
+    if (motion := motion_in(system, [part], theta, _INSTANTS)) is None:
+        return None
+    found, dofs = along(system, [part.log], motion, theta), list(motion.dofs)
+    residual = missing(motion, found)
+    rows = apart_in(system, [part.log], motion, theta)
+    if rows.sum() < _INSTANTS // 10:
+        rows[:] = True
+    size = np.sqrt((motion.filtered(motion.qacc)[rows][:, dofs] ** 2).mean(axis=0)) + 1e-12
+    way = direction(motion.qvel)
+    total = np.zeros(len(residual))
+    for k, dof in enumerate(dofs):
+        more = np.stack([found.given[:, dof], motion.qvel[:, dof], way[:, dof], motion.qacc[:, dof]])
+        own = motion.filtered(more.T)[rows] / found.mass[rows, dof, dof][:, None] / size[k]
+        own = own[:, own.std(axis=0) > 1e-9]
+        own = own / own.std(axis=0)
+        e = residual[rows, k] / size[k]
+        fit = np.linalg.solve(own.T @ own + _PRICE * len(own) * np.eye(own.shape[1]), own.T @ e)
+        total[rows] += ((e - own @ fit) ** 2 + _PRICE * (fit**2).sum()) / len(dofs)
+    return total
+
+
+def _by_block(values: FloatArray, blocks: Sequence[slice]) -> FloatArray:
+    return np.array([values[block].sum() for block in blocks])

@@ -1,0 +1,150 @@
+"""The acceleration that a model does not explain, and what its free parameters can make of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.each_log import values_on
+from amhe_cli.core.log import Log, Window
+from amhe_cli.engine.shares import Shares, apart, shares_along
+from amhe_cli.engine.states import controls
+from amhe_cli.estimation.explain.motion import DrivenMotion, motion_in
+from amhe_cli.system.system import System
+
+#: A parameter's step for its slope, in its prior sd.
+_STEP = 1e-3
+#: Speeds below this share of their rms are about zero.
+_STILL = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unexplained:
+    """What is missing of the measured motion, where nothing touches.
+
+    Args:
+        motion: The motion; forces have its rows.
+        rows: Rows that count, shape (n,); a contact reaches the others through the filter.
+        residual: The acceleration of the measured degrees of freedom that nothing gives, filtered, (n, k).
+        slopes: Its derivative by each free parameter over a step of one prior sd, shape (d, n, k).
+        toward: Where the parameters' priors stand from the values here, in their sd, shape (d,).
+        forces: Forces along the motion, not filtered.
+        uncommanded: What each actuator gives without its command, shape (n, actuators, nv).
+    """
+
+    motion: DrivenMotion
+    rows: BoolArray
+    residual: FloatArray
+    slopes: FloatArray
+    toward: FloatArray
+    forces: Shares
+    uncommanded: FloatArray
+
+    @property
+    def stretches(self) -> list[slice]:
+        """Unbroken stretches among the rows that count, numbered without the others."""
+        counted, found = np.concatenate(([0], np.cumsum(self.rows))), []
+        for stretch in self.motion.stretches:
+            edges = np.flatnonzero(np.diff(np.concatenate(([0], self.rows[stretch], [0])).astype(int)))
+            for first, last in stretch.start + edges.reshape(-1, 2):
+                found.append(slice(int(counted[first]), int(counted[last])))
+        return found
+
+
+def direction(speed: FloatArray) -> FloatArray:
+    """Sign of speeds (n, k), smooth where they are about zero."""
+    usual = np.sqrt((speed**2).mean(axis=0))
+    return np.tanh(speed / np.maximum(_STILL * usual, 1e-12))
+
+
+def unexplained(system: System, parts: Sequence[Window], z: FloatArray) -> Unexplained | None:
+    """What a system does not explain of some parts of logs; None: no motion was measured apart from contacts.
+
+    Args:
+        system: The system.
+        parts: Parts of its logs.
+        z: Values of the unknowns, shape (d,).
+    """
+    space, logs = system.space, list(dict.fromkeys(part.log for part in parts))
+    theta, scale = space.theta_of(z), scale_of(system)
+    if (motion := motion_in(system, parts, theta)) is None:
+        return None
+    found = along(system, logs, motion, theta)
+    residual, rows = missing(motion, found), apart_in(system, logs, motion, theta)
+    if not rows.any():
+        return None
+    slopes = np.empty((len(space), *residual.shape))
+    for i in range(len(space)):
+        step = theta.copy()
+        step[i] += _STEP * scale[i]
+        moved = motion_in(system, parts, step) if system.edits.late else motion
+        slopes[i] = (missing(motion, along(system, logs, moved or motion, step)) - residual) / _STEP
+    toward = (np.array(space.nominal) - theta) / scale
+    inputs = motion.inputs.copy()
+    if (place := controls(system.model, system.input_spec)) is not None:
+        inputs[:, place] = 0.0
+    uncommanded = along(system, logs, replace(motion, inputs=inputs, act=0.0 * motion.act), theta).by
+    return Unexplained(motion, rows, residual, slopes, toward, found, uncommanded)
+
+
+def scale_of(system: System) -> FloatArray:
+    """One prior sd of each free parameter, in its own unit, shape (d,)."""
+    space = system.space
+    return np.where(space.log, np.array(space.nominal), 1.0) * np.array(space.prior_sd)
+
+
+def stepped(system: System, z: FloatArray, fit: FloatArray) -> FloatArray:
+    """Values z (d,) after a step that a fit of the slopes (d,) demands; at most a factor of two."""
+    space = system.space
+    theta = space.theta_of(z)
+    moved = theta - fit * scale_of(system)
+    return space.clip(space.z_of(np.where(space.log, np.clip(moved, 0.5 * theta, 2.0 * theta), moved)))
+
+
+def along(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> Shares:
+    """Forces along a motion, each log with its own values."""
+    made = []
+    for number, log in enumerate(logs):
+        own = motion.log == number
+        values = values_on(log, system.edits.space, system.space, theta[None])[0]
+        model = system.edits.apply(system.model, values)
+        made.append(
+            shares_along(
+                model, motion.qpos[own], motion.qvel[own], motion.qacc[own], motion.inputs[own],
+                system.input_spec, motion.act[own],
+            )
+        )  # fmt: skip
+    joined: dict[str, FloatArray] = {
+        name: np.concatenate([getattr(one, name) for one in made]) for name in Shares.__slots__
+    }
+    return Shares(**joined)
+
+
+def apart_in(system: System, logs: Sequence[Log], motion: DrivenMotion, theta: FloatArray) -> BoolArray:
+    """Rows that no contact reaches through the filter, shape (n,)."""
+    model = system.edits.apply(
+        system.model, values_on(logs[0], system.edits.space, system.space, theta[None])[0]
+    )
+    clear = apart(model, motion.qpos)
+    for stretch in motion.stretches:
+        near = np.convolve(~clear[stretch], np.ones(2 * motion.reach + 1), "same")
+        clear[stretch] = near[: stretch.stop - stretch.start] < 0.5
+    return clear
+
+
+def accelerations(mass: FloatArray, force: FloatArray, dofs: Sequence[int]) -> FloatArray:
+    """What forces (..., n, nv) make of measured degrees of freedom, shape (..., n, k)."""
+    own = mass[:, list(dofs)][:, :, list(dofs)]
+    return np.einsum("nij,...nj->...ni", np.linalg.inv(own), force[..., list(dofs)])
+
+
+def missing(motion: DrivenMotion, found: Shares) -> FloatArray:
+    """Acceleration that is measured and that no force gives, filtered, shape (n, k).
+
+    An acceleration, not a force: that of a model which weighs nothing and gives nothing would be none.
+    """
+    force = motion.filtered(found.missing(direction(motion.qvel)))
+    return accelerations(found.mass, force, motion.dofs)

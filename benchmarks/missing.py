@@ -1,0 +1,496 @@
+"""Does `explain` name what a model lacks, or what is wrong with a log?
+
+    python benchmarks/missing.py [--seeds 3] [--jobs 2] [--systems swing] [--faults spring,delay] [--pairs]
+                                 [--identify] [--verbose]
+
+Faults are put into five simulated robots, whose positions have noise: one at a time, or with `--pairs` two.
+A user's model lacks them, and its masses, damping or friction are unknown. The first row must name the fault
+and its place in 90 %. Of pairs, the faults count that any row names. With `--identify` the model is
+identified first, as by `amhe identify`: logs that it misses by no more than twice their noise are then not
+explained, and of faultless ones nothing may be named in 95 %.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import logging
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+from common import over_seeds, seeds_of, show
+
+import amhe_cli as amhe
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.estimation.core.result import Missing
+from amhe_cli.estimation.explain.explain import explain
+from amhe_cli.estimation.offline.clips import whole
+
+#: Time between two samples and two commands [s], length of a log [s], noise of positions [rad or m].
+PERIOD, SECONDS, NOISE = 0.01, 16.0, 5e-4
+RIGHT_GOAL, NOTHING_GOAL = 0.90, 0.95
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A robot as its user models it.
+
+    Args:
+        xml: Its MJCF; {idle} takes an actuator that nothing commands.
+        joints: Its joints, those with a drive first.
+        sizes: Size of the commands of each drive.
+        servo: Drives are position servos.
+        free: Unknown parameters -> target and nominal value.
+        typical: Usual force of the first drive's joint.
+    """
+
+    xml: str
+    joints: Sequence[str]
+    sizes: Sequence[float]
+    servo: bool
+    free: Mapping[str, tuple[dict[str, Any], float]]
+    typical: float
+    highest: float = 2.0
+
+
+def _mjcf(bodies: str, actuators: str) -> str:
+    return f"""<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
+      <default><geom contype="0" conaffinity="0"/></default><worldbody>{bodies}</worldbody>
+      <actuator>{actuators}{{idle}}</actuator></mujoco>"""
+
+
+ROBOTS: Mapping[str, Robot] = {
+    "swing": Robot(
+        _mjcf(
+            """<body><joint name="hinge" axis="0 1 0" damping="0.12" armature="0.004"/>
+            <geom type="capsule" fromto="0 0 0 0.03 0 -0.3" size="0.01" mass="0.1"/>
+            <body name="load" pos="0.05 0 -0.3"><geom size="0.04" mass="0.4"/></body></body>""",
+            '<motor name="motor" joint="hinge"/>',
+        ),
+        ["hinge"], [0.5], False,
+        {"mass": ({"body": "load", "set": "mass"}, 0.4),
+         "damping": ({"joint": "hinge", "set": "damping"}, 0.12)},
+        0.6,
+    ),
+    "servos": Robot(
+        _mjcf(
+            """<body><joint name="shoulder" axis="0 1 0" damping="0.3" frictionloss="0.1" armature="0.02"/>
+            <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03" mass="1"/>
+            <body pos="0.3 0 0">
+            <joint name="elbow" axis="0 1 0" damping="0.2" frictionloss="0.1" armature="0.01"/>
+            <geom type="capsule" fromto="0 0 0 0.25 0 0" size="0.02" mass="0.5"/>
+            <body name="payload" pos="0.25 0 0"><geom size="0.04" mass="0.6"/></body></body></body>""",
+            """<position name="shoulder" joint="shoulder" kp="60" kv="3"/>
+            <position name="elbow" joint="elbow" kp="25" kv="1"/>""",
+        ),
+        ["shoulder", "elbow"], [0.7, 0.9], True,
+        {"payload": ({"body": "payload", "set": "mass"}, 0.6),
+         "friction": ({"joint": "*", "set": "friction_loss"}, 0.1)},
+        8.0,
+    ),
+    "cart": Robot(
+        _mjcf(
+            """<body name="cart"><joint name="rail" type="slide" axis="1 0 0" damping="0.8"/>
+            <geom type="box" size="0.1 0.05 0.05" mass="1"/>
+            <body name="pole"><joint name="pole" axis="0 1 0" damping="0.02"/>
+            <geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.01" mass="0.2"/></body></body>""",
+            '<position name="rail" joint="rail" kp="40" kv="6"/>',
+        ),
+        ["rail", "pole"], [0.3], True,
+        {"cart": ({"body": "cart", "set": "mass"}, 1.0), "pole": ({"body": "pole", "set": "mass"}, 0.2)},
+        8.0, 1.5,
+    ),
+    "torques": Robot(
+        _mjcf(
+            """<body><joint name="base" axis="0 0 1" damping="0.1" armature="0.02"/>
+            <geom size="0.05" mass="1"/><body><joint name="lift" axis="0 1 0" damping="0.1" armature="0.02"/>
+            <geom type="capsule" fromto="0 0 0 0.3 0 0" size="0.03" mass="0.8"/>
+            <body name="tool" pos="0.3 0 0"><joint name="wrist" axis="0 1 0" damping="0.05" armature="0.005"/>
+            <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.02" mass="0.4"/></body></body></body>""",
+            """<general name="base" joint="base" gainprm="8" biastype="affine" biasprm="0 -8 -1.5"/>
+            <general name="lift" joint="lift" gainprm="30" biastype="affine" biasprm="0 -30 -2"/>
+            <general name="wrist" joint="wrist" gainprm="6" biastype="affine" biasprm="0 -6 -0.4"/>""",
+        ),
+        ["base", "lift", "wrist"], [0.9, 0.7, 0.9], True,
+        {"tool": ({"body": "tool", "set": "mass"}, 0.4), "damping": ({"joint": "*", "set": "damping"}, 0.1)},
+        3.0,
+    ),
+    "furuta": Robot(
+        _mjcf(
+            """<body><joint name="arm" axis="0 0 1" damping="0.01" armature="0.001"/>
+            <geom type="capsule" fromto="0 0 0 0.2 0 0" size="0.008" mass="0.1"/>
+            <body pos="0.2 0 0" name="pendulum"><joint name="pendulum" axis="1 0 0" damping="0.0005"/>
+            <geom type="capsule" fromto="0 0 0 0 0 -0.25" size="0.006" mass="0.08"/></body></body>""",
+            '<position name="motor" joint="arm" kp="0.25" kv="0.02"/>',
+        ),
+        ["arm", "pendulum"], [0.9], True,
+        {"mass": ({"body": "pendulum", "set": "mass"}, 0.08),
+         "damping": ({"joint": "arm", "set": "damping"}, 0.01)},
+        0.15, 2.5,
+    ),
+}  # fmt: skip
+
+
+# -- faults ------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Trial:
+    """One robot with faults, while it is simulated and logged."""
+
+    robot: Robot
+    rng: np.random.Generator
+    model: mujoco.MjModel
+    forces: list[Callable[[mujoco.MjData], None]] = field(default_factory=list)
+    logs: list[Callable[[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]] = field(
+        default_factory=list
+    )
+    idle: str = ""
+    delay: float = 0.0
+    clip: float = np.inf
+
+    def force(self, joint: str, of: Callable[[float, float, float], float]) -> None:
+        """Add a force on a joint, of its position and speed, and of time."""
+        row = int(self.model.joint(joint).dofadr[0])
+
+        def act(data: mujoco.MjData) -> None:
+            data.qfrc_applied[row] += of(data.qpos[row], data.qvel[row], data.time)
+
+        self.forces.append(act)
+
+
+def _turns(robot: Robot) -> bool:
+    return robot.joints[0] != "rail"
+
+
+def _two(robot: Robot) -> bool:
+    return len(robot.sizes) > 1
+
+
+def _size(trial: Trial, joint: str, share: float) -> float:
+    """A force that is a share of what usually acts on a joint, drawn within 30 %."""
+    usual = trial.robot.typical * (1.0 if joint == trial.robot.joints[0] else 0.4)
+    return float(share * usual * trial.rng.uniform(0.8, 1.3))
+
+
+def _drive(trial: Trial) -> str:
+    return trial.robot.joints[int(trial.rng.integers(len(trial.robot.sizes)))]
+
+
+def _joint_force(share: float, of: Callable[[float, float, float], float]) -> Callable[[Trial], str]:
+    def put(trial: Trial) -> str:
+        joint = _drive(trial)
+        size = _size(trial, joint, share)
+        trial.force(joint, lambda q, v, t: size * of(q, v, t))
+        return joint
+
+    return put
+
+
+def _log_fault(change: Callable[[FloatArray, FloatArray, int], tuple[FloatArray, FloatArray]]):  # type: ignore[no-untyped-def]
+    def put(trial: Trial) -> str:
+        joint = _drive(trial)
+        column = list(trial.robot.joints).index(joint)
+        trial.logs.append(lambda q, u: change(q, u, column))
+        return joint
+
+    return put
+
+
+def _scaled(values: FloatArray, column: int, factor: float) -> FloatArray:
+    found = values.copy()
+    found[:, column] *= factor
+    return found
+
+
+def _swapped(values: FloatArray) -> FloatArray:
+    found = values.copy()
+    found[:, [0, 1]] = found[:, [1, 0]]
+    return found
+
+
+def _swap(of_joints: bool) -> Callable[[Trial], str]:
+    def put(trial: Trial) -> str:
+        trial.logs.append(lambda q, u: (_swapped(q), u) if of_joints else (q, _swapped(u)))
+        return ", ".join(trial.robot.joints[:2])
+
+    return put
+
+
+def _idle(trial: Trial) -> str:
+    joint = trial.robot.joints[-1]
+    stiff = 1.5 * _size(trial, joint, 1.0)
+    trial.idle = f'<position name="idle" joint="{joint}" kp="{stiff:.3g}"/>'
+    return "idle"
+
+
+def _load_friction(trial: Trial) -> str:
+    joint = _drive(trial)
+    row, share = int(trial.model.joint(joint).dofadr[0]), trial.rng.uniform(0.15, 0.3)
+
+    def act(data: mujoco.MjData) -> None:
+        data.qfrc_applied[row] -= share * abs(data.qfrc_actuator[row]) * np.tanh(data.qvel[row] / 0.02)
+
+    trial.forces.append(act)
+    return joint
+
+
+def _armature(trial: Trial) -> str:
+    joint = _drive(trial)
+    row, data = int(trial.model.joint(joint).dofadr[0]), mujoco.MjData(trial.model)
+    mujoco.mj_forward(trial.model, data)
+    mass = np.zeros((trial.model.nv, trial.model.nv))
+    mujoco.mj_fullM(trial.model, data, mass)
+    trial.model.dof_armature[row] += mass[row, row] * trial.rng.uniform(0.3, 0.6)
+    return joint
+
+
+def _delay(trial: Trial) -> str:
+    trial.delay = trial.rng.uniform(0.012, 0.03)
+    return "commands"
+
+
+def _clip(trial: Trial) -> str:
+    trial.clip = trial.rng.uniform(0.4, 0.6)
+    return trial.robot.joints[0]
+
+
+def _coupling(trial: Trial) -> str:
+    joint, other = trial.robot.joints[:2]
+    size, row = _size(trial, joint, 0.5), int(trial.model.joint(other).dofadr[0])
+    own = int(trial.model.joint(joint).dofadr[0])
+
+    def act(data: mujoco.MjData) -> None:
+        data.qfrc_applied[own] += size * data.qpos[row]
+
+    trial.forces.append(act)
+    return joint
+
+
+#: Fault -> how it is put into a trial, which returns its place; kinds of rows that name it; and robots that
+#: can have it (None: all).
+FAULTS: Mapping[str, tuple[Callable[[Trial], str], tuple[str, ...], Callable[[Robot], bool] | None]] = {
+    "joint sign": (_log_fault(lambda q, u, k: (_scaled(q, k, -1.0), u)), ("joint sign", "command"), None),
+    "command sign": (_log_fault(lambda q, u, k: (q, _scaled(u, k, -1.0))), ("command", "joint sign"), None),
+    "swapped joints": (_swap(True), ("swapped joints",), _two),
+    "swapped commands": (_swap(False), ("exchanged",), _two),
+    "degrees": (_log_fault(lambda q, u, k: (_scaled(q, k, 180 / np.pi), u)), ("unit",), _turns),
+    "thousandths": (_log_fault(lambda q, u, k: (q, _scaled(u, k, 1e3))), ("unit", "command"), None),
+    "delay": (_delay, ("delay",), None),
+    "force limit": (_clip, ("force limit",), None),
+    "idle actuator": (_idle, ("idle actuator", "spring"), None),
+    "constant": (_joint_force(0.4, lambda q, v, t: 1.0), ("constant",), None),
+    "spring": (_joint_force(0.6, lambda q, v, t: -(q - 0.2)), ("spring",), None),
+    "sine": (_joint_force(0.6, lambda q, v, t: np.sin(q + 0.8)), ("sine",), _turns),
+    "viscous": (_joint_force(0.3, lambda q, v, t: -v), ("viscous",), lambda r: "damping" not in r.free),
+    "dry": (_joint_force(0.25, lambda q, v, t: -np.tanh(v / 0.01)), ("dry",),
+            lambda r: "friction" not in r.free),
+    "quadratic": (_joint_force(0.2, lambda q, v, t: -v * abs(v)), ("quadratic",), None),
+    "load friction": (_load_friction, ("load friction",), None),
+    "armature": (_armature, ("armature",), None),
+    "coupling": (_coupling, ("coupling",), lambda r: len(r.joints) > 1),
+    "cogging": (_joint_force(0.3, lambda q, v, t: np.sin(12 * q + 0.5)), ("cogging",), _turns),
+    "periodic": (_joint_force(0.4, lambda q, v, t: np.sin(2 * np.pi * 1.13 * t)), ("periodic",), None),
+}  # fmt: skip
+
+
+# -- one trial ---------------------------------------------------------------------------------------------
+
+
+def simulated(trial: Trial) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times (n,), positions (n, k) and commands (n, m) of one log."""
+    model, robot = trial.model, trial.robot
+    data, every = mujoco.MjData(model), round(PERIOD / model.opt.timestep)
+    steps, drives = round(SECONDS / model.opt.timestep), len(robot.sizes)
+    hertz = np.geomspace(0.15, robot.highest, 7)
+    phase = trial.rng.uniform(0.0, 2.0 * np.pi, (drives, hertz.size))
+    scale = 0.6 * np.array(robot.sizes)[:, None] / np.sqrt(hertz / hertz[0])
+    if not robot.servo:
+        scale = np.broadcast_to(0.5 * np.array(robot.sizes)[:, None], phase.shape)
+    times = np.arange(0, steps, every) * model.opt.timestep
+    wave = np.sin(2.0 * np.pi * hertz[:, None] * times + phase[..., None]) - np.sin(phase)[..., None]
+    commands = (scale[..., None] * wave).sum(axis=1).T  # (n, m)
+    usual = np.abs(commands).max(axis=0)
+    q, late = np.empty((times.size, model.nq)), round(trial.delay / model.opt.timestep)
+    limit = trial.clip * robot.typical if robot.servo else trial.clip * usual[0]
+    if np.isfinite(trial.clip):
+        model.actuator_forcelimited[0], model.actuator_forcerange[0] = 1, (-limit, limit)
+    for k in range(steps):
+        if k % every == 0:
+            q[k // every] = data.qpos
+        data.ctrl[:drives] = commands[max(0, k - late) // every]
+        data.qfrc_applied[:] = 0.0
+        for act in trial.forces:
+            act(data)
+        mujoco.mj_step(model, data)
+    return times, q, commands
+
+
+def case(robot: Robot, faults: Sequence[str], rng: np.random.Generator):  # type: ignore[no-untyped-def]
+    """The user's system, a log with faults, and their places."""
+    plain = robot.xml.replace("{idle}", "")
+    spec = mujoco.MjSpec.from_string(plain)
+    trial = Trial(robot, rng, spec.compile())
+    truth = {}
+    for name, (_, nominal) in robot.free.items():  # the truth is near the prior
+        truth[name] = nominal * np.exp(0.3 * rng.standard_normal())
+    system = _system(robot, plain)
+    theta = np.array([truth[name] for name in system.space.names])
+    trial.model = system.edits.apply(spec.compile(), theta)
+    places = [FAULTS[fault][0](trial) for fault in faults]
+    times, q, commands = simulated(trial)
+    moved = q.copy()
+    q = q + rng.normal(0.0, NOISE, q.shape)
+    for change in trial.logs:
+        q, commands = change(q, commands)
+    if trial.idle:
+        system = _system(robot, robot.xml.replace("{idle}", trial.idle))
+    arrays = {"joints": {"time": times, "position": q}, "command": {"time": times, "value": commands}}
+    return system, amhe.Log.from_arrays(arrays, system), places, float(np.abs(moved).max())
+
+
+def _system(robot: Robot, xml: str) -> amhe.System:
+    parameters = {
+        name: {"nominal": value, "prior_sd": 0.5, "scale": "log", "targets": [target]}
+        for name, (target, value) in robot.free.items()
+    }
+    drives = [name for name in (a.name for a in mujoco.MjSpec.from_string(xml).actuators) if name != "idle"]
+    signals = {
+        "joints": {"joints": list(robot.joints), "noise": {"position": NOISE}},
+        "command": {"actuators": drives, "quantity": "value"},
+    }
+    settings = {"clips": {"length": [0.5, 1.0], "count": 12}, "identify": {"profile_points": 0}}
+    return amhe.System.from_model(
+        mujoco.MjSpec.from_string(xml), parameters=parameters, signals=signals, settings=settings, warn=False
+    )
+
+
+def named(found: Missing, fault: str, place: str, first: bool) -> bool:
+    """Whether the first row, or any, names a fault at its place."""
+    kinds = FAULTS[fault][1]
+    rows = found.rows[:1] if first else found.rows
+    return any(
+        row.kind in kinds and (any(one in row.place for one in place.split(", ")) or "motor" in row.place)
+        for row in rows
+    )
+
+
+def _can(robot: Robot, first: int = 0) -> list[str]:
+    """Faults that a robot can have, from one of the list on."""
+    return [name for name, (_, _, can) in list(FAULTS.items())[first:] if can is None or can(robot)]
+
+
+TRIALS: list[tuple[str, tuple[str, ...]]] = [(name, (f,)) for name, one in ROBOTS.items() for f in _can(one)]
+TRIALS += [(name, ()) for name in ROBOTS for _ in range(4)]
+PAIRS = [(name, pair) for name, one in ROBOTS.items() for pair in itertools.combinations(_can(one, 6), 2)]
+
+
+def trial(number: int) -> dict[str, Any]:
+    """One robot with faults, explained."""
+    logging.disable(logging.WARNING)
+    seed, place = divmod(number, 2 * (len(TRIALS) + len(PAIRS)))
+    index, identified = divmod(place, 2)
+    robot, faults = [*TRIALS, *PAIRS][index]
+    system, log, places, reach = case(ROBOTS[robot], faults, np.random.default_rng([seed, index]))
+    z = np.zeros(len(system.space))
+    began = time.process_time()
+    if identified:
+        found = amhe.identify(system, log, seed=seed, threads=1).found.missing or Missing()
+    else:
+        found = explain(system, [whole(log)], z, np.random.default_rng(seed))
+    return {
+        "robot": robot, "faults": faults, "places": places, "reach": reach,
+        "cpu_seconds": time.process_time() - began,
+        "first": [named(found, f, p, True) for f, p in zip(faults, places, strict=True)],
+        "any": [named(found, f, p, False) for f, p in zip(faults, places, strict=True)],
+        "rows": [f"{row.kind} {row.place} {row.share:.0%}" for row in found.rows],
+        "texts": [row.text for row in found.rows], "rivals": [row.rivals for row in found.rows],
+        "start": found.start, "left": found.left, "untested": found.untested,
+    }  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=seeds_of, default=range(3), metavar="N or A:B")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--systems", default=",".join(ROBOTS))
+    parser.add_argument("--faults", default=",".join([*FAULTS, "none"]))
+    parser.add_argument("--pairs", action="store_true", help="two faults at a time")
+    parser.add_argument("--identify", action="store_true", help="identify first")
+    parser.add_argument("--verbose", action="store_true", help="show the rows of what was not named")
+    given = parser.parse_args()
+    trials, offset = (PAIRS, len(TRIALS)) if given.pairs else (TRIALS, 0)
+    wanted = given.faults.split(",")
+    numbers = [
+        (seed * (len(TRIALS) + len(PAIRS)) + offset + index) * 2 + given.identify
+        for seed in given.seeds
+        for index, (robot, faults) in enumerate(trials)
+        if robot in given.systems.split(",") and all(f in wanted for f in faults or ("none",))
+    ]
+    done = over_seeds("missing", trial, numbers, given.jobs)
+    report(done, given.pairs, given.verbose)
+
+
+def report(done: Sequence[dict[str, Any]], pairs: bool, verbose: bool) -> None:
+    """The tables."""
+    lines, key = [], "any" if pairs else "first"
+    for fault in [*FAULTS, ""]:
+        own = [d for d in done if (fault in d["faults"] if fault else not d["faults"])]
+        if own and fault:
+            right = [d[key][d["faults"].index(fault)] for d in own]
+            wrong = Counter(
+                d["rows"][0].rsplit(" ", 1)[0] if d["rows"] else "nothing"
+                for d, r in zip(own, right, strict=True)
+                if not r
+            )
+            lines.append(
+                (
+                    fault,
+                    f"{sum(right)} of {len(own)}",
+                    f"{np.mean(right):.0%}",
+                    "; ".join(f"{n} x {w}" for w, n in wrong.most_common(3)),
+                )
+            )
+        elif own:
+            nothing = [not d["rows"] for d in own]
+            wrong = Counter(d["rows"][0].rsplit(" ", 1)[0] for d in own if d["rows"])
+            lines.append(
+                (
+                    "none",
+                    f"{sum(nothing)} of {len(own)}",
+                    f"{np.mean(nothing):.0%}",
+                    "; ".join(f"{n} x {w}" for w, n in wrong.most_common(3)),
+                )
+            )
+    right = [x for d in done for x in d[key]]
+    lines.append(
+        ("all faults", f"{sum(right)} of {len(right)}", f"{np.mean(right):.0%}" if right else "", "")
+    )
+    seconds = np.array([d["cpu_seconds"] for d in done])
+    show(
+        f"Right in the first row (goal {RIGHT_GOAL:.0%}; of no fault nothing named, {NOTHING_GOAL:.0%}); CPU "
+        f"median {np.median(seconds):.1f} s, most {seconds.max():.1f} s",
+        ("fault", "named", "", "instead"),
+        lines,
+    )  # fmt: skip
+    for d in done if verbose else ():
+        if not all(d[key]) or (not d["faults"] and d["rows"]):
+            print(
+                d["robot"],
+                d["faults"],
+                d["places"],
+                f"reach {d['reach']:.2f}",
+                f"{d['start']:.2g}->{d['left']:.2g}",
+                d["rows"],
+                d["texts"][:2],
+                d["rivals"][:1],
+            )
+
+
+if __name__ == "__main__":
+    main()

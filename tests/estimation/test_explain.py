@@ -1,0 +1,177 @@
+"""What a model lacks, and what is wrong with a log: the statistics on arrays, and causes by name."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+import amhe_cli as amhe
+from amhe_cli.core.arrays import FloatArray
+from amhe_cli.estimation.core.result import Missing
+from amhe_cli.estimation.explain.explain import explain
+from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blocks_of, memory_of
+from amhe_cli.estimation.offline.clips import whole
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
+
+
+def _columns(rng: np.random.Generator, n: int = 1500) -> tuple[list[CauseColumns], FloatArray]:
+    """Ten smooth columns, and a residual of noise that remembers 15 samples."""
+    width = np.hanning(31)
+    smooth = np.array([np.convolve(x, width, "same") for x in rng.standard_normal((10, n))])
+    noise = np.convolve(rng.standard_normal(n), np.ones(15) / 15**0.5, "same")
+    return [CauseColumns((0,), x[None, :, None], 1) for x in smooth], noise[:, None]
+
+
+def _regression(residual: FloatArray, nuisance: FloatArray) -> Regression:
+    rows = [slice(0, len(residual))]
+    return Regression(residual, nuisance, blocks_of(rows, memory_of(residual, rows)))
+
+
+def test_blocks_are_longer_than_what_a_residual_remembers() -> None:
+    blocks = blocks_of([slice(0, 500), slice(500, 900)], 20.0)
+
+    assert min(b.stop - b.start for b in blocks) >= 40
+    assert [b.start for b in blocks[1:]] == [b.stop for b in blocks[:-1]]
+    assert blocks[-1].stop == 900
+
+
+def test_columns_are_found_with_their_coefficients_and_no_other() -> None:
+    rng = np.random.default_rng(0)
+    columns, noise = _columns(rng)
+    nuisance = columns[9].values
+    residual = 0.5 * columns[2].values[0] - 0.3 * columns[5].values[0] + 2.0 * nuisance[0] + 0.5 * noise
+
+    found, chance, left, fit = _regression(residual, nuisance).ladder(columns[:9], rng)
+
+    assert [one.index for one in found] == [2, 5]
+    assert abs(found[0].coefficients[0] - 0.5) < 4.0 * found[0].sd[0] < 0.1
+    assert abs(found[1].coefficients[0] + 0.3) < 4.0 * found[1].sd[0] < 0.1
+    assert fit == pytest.approx([2.0], abs=0.1)
+    assert 0.0 < chance < 0.2
+    assert left.std() == pytest.approx(0.5 * noise.std(), rel=0.1)
+
+
+def test_nothing_is_named_where_there_is_nothing() -> None:
+    """One of a hundred may be named by chance: none of 12, or one."""
+    named = 0
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        columns, noise = _columns(rng)
+        found, *_ = _regression(noise, columns[9].values).ladder(columns[:9], rng)
+        named += bool(found)
+
+    assert named <= 1
+
+
+def test_the_simpler_of_two_that_explain_alike_is_named() -> None:
+    rng = np.random.default_rng(1)
+    columns, noise = _columns(rng)
+    wider = CauseColumns((0,), np.concatenate((columns[3].values, columns[4].values)), 2)
+
+    found, *_ = _regression(columns[3].values[0] + 0.3 * noise, columns[9].values).ladder(
+        [wider, columns[3]], rng
+    )
+
+    assert [(one.index, one.rivals) for one in found] == [(1, (0,))]
+
+
+# -- the bundled pendulum, and logs of it that are wrong on purpose ----------------------------------------
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> tuple[amhe.System, amhe.Log]:
+    system = amhe.System.load("pendulum")
+    return system, amhe.read_log(EXAMPLE, system)
+
+
+def _explained(system: amhe.System, log: amhe.Log) -> Missing:
+    return explain(system, [whole(log)], np.zeros(len(system.space)), np.random.default_rng(0))
+
+
+def _times(log: amhe.Log, **factors: float) -> amhe.Log:
+    series = dict(log.series)
+    for name, factor in factors.items():
+        key = name.replace("_", ".")
+        series[key] = replace(series[key], values=factor * np.array(series[key].values))
+    return replace(log, series=series)
+
+
+def test_a_log_with_the_other_sign_is_named_with_what_the_data_cannot_tell_from_it(
+    pendulum: tuple[amhe.System, amhe.Log],
+) -> None:
+    system, log = pendulum
+
+    first = _explained(system, _times(log, joints_position=-1.0, joints_velocity=-1.0)).rows[0]
+
+    assert (first.kind, first.place) == ("joint sign", "hinge")
+    assert first.share > 0.9
+    assert "the log's command of servo has the other sign" in first.rivals
+
+
+def test_degrees_are_named(pendulum: tuple[amhe.System, amhe.Log]) -> None:
+    system, log = pendulum
+
+    first = _explained(system, _times(log, command_position=180.0 / np.pi)).rows[0]
+
+    assert (first.kind, first.text) == ("unit", "the log's command of servo is in degrees")
+
+
+XML = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
+  <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.6"/><body name="load" pos="0 0 -0.3">
+  <geom size="0.04" mass="0.3"/></body></body></worldbody>
+  <actuator><position name="servo" joint="hinge" kp="6" kv="0.3"/></actuator></mujoco>"""
+
+
+@pytest.fixture(scope="module")
+def sprung() -> tuple[amhe.System, amhe.Log]:
+    """A pendulum whose spring of 0.8 N m/rad about 0.1 rad is not in its model."""
+    model = mujoco.MjModel.from_xml_string(XML)
+    data, rng, rows = mujoco.MjData(model), np.random.default_rng(3), []
+    hertz, phase = np.geomspace(0.2, 2.0, 6), rng.uniform(0.0, 6.0, 6)
+    for k in range(6000):
+        command = 0.4 * np.sin(2.0 * np.pi * hertz * (k // 5 * 0.01) + phase).sum()
+        if k % 5 == 0:
+            rows.append((k * 0.002, data.qpos[0] + rng.normal(0.0, 5e-4), command))
+        data.ctrl[0], data.qfrc_applied[0] = command, -0.8 * (data.qpos[0] - 0.1)
+        mujoco.mj_step(model, data)
+    system = amhe.System.from_model(
+        mujoco.MjSpec.from_string(XML),
+        parameters={"mass": {"nominal": 0.4, "prior_sd": 0.5, "scale": "log",
+                             "targets": [{"body": "load", "set": "mass"}]}},
+        signals={"joints": {"joints": ["hinge"], "noise": {"position": 5e-4}},
+                 "command": {"actuators": ["servo"], "quantity": "position"}},
+        settings={"clips": {"length": [0.4, 0.8], "count": 8}, "identify": {"profile_points": 0}},
+        warn=False,
+    )  # fmt: skip
+    time, position, command = np.array(rows).T
+    arrays = {"joints": {"time": time, "position": position}, "command": {"time": time, "position": command}}
+    return system, amhe.Log.from_arrays(arrays, system)
+
+
+def test_a_spring_is_named_with_its_stiffness_and_rest(sprung: tuple[amhe.System, amhe.Log]) -> None:
+    found = _explained(*sprung)
+
+    assert (found.rows[0].kind, found.rows[0].place) == ("spring", "hinge")
+    assert found.rows[0].share > 0.9
+    stiffness, rest = found.rows[0].repair.values()
+    assert stiffness["nominal"] == pytest.approx(0.8, abs=0.05)
+    assert rest["nominal"] == pytest.approx(0.1, abs=0.03)
+    assert found.tested > 50
+
+
+def test_identify_says_what_the_model_lacks(sprung: tuple[amhe.System, amhe.Log], tmp_path: Path) -> None:
+    system, log = sprung
+
+    result = amhe.identify(system, log, threads=1)
+
+    assert result.found.missing is not None
+    assert any("hinge: a spring of" in text for text in result.warnings)
+    assert "a spring of" in result.table
+    assert result.record()["missing"]["rows"][0]["kind"] == "spring"
+    page = (result.save(tmp_path) / "report.html").read_text(encoding="utf-8")
+    assert "What is missing" in page
