@@ -55,3 +55,24 @@ def test_the_data_sets_name_parts_of_two_logs(data_set: str, tmp_path: Path) -> 
     found = members(tmp_path / data_set, system)
     assert [(one.start, one.end) for one in found] == [(None, 4.6), (None, 7.5)]
     assert [one.known.get("weight", one.own) for one in found] in ([["weight"]] * 2, [0.5, 1.0])
+
+
+def test_a_log_of_the_weighed_servo_is_two_where_its_torque_is_off(tmp_path: Path) -> None:
+    """calibrate.yaml knows the load, and no torque after 2 s; weigh.yaml does not know the load."""
+    folder = SYSTEMS / "xl330"
+    system = amhe.System.load(folder)
+    for name in ("calibrate", "weigh"):
+        shutil.copy(folder / f"{name}.yaml", tmp_path)
+    for name in ("kp400_lift_and_drop", "kp400_sin_time_square", "kp200_up_and_down"):
+        (tmp_path / f"{name}.mcap").touch()
+    on, off, other = members(tmp_path / "calibrate.yaml", system)
+    assert (on.end, off.start, other.start) == (1.98, 2.0, None)
+    assert [one.known.get("torque") for one in (on, off, other)] == [1, 0, 1]
+    theta = system.space.nominal.copy()
+    for name, value in off.known.items():
+        theta[system.space.names.index(name)] = value
+    dropped = system.edits.apply(system.model, theta)
+    assert dropped.actuator_gainprm[0, 0] == dropped.actuator_biasprm[0, 1] == 0.0
+    assert dropped.dof_damping[0] == pytest.approx(0.01)
+    (weighed,) = members(tmp_path / "weigh.yaml", system)
+    assert "load_mass" not in weighed.known
