@@ -49,6 +49,7 @@ WALLS = {
     "click": ("cli",),
     "cmaes": ("estimation",),
     "cupy": ("engine",),
+    "cyclonedds": ("logs",),
     "distributed": ("study/executors.py",),
     "google": ("logs",),
     "h5py": ("logs",),
@@ -68,6 +69,7 @@ WALLS = {
     "rosbags": ("logs",),
     "warp": ("engine",),
     "yaml": ("logs", "system", "init", "core/belief.py", "core/yaml_file.py"),
+    "zenoh": ("logs",),
     "zstandard": ("logs",),
 }
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 
 def _ordered(pair: tuple[float, float]) -> tuple[float, float]:
@@ -285,6 +285,26 @@ class ProbeSettings(SettingsGroup):
     """Commands a second in a recipe [Hz]."""
 
 
+def _several(given: Any) -> Any:
+    """'a, b' is two."""
+    return [part.strip() for part in given.split(",") if part.strip()] if isinstance(given, str) else given
+
+
+class LiveSettings(SettingsGroup):
+    """Where `amhe watch` and `amhe record` find topics, and what they keep."""
+
+    domain: Annotated[int, Field(ge=0, le=232)] = 0
+    """ROS_DOMAIN_ID of the robot."""
+    peers: Annotated[list[str], BeforeValidator(_several)] = []
+    """Addresses to look for participants on; where there are some, nothing is sent by multicast."""
+    interface: str | None = None
+    """Address of the one network interface that DDS uses; None: DDS chooses."""
+    connect: str = "tcp/localhost:7447"
+    """Zenoh's router."""
+    sim_time: bool = False
+    """Stamp messages that have no stamp of their own by the topic /clock, as ROS does under use_sim_time."""
+
+
 class Settings(SettingsGroup):
     """All settings of a system; a robot adds groups of its own by a subclass."""
 
@@ -294,3 +314,4 @@ class Settings(SettingsGroup):
     identify: IdentifySettings = IdentifySettings()
     mhe: MheSettings = MheSettings()
     probe: ProbeSettings = ProbeSettings()
+    live: LiveSettings = LiveSettings()

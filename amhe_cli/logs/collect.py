@@ -19,6 +19,9 @@ from amhe_cli.logs.physics import checked
 
 logger = logging.getLogger(__name__)
 
+#: Topics that a message names, of all that there are.
+_LISTED = 50
+
 
 def collect(log: StoredLog, signals: Sequence[Signal], definitions: Definitions) -> dict[str, SignalSamples]:
     """Decode the signals' topics in one pass; damage and impossible values are logged as warnings.
@@ -49,7 +52,7 @@ def collect(log: StoredLog, signals: Sequence[Signal], definitions: Definitions)
     _warn(log, signals, splitters, decoders)
     for signal in signals:
         if signal.name not in decoders:
-            raise LogError(f"{log.path}: {missing(log, signal)}")
+            raise LogError(f"{log.path}: {missing(log.connections, signal, log.problems)}")
     return {signal.name: _checked(log.path, signal, decoders[signal.name]) for signal in signals}
 
 
@@ -97,18 +100,20 @@ def _warn(
             )  # fmt: skip
 
 
-def missing(log: StoredLog, signal: Signal) -> str:
-    """Why the log has no data for `signal`, and what it has instead."""
-    here = [connection for connection in log.connections if connection.topic == signal.topic]
+def missing(connections: Sequence[Connection], signal: Signal, problems: Sequence[str] = ()) -> str:
+    """Why there are no data for `signal`, and what there is instead."""
+    here = [connection for connection in connections if connection.topic == signal.topic]
     types = sorted({connection.type for connection in here})
     if signal.type is not None and types and signal.type not in types:
         return f"topic {signal.topic!r} carries {', '.join(types)}, not {signal.type}"
     if here:
         return f"topic {signal.topic!r} has no messages"
-    same = sorted({connection.topic for connection in log.connections if connection.type == signal.type})
-    rest = sorted({connection.topic for connection in log.connections} - set(same))
+    same = sorted({connection.topic for connection in connections if connection.type == signal.type})
+    rest = sorted({connection.topic for connection in connections} - set(same))
     close = get_close_matches(signal.topic, [*same, *rest], n=1)
     hint = f" (did you mean {close[0]!r}?)" if close else ""
-    listed = ", ".join([*(f"{topic} ({signal.type})" for topic in same), *rest]) or "no topic at all"
-    damage = f"; the log is damaged: {log.problems[0]}" if log.problems else ""
+    names = [*(f"{topic} ({signal.type})" for topic in same), *rest]
+    more = [f"{len(names) - _LISTED} more"] if len(names) > _LISTED else []
+    listed = ", ".join(names[:_LISTED] + more) or "no topic at all"
+    damage = f"; the log is damaged: {problems[0]}" if problems else ""
     return f"no topic {signal.topic!r}{hint}; there is: {listed}{damage}"

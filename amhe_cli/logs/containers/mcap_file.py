@@ -45,24 +45,110 @@ _BATCH_BYTES = 2**25
 _FORMATS: dict[str, DefinitionFormat] = {"ros2msg": "ros2msg", "ros2idl": "ros2idl", "ros1msg": "ros1msg"}
 
 
-class McapFile:
+class McapMessages:
+    """Reads messages from records, and remembers the channels that these declare."""
+
+    def __init__(self) -> None:
+        self.connections: list[Connection] = []
+        self.problems: list[str] = []
+        #: Number of a schema -> its name, encoding and text, which all of its channels share.
+        self._schemas: dict[int, tuple[str, str, str]] = {}
+        self._by_id: dict[int, Connection] = {}
+        self._read = 0
+        self._latest_ns = 0
+        self._first_ns: int | None = None
+
+    def records(
+        self, data: bytes | mmap, start: int, stop: int, topics: Collection[str] | None
+    ) -> Iterator[Batch]:
+        """Yield the messages of the named topics (None: all) in some bytes that are records and no chunks."""
+        buffer = np.frombuffer(data, np.uint8)
+        places: list[int] = []
+        position, flush_at = start, start + _BATCH_BYTES
+        unpack, message = RECORD.unpack_from, int(Opcode.MESSAGE)
+        try:
+            while position < stop:  # a loop over all messages: only what each needs is in it
+                opcode, size = unpack(data, position)
+                after = position + 9 + size
+                if after > stop:
+                    raise ValueError(f"the record at byte {position} is cut off")
+                if opcode == message:
+                    places.append(position)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._declare(opcode, bytes(data[position + 9 : after]))
+                else:
+                    raise ValueError(f"the record at byte {position} has no place there")
+                position = after
+                if position > flush_at:
+                    yield from self._flush(buffer, np.array(places, dtype=np.int64), topics)
+                    places, flush_at = [], position + _BATCH_BYTES
+        except PARSE_ERRORS as error:
+            self.problems.append(f"records are damaged: {error}")
+        yield from self._flush(buffer, np.array(places, dtype=np.int64), topics)
+
+    def _flush(
+        self, buffer: NDArray[np.uint8], starts: IntArray, topics: Collection[str] | None
+    ) -> Iterator[Batch]:
+        starts = starts[starts + _MESSAGE.itemsize <= buffer.size]
+        if not starts.size:  # perhaps fewer bytes than a message has
+            return
+        rows = np.lib.stride_tricks.sliding_window_view(buffer, _MESSAGE.itemsize)[starts]
+        heads = rows.view(_MESSAGE)[:, 0]
+        sound = heads["size"] >= _MESSAGE.itemsize - 9
+        starts, heads = starts[sound], heads[sound]
+        self._count(heads["log_ns"])
+        order = np.argsort(heads["channel"], kind="stable")
+        numbers, first = np.unique(heads["channel"][order], return_index=True)
+        for number, mine in zip(numbers.tolist(), np.split(order, first[1:]), strict=False):
+            channel = self._by_id.get(number)
+            if channel is None:
+                self.problems.append(f"{messages(mine.size)} of a channel whose declaration is lost")
+            elif topics is None or channel.topic in topics:
+                yield Batch(
+                    channel,
+                    heads["log_ns"][mine].astype(np.int64),
+                    heads["publish_ns"][mine].astype(np.int64),
+                    buffer,
+                    starts[mine] + _MESSAGE.itemsize,
+                    heads["size"][mine].astype(np.int64) - (_MESSAGE.itemsize - 9),
+                )
+
+    def _count(self, log_ns: NDArray[np.uint64]) -> None:
+        if not log_ns.size:
+            return
+        self._read += log_ns.size
+        first, last = int(log_ns.min()), int(log_ns.max())
+        self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
+        self._latest_ns = max(self._latest_ns, last)
+
+    def _declare(self, opcode: int, body: bytes) -> None:
+        if opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream(body))
+            text = schema.data.decode("latin-1" if schema.encoding == "protobuf" else "utf-8", "replace")
+            self._schemas[schema.id] = schema.name, schema.encoding, text
+            return
+        record = ChannelRecord.read(stream(body))
+        if record.id in self._by_id:
+            return
+        name, encoding, text = self._schemas.get(record.schema_id, ("", "", ""))
+        channel = Connection(
+            record.topic, normal_type(name), record.message_encoding, text, _FORMATS.get(encoding, "")
+        )
+        self._by_id[record.id] = channel
+        self.connections.append(channel)
+
+
+class McapFile(McapMessages):
     """An MCAP file; see LogFile."""
 
     format = "MCAP"
 
     def __init__(self, path: Path) -> None:
+        super().__init__()
         with path.open("rb") as file:
             self._data = mmap(file.fileno(), 0, access=ACCESS_READ)
-        self.connections: list[Connection] = []
-        self.problems: list[str] = []
         self.metadata: dict[str, str] = {}
-        #: Number of a schema -> its name, encoding and text, which all of its channels share.
-        self._schemas: dict[int, tuple[str, str, str]] = {}
-        self._by_id: dict[int, Connection] = {}
         self._broken_chunks = 0
-        self._read = 0
-        self._latest_ns = 0
-        self._first_ns: int | None = None
         self._found = contents(self._data)
         for opcode, body in self._found.declarations:
             self._declare(opcode, body)
@@ -73,11 +159,11 @@ class McapFile:
         self.problems += found.problems
         for piece in found.pieces:
             if not piece.is_chunk:
-                yield from self._records(self._data, piece.start, piece.stop, topics)
+                yield from self.records(self._data, piece.start, piece.stop, topics)
             elif (data := self._unfold(piece, unfolder)) is not None:
                 yield from self._chunk(data, indexed(self._data, piece, len(data)), topics)
         if found.cut is not None and (data := self._unfold_start(found.cut)):
-            yield from self._records(data, 0, len(data), topics)
+            yield from self.records(data, 0, len(data), topics)
         self._note_metadata(found)
         self._conclude(found)
 
@@ -154,82 +240,4 @@ class McapFile:
         if buffer.size <= _BATCH_BYTES and is_chain(buffer, index):
             yield from self._flush(buffer, index.astype(np.int64), topics)
         else:
-            yield from self._records(data, 0, len(data), topics)
-
-    def _records(
-        self, data: bytes | mmap, start: int, stop: int, topics: Collection[str] | None
-    ) -> Iterator[Batch]:
-        buffer = np.frombuffer(data, np.uint8)
-        places: list[int] = []
-        position, flush_at = start, start + _BATCH_BYTES
-        unpack, message = RECORD.unpack_from, int(Opcode.MESSAGE)
-        try:
-            while position < stop:  # a loop over all messages: only what each needs is in it
-                opcode, size = unpack(data, position)
-                after = position + 9 + size
-                if after > stop:
-                    raise ValueError(f"the record at byte {position} is cut off")
-                if opcode == message:
-                    places.append(position)
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                    self._declare(opcode, bytes(data[position + 9 : after]))
-                else:
-                    raise ValueError(f"the record at byte {position} has no place there")
-                position = after
-                if position > flush_at:
-                    yield from self._flush(buffer, np.array(places, dtype=np.int64), topics)
-                    places, flush_at = [], position + _BATCH_BYTES
-        except PARSE_ERRORS as error:
-            self.problems.append(f"records are damaged: {error}")
-        yield from self._flush(buffer, np.array(places, dtype=np.int64), topics)
-
-    def _flush(
-        self, buffer: NDArray[np.uint8], starts: IntArray, topics: Collection[str] | None
-    ) -> Iterator[Batch]:
-        starts = starts[starts + _MESSAGE.itemsize <= buffer.size]
-        if not starts.size:  # perhaps fewer bytes than a message has
-            return
-        rows = np.lib.stride_tricks.sliding_window_view(buffer, _MESSAGE.itemsize)[starts]
-        heads = rows.view(_MESSAGE)[:, 0]
-        sound = heads["size"] >= _MESSAGE.itemsize - 9
-        starts, heads = starts[sound], heads[sound]
-        self._count(heads["log_ns"])
-        order = np.argsort(heads["channel"], kind="stable")
-        numbers, first = np.unique(heads["channel"][order], return_index=True)
-        for number, mine in zip(numbers.tolist(), np.split(order, first[1:]), strict=False):
-            channel = self._by_id.get(number)
-            if channel is None:
-                self.problems.append(f"{messages(mine.size)} of a channel whose declaration is lost")
-            elif topics is None or channel.topic in topics:
-                yield Batch(
-                    channel,
-                    heads["log_ns"][mine].astype(np.int64),
-                    heads["publish_ns"][mine].astype(np.int64),
-                    buffer,
-                    starts[mine] + _MESSAGE.itemsize,
-                    heads["size"][mine].astype(np.int64) - (_MESSAGE.itemsize - 9),
-                )
-
-    def _count(self, log_ns: NDArray[np.uint64]) -> None:
-        if not log_ns.size:
-            return
-        self._read += log_ns.size
-        first, last = int(log_ns.min()), int(log_ns.max())
-        self._first_ns = first if self._first_ns is None else min(self._first_ns, first)
-        self._latest_ns = max(self._latest_ns, last)
-
-    def _declare(self, opcode: int, body: bytes) -> None:
-        if opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream(body))
-            text = schema.data.decode("latin-1" if schema.encoding == "protobuf" else "utf-8", "replace")
-            self._schemas[schema.id] = schema.name, schema.encoding, text
-            return
-        record = ChannelRecord.read(stream(body))
-        if record.id in self._by_id:
-            return
-        name, encoding, text = self._schemas.get(record.schema_id, ("", "", ""))
-        channel = Connection(
-            record.topic, normal_type(name), record.message_encoding, text, _FORMATS.get(encoding, "")
-        )
-        self._by_id[record.id] = channel
-        self.connections.append(channel)
+            yield from self.records(data, 0, len(data), topics)

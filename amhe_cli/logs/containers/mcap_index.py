@@ -108,7 +108,7 @@ def contents(data: mmap) -> Contents:
     return found
 
 
-def unfolded(data: mmap, chunk: Piece, unfolder: Unfolder) -> bytes:
+def unfolded(data: mmap | bytes, chunk: Piece, unfolder: Unfolder) -> bytes:
     """Records of a chunk, decompressed, checksum verified.
 
     Raises:
@@ -194,7 +194,7 @@ class _Head(NamedTuple):
     stop: int
 
 
-def _head(data: mmap, chunk: Piece) -> _Head:
+def _head(data: mmap | bytes, chunk: Piece) -> _Head:
     start, stop = chunk.start, chunk.stop
     opcode, length = RECORD.unpack_from(data, start - 9)
     if opcode != Opcode.CHUNK or length != stop - start or length < _CHUNK.size + 12:

@@ -130,7 +130,7 @@ class SignalDecoder:
         self._names: tuple[str, ...] = signal.names
         self._columns: dict[str, tuple[str, ...]] = {}
         self._seen: set[str] = set()
-        self._parts = _Parts(values={quantity: _Growing(np.empty((0, 0))) for quantity in self._wanted})
+        self._parts = self._fresh()
         self._recipes: dict[int, tuple[Layout, list[_Columns]]] = {}
         self.count = self._held = 0
         self._has_header = False
@@ -158,8 +158,21 @@ class SignalDecoder:
         Raises:
             LogError: If no message has a wanted entry or quantity.
         """
-        self._check_complete()
-        parts = self._parts
+        if not self._parts.groups:
+            frame = self._signal.child_frame
+            if frame is not None and self._seen:
+                raise LogError(f"{self._topic}: {one_of('child frame', frame, self._seen)}")
+            raise LogError(f"{self._topic}: no readable message")
+        if self.lacking:
+            raise LogError(self.lacking)
+        return self.taken()
+
+    def taken(self) -> SignalSamples:
+        """Samples of the messages that were fed since the last call, where messages go on and on.
+
+        What is missing is NaN.
+        """
+        parts, self._parts = self._parts, self._fresh()
         joined = SignalSamples(
             parts.log_ns.whole(),
             parts.publish_ns.whole(),
@@ -299,16 +312,20 @@ class SignalDecoder:
                 block if block.shape[1] == width else np.full((size, width), np.nan)
             )
 
-    def _check_complete(self) -> None:
-        if not self._parts.groups:
-            frame = self._signal.child_frame
-            if frame is not None and self._seen:
-                raise LogError(f"{self._topic}: {one_of('child frame', frame, self._seen)}")
-            raise LogError(f"{self._topic}: no readable message")
-        if self.info.names is not None:
-            for name in self._signal.names:
-                if name not in self._seen:
-                    raise LogError(f"{self._topic}: {one_of('joint', name, self._seen)}")
+    @property
+    def lacking(self) -> str:
+        """Which joint no message has had so far, in words; '' if none."""
+        absent = [name for name in self._signal.names if name not in self._seen] if self.info.names else []
+        return f"{self._topic}: {one_of('joint', absent[0], self._seen)}" if absent else ""
+
+    def forget(self) -> None:
+        """Let go of the layouts and names that were seen; columns keep their order."""
+        self._recipes.clear()
+        self._seen.clear()
+        self._held = 0
+
+    def _fresh(self) -> _Parts:
+        return _Parts(values={quantity: _Growing(np.empty((0, 0))) for quantity in self._wanted})
 
 
 def time_leaves(layout: Layout, path: str) -> tuple[Leaf, Leaf] | None:

@@ -47,6 +47,26 @@ class Definitions:
             self._cache[connection] = self._lookup(connection)
         return self._cache[connection]
 
+    @property
+    def types(self) -> Types:
+        """All types of ROS 2 that are known without a log."""
+        return ChainMap(self._folder, _bundled("cdr"))
+
+    def described(self, name: str) -> tuple[str, str]:
+        """Text of a type's definition, with all that it consists of, and its hash.
+
+        Raises:
+            LogError: The type, or a part of it, is not defined.
+        """
+        store = get_typestore(Stores.EMPTY)  # only looked up: registering would generate and run code
+        store.fielddefs.update({each: ([], fields) for each, fields in self.types.items()})
+        try:
+            return store.generate_msgdef(name, ros_version=2)[0], store.hash_rihs01(name)
+        except Exception as error:  # rosbags raises many kinds
+            raise LogError(
+                f"{name} is not defined here ({error}); give the folder of its .msg files with `msg_path`"
+            ) from None
+
     def problem(self, connection: Connection) -> str | None:
         """Why `connection` cannot be decoded, in words; None if it can."""
         try:

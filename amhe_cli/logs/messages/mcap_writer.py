@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from amhe_cli import __version__
 from amhe_cli.core.files import whole
+from amhe_cli.logs.containers.raw import Batch, Connection
 
 
 class McapWriter:
@@ -30,7 +32,10 @@ class McapWriter:
         self._channels: dict[str, tuple[int, str]] = {}
         self._schemas: dict[str, int] = {}
         self._sequence: dict[int, int] = {}
+        self._copied: dict[Connection, int] = {}
         self._full = False
+        #: Called with topic, type and bytes of each message that `write` appends, to send it on.
+        self.also: Callable[[str, str, bytes], None] | None = None
 
     def __enter__(self) -> Self:
         self._file = ExitStack()
@@ -80,8 +85,10 @@ class McapWriter:
         channel, known = self._channels.get(topic) or self._channel(topic, msgtype)
         if known != msgtype:
             raise ValueError(f"topic {topic!r} carries {known}, not {msgtype}")
-        data = self._store.serialize_cdr(message, msgtype)
-        self._add(channel, stamp_ns, bytes(data), stamp_ns)
+        data = bytes(self._store.serialize_cdr(message, msgtype))
+        self._add(channel, stamp_ns, data, stamp_ns)
+        if self.also:
+            self.also(topic, msgtype, data)
 
     def _add(self, channel: int, log_ns: int, data: bytes, publish_ns: int) -> None:
         """Append a message; nothing once the file could not be written, for which one call raises OSError."""
@@ -100,6 +107,22 @@ class McapWriter:
             self._full = True
             with self._file:
                 raise
+
+    def copy(self, batch: Batch) -> None:
+        """Append messages as they are, in the encoding that they came in."""
+        connection = batch.connection
+        if connection not in self._copied:
+            binary = connection.encoding == "protobuf"
+            kind = connection.definition_format or ("protobuf" if binary else "jsonschema")
+            text = connection.definition.encode("latin-1" if binary else "utf-8")
+            schema = self._mcap.register_schema(connection.type, kind, text)
+            self._copied[connection] = self._mcap.register_channel(
+                connection.topic, connection.encoding, schema
+            )
+        stamps = (ns.view(np.uint64).tolist() for ns in (batch.log_ns, batch.publish_ns))
+        ends = (batch.starts + batch.lengths).tolist()
+        for log_ns, publish_ns, start, end in zip(*stamps, batch.starts.tolist(), ends, strict=True):
+            self._add(self._copied[connection], log_ns, batch.buffer[start:end].tobytes(), publish_ns)
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
         """Attach a file, for instance the configuration or the model."""

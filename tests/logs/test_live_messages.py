@@ -1,0 +1,220 @@
+"""Messages as they come: what is sent is decoded; what is wrong is counted, said once, and ends nothing."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from amhe_cli.core.samples import Samples
+from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.signals import Signal
+from amhe_cli.logs.containers.raw import Batch, Connection, batch_of
+from amhe_cli.logs.live import messages
+from amhe_cli.logs.live.lines import Lines, listening
+from amhe_cli.logs.live.messages import LiveSource
+from amhe_cli.logs.live.transport import Transport
+from amhe_cli.logs.messages.definitions import Definitions
+
+JOINTS = Signal("joints", "/joints", ("position",), "sensor_msgs/msg/JointState", ("a", "b"))
+SECOND = 10**9
+
+
+class Fed(Transport):
+    """Brings the batches that a test puts in."""
+
+    def __init__(self) -> None:
+        super().__init__("a test")
+        self.waiting: list[Batch] = []
+
+    def receive(self) -> list[Batch]:
+        found, self.waiting = self.waiting, []
+        return found
+
+
+def line(stamp: float, position: Sequence[float] = (1.0, 2.0), names: Sequence[str] = ("a", "b")) -> bytes:
+    content = {"topic": "/joints", "stamp": stamp, "name": list(names), "position": list(position)}
+    return json.dumps(content).encode()
+
+
+def source(transport: Transport, *signals: Signal) -> LiveSource:
+    return LiveSource(transport, signals or (JOINTS,), Definitions(), LogSettings())
+
+
+@pytest.fixture
+def fed(monkeypatch: pytest.MonkeyPatch) -> tuple[LiveSource, Callable[..., Samples]]:
+    """A source, and a function that hands it JSON messages with their stamps, as if they came at once."""
+    transport = Fed()
+    made = source(transport)
+    monkeypatch.setattr(messages, "STEP", 0.0)
+
+    def feed(stamps: Sequence[float], arrival: float | None = None, **how: Any) -> Samples:
+        connection = Connection("/joints", "sensor_msgs/msg/JointState", "json", "", "")
+        arrivals = [round(((stamps[-1] if arrival is None else arrival) + 100.0) * SECOND)] * len(stamps)
+        lines = [line(stamp, **how) for stamp in stamps]
+        transport.waiting.append(batch_of(connection, arrivals, arrivals, lines))
+        return made.wait()
+
+    return made, feed
+
+
+def times_of(samples: Samples) -> list[float]:
+    return samples["joints.position"][0].round(6).tolist() if samples else []
+
+
+def test_times_count_from_the_first_stamp_and_columns_are_those_of_the_system(fed) -> None:
+    made, feed = fed
+    found = feed([50.0, 50.01], names=["b", "a"])
+    assert times_of(found) == [0.0, 0.01]
+    np.testing.assert_array_equal(found["joints.position"][1], [[2.0, 1.0]] * 2)
+    assert (made.now, made.stamp_ns(0.01)) == (pytest.approx(0.01), round(50.01 * SECOND))
+    assert made.events() == []
+
+
+def test_what_is_out_of_order_is_sorted_within_a_look_and_dropped_after_it(fed) -> None:
+    made, feed = fed
+    assert times_of(feed([0.1, 0.12, 0.11, 0.12])) == [0.0, 0.01, 0.02]
+    assert times_of(feed([0.115, 0.13])) == [0.03]
+    assert made.topics()[0].dropped == 2  # a repeated one, and a late one
+
+
+def test_one_stamp_that_is_far_off_costs_one_message(fed) -> None:
+    made, feed = fed
+    feed([1.0])
+    assert times_of(feed([1.01, 2e9, 1.02], arrival=1.02)) == [0.01, 0.02]
+    assert (made.topics()[0].dropped, made.epoch, made.events()) == (1, 0, [])
+
+
+def test_a_clock_that_is_set_back_begins_anew_later_than_all_before(fed, monkeypatch) -> None:
+    made, feed = fed
+    monkeypatch.setattr(messages, "_SETTLING", 0.0)
+    for i in range(20):
+        feed([100.0 + 0.01 * i])
+    newest = made.now
+    for i in range(12):
+        feed([5.0 + 0.01 * i], arrival=100.2 + 0.01 * i)
+    assert made.epoch == 1
+    (event,) = made.events()
+    assert "'/joints': its clock was set 95" in event and "back" in event
+    found = feed([6.0, 6.1], arrival=101.3)
+    assert times_of(found)[0] > newest + LogSettings().max_gap, "no window may bridge it"
+    assert made.stamp_ns(times_of(found)[1]) == pytest.approx(6.1 * SECOND, abs=1000)
+
+
+def test_angles_that_wrap_go_on_across_looks(monkeypatch) -> None:
+    monkeypatch.setattr(messages, "STEP", 0.0)
+    wrapping = Signal(
+        "joints", "/joints", ("position",), "sensor_msgs/msg/JointState", ("a", "b"), wraps=True
+    )
+    transport = Fed()
+    made, connection = source(transport, wrapping), Connection("/joints", wrapping.type or "", "json", "", "")
+    found = []
+    for i, angle in enumerate((3.0, 3.1, -3.1, -3.0)):
+        transport.waiting.append(batch_of(connection, [i + 1], [i + 1], [line(1.0 + 0.01 * i, (angle, 0.0))]))
+        found.append(made.wait()["joints.position"][1][0, 0])
+    np.testing.assert_allclose(found, [3.0, 3.1, 2 * np.pi - 3.1, 2 * np.pi - 3.0])
+
+
+def test_a_sensor_that_stops_is_said_within_a_second_and_that_it_goes_on(fed, monkeypatch) -> None:
+    made, feed = fed
+    for i in range(30):
+        feed([0.01 * i])
+    stopped = time.monotonic()
+    while not (events := made.events()) and time.monotonic() < stopped + 1.0:
+        made.wait()
+        time.sleep(0.01)
+    assert len(events) == 1 and events[0].startswith("topic '/joints' has stopped: nothing for 0.")
+    assert made.topics()[0].silent
+    feed([1.0])
+    assert made.events() == ["topic '/joints' goes on again"]
+
+
+def test_an_absent_topic_is_named_with_the_closest_that_exists(monkeypatch) -> None:
+    monkeypatch.setattr(messages, "_ABSENT", 0.0)
+    transport = Fed()
+    transport.connections.append(Connection("/joint", "sensor_msgs/msg/JointState", "cdr", "", ""))
+    made = source(transport)
+    for _ in range(3):
+        made.wait()
+    (event,) = made.events()
+    assert event.startswith("no topic '/joints' (did you mean '/joint'?)") and event.endswith("; waiting")
+
+
+@pytest.mark.parametrize(
+    ("names", "position", "said"),
+    [(("a", "c"), (1.0, 2.0), "joint 'b'"), (("a", "b"), (1.0, 1e300), "impossible position")],
+)
+def test_what_is_wrong_is_one_line(fed, names, position, said: str) -> None:
+    made, feed = fed
+    for i in range(20):
+        feed([0.01 * i], names=names, position=position)
+    (event,) = made.events()
+    assert said in event
+
+
+def test_what_decoders_remember_is_bounded(fed, monkeypatch) -> None:
+    """A sender that names other joints in each message."""
+    made, feed = fed
+    monkeypatch.setattr(messages, "_FRESH", 50)
+    for i in range(400):
+        feed([0.01 * i], names=["a", f"x{i}"])
+    topic = made._topics["/joints"]
+    assert len(topic.decoders[0][1]._seen) <= 52
+    assert len(made._said) < 5 and len(topic.arrivals) <= messages._ARRIVALS
+
+
+@settings(max_examples=60)
+@given(st.lists(st.binary(max_size=80), min_size=1, max_size=4))
+def test_any_bytes_in_cdr_end_nothing(payloads: list[bytes]) -> None:
+    transport = Fed()
+    made = source(transport)
+    connection = Connection("/joints", "sensor_msgs/msg/JointState", "cdr", "", "ros2msg")
+    now = [time.time_ns()] * len(payloads)
+    transport.waiting.append(batch_of(connection, now, now, payloads))
+    made.wait()
+    assert len(made.events()) <= 3
+
+
+# -- lines ----------------------------------------------------------------------------------------------
+
+
+def test_datagrams_of_lines_are_read_and_the_rest_is_left_out() -> None:
+    with listening("127.0.0.1", 0) as end, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
+        transport = Lines("udp", end, [JOINTS])
+        hostile = [
+            b"",
+            b"{",
+            b"[1]",
+            b'{"topic": 3}',
+            b'{"topic": {}}',
+            b"\xff",
+            b"[" * 5000,
+            b'{"topic": "/other"}',
+        ]
+        for datagram in (*hostile, line(1.0) + b"\n" + line(1.1)):
+            out.sendto(datagram, end.getsockname())
+        (batch,) = transport.receive()
+        assert (batch.connection.topic, batch.starts.size) == ("/joints", 2)
+        assert not transport.over and len(transport.notes()) == 2 and transport.notes() == []
+
+
+def test_lines_of_a_pipe_may_come_in_pieces_and_end_with_it() -> None:
+    ours, theirs = os.pipe()
+    transport = Lines("pipe", ours, [JOINTS])
+    whole = line(1.0) + b"\n" + line(1.1)
+    os.write(theirs, whole[:30])
+    assert transport.receive() == []
+    os.write(theirs, whole[30:])
+    assert [batch.starts.size for batch in transport.receive()] == [1]
+    os.close(theirs)
+    assert [batch.starts.size for batch in transport.receive()] == [1]
+    assert transport.over
+    os.close(ours)

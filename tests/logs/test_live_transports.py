@@ -1,0 +1,125 @@
+"""DDS and Zenoh on loopback: what one publishes the other gets, bit for bit, with its type."""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_typestore
+
+from amhe_cli.core.errors import ConfigError
+from amhe_cli.logs.containers.raw import Batch
+from amhe_cli.logs.live.ros import RosTransport, dds_type, ros_type
+from amhe_cli.logs.messages.definitions import Definitions
+
+KIND = "sensor_msgs/msg/JointState"
+
+
+def joint_state() -> bytes:
+    store = get_typestore(Stores.LATEST)
+    stamp = store.types["builtin_interfaces/msg/Time"](sec=12, nanosec=34)
+    header = store.types["std_msgs/msg/Header"](stamp=stamp, frame_id="base")
+    two, none = np.full(2, 1.5), np.zeros(0)
+    message = store.types[KIND](header=header, name=["a", "bc"], position=two, velocity=none, effort=two)
+    return bytes(store.serialize_cdr(message, KIND))
+
+
+def exchanged(sender: Any, receiver: Any, seconds: float = 10.0) -> list[Batch]:
+    """Batches that arrive while one message is sent again and again."""
+    end = time.monotonic() + seconds
+    found: list[Batch] = []
+    while not found and time.monotonic() < end:
+        sender.publish("/arm/joint_states", KIND, joint_state())
+        time.sleep(0.02)
+        found = receiver.receive()
+    return found
+
+
+def check(found: list[Batch]) -> None:
+    (batch,) = found
+    assert (batch.connection.topic, batch.connection.type) == ("/arm/joint_states", KIND)
+    assert "string[] name" in batch.connection.definition
+    start, length = int(batch.starts[0]), int(batch.lengths[0])
+    payload = joint_state()
+    assert batch.buffer[start : start + length].tobytes().rstrip(b"\0") == payload.rstrip(b"\0")
+    assert abs(int(batch.log_ns[0]) - time.time_ns()) < 10 * 10**9
+
+
+def test_dds_brings_what_is_published() -> None:
+    pytest.importorskip("cyclonedds")
+    from amhe_cli.logs.live.dds import Dds
+
+    transport = Dds({"/arm/joint_states"}, Definitions(), 79, "127.0.0.1")
+    try:
+        check(exchanged(transport, transport))
+        assert transport.notes() == []
+    finally:
+        transport.close()
+
+
+@pytest.fixture
+def router() -> Iterator[str]:
+    zenoh = pytest.importorskip("zenoh")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        where = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    config = zenoh.Config()
+    config.insert_json5("mode", '"router"')
+    config.insert_json5("listen/endpoints", json.dumps([where]))
+    config.insert_json5("scouting/multicast/enabled", "false")
+    session = zenoh.open(config)
+    yield where
+    session.close()
+
+
+def test_zenoh_brings_what_is_published_and_names_what_is_offered(router: str) -> None:
+    from amhe_cli.logs.live.zenoh import Zenoh
+
+    sender = Zenoh((), Definitions(), 3, router)
+    receiver, other = (Zenoh({topic}, Definitions(), 3, router) for topic in ("/arm/joint_states", "/other"))
+    try:
+        check(exchanged(sender, receiver))
+        end = time.monotonic() + 5.0
+        while not other.connections and time.monotonic() < end:
+            assert other.receive() == []
+            time.sleep(0.02)
+        assert [one.topic for one in other.connections] == ["/arm/joint_states"]
+    finally:
+        for one in (sender, receiver, other):
+            one.close()
+
+
+def test_without_a_router_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("zenoh")
+    from amhe_cli.logs.live import zenoh
+
+    monkeypatch.setattr(zenoh, "_PATIENCE", 100)
+    with pytest.raises(ConfigError, match=r"^`source=zenoh`: no router at tcp/127.0.0.1:1 .*rmw_zenohd"):
+        zenoh.Zenoh((), Definitions(), 0, "tcp/127.0.0.1:1")
+
+
+def test_types_are_named_as_dds_names_them() -> None:
+    assert dds_type(KIND) == "sensor_msgs::msg::dds_::JointState_"
+    assert ros_type(dds_type(KIND)) == KIND
+
+
+@pytest.mark.parametrize(
+    ("kind", "digest", "said"),
+    [(KIND, "RIHS01_" + 64 * "0", "another version"), ("a_msgs/msg/B", "", "not defined here")],
+)
+def test_a_type_of_another_version_or_an_unknown_one_is_not_read(kind: str, digest: str, said: str) -> None:
+    transport = RosTransport("a test", None, Definitions())
+    assert transport.offered("/x", kind, digest) is None
+    assert transport.offered("/x", kind, digest) is None
+    (note,) = transport.notes()
+    assert said in note
+
+
+def test_the_hash_of_a_type_is_that_of_ros() -> None:
+    _, digest = Definitions().described("std_msgs/msg/String")
+    assert digest == "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
