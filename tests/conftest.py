@@ -81,6 +81,31 @@ def pendulum_log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_pendulum_log(tmp_path_factory.mktemp("logs") / "pendulum.mcap", 8.0, system="pendulum")
 
 
+@pytest.fixture
+def jumping(tmp_path: Path) -> Path:
+    """A log whose load grows by 0.8 kg after four seconds."""
+    model = mujoco.MjModel.from_xml_path(str(MODELS / "pendulum" / "scene.xml"))
+    model.body("load").mass[0] = 0.4
+    data, rng = mujoco.MjData(model), np.random.default_rng(1)
+    mujoco.mj_setConst(model, data)
+    with LogWriter(tmp_path / "jump.mcap", {"system": "pendulum"}) as log:
+        for step in range(round(7.0 / model.opt.timestep)):
+            stamp = 1_700_000_000_000_000_000 + round(step * model.opt.timestep * 1e9)
+            if step == round(4.0 / model.opt.timestep):
+                model.body("load").mass[0] += 0.8
+                mujoco.mj_setConst(model, data)
+            if step % 2 == 0:
+                position = data.qpos + rng.normal(0.0, 0.002, 1)
+                log.joint_state(
+                    "/joint_states", stamp, ["hinge"], position, data.qvel + rng.normal(0.0, 0.05, 1)
+                )
+            if step % 10 == 0:
+                data.ctrl[:] = np.sin(3.0 * data.time) + 0.3 * np.sin(11.0 * data.time)
+                log.joint_state("/joint_commands", stamp, ["hinge"], data.ctrl)
+            mujoco.mj_step(model, data)
+    return tmp_path / "jump.mcap"
+
+
 def go1_system_with(setting: str, folder: Path) -> int:
     """Copy the bundled system of the Go1 to a folder, with one more line of settings; the line's number."""
     shutil.copytree(MODELS / "go1_push", folder)

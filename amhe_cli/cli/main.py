@@ -31,6 +31,7 @@ from amhe_cli.cli.inspect import inspect
 from amhe_cli.cli.mhe_replay import mhe_replay
 from amhe_cli.cli.pool import pool
 from amhe_cli.cli.probe import probe
+from amhe_cli.cli.record import record
 from amhe_cli.cli.run import run as run_task
 from amhe_cli.cli.session import (
     FAILED,
@@ -43,11 +44,13 @@ from amhe_cli.cli.session import (
     terminable,
 )
 from amhe_cli.cli.view import view
+from amhe_cli.cli.watch import watch
 
 #: The commands, by what they are for.
 GROUPS = {
     "Start": (inspect, init, check, identify, view),
     "More": (compare, explain, pool, probe, mhe_replay, export, convert, drives),
+    "Live": (watch, record),
     "Go1": (run_task, evaluate, emulate, calibrate),
 }
 

@@ -108,12 +108,12 @@ def filling(folder: Path, keep: bool = False, force: bool = True) -> Iterator[Pa
         shutil.rmtree(scratch, ignore_errors=True)
 
 
-def fresh(path: Path) -> Path:
-    """A path that does not exist: this one, or the first free of `path-2`, `path-3`, ..."""
-    candidate, number = path, 1
+def fresh(path: Path, suffix: str = "") -> Path:
+    """A path that does not exist: this one, or the first free of `path-2`, `path-3`, ...; and a suffix."""
+    candidate, number = path.with_name(path.name + suffix), 1
     while candidate.exists():
         number += 1
-        candidate = path.with_name(f"{path.name}-{number}")
+        candidate = path.with_name(f"{path.name}-{number}{suffix}")
     return candidate
 
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -118,27 +119,28 @@ def estimates_csv(replay: Replay) -> str:
     """The content of estimates.csv: one line for each window; cells without a value are empty."""
     text = io.StringIO()
     table = csv.writer(text, lineterminator="\n")
-    table.writerow(list(_header(replay)))
-    for i in range(len(replay.estimates)):
-        table.writerow(list(_row(replay, i)))
+    table.writerow(list(csv_header(replay.system.space.names, replay.truth)))
+    for i, estimate in enumerate(replay.estimates):
+        table.writerow(list(csv_row(estimate, {name: values[i] for name, values in replay.truth.items()})))
     return text.getvalue()
 
 
-def _header(replay: Replay) -> Iterable[str]:
+def csv_header(names: Sequence[str], truth: Collection[str] = ()) -> Iterable[str]:
+    """Columns of estimates.csv; of those parameters whose true values are known, these, too."""
     yield "time"
-    for name in replay.system.space.names:
-        yield from (name, f"{name}_sd", *([f"{name}_true"] if name in replay.truth else []))
+    for name in names:
+        yield from (name, f"{name}_sd", *([f"{name}_true"] if name in truth else []))
     yield from ("misfit", "updated", "update_ms", "mark", "excitation")
 
 
-def _row(replay: Replay, i: int) -> Iterable[str]:
-    estimate = replay.estimates[i]
-    yield _cell(replay.times[i])
-    for column, name in enumerate(replay.system.space.names):
+def csv_row(estimate: Estimate, truth: Mapping[str, float] = MappingProxyType({})) -> Iterable[str]:
+    """Cells of one estimate."""
+    yield _cell(estimate.time)
+    for column, name in enumerate(estimate.belief.names):
         yield _cell(estimate.theta[column])
         yield _cell(estimate.sd[column])
-        if name in replay.truth:
-            yield _cell(replay.truth[name][i])
+        if name in truth:
+            yield _cell(truth[name])
     yield _cell(estimate.misfit)
     yield str(int(estimate.updated))
     yield f"{estimate.update_ms:.1f}"
@@ -178,14 +180,15 @@ def write_log(
             truth = {name: float(v[i]) for name, v in replay.truth.items() if np.isfinite(v[i])}
             if truth:
                 log.joint_state("/amhe/truth", stamp, truth, list(truth.values()))
-            _write_mark(log, stamp, estimate)
+            write_mark(log, stamp, estimate)
 
 
 def _stamp_ns(recorded: Log, row: int) -> int:
     return recorded.start_ns + round(row * recorded.dt * 1e9)
 
 
-def _write_mark(log: LogWriter, stamp_ns: int, estimate: Estimate) -> None:
+def write_mark(log: LogWriter, stamp_ns: int, estimate: Estimate) -> None:
+    """Write on /diagnostics what became of a window."""
     values = {"misfit": f"{estimate.misfit:.3g}", "update ms": f"{estimate.update_ms:.1f}"}
     level, text = _LEVELS[estimate.mark], f"{estimate.mark}: {MARKS[estimate.mark]}"
     log.diagnostics(stamp_ns, level, text, values, of="estimator")

@@ -100,6 +100,10 @@ class System(SystemData, Displayed):
         signals = ", ".join(signal.name for signal in self.signals)
         return f"System({self.name!r}: parameters {', '.join(self.space.names)}; signals {signals})"
 
+    def __getstate__(self) -> dict[str, Any]:
+        """For another process: without MuJoCo's specs, which cannot be pickled; rollouts need none."""
+        return {name: value for name, value in vars(self).items() if name not in ("spec", "original")}
+
     @property
     def dt(self) -> float:
         """Time step of the model [s]: the clock that logs are read onto."""

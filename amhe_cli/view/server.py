@@ -32,11 +32,13 @@ class PageServer:
     """A page at an address; use it as a context manager.
 
     Args:
-        page: The page.
+        page: The page, or a function that makes it at each request.
         host: Address to listen on.
         port: Port to listen on; 0: any that is free.
         stream: Sends what happens to one browser, through the function that it is given, until it returns;
             None: nothing happens.
+        path: Path of the page at the address.
+        kind: Its media type.
 
     Raises:
         ConfigError: The address cannot be listened on.
@@ -44,12 +46,14 @@ class PageServer:
 
     def __init__(
         self,
-        page: str,
+        page: str | Callable[[], str],
         host: str = LOOPBACK,
         port: int = 0,
         stream: Callable[[Callable[[bytes], None]], None] | None = None,
+        path: str = "/",
+        kind: str = "text/html; charset=utf-8",
     ) -> None:
-        content = page.encode()
+        content = page.encode() if isinstance(page, str) else None
         asking: dict[socket.socket, float] = {}  # connections without a request yet -> when they are given up
 
         class Handler(BaseHTTPRequestHandler):
@@ -59,8 +63,8 @@ class PageServer:
                 asking[self.connection] = math.inf
                 if not ours(self.headers.get("Host", "")):  # another site's name that leads here
                     return self.send_error(403)
-                if self.path == "/":
-                    return self._send("text/html; charset=utf-8", content)
+                if self.path == path:
+                    return self._send(kind, page().encode() if callable(page) else content)
                 if self.path == "/stream" and stream is not None:
                     self._send("text/event-stream", None)
                     return stream(self._event)

@@ -198,6 +198,8 @@ def test_a_path_that_does_not_exist_is_a_usage_error(command, capsys, tmp_path) 
         "eval": ["--report"],
         "probe": ["--belief"],
         "compare": ["pendulum", "--logs"],
+        "watch": ["--source", "-", "--belief"],
+        "record": ["--source", "-", "--msg-path"],
     }.get(command, [])
     assert entry.run([command, *option, str(tmp_path / "nothing.mcap")]) == 2
     assert "does not exist" in capsys.readouterr().err

@@ -170,7 +170,8 @@ class LiveSource:
         self._begun = min(self._begun, time.monotonic())
         time.sleep(STEP)
         parts = [part for batch in self._transport.receive() for part in self._samples(batch)]
-        self._look_around()
+        if not self.over:
+            self._look_around()
         return merged(parts) if parts else {}
 
     def events(self) -> list[str]:

@@ -1,0 +1,229 @@
+"""`amhe watch`: the online estimator beside a system that is running."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import sys
+import time
+from contextlib import ExitStack, closing, contextmanager, suppress
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from amhe_cli.cli import live_options, log_path, options, parsing
+from amhe_cli.cli.estimation_options import believed, narrowing
+from amhe_cli.cli.session import Session, stopping
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+    from subprocess import Popen
+
+    from amhe_cli.cli.settings import Overrides
+    from amhe_cli.report.watch import WatchReport
+    from amhe_cli.view.server import PageServer
+
+#: Time between two pictures on a terminal, and two lines elsewhere [s].
+_PICTURE, _LINE = 0.2, 10.0
+#: An update, and the estimator's start, hang after so long [s]: nobody's control waits for them.
+_HANGS = 10.0, 120.0
+#: Events that are kept for result.json.
+_WARNINGS = 100
+
+
+@click.command(cls=parsing.Command, short_help="Parameters of a robot that is running, live.")
+@live_options.where
+@options.system
+@options.topics
+@options.msg_path
+@believed("Start from a belief.yaml, its sd floored so that it can still move.")
+@narrowing
+@click.option(
+    "--resume", is_flag=True, help="Go on from the belief.yaml in OUT, if there is one, and add to its files."
+)
+@click.option(
+    "--speed",
+    type=parsing.Number(min=0, min_open=True),
+    default=1.0,
+    metavar="X",
+    help="LOG: play it so many times as fast.",
+)
+@click.option(
+    "--alarm",
+    "rules",
+    multiple=True,
+    metavar="RULE",
+    help="Warn while a parameter's 90 % interval is beyond a limit, such as 'load_mass>1.2'. Repeatable.",
+)
+@click.option(
+    "--on-jump",
+    metavar="CMD",
+    callback=lambda ctx, param, value: _command(ctx, param, value),
+    help="Run a command at each jump; AMHE_ESTIMATE in its environment is the estimate, as JSON.",
+)
+@click.option(
+    "--metrics",
+    type=parsing.WholeNumber(0, 65535),
+    metavar="PORT",
+    help="Serve the values for Prometheus at http://127.0.0.1:PORT/metrics.",
+)
+@live_options.for_seconds("Stop after S seconds.  [default: when it is interrupted]")
+@options.seed
+@options.engine
+@options.tuning
+@options.out
+@options.common
+@click.pass_obj
+def watch(
+    session: Session,
+    source: str,
+    follow: Path | None,
+    system: str | None,
+    topics: dict[str, str],
+    msg_path: Path | None,
+    belief: Path | None,
+    belief_anyway: bool,
+    fix: dict[str, float],
+    only: list[str] | None,
+    resume: bool,
+    speed: float,
+    rules: Sequence[str],
+    on_jump: str | None,
+    metrics: int | None,
+    seconds: float | None,
+    seed: int,
+    engine: str,
+    overrides: Overrides,
+    out: options.Output,
+) -> None:
+    """Estimate parameters from what a running system sends, until Ctrl-C.
+
+    Shows parameters with intervals, warns of jumps and of --alarm, and publishes /amhe/params, /amhe/jump
+    and /diagnostics where the source can. Writes estimates.csv and estimates.mcap, belief.yaml every 10 s,
+    and result.json at the end.
+    """
+    from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.core.files import json_text, write_whole
+    from amhe_cli.estimation.online.horizon import check_window
+    from amhe_cli.estimation.online.workers import InProcess
+    from amhe_cli.live.watch import Alarm, estimator_of
+    from amhe_cli.live.watch import watch as run_watch
+    from amhe_cli.logs.live.open import open_source
+    from amhe_cli.logs.messages.definitions import Definitions
+    from amhe_cli.report.watch import WatchReport
+    from amhe_cli.system.provenance import estimator_provenance
+
+    session.hush_mujoco()
+    source = str(log_path.LOG.convert(source, None, None)) if source.startswith("example:") else source
+    log = [Path(source)] if Path(source).exists() else []
+    if not (system or log):
+        raise click.UsageError("name the system that is watched with --system NAME|DIR")
+    folder = options.Output(out.folder, out.force or resume).reserve()
+    kept = folder / "belief.yaml"
+    opened = Inputs(system, topics, msg_path, None, None).open(log, overrides)
+    opened, known = opened.starting_from(
+        kept if resume and kept.exists() else belief, fix=fix, only=only, belief_anyway=belief_anyway
+    )
+    mhe = opened.settings.mhe
+    check_window(mhe, opened.dt)
+    alarms = [Alarm.parsed(rule, opened.space.names) for rule in rules]
+    origin = estimator_provenance(session.command_line, seed, mhe.method, opened, [belief] if belief else [])
+    factory = partial(estimator_of, opened, known, seed, engine)
+    with ExitStack() as closed:
+        stopped = closed.enter_context(stopping(session))
+        found, transport = closed.enter_context(
+            open_source(source, follow, opened, Definitions(msg_path), speed)
+        )
+        budget = mhe.budget or mhe.update_period
+        worker = closed.enter_context(closing(InProcess(factory, budget, *_HANGS)))
+        report = closed.enter_context(
+            WatchReport(folder, opened, found, origin, transport.publish, {str(a): a.holds for a in alarms})
+        )
+        show = closed.enter_context(_shown(session, report))
+        if metrics is not None:
+            closed.enter_context(_served(session, metrics, report.metrics))
+        end, child = time.monotonic() + (seconds or float("inf")), None
+        for event in run_watch(opened, found, worker):
+            show(report.take(event))
+            if isinstance(event, str):
+                if event not in session.warnings and len(session.warnings) < _WARNINGS:
+                    session.warnings.append(event)
+            elif event is not None and event.mark == "jump":
+                child = _run(on_jump, report.record(), child)
+            if stopped() or time.monotonic() > end or (session.strict and session.warnings):
+                break
+    record = session.record(**report.record(), out=str(folder))
+    write_whole(folder / "result.json", json_text(record))
+    if session.json:
+        return session.print_json(record)
+    text = f"{report.values or 'no window was estimated'}\nresults: {folder}"
+    session.console().print(text, soft_wrap=True)
+
+
+@contextmanager
+def _shown(session: Session, report: WatchReport) -> Iterator[Callable[[str], None]]:
+    """Give a function that shows the state, and events, as the session wants them shown."""
+    console = session.console(stderr=True)
+    told, before = time.monotonic(), ""
+
+    def say(text: str) -> None:
+        nonlocal told, before
+        if not text and time.monotonic() - told >= _LINE and not session.quiet:
+            told = time.monotonic()
+            text = f"{report.values or 'no estimate yet'}; {report.status()[1]}"
+        if text and text != before:
+            session.say("", text)
+            before = text
+
+    if session.quiet or not console.is_terminal:
+        yield say
+        return
+    from rich.live import Live
+
+    with Live(console=console, auto_refresh=False) as live:
+
+        def draw(text: str) -> None:
+            nonlocal told
+            if time.monotonic() - told >= _PICTURE:
+                told = time.monotonic()
+                live.update(report.drawn(), refresh=True)
+
+        yield draw
+
+
+def _served(session: Session, port: int, text: Callable[[], str]) -> PageServer:
+    from amhe_cli.view.server import PageServer
+
+    server = PageServer(text, port=port, path="/metrics", kind="text/plain; version=0.0.4")
+    session.say("", f"metrics are at {server.address}metrics")
+    return server
+
+
+def _run(command: str | None, about: dict[str, Any], last: Popen[bytes] | None) -> Popen[bytes] | None:
+    """Run the user's command, unless the last one still runs."""
+    import json
+    import subprocess
+
+    if command is None or (last is not None and last.poll() is None):
+        return last
+    environment = os.environ | {"AMHE_ESTIMATE": json.dumps(about)}
+    with suppress(OSError):  # it was there when the watch began
+        return subprocess.Popen(
+            shlex.split(command), env=environment, stdin=subprocess.DEVNULL, stdout=sys.__stderr__,
+            start_new_session=True,
+        )  # fmt: skip
+    return last
+
+
+def _command(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """A command that can be run."""
+    from shutil import which
+
+    try:
+        if value is None or which(shlex.split(value)[0]):
+            return value
+    except (ValueError, IndexError):
+        pass
+    raise click.BadParameter(f"{value!r} is no command that is found", ctx, param)
