@@ -164,6 +164,7 @@ def _judged(
 def _missing(problem: Problem, finding: Finding, fit: FinalFit, watch: Watch) -> Missing | None:
     """What the model lacks, where it misses the logs by more than twice their noise."""
     missed = any(scale > ASKED and not white for scale, white in misfits(fit).values())
+    missed &= not problem.touches  # forces along a motion know no contacts; `amhe explain` looks between them
     if not (missed and finding.done and watch.allows("what the model lacks", problem.linearisation)):
         return None
     found = explain(problem.system, problem.pool.parts, fit.z, problem.rng(9))

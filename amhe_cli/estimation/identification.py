@@ -95,7 +95,7 @@ def identify(
     training = in_order(training)
     watch = Watch(on_iteration, options.max_time, PARTS)
     problem, validation = _pose(system, training, held_out, options)
-    for wrong in mended(system, problem.pool.parts, problem.rng(8))[:1]:
+    for wrong in () if problem.touches else mended(system, problem.pool.parts, problem.rng(8))[:1]:
         logger.warning(
             f"{wrong.text}: put right, {wrong.share:.0%} of the motion that the prior does not explain goes; "
             "nothing was changed"

@@ -14,7 +14,7 @@ from amhe_cli.system.model.elements import dofs_of
 from amhe_cli.system.system import System
 
 #: Quantiles of a force or speed at which a limit is tried, and of positions at which a contact is.
-_LIMITS, _PLACES = (0.6, 0.75, 0.85, 0.92), (0.6, 0.7, 0.8, 0.9)
+_LIMITS, _PLACES = (0.1, 0.2, 0.35, 0.5, 0.65, 0.8, 0.92), (0.6, 0.7, 0.8, 0.9)
 #: Waves on a turn, of what repeats with the angle, and the fewest of them that the motion must pass.
 _WAVES, _PASSED = np.unique(np.geomspace(3, 60, 40).round()), 1.5
 #: Frequencies that are tried of what repeats in time.

@@ -18,6 +18,8 @@ from amhe_cli.system.system import System
 
 #: Logs put right whose forces are looked at; steps of the values, and the last of them, in prior sd.
 TRIED, TURNS, SHORT = 2, 3, 0.05
+#: Share that makes another look at the log as it is needless.
+CLEAR = 0.95
 #: What is left of two logs put right that are alike, at most a factor.
 LIKE = 1.1
 
@@ -37,7 +39,8 @@ def explain(system: System, parts: Sequence[Window], z: FloatArray, rng: np.rand
     if system.match == "effort":
         return Missing(untested="efforts are matched, and no motion is predicted")
     wrong = mended(system, parts, rng)
-    best, rows = forced(system, parts, z, rng, 0 if wrong else TURNS), []
+    clear = bool(wrong) and wrong[0].share > CLEAR
+    best, rows = forced(system, parts, z, rng, 0 if clear else TURNS), []
     for one in wrong[:TRIED]:
         mending = {id(part.log): one.mend(part.log) for part in parts}
         put = [replace(part, log=mending[id(part.log)]) for part in parts]

@@ -23,8 +23,8 @@ SIGNS, LEVEL = 200, 0.01
 FOLDS = 6
 #: Fewest and most blocks, and their length in units of the time that a residual remembers.
 BLOCKS, MEMORY = (12, 48), 2.0
-#: Causes that are named at most.
-MOST = 5
+#: Causes that are named at most, and the share that rounds to nothing.
+MOST, LITTLE = 5, 0.005
 #: Ridge on columns, as a share of their square: of two that are alike neither is infinite.
 _TINY = 1e-9
 
@@ -146,13 +146,13 @@ class Regression:
             null = self._falls(x, weighted, left, signs).max(axis=0)
             beyond = float(np.quantile(null, 1.0 - LEVEL))
             chance = beyond / own[best]
-            if not total[best] > beyond or len(chosen) == MOST:
+            if not total[best] > max(beyond, LITTLE * own[best]) or len(chosen) == MOST:
                 break
             alike = [best, *self._rivals(falls, total, best, beyond, signs)]
             best = min(alike, key=lambda i: (candidates[i].numbers, -total[i]))  # the simplest of them
             chosen.append(best)
             rows[best] = total[best] / own[best], tuple(i for i in alike if i != best)
-        chosen = self._needed(chosen, weighted, signs)
+        chosen = self._needed(chosen, weighted, signs, own)
         x = self._beside(chosen, weighted)
         values, sd = self._fitted(x)
         found, at = [], len(self._x)
@@ -162,20 +162,22 @@ class Regression:
             found.append(Explained(index, share, values[own_columns], sd[own_columns], rivals))
         return found, chance, self._left(x, self._residual) * self._scale, values[: len(self._x)]
 
-    def _needed(self, chosen: Sequence[int], weighted: Sequence[FloatArray], signs: FloatArray) -> list[int]:
-        """Those that explain more than chance beside all others, most first."""
+    def _needed(
+        self, chosen: Sequence[int], weighted: Sequence[FloatArray], signs: FloatArray, own: FloatArray
+    ) -> list[int]:
+        """Those that explain more than chance beside all others: later ones may replace earlier ones."""
         kept = list(chosen)
         while kept:
             falls = []
+            left = self._left(self._beside(kept, weighted), self._residual)
             for index in kept:
                 x = self._beside([i for i in kept if i != index], weighted)
-                left = self._left(self._beside(kept, weighted), self._residual)
                 null = self._falls(x, [weighted[index]], left, signs)[0]
                 fall = self._falls(x, [weighted[index]])[0].sum()
-                falls.append((fall, fall > np.quantile(null, 1.0 - LEVEL)))
-            if all(good for _, good in falls):
-                return [kept[i] for i in np.argsort([-fall for fall, _ in falls])]
-            del kept[int(np.argmin([fall for fall, _ in falls]))]
+                falls.append(fall - max(np.quantile(null, 1.0 - LEVEL), LITTLE * own[index]))
+            if min(falls) > 0.0:
+                break
+            del kept[int(np.argmin(falls))]
         return kept
 
     def _beside(self, chosen: Iterable[int], weighted: Sequence[FloatArray]) -> FloatArray:
