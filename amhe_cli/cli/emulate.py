@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import TYPE_CHECKING
 
 import click
 
 from amhe_cli.cli import options, parsing
 from amhe_cli.cli.session import Session, stopping
-from amhe_cli.cli.watching import watched, watching_robot
 
 if TYPE_CHECKING:
     from amhe_cli.cli.settings import Overrides
@@ -42,7 +40,6 @@ MOCAP = ("natnet", "udp", "none")
     help="What goes wrong, such as loss=0.02,after=5,hot=20 (docs/go1.md).",
 )
 @options.seed
-@watched
 @options.tuning
 @options.common
 @click.pass_obj
@@ -55,7 +52,6 @@ def emulate(
     mocap_port: int | None,
     fault: str,
     seed: int,
-    watch: bool,
     overrides: Overrides,
 ) -> None:
     """Emulate a Go1 in low-level mode, lying before the task's box, until interrupted.
@@ -88,8 +84,7 @@ def emulate(
         seen = f", motion capture on {cameras[0]}:{cameras[1]}" if cameras else ""
         session.say("", f"a Go1 before the box of {task} on {robot[0]}:{robot[1]}{seen}; Ctrl-C ends")
         take_priority(ROBOT)  # a robot does not wait for whoever plans on the same computer
-        with watching_robot(session, system, measured, emulator.body) if watch else nullcontext() as show:
-            emulator.serve(lambda: (show() if show else None) or stopped())
+        emulator.serve(stopped)
         accepted, rejected = emulator.counts
         lag = (
             f"; this computer was {emulator.lag:.1f} s too slow: larger `go1.slow`, or no other emulator"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +11,6 @@ import click
 from amhe_cli.cli import log_path, options, parsing
 from amhe_cli.cli.estimation_options import believed, estimator, narrowing
 from amhe_cli.cli.session import Session, stopping
-from amhe_cli.cli.watching import watched, watching_replay
 
 if TYPE_CHECKING:
     from amhe_cli.cli.inputs import Inputs
@@ -32,7 +30,6 @@ _SHOWN = 4
     "Start from a belief.yaml, its sd floored so that it can still move, instead of the system's prior."
 )
 @narrowing
-@watched
 @estimator
 @options.work
 @options.tuning
@@ -50,7 +47,6 @@ def mhe_replay(
     seed: int,
     threads: int,
     engine: str,
-    watch: bool,
     overrides: Overrides,
     out: options.Output,
 ) -> None:
@@ -85,17 +81,8 @@ def mhe_replay(
         paced=follows,
     )  # fmt: skip
     with stopping(session) as stopped:
-        with (
-            progress(session, "mhe-replay", partial(_shown, problem)) as show,
-            watching_replay(session, problem) if watch else nullcontext(None) as watching,
-        ):
-
-            def on_estimate(estimate: Estimate) -> None:
-                show(estimate)
-                if watching:
-                    watching(estimate)
-
-            done = replayed(problem, on_estimate, stopped)
+        with progress(session, "mhe-replay", partial(_shown, problem)) as show:
+            done = replayed(problem, show, stopped)
         caution(done)
         session.interrupted = done.interrupted
         predicted, fits = predictions(done, problem.engine), replay_fits(done, problem.engine)

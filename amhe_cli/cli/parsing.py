@@ -65,7 +65,9 @@ GONE: dict[str, dict[str, str]] = {
         "--plan-only": "--dry-run",
     },
     "calibrate": _SLOW,
+    "mhe-replay": {"--view": "amhe view RESULT"},
     "emulate": _SLOW
+    | {"--view": "amhe run --target go1 --view"}
     | {
         f"--{body}-offset": f"--set go1.{body}_offset=[X,Y,Z,RX,RY,RZ]" for body in ("trunk", "box")
     },

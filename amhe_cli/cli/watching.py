@@ -14,13 +14,9 @@ import click
 from amhe_cli.cli.session import Session
 
 if TYPE_CHECKING:
-    from amhe_cli.estimation.online.horizon import Estimate
-    from amhe_cli.estimation.online.replay import ReplayProblem
     from amhe_cli.live.episode import Cycle
-    from amhe_cli.robots.go1.emulator.body import EmulatedBody
     from amhe_cli.robots.go1.run import Run
     from amhe_cli.robots.go1.tasks import Task
-    from amhe_cli.system.system import System
     from amhe_cli.view.scene import Geom
     from amhe_cli.view.server import PageServer
 
@@ -78,41 +74,6 @@ def watching_run(session: Session, run: Run) -> Iterator[Callable[[Cycle, dict[s
     with page:
         announce(session, page.server)
         yield show
-
-
-@contextmanager
-def watching_robot(
-    session: Session, system: System, task: Task, body: EmulatedBody
-) -> Iterator[Callable[[], None]]:
-    """Show an emulated robot; the function is called at each of its steps."""
-    from amhe_cli.robots.go1.model import layout
-    from amhe_cli.robots.go1.state import coordinates
-    from amhe_cli.view.live import Happening, StatesShown
-    from amhe_cli.view.page import Heading
-    from amhe_cli.view.scene import scene_of
-
-    at = layout(system.model)
-    scene = scene_of(system, floor_of(task))
-    page = StatesShown(scene, [], [], Heading(f"emulated Go1, {task.name}"))
-
-    def show() -> None:
-        if page.due(body.time):
-            page.put(Happening(body.time, [coordinates(at, body.state)[0]], forces=body.contacts))
-
-    with page:
-        announce(session, page.server)
-        yield show
-
-
-@contextmanager
-def watching_replay(session: Session, problem: ReplayProblem) -> Iterator[Callable[[Estimate], None]]:
-    """Show each window of a replay with ghosts under the first belief and under its own estimate."""
-    from amhe_cli.view.live import TakesShown
-
-    page = TakesShown(problem)
-    with page:
-        announce(session, page.server)
-        yield page.show
 
 
 def floor_of(task: Task) -> list[Geom]:

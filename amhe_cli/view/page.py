@@ -69,17 +69,6 @@ def saved_page(viewing: Viewing, heading: Heading) -> str:
     return _page(heading, data | {"takes": [take_data(take, packed) for take in viewing.takes]})
 
 
-def replay_page(viewing: Viewing, heading: Heading) -> tuple[str, Packed]:
-    """A page of recordings whose clips and curves are still to come, and what packs their tracks.
-
-    Args:
-        viewing: The recordings.
-        heading: What stands around the scene.
-    """
-    data, packed = _recorded(viewing)
-    return _page(heading, data | {"takes": [], "live": True}), packed
-
-
 def live_page(
     scene: Scene,
     ghosts: Sequence[str],
@@ -98,7 +87,7 @@ def live_page(
     """
     empty = Track(step, np.empty((0, len(scene.bodies), 7)), np.empty((0, 0)))
     none = Viewing(scene, (), tuple(ghosts), (Recording("", empty, np.empty((0, 2)), curves),), (), 0)
-    return replay_page(none, heading)[0]
+    return _page(heading, _recorded(none)[0] | {"takes": [], "live": True})
 
 
 def take_data(take: Take, packed: Packed) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-// Frames, clips and numbers that arrive while something runs.
+// Frames and numbers that arrive while something runs.
 class Live {
   constructor(player) {
     this.player = player; player.following = true;
@@ -16,7 +16,6 @@ class Live {
     const { player } = this, { track, ghosts } = player.recording;
     if (message.over) return this.note("The run has ended.");
     const was = player.end;
-    if (message.take) player.added(message.take);
     if (message.poses) message.poses.forEach((text, i) => text && (i ? ghosts[i - 1] : track).push(floats(text), Math.round(message.time / track.step)));
     if (message.forces || message.traces) player.recording.drawn.set(Math.round(message.time / track.step), { forces: message.forces && floats(message.forces), traces: message.traces && floats(message.traces), points: message.points });
     for (const [name, [value, low, high]] of Object.entries(message.numbers ?? {})) {
@@ -27,7 +26,7 @@ class Live {
     }
     if (message.event) player.recording.events.push(message.time);
     if (!was && player.end) player.fit();
-    if (message.poses && player.following && !player.take) { player.now = player.end; player.dirty = true; }
+    if (message.poses && player.following) { player.now = player.end; player.dirty = true; }
     this.news = true;
   }
 }

@@ -32,13 +32,6 @@ class Player {
     for (const take of this.takes) this.recordings[take.recording].takes.push(take);
     for (const one of this.recordings) one.takes.sort((a, b) => a.start - b.start);
   }
-  // A clip that has just come.
-  added(take) {
-    const own = this.decoded(take);
-    this.takes.push(own); this.takes.sort((a, b) => (b.costs.at(-1) ?? Infinity) - (a.costs.at(-1) ?? Infinity));
-    this.recordings[take.recording].takes.push(own); this.unlisted = true;
-    if (this.following && !this.take) { this.now = take.stop; this.dirty = true; }
-  }
   palette() {
     const style = getComputedStyle(document.documentElement), color = (name) => style.getPropertyValue("--" + name).trim();
     const parts = (name) => { const text = color(name); return [1, 3, 5].map((i) => parseInt(text.slice(i, i + 2), 16) / 255); };
@@ -192,7 +185,7 @@ class Player {
       if (this.now > to) this.now = this.take ? from : to;
       if (this.now >= to && !this.take && !this.data.live) this.play(false);
     }
-    if (this.stale) { this.stale = false; if (this.unlisted) { this.unlisted = false; this.list(); } this.redraw(); }
+    if (this.stale) { this.stale = false; this.redraw(); }
     if (this.dirty) this.paint();
     requestAnimationFrame((next) => this.frame(next));
   }
