@@ -103,6 +103,8 @@ class WatchReport:
         clock, said = time.monotonic(), ""
         if isinstance(event, str):
             self._noted, self._noted_at, said = event, clock, event
+            if self._events and self._events[-1][1] == event:  # what goes on and on has one line
+                self._events.pop()
             self._events.append((self._source.now, event))
         elif event is not None:
             self._estimated(event)
@@ -127,13 +129,14 @@ class WatchReport:
         clock = time.monotonic()
         if clock - self._moved_at > _STALE:
             return STALE, "no new samples"
-        if clock - self._noted_at < _RECENT and self._noted.startswith("the estimator"):
+        recent = clock - self._noted_at < _RECENT
+        if recent and self._noted.startswith("the estimator") and "is late" not in self._noted:
             return ERROR, self._noted
         if self._holding:
             return WARN, f"alarm: {', '.join(self._holding)}"
         if clock - self._jumped_at < _RECENT:
             return WARN, "a parameter has jumped"
-        if clock - self._noted_at < _RECENT:
+        if recent:
             return WARN, self._noted
         return OK, "estimating" if self._last else "waiting for the first window"
 
