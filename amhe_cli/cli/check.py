@@ -1,53 +1,167 @@
-"""`amhe check`: what is wrong with a model's numbers, before anything is fitted."""
+"""`amhe check`: what is wrong with a model's numbers, and what a log will tell, before anything is fitted."""
 
 from __future__ import annotations
 
+import os
+import re
+import tempfile
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from amhe_cli.cli import options, parsing
+from amhe_cli.cli import log_path, options, parsing
 from amhe_cli.cli.init import MENAGERIE, ModelPath
-from amhe_cli.cli.session import Session
+from amhe_cli.cli.session import LOSSY, Session
+
+if TYPE_CHECKING:
+    from amhe_cli.check.findings import Finding
+    from amhe_cli.check.motion import JointMotion
+    from amhe_cli.cli.inputs import Inputs
+    from amhe_cli.core.log import Log
+    from amhe_cli.estimation.design.expected import Expected
+    from amhe_cli.system.system import System
 
 #: Findings that are listed; `--json` has all of them.
 _SHOWN = 20
+#: Combinations that are listed.
+_TOGETHER = 4
+_REQUIRED = re.compile(r"^\s*([\w.*-]+)\s*<\s*([0-9.]+)\s*%\s*$")
 
 
-@click.command(cls=parsing.Command, short_help="What is wrong with the numbers of a model?")
+def _required(ctx: click.Context, param: click.Parameter, given: Sequence[str]) -> dict[str, float]:
+    """NAME<5% -> the largest share."""
+    found = {}
+    for text in given:
+        match = _REQUIRED.match(text)
+        if match is None:
+            raise click.BadParameter(f"{text!r} is not of the form 'NAME<5%'", ctx, param)
+        found[match.group(1)] = float(match.group(2)) / 100.0
+    return found
+
+
+@click.command(cls=parsing.Command, short_help="What is wrong with a model, and what will a log tell?")
 @click.argument("model", type=ModelPath(exists=True, dir_okay=False, readable=False, path_type=Path))
+@click.argument("logs", nargs=-1, type=log_path.LOG, callback=log_path.episodes, metavar="[LOG]...")
+@options.where
+@click.option(
+    "--require",
+    metavar="'NAME<5%'",
+    multiple=True,
+    callback=_required,
+    help="Exit code 3 if the sd expected of this parameter is larger; repeat for more.",
+)
 @click.option("--no-meshes", is_flag=True, help="Read a URDF without its meshes.")
 @options.common
 @click.pass_obj
-def check(session: Session, model: Path | str, no_meshes: bool) -> None:
+def check(
+    session: Session,
+    model: Path | str,
+    logs: tuple[Path, ...],
+    inputs: Inputs,
+    require: dict[str, float],
+    no_meshes: bool,
+) -> int | None:
     """Look through MODEL for numbers that no robot has: the worst first, each with what would cure it.
 
     MODEL is an MJCF or URDF file, or menagerie:NAME. Masses and inertias are held against shapes, left
-    against right, gains against the time step, limits against gravity. Nothing is simulated or fitted. With
-    --strict, any finding is exit code 3.
-    """
-    import os
+    against right, gains against the time step, limits against gravity.
 
+    With a LOG also where its motion is, the sd and the verdict that `amhe identify` is expected to give each
+    parameter, and how long it would take; of the system of --system, else of one as `amhe init` writes it.
+    With --strict, any finding is exit code 3.
+    """
+    from amhe_cli.check.findings import worst_first
     from amhe_cli.check.model import check_model, total_mass
+    from amhe_cli.check.motion import motions, still
+    from amhe_cli.estimation.design.expected import expected
     from amhe_cli.init.menagerie import menagerie_model
     from amhe_cli.init.ros_packages import packages_in
     from amhe_cli.system.model.files import compiled, read_spec
     from amhe_cli.system.model.urdf import UrdfOptions
 
     session.hush_mujoco()
+    if require and not logs:
+        raise click.UsageError("--require is about what a log will tell: give a LOG")
     path = menagerie_model(model.removeprefix(MENAGERIE)) if isinstance(model, str) else model
-    spec = read_spec(path, UrdfOptions(packages_in(os.environ), not no_meshes))
-    compiled_model = compiled(spec, path.name)
-    found = check_model(compiled_model)
+    urdf = UrdfOptions(packages_in(os.environ), not no_meshes)
+    made = compiled(read_spec(path, urdf), path.name)
+    found, moved, hope = list(check_model(made)), (), None
+    if logs:
+        system, read = _read(inputs, path, logs, urdf)
+        moved = motions(system, read)
+        found += still(moved)
+        hope = expected(system, read)
+    found = worst_first(found)
     session.warnings += [f"{one.where}: {one.what}" for one in found]
+    missed = _missed(hope, require)
     if session.json:
+        told = {} if hope is None else _record(hope, moved, missed)
         listed = [asdict(one) for one in found]
-        session.print_json(session.record(model=str(path), mass=total_mass(compiled_model), findings=listed))
-        return
+        session.print_json(session.record(model=str(path), mass=total_mass(made), findings=listed, **told))
+        return LOSSY if missed else None
+    print(f"{path.name}: {total_mass(made):.4g} kg, {made.njnt} joints, {made.nu} actuators")
+    _print_findings(session, found)
+    if hope is not None:
+        _print_expected(session, hope, moved)
+    for text in missed:
+        session.console().print(f"not reached: {text}", style="yellow")
+    return LOSSY if missed else None
+
+
+def _read(inputs: Inputs, path: Path, logs: Sequence[Path], urdf: object) -> tuple[System, list[Log]]:
+    """The system that the logs are checked for, and the logs."""
+    from amhe_cli.init.folder import init_system
+    from amhe_cli.system.system import System
+
+    if inputs.system:
+        system = inputs.open(logs)
+        return system, inputs.read(system, logs)
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "system"
+        init_system(path, logs, folder, msg_path=inputs.msg_path, urdf=urdf)  # pyright: ignore[reportArgumentType]
+        system = System.load(folder).reading(inputs.topics)
+        return system, inputs.read(system, logs)
+
+
+def _missed(hope: Expected | None, require: dict[str, float]) -> list[str]:
+    """What is required and not expected, in words."""
+    from fnmatch import fnmatchcase
+
+    from amhe_cli.core.errors import ConfigError, one_of
+
+    missed = []
+    for pattern, most in require.items():
+        assert hope is not None
+        alike = [p for p in hope.parameters if fnmatchcase(p.name, pattern)]
+        if not alike:
+            raise ConfigError(f"`require`: {one_of('parameter', pattern, [p.name for p in hope.parameters])}")
+        for p in alike:
+            share = p.sd / max(abs(p.estimate), 1e-300)
+            if share > most:
+                missed.append(f"{p.name} is expected to {100 * share:.2g} %, not {100 * most:g} %")
+    return missed
+
+
+def _record(hope: Expected, moved: Sequence[JointMotion], missed: Sequence[str]) -> dict[str, object]:
+    names = ("name", "unit", "estimate", "prior", "sd", "shrinkage", "verdict")
+    return {
+        "motion": [asdict(one) for one in moved],
+        "expected": [
+            {name: getattr(p, name) for name in names} | {"reasons": [asdict(r) for r in p.reasons]}
+            for p in hope.parameters
+        ],
+        "together": [asdict(one) for one in hope.combinations],
+        "idle": hope.idle,
+        "fit_cpu_seconds": hope.seconds,
+        "not_reached": list(missed),
+    }
+
+
+def _print_findings(session: Session, found: Sequence[Finding]) -> None:
     console = session.console()
-    joints, actuators = compiled_model.njnt, compiled_model.nu
-    console.print(f"{path.name}: {total_mass(compiled_model):.4g} kg, {joints} joints, {actuators} actuators")
     for one in found[:_SHOWN]:
         console.print(f"  {one.where}: {one.what}", style="yellow", soft_wrap=True)
         console.print(f"    {one.cure}", style="dim", soft_wrap=True)
@@ -55,3 +169,31 @@ def check(session: Session, model: Path | str, no_meshes: bool) -> None:
         console.print(f"  and {len(found) - _SHOWN} more: --json lists all")
     if not found:
         console.print("  nothing that a robot could not have", style="green")
+
+
+def _print_expected(session: Session, hope: Expected, moved: Sequence[JointMotion]) -> None:
+    from amhe_cli.report.tables import NUMBER, Table, rich_table
+
+    console = session.console()
+    rows = [
+        (one.joint, f"{one.low:.3g} to {one.high:.3g}", "" if one.share is None else f"{one.share:.0%}",
+         f"{one.speed:.3g}")
+        for one in moved
+    ]  # fmt: skip
+    console.print()
+    console.print(rich_table(Table(("joint", "moves", "of its range", "speed"), ("", *[NUMBER] * 3), rows)))
+    rows = [
+        (p.name, f"{p.prior:.3g}", f"{100 * p.sd / max(abs(p.estimate), 1e-300):.2g} %", p.unit, p.verdict)
+        for p in hope.parameters
+    ]
+    looks = ("", NUMBER, NUMBER, "", "")
+    console.print()
+    console.print(rich_table(Table(("parameter", "prior", "expected sd", "unit", "verdict"), looks, rows)))
+    console.print()
+    for p in hope.parameters:
+        reason = hope.idle.get(p.name) or next((one.text for one in p.reasons), "")
+        if p.verdict != "identified" and reason:
+            console.print(f"{p.name}: {reason}", soft_wrap=True)
+    for one in hope.combinations[:_TOGETHER]:
+        console.print(f"known together: {one.text} to {100 * one.sd:.2g} %", soft_wrap=True)
+    console.print(f"`amhe identify` would take about {float(f'{hope.seconds:.1g}'):g} s of CPU")

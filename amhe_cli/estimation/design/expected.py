@@ -1,0 +1,111 @@
+"""What a log will tell of each parameter, before it is fitted: expected sd and verdicts, in seconds.
+
+A few of the log's clips are searched for a few iterations, which leads near the estimate; there the ledger of
+an identification is made of the terms that need no further search, as if all clips had been fitted.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from amhe_cli.core.errors import EstimationError
+from amhe_cli.core.log import Log
+from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.core.result import Combination, ParameterResult
+from amhe_cli.estimation.offline import search
+from amhe_cli.estimation.offline.clips import ClipPool, evenly, whole
+from amhe_cli.estimation.offline.combinations import combinations
+from amhe_cli.estimation.offline.problem import Problem
+from amhe_cli.estimation.offline.watch import Watch
+from amhe_cli.estimation.uncertainty import terms
+from amhe_cli.estimation.uncertainty.assumed import assumed
+from amhe_cli.estimation.uncertainty.fit import FinalFit, doubled_prior, final_fit, posterior
+from amhe_cli.estimation.uncertainty.ledger import Ledger
+from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
+from amhe_cli.system.system import System
+
+#: Clips that are looked at, and iterations of the search that lead near the estimate.
+CLIPS, ITERATIONS = 8, 6
+#: Linearisations of all clips that an identification takes, half of them its search: those of the examples.
+_LINEARISATIONS = 17.0
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What an identification is expected to say.
+
+    Args:
+        parameters: As in its result; estimates are rough.
+        combinations: What would be known together only.
+        idle: Parameters that the logs do not depend on -> why.
+        seconds: CPU time that it would take at the pace of this look [s], about.
+    """
+
+    parameters: tuple[ParameterResult, ...]
+    combinations: tuple[Combination, ...]
+    idle: dict[str, str]
+    seconds: float
+
+
+def expected(system: System, logs: Sequence[Log], *, threads: int = 1, seed: int = 0) -> Expected:
+    """Expected sd and verdict of each parameter.
+
+    Args:
+        system: The system.
+        logs: The logs that would be fitted.
+        threads: CPU threads of the rollouts.
+        seed: Seed of all draws.
+
+    Raises:
+        EstimationError: No clip of the logs can be used.
+    """
+    settings = system.settings.clips
+    pool = ClipPool(system, [whole(log) for log in logs], settings)
+    clips = pool.cut(0.5 * sum(settings.length))
+    if not clips:
+        raise EstimationError("no clip of these logs can be used: too short, motionless, or across gaps")
+    engine = open_engine(system, threads=threads)
+    few = tuple(evenly(clips, CLIPS))
+    problem = Problem(system, pool, engine, seed, only=few, threads=threads)
+    share = (1.0 - settings.held_out) * min(len(clips), settings.most) / len(few)
+    state, pace = search.restart(problem, np.zeros(len(system.space))), 0.0
+    while problem.active.any() and not state.done and state.number < ITERATIONS:
+        began = time.process_time()
+        state = search.advance(problem, state)
+        pace = (time.process_time() - began) / max(state.record[-1].rollouts, 1)
+    fit = final_fit(problem, state, Watch(lambda iteration, total: None, None, 1))
+    fit = _as_if(fit, max(share, 1.0 / len(few)))
+    term, _ = assumed(problem, fit)
+    space = system.space
+    found = [terms.noise(fit), terms.prior(space, fit), terms.repeats(space, fit)]
+    found.append(terms.declared(space, fit, system.settings.identify.model_error))
+    ledger = Ledger(tuple(terms.inherited(space, fit, [*found, term])))
+    evidence = Evidence(
+        z=fit.z,
+        ledger=ledger,
+        active=problem.active,
+        idle=problem.idle,
+        misfit=(),
+        blamed={},
+        profiles={},
+        rival=None,
+        doubled_prior=doubled_prior(fit, problem.active),
+        rough=problem.rough,
+    )
+    each = problem.linearisation / len(few) * min(len(clips), settings.most)
+    return Expected(
+        verdicts(space, evidence),
+        tuple(combinations(space, ledger.covariance, problem.active)),
+        dict(problem.idle),
+        _LINEARISATIONS * each * pace,
+    )
+
+
+def _as_if(fit: FinalFit, times: float) -> FinalFit:
+    """The linearisation as if there were so many times as many clips of its kind."""
+    weight = times * fit.weight
+    return replace(fit, weight=weight, posterior=posterior(fit.z, fit.found, weight, fit.posterior.prior))
