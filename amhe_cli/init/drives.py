@@ -169,7 +169,8 @@ def servo_gains(model: mujoco.MjModel, actuators: Sequence[str]) -> Iterator[Gue
             (
                 "actuator_damping",
                 float(-model.actuator_biasprm[row, 2]),
-                f"the servo's kv, {note}; the log shows only the sum of it and the joint's damping until it saturates",
+                f"the servo's kv, {note}; the log shows only the sum of it and the joint's damping, unless "
+                "it saturates",
             ),
         )
         gains = gains[:1] if commanded(model, row) == "velocity" else gains

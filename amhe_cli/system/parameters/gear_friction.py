@@ -114,10 +114,12 @@ class GearFriction:
         """
         k_m, k_e, f_s, v_s, power, k_ms, k_es, quadratic = np.moveaxis(numbers, -1, 0)
         external = smooth + np.sign(constraint) * np.maximum(np.abs(constraint) - holds, 0.0)
-        slow = np.exp(-(np.abs(speed / v_s) ** power))
         found = dry + _under_load(k_e, external, k_m, motor)
-        found += slow * (f_s + _under_load(k_es, external, k_ms, motor))
-        found += quadratic * np.maximum(-motor * external, 0.0)
+        if f_s.any() or k_es.any() or k_ms.any():  # terms of zero would take half of the time
+            slow = np.exp(-(np.abs(speed / v_s) ** power))
+            found += slow * (f_s + _under_load(k_es, external, k_ms, motor))
+        if quadratic.any():
+            found += quadratic * np.maximum(-motor * external, 0.0)
         return np.maximum(found, 0.0)
 
 
