@@ -33,6 +33,11 @@ if TYPE_CHECKING:
     "linearised",
     "Estimator; linearised falls back on cmaes where it does not help.",
 )
+@options.setting(
+    "match",
+    type=click.Choice(["motion", "effort"]),
+    help="Compare the motion under what drives it, or the joints' efforts along it.  [default: the system's]",
+)
 @click.option(
     "--max-time",
     type=parsing.Number(min=0, min_open=True),

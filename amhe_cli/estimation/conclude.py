@@ -48,6 +48,7 @@ from amhe_cli.estimation.uncertainty.verdicts import Evidence, verdicts
 from amhe_cli.estimation.validation.fits import fits, profiles
 from amhe_cli.estimation.validation.held_out import judge, validate, with_own_values
 from amhe_cli.estimation.validation.horizon import HORIZONS, STARTS, horizon_errors
+from amhe_cli.matching.efforts import path_of
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -72,6 +73,8 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
     system = problem.system
     watch.enter("covariance")
     finding, fit = _settled(problem, finding, watch)
+    if system.match == "effort":
+        _report_motion(problem, fit)
     validation, own = with_own_values(problem, validation, fit.z, fit.shape, fit.scale)
     for text in own:
         logger.log(NOTE, text)
@@ -122,6 +125,23 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(system.space, fit, each_log(problem, fit)),
         missing=missing,
+    )
+
+
+def _report_motion(problem: Problem, fit: FinalFit) -> None:
+    """Log how many numbers the motion determines, and how well it tells them apart.
+
+    Where efforts are linear in the unknowns, those numbers are the base parameters (Gautier and Khalil 1990).
+    """
+    known = np.linalg.eigvalsh(fit.posterior.hessian - fit.posterior.prior)
+    better = known[known > 1.0]
+    path = path_of(problem.system, problem.clips[0].log)
+    band, rate = float(path.motion.band.max()), 1.0 / (path.every * problem.system.dt)
+    logger.log(
+        NOTE,
+        f"this motion determines {better.size} of {known.size} numbers better than their priors do "
+        f"(condition number {np.sqrt(better.max(initial=1.0) / better.min(initial=1e300)):.0f}); it reaches "
+        f"{band:.2g} Hz, and efforts are compared {rate:.2g} times a second",
     )
 
 

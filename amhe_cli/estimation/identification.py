@@ -11,10 +11,11 @@ from typing import TypeVar
 
 from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
-from amhe_cli.core.errors import ConfigError, EstimationError, one_of
+from amhe_cli.core.errors import ConfigError, EstimationError, LogError, one_of
 from amhe_cli.core.log import Log, Window, in_order
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.conclude import PARTS, RESERVE, conclude
+from amhe_cli.estimation.core.agreement import SURPRISE
 from amhe_cli.estimation.core.result import Identification
 from amhe_cli.estimation.explain.inputs import mended
 from amhe_cli.estimation.offline import cma, search
@@ -27,11 +28,14 @@ from amhe_cli.estimation.offline.watch import OnIteration, Watch
 from amhe_cli.estimation.uncertainty.fit import Finding
 from amhe_cli.estimation.uncertainty.hierarchy import with_common_means
 from amhe_cli.estimation.validation.held_out import fitted_costs, validate, with_own_values
+from amhe_cli.matching.motion import velocity_lag
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
 METHODS = ("linearised", "cmaes")
+#: Lag of velocities that matters [s].
+_LATE = 0.001
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,9 +138,25 @@ def _pose(
     windows = evenly(windows, clips.most)
     if held and not windows:
         logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")
+    _report_lag(system, training[0])
     for name, reason in problem.idle.items():
         logger.warning(f"{name} is held at its prior: {reason}")
     return problem, windows
+
+
+def _report_lag(system: System, log: Log) -> None:
+    """Warn of velocities that lag, where measured torques drive the model: clips start at them."""
+    if system.match == "effort" or not any(source.key.endswith(".effort") for source in system.inputs):
+        return
+    try:
+        found = velocity_lag(system, log)
+    except LogError:
+        return  # too short for a motion
+    if found is not None and found[0] > max(_LATE, SURPRISE * found[1]):
+        logger.warning(
+            f"{log.source}: measured velocities are {1e3 * found[0]:.1f} ms behind the positions, and clips "
+            f"start at them; give their signal slope: {{velocity: 0.05}}, which takes them from the positions"
+        )
 
 
 def _no_clips(pool: ClipPool) -> str:

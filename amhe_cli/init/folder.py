@@ -17,6 +17,7 @@ from amhe_cli.core.settings import LogSettings
 from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
 from amhe_cli.init.backlash import backlash_parameters
 from amhe_cli.init.drives import geared_joints, moved_by
+from amhe_cli.init.efforts import effort_parameters, effort_signal
 from amhe_cli.init.from_library import Chosen, library_parameters
 from amhe_cli.init.model import add_servos, copy_model, free_root, notes_on_urdf, overlaps
 from amhe_cli.init.parameters import guess_parameters, guessed_masses, sharing
@@ -96,11 +97,13 @@ def init_system(
     if rewrite:
         notes += notes_on_urdf(spec, model) + free_root(spec, topics)
     added = rewrite and not model.nactuator
-    if added:
-        notes += add_servos(spec, model, topics)
+    notes += add_servos(spec, model, topics) if added else []
     model = compiled(spec)
     guesses = guess_signals(model, topics)
-    if actuators:
+    matched = None if actuators or drives else effort_signal(model, topics, guesses, logs[0], msg_path)
+    if matched:
+        parameters = list(effort_parameters(model, matched[1]))
+    elif actuators:
         parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group, gains=gains)
         notes += floating(model, guesses) + (ungrouped(parameters) if group else [])
     else:
@@ -114,20 +117,20 @@ def init_system(
     if backlash:
         rewrite, widths = True, backlash_parameters(spec, model, guesses, parameters, backlash)
         parameters += widths
-    notes += notes_on(model, topics, guesses)
+    notes += notes_on(model, topics, guesses, efforts=matched is not None)
     for guess in guesses:
         with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
-    skeletons = _skeletons(model, topics, guesses)
+    guesses, skeletons = [*guesses, *(matched or ())[:1]], _skeletons(model, topics, guesses)
     spare = guessed_masses(model, guesses) if actuators else []
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         folder = Path(scratch)
         name = copy_model(spec, model_path, folder, rewrite=rewrite)
         geared = geared_joints(compiled(spec), moved_by(guesses))
-        head = (name, model_path.name, [str(log) for log in logs])
+        head, match = (name, model_path.name, [str(log) for log in logs]), "effort" if matched else "motion"
 
         def write() -> None:
-            text = system_text(*head, guesses, parameters, notes, skeletons, spare, geared)
+            text = system_text(*head, guesses, parameters, notes, skeletons, spare, geared, match)
             (folder / FILE_NAME).write_text(text)
 
         write()
@@ -137,12 +140,16 @@ def init_system(
         unread = _estimate_noise(folder, logs[0], guesses, topics, msg_path)
         write()
         System.load(folder, warn=False)  # what is written is valid, or it is not written
-        for file in sorted(path for path in folder.rglob("*") if path.is_file()):
-            place = out / file.relative_to(folder)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(place)
-    reasons = [f"{guess.name}: {guess.why}" for guess in (*guesses, *parameters)]
-    return [*reasons, *unread, *notes]
+        _move(folder, out)
+    return [*(f"{guess.name}: {guess.why}" for guess in (*guesses, *parameters)), *unread, *notes]
+
+
+def _move(folder: Path, out: Path) -> None:
+    """Move all files of a folder into another one."""
+    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+        place = out / file.relative_to(folder)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        file.replace(place)
 
 
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:

@@ -75,7 +75,7 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
     free = [_weighty(model, body) for body in free_bodies(model) if body in measured]
     bodies = list(free)
     links = {int(model.joint(joint).bodyid[0]) for joint in joints}
-    ends = sorted({_carried(model, link) for link in links if not _carries_links(model, link)})
+    ends = sorted({_carried(model, link) for link in links if not carries_links(model, link)})
     if len(ends) <= _TOOLS:
         bodies += [model.body(row).name for row in ends]
     for body in dict.fromkeys(name for name in bodies if name):
@@ -85,7 +85,7 @@ def _masses(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Gues
             entry = entry_of(mass, False, [{"body": body, "set": "mass"}], 0.3)
             why = f"of body {body}, its inertia scales with it{loose}; from the model"
             yield Guess(f"{body}_mass", entry, why)
-            if loose and not _carries_links(model, model.body(body).id):
+            if loose and not carries_links(model, model.body(body).id):
                 targets = [{"body": body, "set": "inertia", "mode": "scale"}]
                 why = f"factor on the inertia of body {body}, beside that of its mass; 1: as in the model"
                 yield Guess(f"{body}_inertia_scale", entry_of(1.0, False, targets, 0.3) | {"unit": "-"}, why)
@@ -127,7 +127,7 @@ def _carried(model: mujoco.MjModel, link: int) -> int:
     return max(called or leaves or [link], key=lambda row: away[row].item())
 
 
-def _carries_links(model: mujoco.MjModel, link: int) -> bool:
+def carries_links(model: mujoco.MjModel, link: int) -> bool:
     """Whether another joint is attached to this link."""
     weld = model.body_weldid
     parent_weld = weld[model.body_parentid]

@@ -17,6 +17,7 @@ from amhe_cli.system.model.elements import commanded, driven_joint, names_of
 #: Default noise sd [SI]; an estimate from the log replaces it where there is one.
 NOISE = {
     "position": 0.002,
+    "effort": 0.02,
     "velocity": 0.05,
     "orientation": 0.01,
     "linear_velocity": 0.1,
@@ -101,13 +102,24 @@ def guess_signals(model: mujoco.MjModel, topics: Sequence[Topic]) -> list[Guess]
     return guesses
 
 
-def notes_on(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess]) -> list[str]:
-    """Sentences about what was not found, and which topics were not used."""
+def notes_on(
+    model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence[Guess], *, efforts: bool = False
+) -> list[str]:
+    """Sentences about what was not found, and which topics were not used.
+
+    Args:
+        model: The model.
+        topics: Topics of the log.
+        guesses: The signals.
+        efforts: Efforts are matched, whatever commands the joints.
+    """
     measured = {name for guess in guesses for name in guess.entry.get("joints", ())}
     led = {follower for follower, leader in followers(model).items() if leader in measured}
     lost = [name for name in single_joints(model) if name not in measured | led]
     notes = [f"no topic measures joint {', '.join(lost)}: each clip starts it at zero"] if lost else []
-    if not any("actuators" in guess.entry for guess in guesses):
+    if efforts:
+        pass
+    elif not any("actuators" in guess.entry for guess in guesses):
         idle = "the actuators hold the control 0" if model.nactuator else "nothing drives the joints"
         notes += [f"no command topic was found: {idle}"] if measured else []
         measured_by = [guess for guess in guesses if "joints" in guess.entry]
@@ -165,8 +177,8 @@ def _proposals(model: mujoco.MjModel, unused: Sequence[Topic], guesses: Sequence
             )
 
 
-def _torques(model: mujoco.MjModel, guess: Guess, topics: Sequence[Topic]) -> str:
-    """How to drive the model by measured torques, in YAML to be pasted; empty where a table has none.
+def torque_entry(model: mujoco.MjModel, guess: Guess, topics: Sequence[Topic]) -> dict[str, Any]:
+    """A signal of the torques that were measured beside a signal's joints; {} where there are none.
 
     Where the model has actuators, joints without one are passive: no torque drives them.
     """
@@ -176,7 +188,7 @@ def _torques(model: mujoco.MjModel, guess: Guess, topics: Sequence[Topic]) -> st
     driven = {joint_of(model, actuator) for actuator in names_of(model, "actuator")} or set(names)
     names = {str(joint): logged for joint, logged in names.items() if joint in driven}
     if not names or (topic.columns and "effort" not in topic.columns):
-        return ""
+        return {}
     entry: dict[str, Any] = {"topic": topic.name, "joint_force": _plain_names(names)}
     if topic.columns:
         columns = dict(zip(topic.entries, topic.columns["effort"], strict=True))
@@ -186,6 +198,14 @@ def _torques(model: mujoco.MjModel, guess: Guess, topics: Sequence[Topic]) -> st
             "columns": {"effort": [columns[logged] for logged in names.values()]},
             "joint_force": list(names),
         }
+    return entry
+
+
+def _torques(model: mujoco.MjModel, guess: Guess, topics: Sequence[Topic]) -> str:
+    """How to drive the model by measured torques, in YAML to be pasted; empty where there are none."""
+    if not (entry := torque_entry(model, guess, topics)):
+        return ""
+    topic = next(topic for topic in topics if topic.name == guess.entry["topic"])
     text = yaml.safe_dump({"torque": entry}, default_flow_style=True, sort_keys=False, width=10**6)
     return (
         f"if {topic.name} holds the motors' torques, they can drive the model. Add the signal "

@@ -11,6 +11,8 @@ import yaml
 from amhe_cli.core.text import printable
 from amhe_cli.init.signals import Guess
 
+#: Line of a system whose efforts are matched.
+MATCH = "match: effort  # motion: the torques drive the model, and its motion is compared"
 #: Comment above a signal that is to be completed by hand.
 _SKELETON = "this type is not built in: correct the paths of its numbers to use it"
 
@@ -32,6 +34,7 @@ def system_text(
     skeletons: Sequence[Sequence[str]] = (),
     spare: Sequence[Guess] = (),
     geared: Sequence[str] = (),
+    match: str = "motion",
 ) -> str:
     """Text of a `system.yaml`.
 
@@ -45,6 +48,7 @@ def system_text(
         skeletons: Signals to complete by hand, as lines; written as comments.
         spare: Parameters that are not free; written as comments.
         geared: Joints with a gear.
+        match: What is compared with the logs.
     """
     names = ", ".join(Path(log).name for log in logs)
     lines = [
@@ -52,6 +56,7 @@ def system_text(
         "# Read it, correct it, then: amhe identify LOG --system THIS_FOLDER",
         *(f"#   {printable(note)}" for note in notes),
         f"model: {flow(model)}",
+        *([MATCH] if match == "effort" else []),
         "",
         "# The unknowns. nominal and prior_sd are the prior, before a log is read; prior_sd is the",
         "# standard deviation of log(value) with scale: log (0.5 is a factor of 1.65), else of the value.",

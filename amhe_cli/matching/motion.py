@@ -76,6 +76,29 @@ def motion_of(system: System, log: Log) -> MeasuredMotion:
     return _motion(_Layout(system, channels), log)
 
 
+def velocity_lag(system: System, log: Log) -> tuple[float, float] | None:
+    """By how much measured velocities of joints are behind their positions, and its sd [s]; None: none are.
+
+    A velocity v(t - lag) is about v - lag a: the lag is a regression on the accelerations.
+    """
+    channels = [c for c in system.channels if c.source == "qvel" and not c.slope]
+    channels = [c for c in channels if c.quantity == "velocity" and not log[c.key].derived]
+    if not channels:
+        return None
+    motion, left, bends = motion_of(system, log), [], []
+    for channel in channels:
+        columns = list(channel.columns)
+        left.append((log[channel.key].values[motion.rows] - motion.qvel[:, columns]).ravel())
+        bends.append(motion.qacc[:, columns].ravel())
+    error, acceleration = np.concatenate(left), np.concatenate(bends)
+    over = float((acceleration**2).sum())
+    late = -float((acceleration * error).sum()) / max(over, 1e-300)
+    # residuals repeat within the band of the motion
+    repeats = max(1.0, 1.0 / (2.0 * motion.step * max(float(motion.band.max()), 1e-9)))
+    rest = float((error + late * acceleration).std())
+    return late, rest * float(np.sqrt(repeats / max(over, 1e-300)))
+
+
 @dataclass(frozen=True)
 class _Layout:
     """What a motion depends on of a system; systems of the same model and channels are equal."""

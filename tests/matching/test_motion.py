@@ -9,7 +9,7 @@ from amhe_cli.core.errors import LogError
 from amhe_cli.core.log import Log
 from amhe_cli.core.spectrum import smooth
 from amhe_cli.engine.inverse import forces_along
-from amhe_cli.matching.motion import motion_of
+from amhe_cli.matching.motion import motion_of, velocity_lag
 from amhe_cli.system.system import System
 
 XML = """
@@ -120,3 +120,20 @@ def test_a_gap_parts_the_motion_and_a_log_of_gaps_has_none(system):
     assert found.within(100, 3000).start < found.within(100, 3000).stop
     with pytest.raises(LogError, match="without a gap"):
         motion_of(system, log_of(system, 1e-4, seconds=0.05))
+
+
+def test_a_lag_of_measured_velocities_is_found(system):
+    t = np.arange(0.0, 10.0, DT)
+    rng = np.random.default_rng(4)
+    for late in (0.0, 0.006):
+        joints = {"time": t, "position": waves(t, 2) + 1e-4 * rng.standard_normal((t.size, 2))}
+        joints["velocity"] = waves(t - late, 2, 1) + 0.02 * rng.standard_normal((t.size, 2))
+        ball = {"time": t, "position": waves(t, 3), "orientation": rotations.exp(waves(t, 3))}
+        torque = {"time": t, "effort": np.zeros((t.size, 2))}
+        log = Log.from_arrays({"joints": joints, "ball": ball, "torque": torque}, system)
+        lag = velocity_lag(system, log)
+        assert lag is not None
+        found, sd = lag
+        assert found == pytest.approx(late, abs=5e-4)
+        assert sd < 5e-4
+    assert velocity_lag(system, log_of(system, 1e-4)) is None
