@@ -142,11 +142,13 @@ class _Dictionary:
         one, rows = self.dofs[dof], self.found.rows
         unit = "rad" if one.turns else "m"
         if what == "position" and one.place >= 0:
-            return f"{one.name} [{unit}]", self.motion.qpos[rows, one.place]
+            return f"{one.name} [{unit}]", self.motion.filtered(self.motion.qpos[:, one.place])[rows]
         if what == "acceleration":
-            return f"acceleration of {one.name} [{unit}/s^2]", self.motion.qacc[rows, dof]
+            return f"acceleration of {one.name} [{unit}/s^2]", self.motion.filtered(self.motion.qacc[:, dof])[
+                rows
+            ]
         if what == "speed":
-            return f"speed of {one.name} [{unit}/s]", self.motion.qvel[rows, dof]
+            return f"speed of {one.name} [{unit}/s]", self.motion.filtered(self.motion.qvel[:, dof])[rows]
         return "time [s]", self.time[rows]
 
     def _force(self, dof: int, per: str = "") -> str:
