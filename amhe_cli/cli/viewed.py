@@ -57,6 +57,7 @@ class _Record(BaseModel):
     inputs: _Made | None = None
     fixed: dict[str, float] = {}
     parameters: list[dict[str, Any]] = []
+    noise_scale: dict[str, float | None] = {}
     task: str | None = None
 
 
