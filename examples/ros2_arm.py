@@ -10,6 +10,7 @@ A payload is put on it after ten seconds. Its joint states come at 500 Hz with t
 from __future__ import annotations
 
 import argparse
+import atexit
 import json
 import socket
 import time
@@ -100,6 +101,7 @@ def sender_of(chosen: argparse.Namespace) -> Callable[[str, float, Any, Any], No
         from amhe_cli.logs.live.dds import Dds
 
         transport = Dds((), Definitions(), chosen.domain, "127.0.0.1", ())
+    atexit.register(transport.close)
     store = get_typestore(Stores.LATEST)
     kinds = store.types
 

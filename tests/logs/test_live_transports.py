@@ -62,19 +62,49 @@ def test_dds_brings_what_is_published() -> None:
         transport.close()
 
 
-@pytest.fixture
-def router() -> Iterator[str]:
+def routing(where: str) -> Any:
     zenoh = pytest.importorskip("zenoh")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        where = f"tcp/127.0.0.1:{free.getsockname()[1]}"
     config = zenoh.Config()
     config.insert_json5("mode", '"router"')
     config.insert_json5("listen/endpoints", json.dumps([where]))
     config.insert_json5("scouting/multicast/enabled", "false")
-    session = zenoh.open(config)
+    return zenoh.open(config)
+
+
+def free_endpoint() -> str:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+@pytest.fixture
+def router() -> Iterator[str]:
+    session = routing(where := free_endpoint())
     yield where
     session.close()
+
+
+@pytest.mark.slow
+def test_a_router_that_is_gone_is_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("zenoh")
+    from amhe_cli.logs.live import zenoh
+
+    monkeypatch.setattr(zenoh, "_LOOK", 0.2)
+    first = routing(where := free_endpoint())
+    transport = zenoh.Zenoh({"/arm/joint_states"}, Definitions(), 3, where)
+    try:
+        assert exchanged(transport, transport)
+        first.close()
+        end = time.monotonic() + 10.0
+        while not (notes := transport.notes()) and time.monotonic() < end:
+            transport.receive()
+            time.sleep(0.05)
+        assert "the router is gone" in notes[0]
+        second = routing(where)
+        assert exchanged(transport, transport, 20.0)
+        second.close()
+    finally:
+        transport.close()
 
 
 def test_zenoh_brings_what_is_published_and_names_what_is_offered(router: str) -> None:
