@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mujoco
 import numpy as np
@@ -13,6 +13,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray, IntArray
 from amhe_cli.core.errors import SimulationError
 from amhe_cli.engine.rollout import Along, Predicted, Rollouts, Starts, Wanted
 from amhe_cli.engine.states import controls, first_activations
+from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.inertia import rotation_matrix
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
@@ -21,7 +22,7 @@ _INERTIA = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
 #: Numbers of a joint that efforts are linear in.
 _JOINT = ("dof_armature", "dof_damping", "dof_dampingpoly", "jnt_stiffness", "dof_frictionloss")
 #: Fields that no effort depends on, by their beginning; those of actuators matter only where inputs act.
-_IDLE = ("geom_", "pair_", "tendon_range", "jnt_range", "jnt_actfrc", "dof_sol", "jnt_sol")
+_IDLE = ("geom_", "pair_", "tendon_range", "jnt_range", "jnt_actfrc", "dof_sol", "jnt_sol", "numeric_")
 #: Step of finite differences.
 _NEAR = 1e-6
 #: Tables are kept for further calls as long as they have fewer bytes together.
@@ -138,7 +139,8 @@ class InverseEngine:
     Efforts are linear in inertias, armature, damping, stiffness and dry friction (Atkeson, An and Hollerbach
     1986, "Estimation of inertial parameters of manipulator loads and links"). So a clip's motion becomes a
     table once, and a candidate costs one product. What moves the model's shape is computed by `mj_inverse`.
-    Dry friction opposes the measured velocity: MuJoCo's own depends on accelerations that noise has.
+    Dry friction opposes the measured velocity: MuJoCo's own depends on accelerations that noise has. Friction
+    of gears that grows with load or at rest follows from the efforts without it.
 
     Args:
         model: The model to run.
@@ -153,6 +155,7 @@ class InverseEngine:
         rows = {cells.row for cells in edits.cells if cells.field in _INERTIA}
         self._bodies = sorted(rows)
         self._joint = np.array(model.dof_jntid)
+        self._gear = edits.gear_friction
         self._tables: dict[Hashable, _Table] = {}
         self._bytes = 0
 
@@ -172,6 +175,15 @@ class InverseEngine:
         """See `Engine.predict`; there are no first states."""
         along = starts.along
         assert along is not None, "the clips have a measured motion"
+        efforts = self._efforts(theta, along)
+        if self._gear is not None:
+            efforts[..., self._gear.dofs] += self._beyond_dry(self._gear, theta, along, efforts)
+        completed: BoolArray = np.asarray(np.isfinite(efforts).all(axis=(2, 3)))
+        efforts[~completed] = 0.0
+        return Predicted(tuple(one.picked(efforts) for one in wanted), completed)
+
+    def _efforts(self, theta: FloatArray, along: Along) -> FloatArray:
+        """Efforts (p, c, s, nv) with dry friction that does not grow."""
         shaped = self._reshaped(theta, along)
         efforts = np.empty((len(theta), *along.qvel.shape))
         if not shaped.all():
@@ -179,9 +191,34 @@ class InverseEngine:
         for row in np.flatnonzero(shaped):
             model = self._edits.apply(self._model, theta[row])
             efforts[row] = self._along(model, along) + model.dof_frictionloss * along.dry
-        completed: BoolArray = np.asarray(np.isfinite(efforts).all(axis=(2, 3)))
-        efforts[~completed] = 0.0
-        return Predicted(tuple(one.picked(efforts) for one in wanted), completed)
+        return efforts
+
+    def _beyond_dry(
+        self, gear: GearFriction, theta: FloatArray, along: Along, efforts: FloatArray
+    ) -> FloatArray:
+        """What friction of gears takes beside `efforts` (p, c, s, nv), shape (p, c, s, g).
+
+        The effort is the motor's, friction included, which grows with it: three turns settle that.
+        """
+        shape = efforts.shape[:3]
+        slow = replace(
+            along, qacc=0.0 * along.qacc, dry=0.0 * along.dry, keys=tuple((key, "slow") for key in along.keys)
+        )
+        fields = self._edits.written(theta)
+
+        def of(name: str, at: IntArray) -> FloatArray:
+            values = fields[name] if name in fields else getattr(self._model, name)[None]
+            return np.broadcast_to(values[:, None, None][..., at], (*shape, *at.shape))
+
+        viscous, dry = (of(name, gear.dofs) for name in ("dof_damping", "dof_frictionloss"))
+        numbers, speed = of("numeric_data", gear.at), along.qvel[..., gear.dofs]
+        external = viscous * speed - self._efforts(theta, slow)[..., gear.dofs]
+        way, motor, zero = along.dry[..., gear.dofs], efforts[..., gear.dofs], np.zeros(external.shape)
+        found = zero
+        for _ in range(3):
+            bound = gear.bound(numbers, dry, motor + found, external, zero, speed, zero)
+            found = way * (bound - dry)
+        return found
 
     def upon(self, model: mujoco.MjModel, edits: ModelEdits | None = None) -> InverseEngine:
         """See `Engine.upon`."""

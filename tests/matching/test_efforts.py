@@ -1,5 +1,7 @@
 """Efforts along the measured motion: what an engine predicts, what is compared, what identification finds."""
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -149,3 +151,33 @@ def test_efforts_of_joint_states_are_compared_whatever_commands_them():
     system = system_of(signals=signals, parameters=only)
     assert [c.columns for c in system.channels if c.compared] == [(0, 1)]
     assert system.inputs == ()
+
+
+LOAD = {
+    "load": {"targets": [{"set": "load_friction_motor", "joint": "a"}], "nominal": 0.0, "bounds": [-1.0, 1.0],
+             "scale": "linear", "prior_sd": 0.2},
+}  # fmt: skip
+
+
+def test_friction_of_gears_grows_with_the_effort():
+    """Of a motor that gives tau, k tau is lost in its gear, beside the dry friction."""
+    system, plain, k = system_of(parameters=PARAMETERS | LOAD), system_of(), 0.2
+    log = recorded(plain, plain.space.nominal, noise=0.0)
+    cost = MatchingCost(system, [whole(log)], open_engine(system), system.settings.cost)
+    thetas = np.array([[*plain.space.nominal, load] for load in (0.0, k)])
+    none, grown = cost.predict(system.space.z_of(thetas)).values[0][:, 0, :, 0]
+    way = cost.clips.starts.along.dry[0, cost._wanted[0].rows[0], 0]
+    np.testing.assert_allclose(grown - none, way * k * np.abs(grown), atol=0.01 * np.abs(none).max())
+    assert np.abs(grown - none).max() > 0.5
+
+
+def test_what_grows_with_load_is_found_in_efforts():
+    system, plain, k = system_of(parameters=PARAMETERS | LOAD), system_of(), 0.15
+    log = recorded(plain, plain.space.nominal)
+    (key,) = (key for key in log.series if key.endswith("effort"))
+    values = np.array(log.series[key].values)
+    speed = path(DT * np.arange(len(values)), 1)[:, 0]
+    values[:, 0] /= 1.0 - k * np.sign(speed * values[:, 0])  # tau = needed + k |tau| sign(dq)
+    series = {**log.series, key: replace(log.series[key], values=values)}
+    found = identify(system, [replace(log, series=series)], seed=0).parameters["load"]
+    assert abs(found.estimate - k) < 3.0 * found.sd < 0.06
