@@ -27,12 +27,13 @@ ALLOWED: dict[str, set[str]] = {
     "live": {"core", "logs", "system", "engine", "estimation", "control"},
     "robots/go1": {"core", "logs", "system", "engine", "estimation", "control", "live"},
     "study": {"core", "system", "engine", "estimation", "robots/go1"},
-    "report": {"core", "logs", "system", "estimation", "study"},
+    "audit": {"core", "system", "init", "engine", "matching", "estimation"},
+    "report": {"core", "logs", "system", "estimation", "study", "audit"},
     "api": {"core", "logs", "system", "engine", "estimation", "live", "report", "robots/go1", "view"},
     "cli": {
         "api",
-        "core", "logs", "system", "init", "engine", "estimation", "live", "report", "study", "robots/go1",
-        "view", "check",
+        "core", "logs", "system", "init", "engine", "estimation", "audit", "live", "report", "study",
+        "robots/go1", "view", "check",
     },
 }  # fmt: skip
 
@@ -59,7 +60,7 @@ WALLS = {
     "matplotlib": ("report",),
     "mcap": ("logs",),
     "motioncapture": ("robots/go1",),
-    "mujoco": ("system", "init", "check", "engine", "view", "robots/go1", "api/identify.py"),
+    "mujoco": ("system", "init", "check", "audit", "engine", "view", "robots/go1", "api/identify.py"),
     "mujoco_menagerie": ("init",),
     "mujoco_warp": ("engine",),
     "natnet": ("robots/go1",),

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import click
 
 from amhe_cli.cli import log_path, options, parsing
-from amhe_cli.cli.init import MENAGERIE, ModelPath
+from amhe_cli.cli.model_path import MENAGERIE, ModelPath
 from amhe_cli.cli.session import LOSSY, Session
 
 if TYPE_CHECKING:

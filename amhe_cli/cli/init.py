@@ -4,41 +4,13 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from amhe_cli.cli import log_path, options, parsing
+from amhe_cli.cli.model_path import ModelPath, model_file
 from amhe_cli.cli.session import Session
 from amhe_cli.core.text import printable
-
-MENAGERIE = "menagerie:"
-
-
-class ModelPath(click.Path):
-    """An existing file, `menagerie:NAME`, or the model of a bundled `example:NAME`."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Leave the names of menagerie models as they are; any other value is a path."""
-        kind, colon, name = str(value).partition(":")
-        if colon and kind == "example":
-            from amhe_cli.core.bundled import bundled_models
-
-            return log_path.example(self, name, bundled_models(), param, ctx)
-        named = str(value).startswith(MENAGERIE)
-        return str(value) if named else super().convert(value, param, ctx)
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """Complete the names of menagerie models; any other path is completed by the shell."""
-        if incomplete and incomplete.startswith(MENAGERIE[: len(incomplete)]):
-            from amhe_cli.init.menagerie import menagerie_names
-
-            names = (MENAGERIE + name for name in menagerie_names())
-            return [CompletionItem(name) for name in names if name.startswith(incomplete)]
-        return super().shell_complete(ctx, param, incomplete)
 
 
 @click.command(cls=parsing.Command, short_help="A model and logs to a first system folder.")
@@ -141,7 +113,6 @@ def init(
     """
     from amhe_cli.init.folder import init_system
     from amhe_cli.init.from_library import Chosen
-    from amhe_cli.init.menagerie import menagerie_model
     from amhe_cli.init.ros_packages import packages_in
     from amhe_cli.report.folder import reserve
     from amhe_cli.system.model.urdf import UrdfOptions, is_urdf
@@ -149,7 +120,7 @@ def init(
     if not drives and (volts is not None or gain_p is not None):
         raise click.UsageError("--volts and --gain-p belong to --drive")
     session.hush_mujoco()
-    path = menagerie_model(model.removeprefix(MENAGERIE)) if isinstance(model, str) else model
+    path = model_file(model)
     known = packages_in(os.environ) if is_urdf(path) else {}
     urdf = UrdfOptions({**known, **{name: Path(dir_) for name, dir_ in packages.items()}}, not no_meshes)
     folder = reserve(out, "init", force)

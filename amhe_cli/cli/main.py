@@ -16,6 +16,7 @@ from io import TextIOWrapper
 import click
 
 from amhe_cli.cli import options
+from amhe_cli.cli.audit import audit
 from amhe_cli.cli.calibrate import calibrate
 from amhe_cli.cli.check import check
 from amhe_cli.cli.compare import compare
@@ -48,7 +49,7 @@ from amhe_cli.cli.watch import watch
 
 #: The commands, by what they are for.
 GROUPS = {
-    "Start": (inspect, init, check, identify, view),
+    "Start": (inspect, init, check, audit, identify, view),
     "More": (compare, explain, pool, probe, mhe_replay, export, convert, drives),
     "Live": (watch, record),
     "Go1": (run_task, evaluate, emulate, calibrate),

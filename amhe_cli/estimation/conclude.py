@@ -125,6 +125,7 @@ def conclude(problem: Problem, finding: Finding, validation: list[Window], watch
         logs=tuple(dict.fromkeys(part.log.source for part in problem.pool.parts)),
         runs=estimates(system.space, fit, each_log(problem, fit)),
         missing=missing,
+        information=fit.posterior.hessian - fit.posterior.prior,
     )
 
 

@@ -13,6 +13,7 @@ from amhe_cli.core.belief import Belief
 from amhe_cli.core.each_log import named, searched
 from amhe_cli.core.errors import ConfigError, EstimationError, LogError, one_of
 from amhe_cli.core.log import Log, Window, in_order
+from amhe_cli.core.parameters import ParameterSpace
 from amhe_cli.engine.open import open_engine
 from amhe_cli.estimation.conclude import PARTS, RESERVE, conclude
 from amhe_cli.estimation.core.agreement import SURPRISE
@@ -90,6 +91,40 @@ def identify(
         ConfigError: There is no such method or kind of engine.
         EstimationError: No clip of the logs can be used.
     """
+    return concluded(searched_for(system, training, held_out, options, on_iteration))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Search:
+    """A search that ended.
+
+    Args:
+        problem, finding: The problem and where the search ended.
+        validation: Clips that were not fitted.
+        watch: Shows progress of what follows, and has the time that is left.
+        unknowns: The system's own unknowns, a value of each log's own being one.
+    """
+
+    problem: Problem
+    finding: Finding
+    validation: list[Window]
+    watch: Watch
+    unknowns: ParameterSpace
+
+
+def searched_for(
+    system: System,
+    training: Sequence[Log],
+    held_out: Sequence[Log] | None,
+    options: IdentifyOptions,
+    on_iteration: OnIteration = lambda iteration, total: None,
+    *,
+    quick: bool = False,
+) -> Search:
+    """The search of `identify`, whose arguments it takes, without the conclusion.
+
+    `quick`: do not fall back on CMA-ES, and do not warn of parameters that the logs do not depend on.
+    """
     if options.method not in METHODS:
         raise ConfigError(f"`method`: {one_of('method', options.method, METHODS)}")
     if options.prior is not None:
@@ -99,21 +134,35 @@ def identify(
     training = in_order(training)
     watch = Watch(on_iteration, options.max_time, PARTS)
     problem, validation = _pose(system, training, held_out, options)
+    if not quick:
+        _warn(system, problem)
+    watch.keep(RESERVE * problem.linearisation)
+    kept = Checkpoint(options.checkpoint, problem, options.method)
+    finding = _search(problem, validation, options.method, watch, kept, quick)
+    return Search(problem, finding, validation, watch, model)
+
+
+def _warn(system: System, problem: Problem) -> None:
+    """Warn of what is wrong in the logs, and of parameters that they do not depend on."""
     for wrong in () if problem.touches else mended(system, problem.pool.parts, problem.rng(8))[:1]:
         logger.warning(
             f"{wrong.text}: put right, {wrong.share:.0%} of the motion that the prior does not explain goes; "
             "nothing was changed"
         )
-    watch.keep(RESERVE * problem.linearisation)
-    kept = Checkpoint(options.checkpoint, problem, options.method)
-    finding = _search(problem, validation, options.method, watch, kept)
+    for name, reason in problem.idle.items():
+        logger.warning(f"{name} is held at its prior: {reason}")
+
+
+def concluded(search: Search) -> Identification:
+    """What a search found, and how sure that is."""
+    problem, watch = search.problem, search.watch
     try:
-        found = conclude(problem, finding, validation, watch)
+        found = conclude(problem, search.finding, search.validation, watch)
     except KeyboardInterrupt:
         logger.warning("interrupted while the result was examined: its checks are not complete")
         watch.interrupted = True
-        found = conclude(problem, finding, validation, watch)
-    return with_common_means(found, model, system.space)
+        found = conclude(problem, search.finding, search.validation, watch)
+    return with_common_means(found, search.unknowns, problem.system.space)
 
 
 def _pose(
@@ -139,8 +188,6 @@ def _pose(
     if held and not windows:
         logger.warning("the held-out part of the logs has no usable clip: nothing validates the result")
     _report_lag(system, training[0])
-    for name, reason in problem.idle.items():
-        logger.warning(f"{name} is held at its prior: {reason}")
     return problem, windows
 
 
@@ -185,7 +232,7 @@ def _no_clips(pool: ClipPool) -> str:
 
 
 def _search(
-    problem: Problem, validation: list[Window], method: str, watch: Watch, kept: Checkpoint
+    problem: Problem, validation: list[Window], method: str, watch: Watch, kept: Checkpoint, quick: bool
 ) -> Finding:
     """Run the method, and CMA-ES from several starts where the linearised one did not help."""
     if not problem.active.any():
@@ -196,7 +243,7 @@ def _search(
     if method == "cmaes":
         return _run(cma.advance, cma.total, problem, cma.start(problem, 1), watch, kept)
     found = _run(search.advance, search.total, problem, saved or search.start(problem), watch, kept)
-    if watch.stopped or not _needs_rescue(problem, found, validation):
+    if watch.stopped or quick or not _needs_rescue(problem, found, validation):
         return found
     starts = problem.settings.identify.cmaes_starts
     logger.warning(

@@ -58,7 +58,7 @@ def actuator_parameters(
         for name, alike in groups.items()
         for kind, field, meaning in KINDS
     ]
-    guesses += _zeros(model, joints, signals)
+    guesses += zeros(model, joints, signals)
     free = drive_numbers(model, actuators, guessed_gains)
     guesses += free if gains else _gains(model, actuators, guessed_gains)
     return [*guesses, *(delay(model.opt.timestep) if actuators else ())]
@@ -111,7 +111,7 @@ def _first(model: mujoco.MjModel, group: Sequence[str], field: str) -> float:
     return float(getattr(model, field)[model.joint(group[0]).dofadr[0]])
 
 
-def _zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:
+def zeros(model: mujoco.MjModel, joints: Sequence[str], signals: Sequence[Guess]) -> Iterator[Guess]:
     """The zero of each joint's encoder; commands are in its frame too."""
     for signal in signals:
         for joint in (name for name in signal.entry.get("joints", ()) if name in joints):

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
+import yaml
 
 from amhe_cli.core import rotations
 from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.readout import resolution
 from amhe_cli.core.settings import LogSettings
+from amhe_cli.core.yaml_file import merged
 from amhe_cli.init.actuators import actuator_parameters, floating, ungrouped
 from amhe_cli.init.backlash import backlash_parameters
 from amhe_cli.init.drives import geared_joints, moved_by
@@ -47,6 +50,123 @@ from amhe_cli.system.system import System
 _SHOWN = 30
 #: Seconds of log that the noise is estimated from.
 _NOISE_SECONDS = 60.0
+
+
+@dataclass(eq=False)
+class Proposal:
+    """What `init` makes of a model and logs.
+
+    Args:
+        spec: The model, with what was added to it.
+        rewrite: Whether it has more than its file says.
+        guesses: The signals, whose noise is an estimate where the logs have one.
+        parameters: The unknowns.
+        notes: Sentences for the user.
+        skeletons: Signals to complete by hand.
+        spare: Unknowns that may be added.
+        match: What is compared with the logs, 'motion' or 'effort'.
+        settings: Settings over the defaults.
+    """
+
+    spec: mujoco.MjSpec
+    rewrite: bool
+    guesses: list[Guess]
+    parameters: list[Guess]
+    notes: list[str]
+    skeletons: list[list[str]]
+    spare: list[Guess]
+    match: str = "motion"
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def system(self, name: str, settings: Mapping[str, Any] | None = None) -> System:
+        """The system, which needs no folder."""
+        signals = {
+            guess.name: guess.entry | ({"noise": guess.noise} if guess.noise else {})
+            for guess in self.guesses
+        }
+        parameters = {guess.name: guess.entry for guess in self.parameters}
+        return System.from_model(
+            self.spec,
+            parameters=parameters,
+            signals=signals,
+            settings=merged(self.settings, settings or {}),
+            name=name,
+            match=self.match,
+            warn=False,
+        )
+
+
+def proposed_as(model_path: Path, system: System, urdf: UrdfOptions | None = None) -> Proposal:
+    """A proposal with another model and the signals of a system."""
+    description = yaml.safe_load(system.text)
+    guesses = [
+        Guess(name, {k: v for k, v in entry.items() if k != "noise"}, "", entry.get("noise") or {})
+        for name, entry in description["signals"].items()
+    ]
+    settings = description.get("settings") or {}
+    spec = read_spec(model_path, urdf)
+    return Proposal(spec, is_urdf(model_path), guesses, [], [], [], [], system.match, settings)
+
+
+def proposed(
+    model_path: Path,
+    logs: Sequence[Path],
+    msg_path: Path | None = None,
+    urdf: UrdfOptions | None = None,
+    actuators: bool = False,
+    group: bool = False,
+    gains: bool = False,
+    backlash: Sequence[str] = (),
+    drives: Chosen | None = None,
+    efforts: bool = False,
+) -> Proposal:
+    """What to write into a system folder; arguments and errors as of `init_system`.
+
+    `efforts`: measured torques are compared also where commands are known.
+    """
+    spec = read_spec(model_path, urdf)
+    model = compiled(spec)
+    found = _topics(logs, msg_path)
+    topics = _with_tables(found, model)
+    rewrite, notes = is_urdf(model_path), list[str]()
+    if rewrite:
+        notes += notes_on_urdf(spec, model) + free_root(spec, topics)
+    added = rewrite and not model.nactuator
+    if added:
+        notes += add_servos(spec, model, topics)
+    model = compiled(spec)
+    guesses = guess_signals(model, topics)
+    measured = [guess for guess in guesses if not (efforts and "actuators" in guess.entry)]
+    matched = None if actuators or drives else effort_signal(model, topics, measured, logs[0], msg_path)
+    if matched:
+        guesses = measured
+        parameters = list(effort_parameters(model, matched[1]))
+    elif actuators:
+        parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group, gains=gains)
+        notes += floating(model, guesses) + (ungrouped(parameters) if group else [])
+    else:
+        parameters = guess_parameters(model, guesses, guessed_gains=added)
+        notes += sharing(parameters)
+    if drives is not None:
+        parameters, gain = library_parameters(model, parameters, drives, logs, found, msg_path)
+        notes += gain
+    notes += overlaps(model)
+    _refuse_nothing(model, topics, guesses, parameters)
+    if backlash:
+        rewrite, widths = True, backlash_parameters(spec, model, guesses, parameters, backlash)
+        parameters += widths
+    notes += notes_on(model, topics, guesses, efforts=matched is not None)
+    for guess in guesses:
+        with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
+    skeletons = _skeletons(model, topics, guesses)
+    guesses = [*guesses, *(matched or ())[:1]]
+    spare = guessed_masses(model, guesses) if actuators else []
+    match = "effort" if matched else "motion"
+    made = Proposal(spec, rewrite, guesses, parameters, notes, skeletons, spare, match)
+    while declared := _declare_units(made, logs[0], msg_path):
+        notes += declared
+    notes[:0] = _estimate_noise(made, logs[0], topics, msg_path)
+    return made
 
 
 def init_system(
@@ -89,67 +209,23 @@ def init_system(
             raise ConfigError(f"`{name}` is for the drives of `actuators`: give both")
     if out.exists() and not force and any(out.iterdir()):
         raise ConfigError(f"{out}: is not empty; choose another folder, or give `force=True`")
-    spec = read_spec(model_path, urdf)
-    model = compiled(spec)
-    found = _topics(logs, msg_path)
-    topics = _with_tables(found, model)
-    rewrite, notes = is_urdf(model_path), list[str]()
-    if rewrite:
-        notes += notes_on_urdf(spec, model) + free_root(spec, topics)
-    added = rewrite and not model.nactuator
-    notes += add_servos(spec, model, topics) if added else []
-    model = compiled(spec)
-    guesses = guess_signals(model, topics)
-    matched = None if actuators or drives else effort_signal(model, topics, guesses, logs[0], msg_path)
-    if matched:
-        parameters = list(effort_parameters(model, matched[1]))
-    elif actuators:
-        parameters = actuator_parameters(spec, model, guesses, guessed_gains=added, group=group, gains=gains)
-        notes += floating(model, guesses) + (ungrouped(parameters) if group else [])
-    else:
-        parameters = guess_parameters(model, guesses, guessed_gains=added)
-        notes += sharing(parameters)
-    if drives is not None:
-        parameters, gain = library_parameters(model, parameters, drives, logs, found, msg_path)
-        notes += gain
-    notes += overlaps(model)
-    _refuse_nothing(model, topics, guesses, parameters)
-    if backlash:
-        rewrite, widths = True, backlash_parameters(spec, model, guesses, parameters, backlash)
-        parameters += widths
-    notes += notes_on(model, topics, guesses, efforts=matched is not None)
-    for guess in guesses:
-        with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
-    guesses, skeletons = [*guesses, *(matched or ())[:1]], _skeletons(model, topics, guesses)
-    spare = guessed_masses(model, guesses) if actuators else []
+    made = proposed(model_path, logs, msg_path, urdf, actuators, group, gains, backlash, drives)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=f".{out.name}.") as scratch:
         folder = Path(scratch)
-        name = copy_model(spec, model_path, folder, rewrite=rewrite)
-        geared = geared_joints(compiled(spec), moved_by(guesses))
-        head, match = (name, model_path.name, [str(log) for log in logs]), "effort" if matched else "motion"
-
-        def write() -> None:
-            text = system_text(*head, guesses, parameters, notes, skeletons, spare, geared, match)
-            (folder / FILE_NAME).write_text(text)
-
-        write()
-        while declared := _declare_units(folder, logs[0], guesses, msg_path):
-            notes += declared
-            write()
-        unread = _estimate_noise(folder, logs[0], guesses, topics, msg_path)
-        write()
+        name = copy_model(made.spec, model_path, folder, rewrite=made.rewrite)
+        head = (name, model_path.name, [str(log) for log in logs])
+        geared = geared_joints(compiled(made.spec), moved_by(made.guesses))
+        rest = made.notes, made.skeletons, made.spare, geared, made.match
+        text = system_text(*head, made.guesses, made.parameters, *rest)
+        (folder / FILE_NAME).write_text(text)
         System.load(folder, warn=False)  # what is written is valid, or it is not written
-        _move(folder, out)
-    return [*(f"{guess.name}: {guess.why}" for guess in (*guesses, *parameters)), *unread, *notes]
-
-
-def _move(folder: Path, out: Path) -> None:
-    """Move all files of a folder into another one."""
-    for file in sorted(path for path in folder.rglob("*") if path.is_file()):
-        place = out / file.relative_to(folder)
-        place.parent.mkdir(parents=True, exist_ok=True)
-        file.replace(place)
+        for file in sorted(path for path in folder.rglob("*") if path.is_file()):
+            place = out / file.relative_to(folder)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+    reasons = [f"{guess.name}: {guess.why}" for guess in (*made.guesses, *made.parameters)]
+    return [*reasons, *made.notes]
 
 
 def _topics(logs: Sequence[Path], msg_path: Path | None) -> list[Topic]:
@@ -231,19 +307,19 @@ def _skeletons(model: mujoco.MjModel, topics: Sequence[Topic], guesses: Sequence
     return [fields_example(model, topic) for topic in foreign(topics)]
 
 
-def _declare_units(folder: Path, log: Path, guesses: Sequence[Guess], msg_path: Path | None) -> list[str]:
+def _declare_units(made: Proposal, log: Path, msg_path: Path | None) -> list[str]:
     """Declare units and wrapping encoders that the log's numbers show, a sentence for each.
 
     Commands can be judged only by positions that are right: what was declared may reveal more.
     """
-    system = System.load(folder, warn=False)
+    system = made.system("")
     try:
         seen = read_signals(
             log, system.signals, system.dt, LogSettings(), end=_NOISE_SECONDS, msg_path=msg_path
         )
     except AmheError:
         return []  # what cannot be read is a note of the noise
-    entries, notes = {guess.name: guess.entry for guess in guesses}, list[str]()
+    entries, notes = {guess.name: guess.entry for guess in made.guesses}, list[str]()
     for doubt in doubts_of(system, seen):
         entry = entries[doubt.signal]
         new = {key: value for key, value in doubt.remedy.items() if key not in entry}
@@ -253,14 +329,12 @@ def _declare_units(folder: Path, log: Path, guesses: Sequence[Guess], msg_path: 
     return notes
 
 
-def _estimate_noise(
-    folder: Path, log: Path, guesses: Sequence[Guess], topics: Sequence[Topic], msg_path: Path | None
-) -> list[str]:
+def _estimate_noise(made: Proposal, log: Path, topics: Sequence[Topic], msg_path: Path | None) -> list[str]:
     """Set each signal's noise to an estimate from the log; a signal that cannot be read keeps the guess."""
     rates = {topic.table or topic.name: topic.rate for topic in topics}
     unread: list[str] = []
-    signals = {signal.name: signal for signal in System.load(folder, warn=False).signals}
-    for guess in guesses:
+    signals = {signal.name: signal for signal in made.system("").signals}
+    for guess in made.guesses:
         signal = signals[guess.name]
         compared = tuple(key for key, sd in guess.noise.items() if sd is not None)
         if not compared:

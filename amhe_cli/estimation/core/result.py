@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.belief import Belief
 
@@ -360,6 +362,7 @@ class Identification:
     bodies: tuple[BodyNumber, ...] = ()
     runs: tuple[RunEstimate, ...] = ()
     missing: Missing | None = None  # None: the model misses the logs by no more than twice their noise
+    information: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # of the logs about z, (d, d)
 
 
 def known_together(result: Identification) -> list[Combination]:

@@ -107,9 +107,10 @@ def _plain(value: Any) -> Any:
 
 
 def _with_topic(name: str, signal: Any) -> Any:
-    """Arrays have no topics: where none is given, it is the signal's name."""
+    """Arrays have no topics: where none is given, and no columns of a table, it is the signal's name."""
     given = _plain(signal)
-    return {"topic": f"/{name}", **given} if isinstance(given, Mapping) else given
+    named = not isinstance(given, Mapping) or "columns" in given
+    return given if named else {"topic": f"/{name}", **given}
 
 
 def _built(

@@ -223,7 +223,7 @@ def _parameter(
         raise ConfigError(f"bounds [{lower:g}, {upper:g}]: scale: log needs a lower bound above 0")
     usual = LOG_PRIOR_SD if log else (upper - lower) / 4.0
     sd = usual if entry.prior_sd is None else entry.prior_sd
-    unit = entry.unit or _unit(target, cells, model)
+    unit = entry.unit or unit_of(target, cells, model)
     made = Parameter(name, unit, nominal, lower, upper, log, sd)
     return made if entry.drift is None else replace(made, drift=entry.drift)
 
@@ -276,7 +276,8 @@ def _smallest(
                 )
 
 
-def _unit(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str:
+def unit_of(target: TargetEntry, cells: list[Cells], model: mujoco.MjModel) -> str:
+    """Unit of what a target sets; '-' of a factor."""
     if target.mode == "scale":
         return "-"
     if target.set == "command_delay":

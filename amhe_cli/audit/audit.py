@@ -1,0 +1,283 @@
+"""The numbers of a model file against what a robot did: a table of what its logs contradict."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.audit.claims import Claim, claims_of, doubts_of
+from amhe_cli.audit.judge import Findings, chances, contradicted, outstanding, said
+from amhe_cli.audit.weight import States, anywhere, weights
+from amhe_cli.core.arrays import BoolArray, FloatArray
+from amhe_cli.core.errors import ConfigError, LogError
+from amhe_cli.core.log import Log
+from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.settings import Settings
+from amhe_cli.core.statistics import correlation
+from amhe_cli.core.yaml_file import merged
+from amhe_cli.engine.states import home
+from amhe_cli.estimation.core.result import Identification, Iteration
+from amhe_cli.estimation.identification import IdentifyOptions, Search, concluded, searched_for
+from amhe_cli.estimation.uncertainty.fit import final_fit
+from amhe_cli.init.folder import Proposal
+from amhe_cli.matching.motion import motion_of
+from amhe_cli.system.system import System
+
+#: Identifications until no more number stands out, at most.
+_ROUNDS = 4
+#: States of a log that a number is weighed along.
+_STATES = 400
+#: Correlation from which two numbers are known only together.
+_TOGETHER = 0.7
+
+Verdict = str
+#: Verdicts, worst first.
+VERDICTS = ("contradicted", "agrees", "cannot tell")
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One number of the table.
+
+    Args:
+        of, what, unit: Whose number it is, and which.
+        parameter: Name of the parameter that sets it.
+        file: What the file says.
+        log, sd: What the log says of it, whatever the file says, in the same unit.
+        t: How far apart they are, in sd of both.
+        chance: The chance that a right number is farther away.
+        verdict: One of `VERDICTS`.
+        weight: Share of the forces along the motion that the difference is worth.
+        cure: Of what cannot be told, what would tell.
+    """
+
+    of: str
+    what: str
+    unit: str
+    parameter: str
+    file: float
+    log: float
+    sd: float
+    t: float
+    chance: float
+    verdict: Verdict
+    weight: float
+    cure: str
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """The numbers of a file against logs.
+
+    Args:
+        lines: Contradicted ones first, by weight; then what agrees, then what cannot be told.
+        system: The model with all its numbers as parameters, under the priors of the last identification.
+        found: That identification.
+        claims: What the file claims.
+        proposal: Model and signals.
+    """
+
+    lines: tuple[Line, ...]
+    system: System
+    found: Identification
+    claims: tuple[Claim, ...]
+    proposal: Proposal
+
+    @property
+    def elements(self) -> dict[str, str]:
+        """Kind of element that each parameter is about."""
+        return {claim.parameter: claim.number.element for claim in self.claims}
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """What each number is where its parameter is 1."""
+        return {claim.parameter: claim.factor for claim in self.claims}
+
+    def with_only(self, names: Collection[str]) -> System:
+        """The file's model with some of its numbers as parameters, and all others as they are in the file."""
+        guesses = [claim.guess(False) for claim in self.claims if claim.parameter in names]
+        only = replace(self.proposal, parameters=guesses)
+        return only.system(self.system.name)
+
+
+def audit(
+    proposal: Proposal,
+    name: str,
+    read: Callable[[System], Sequence[Log]],
+    options: IdentifyOptions,
+    settings: Mapping[str, Any] | None = None,
+    progress: Callable[[Iteration, int], None] = lambda iteration, total: None,
+) -> Audit:
+    """Compare every number that decides a motion with logs.
+
+    Args:
+        proposal: Model and signals; its parameters are replaced.
+        name: Name of the system.
+        read: Reads the logs for a system.
+        options: How to search.
+        settings: Settings over the defaults.
+        progress: Called after each iteration.
+
+    Raises:
+        ConfigError: The model has no number that these logs could tell.
+        LogError: A log cannot be read.
+        EstimationError: No clip of the logs can be used.
+    """
+    settings = merged({"identify": {"profile_points": 0}}, merged(proposal.settings, settings or {}))
+    worth = Settings.model_validate(settings).identify.assumed
+    claims = claims_of(proposal, worth)
+    logs: Sequence[Log] = ()
+    if not claims:
+        raise ConfigError("the model says no number of a joint that the log measures")
+    doubts, wide = doubts_of(proposal), set[Any]()
+    for number in range(1, _ROUNDS + 1):
+        guesses = [claim.guess(claim.group not in wide) for claim in claims]
+        system = replace(proposal, parameters=[*guesses, *doubts]).system(name, settings)
+        logs = logs or read(system)
+        search = searched_for(system, logs, None, options, progress, quick=True)
+        more = _suspects(_sketched(search), system, claims, wide)
+        if not more or number == _ROUNDS:
+            break
+        wide |= more
+    found = concluded(search)
+    lines = _lines(system, found, claims, logs)
+    return Audit(tuple(lines), system, found, tuple(claims), proposal)
+
+
+def _evidence(space: ParameterSpace, phi: FloatArray, information: FloatArray, more: FloatArray) -> Findings:
+    """Findings on the parameters' scales, of the logs' information about z."""
+    sd = np.array(space.prior_sd)
+    return Findings(
+        phi, np.array([space.phi_of(space.nominal), sd]), information / np.outer(sd, sd), np.array(more)
+    )
+
+
+def _sketched(search: Search) -> Findings:
+    """What a search says, without the checks of its conclusion."""
+    space, fit = search.problem.system.space, final_fit(search.problem, search.finding)
+    scale = np.outer(space.prior_sd, space.prior_sd)
+    known = fit.posterior.hessian - fit.posterior.prior
+    return _evidence(space, space.phi_of(space.theta_of(fit.z)), known, fit.posterior.covariance * scale)
+
+
+def _rows(system: System, claims: Iterable[Claim]) -> list[int]:
+    return [system.space.names.index(claim.parameter) for claim in claims]
+
+
+def _sheets(system: System, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
+    """What the file says of all parameters, and the sd of its data sheets, on their scales, (d,)."""
+    file, sheet = np.zeros(len(system.space)), np.ones(len(system.space))
+    for row, claim in zip(_rows(system, claims), claims, strict=True):
+        file[row], sheet[row] = claim.phi(claim.value), claim.sd
+    return file, sheet
+
+
+def _suspects(evidence: Findings, system: System, claims: Sequence[Claim], wide: set[Any]) -> set[Any]:
+    """Groups of numbers that stand out, one after the other, as far as one linearisation shows."""
+    file, sheet = _sheets(system, claims)
+    rows = dict(zip((claim.parameter for claim in claims), _rows(system, claims), strict=True))
+    groups: dict[Any, list[int]] = {}
+    for claim in claims:
+        if claim.group not in wide:
+            groups.setdefault(claim.group, []).append(rows[claim.parameter])
+    found = set[Any]()
+    while groups and (worst := outstanding(evidence, groups, file, sheet)) is not None:
+        found.add(worst)
+        sd = evidence.prior[1].copy()
+        for claim in claims:
+            if claim.group == worst:
+                sd[rows[claim.parameter]] = claim.wide
+        evidence = evidence.with_priors(sd)
+        del groups[worst]
+    return found
+
+
+def _lines(system: System, found: Identification, claims: Sequence[Claim], logs: Sequence[Log]) -> list[Line]:
+    belief = found.belief
+    evidence = _evidence(
+        system.space, system.space.phi_of(belief.estimate), found.information, belief.covariance
+    )
+    rows = _rows(system, claims)
+    file, sheet = (one[rows] for one in _sheets(system, claims))
+    logged = said(evidence, rows, file, sheet)
+    chance = chances(logged.t)
+    wrong = contradicted(chance) & (not found.unexplained)
+    log, factor = system.space.log[rows], np.array([claim.factor for claim in claims])
+    value = factor * np.where(log, np.exp(np.where(log, logged.mean, 0.0)), logged.mean)
+    sd = logged.sd * np.where(log, value, factor)
+    told = (logged.sd <= sheet) & (not found.unexplained)
+    verdicts = np.where(wrong, VERDICTS[0], np.where(told, VERDICTS[1], VERDICTS[2]))
+    weight = _weights(system, found, claims, wrong, logs)
+    lines = [
+        Line(
+            c.number.of, c.number.what, c.number.unit, c.parameter, c.value, float(value[i]), float(sd[i]),
+            float(logged.t[i]), float(chance[i]), str(verdicts[i]), weight[i],
+            _cure(system, found, evidence, c) if verdicts[i] == VERDICTS[2] else "",
+        )
+        for i, c in enumerate(claims)
+    ]  # fmt: skip
+    return in_order(lines)
+
+
+def in_order(lines: Iterable[Line]) -> list[Line]:
+    """Lines as a table shows them: the worst verdict first, and of those what matters most."""
+    return sorted(lines, key=lambda line: (VERDICTS.index(line.verdict), -line.weight, -abs(line.t)))
+
+
+def _weights(
+    system: System, found: Identification, claims: Sequence[Claim], wrong: BoolArray, logs: Sequence[Log]
+) -> list[float]:
+    """What each contradicted number is worth: forces along the motion if it alone were as in the file."""
+    theta = system.space.with_prior(found.belief).nominal
+    model, others = system.edits.apply(system.model, theta), []
+    for i in map(int, np.flatnonzero(wrong)):
+        back = np.array(theta)
+        row = system.space.names.index(claims[i].parameter)
+        back[row] = claims[i].value / claims[i].factor
+        allowed = system.space.theta_of(system.space.clip(system.space.z_of(back)))
+        others.append(system.edits.apply(system.model, allowed))
+    try:
+        states = _along(system, logs)
+    except LogError:
+        states = anywhere(model)
+    worth = iter(weights(model, others, states))
+    return [next(worth) if bad else 0.0 for bad in wrong]
+
+
+def _along(system: System, logs: Sequence[Log]) -> States:
+    """Some states of the longest log, and what drove the model there."""
+    log = max(logs, key=lambda one: one.duration)
+    motion = motion_of(system, log)
+    some = np.linspace(0, len(motion.rows) - 1, min(_STATES, len(motion.rows))).astype(int)
+    inputs = np.tile(home(system.model, system.keyframe, system.input_spec)[1], (some.size, 1))
+    for source in system.inputs:
+        inputs[:, list(source.columns)] = log[source.key].values[motion.rows[some]]
+    return States(motion.qpos[some], motion.qvel[some], motion.qacc[some], inputs, system.input_spec)
+
+
+def _cure(system: System, found: Identification, evidence: Findings, claim: Claim) -> str:
+    """What would tell a number."""
+    if found.unexplained:
+        return "no value explains these logs, and none can be judged by them"
+    row, of = system.space.names.index(claim.parameter), claim.number.of
+    idle = any(reason.kind == "idle" for reason in found.parameters[row].reasons)
+    if claim.number.kind == "force_limit" and idle:
+        return "no motion reaches it: command faster steps"
+    if idle:
+        return "nothing that is measured depends on it: weigh it, or move the joints before it"
+    together = np.abs(correlation(evidence.known())[row])
+    together[row] = 0.0
+    if together.max() > _TOGETHER:
+        return f"known only together with {system.space.names[int(together.argmax())]}: measure either"
+    return _MORE[claim.number.element].format(of=of)
+
+
+#: Kind of element -> what tells its numbers.
+_MORE = {
+    "body": "swing {of} alone, slowly and fast, in several postures",
+    "joint": "move {of} alone, slowly both ways and fast with sharp turns",
+    "actuator": "log the torques of {of}, or hang a known load on it",
+}

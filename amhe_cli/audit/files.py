@@ -1,0 +1,116 @@
+"""Two model files: which numbers differ, and by how much that matters."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from amhe_cli.audit.weight import anywhere, weights
+from amhe_cli.init.names import matched
+from amhe_cli.system.model.elements import driven_joint, names_of
+from amhe_cli.system.numbers import ModelNumber, numbers_of, shape_of
+
+#: Share from which two numbers differ: files are written with three digits or more.
+_SAME = 2e-3
+#: Size below which lengths [m], inertias and others are zero.
+_ZERO = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class FileDifference:
+    """A number that two models have, and do not agree on.
+
+    Args:
+        of, what, unit: Whose number it is, and which.
+        one, other: Its values, (n,) each.
+        weight: Share of the forces along a motion that it is worth; see `weights`.
+    """
+
+    of: str
+    what: str
+    unit: str
+    one: tuple[float, ...]
+    other: tuple[float, ...]
+    weight: float
+
+
+@dataclass(frozen=True, slots=True)
+class FilesCompared:
+    """What two models disagree on.
+
+    Args:
+        differences: Numbers that differ, the one that matters most first.
+        alike: How many numbers agree.
+        alone: Names of bodies, joints and actuators that only the first and only the second has.
+        masses: Mass of all that moves [kg], of either.
+    """
+
+    differences: tuple[FileDifference, ...]
+    alike: int
+    alone: tuple[tuple[str, ...], tuple[str, ...]]
+    masses: tuple[float, float]
+
+
+def compare(one: mujoco.MjModel, other: mujoco.MjModel) -> FilesCompared:
+    """The numbers on which two models of a robot differ; elements are matched by their names."""
+    pairs, alone = partners(one, other)
+    theirs = {(n.kind, n.of, n.what): n for n in _all(other)}
+    found, changed, alike = [], [], 0
+    for number in _all(one):
+        partner = theirs.get((number.kind, pairs[number.element].get(number.of, ""), number.what))
+        if partner is None:
+            continue
+        mine, its = number.values(one), partner.values(other)
+        size = max(np.abs(mine).max(), np.abs(its).max())
+        if np.abs(mine - its).max() <= max(_SAME * size, _ZERO):
+            alike += 1
+            continue
+        model = copy.copy(one)
+        number.write(model, its)
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        found.append((number, mine, its))
+        changed.append(model)
+    worth = weights(one, changed, anywhere(one))
+    rows = [
+        FileDifference(n.of, n.what, n.unit, tuple(map(float, mine)), tuple(map(float, its)), weight)
+        for (n, mine, its), weight in zip(found, worth, strict=True)
+    ]
+    rows.sort(key=lambda row: -row.weight)
+    masses = tuple(float(m.body_mass[m.body_weldid > 0].sum()) for m in (one, other))
+    return FilesCompared(tuple(rows), alike, alone, (masses[0], masses[1]))
+
+
+def _all(model: mujoco.MjModel) -> list[ModelNumber]:
+    return [*numbers_of(model, axes=False), *shape_of(model)]
+
+
+def partners(
+    one: mujoco.MjModel, other: mujoco.MjModel
+) -> tuple[dict[str, dict[str, str]], tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Kind of element -> name in one -> name in the other; and the names that only one has."""
+    pairs: dict[str, dict[str, str]] = {}
+    mine: list[str] = []
+    its: list[str] = []
+    for kind in ("body", "joint", "actuator"):
+        names = [_named(model, kind) for model in (one, other)]
+        pairs[kind] = matched({name: (name,) for name in names[0]}, names[1])
+        if kind == "actuator":  # those of other names, by the joints that they drive
+            driven = {driven_joint(other, other.actuator(n).id) or n: n for n in names[1]}
+            driven = {joint: n for joint, n in driven.items() if n not in pairs[kind].values()}
+            left = [name for name in names[0] if name not in pairs[kind]]
+            own = {n: (driven_joint(one, one.actuator(n).id) or n,) for n in left}
+            pairs[kind] |= {name: driven[joint] for name, joint in matched(own, driven).items()}
+        mine += [name for name in names[0] if name not in pairs[kind]]
+        its += [name for name in names[1] if name not in pairs[kind].values()]
+    return pairs, (tuple(dict.fromkeys(mine)), tuple(dict.fromkeys(its)))
+
+
+def _named(model: mujoco.MjModel, kind: str) -> list[str]:
+    """Names of what moves and has a mass, of joints, or of actuators."""
+    names = names_of(model, kind)
+    if kind != "body":
+        return names
+    return [n for n in names if model.body_weldid[model.body(n).id] and model.body(n).mass[0] > 0.0]

@@ -1,0 +1,139 @@
+"""Does a log contradict a number of a file? The test, and which numbers are not believed.
+
+The test of a number compares what the file says, with the sd of its data sheet, with what the log says with
+all other numbers at their own data sheets: the number's own prior is taken out of the estimate, or it would
+speak for itself (Marshall and Spiegelhalter 2007, "Identifying outliers in Bayesian hierarchical models").
+With the posterior N(m, V) of phi under the prior N(n, p) the log says
+
+    precision  q = 1 / V - 1 / p,   mean  c = (m / V - n / p) / q,
+
+and further errors e of m, of the ledger, are errors e / (V q) of c. The statistic is
+
+    t = (c - f) / sqrt(1 / q + e / (V q)^2 + s^2),
+
+which noise and the data sheets make a standard normal number. One wrong number pulls at all others. So the
+one that would explain most is not believed any more: its prior becomes wide; and so on, until no other stands
+out (Baarda's data snooping, by groups of numbers on one data sheet).
+
+Of many numbers some differ by chance: Holm's steps (1979) keep the chance that a table calls any right number
+contradicted at 5 %, and so the share of such verdicts that are wrong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Mapping, Sequence
+from dataclasses import dataclass
+from math import erfc, sqrt
+
+import numpy as np
+
+from amhe_cli.core.arrays import BoolArray, FloatArray, sealed
+
+#: Share of tables that may call a right number contradicted.
+RATE = 0.05
+#: A group of k numbers stands out from this much of misfit, and this much for each of its numbers.
+_STANDS_OUT, _EACH = 9.0, 2.0
+#: The least of anything that is divided by.
+_TINY = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Findings:
+    """What logs say of d parameters, all on their own scales phi.
+
+    Args:
+        mean: The estimate, shape (d,).
+        prior: Mean and sd of the priors that it was made with, shape (2, d).
+        information: Of the logs, shape (d, d).
+        covariance: Of the estimate, with all terms of its ledger, shape (d, d).
+    """
+
+    mean: FloatArray
+    prior: FloatArray
+    information: FloatArray
+    covariance: FloatArray
+
+    def known(self) -> FloatArray:
+        """Covariance that noise and priors leave, shape (d, d)."""
+        return sealed(np.linalg.inv(self.information + np.diag(self.prior[1] ** -2.0)))
+
+    def with_priors(self, sd: FloatArray) -> Findings:
+        """The same logs under priors of other sd (d,), as far as they are linear."""
+        precision = self.prior[1] ** -2.0
+        score = self.information @ self.mean + precision * (self.mean - self.prior[0])
+        matrix = self.information + np.diag(sd**-2.0)
+        mean = np.linalg.solve(matrix, score + sd**-2.0 * self.prior[0])
+        return Findings(mean, np.array([self.prior[0], sd]), self.information, sealed(np.linalg.inv(matrix)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Said:
+    """What the logs say of each of some numbers, whatever the file says of it, shape (k,) each.
+
+    Args:
+        mean, sd: On the parameters' scales; an infinite sd where they say nothing.
+        t: How far from what the file says, in sd of both.
+    """
+
+    mean: FloatArray
+    sd: FloatArray
+    t: FloatArray
+
+
+def said(evidence: Findings, rows: Sequence[int], file: FloatArray, sheet: FloatArray) -> Said:
+    """What the logs say of single numbers.
+
+    Args:
+        evidence: The estimate.
+        rows: The numbers' parameters.
+        file, sheet: What the file says of them, and the sd of its data sheet, shape (k,).
+    """
+    known, at = evidence.known().diagonal()[list(rows)], list(rows)
+    more = np.maximum(evidence.covariance.diagonal()[at] - known, 0.0)
+    (n, p), m = evidence.prior[:, at], evidence.mean[at]
+    q = np.maximum(1.0 / known - p**-2.0, _TINY * p**-2.0)
+    mean = (m / known - n / p**2) / q
+    sd = np.sqrt(1.0 / q + more / (known * q) ** 2)
+    return Said(mean, sd, (mean - file) / np.sqrt(sd**2 + sheet**2))
+
+
+def outstanding(
+    evidence: Findings, groups: Mapping[Hashable, Sequence[int]], file: FloatArray, sheet: FloatArray
+) -> Hashable | None:
+    """The group of numbers that would explain most if it were not believed; None: no group stands out.
+
+    Args:
+        evidence: The estimate, every number with its data sheet's sd as its prior, or a wide one.
+        groups: Numbers on one data sheet, as parameters.
+        file, sheet: Of all parameters, shape (d,).
+    """
+    known, best, most = evidence.known(), None, 0.0
+    for name, rows in groups.items():
+        at, n, p = list(rows), evidence.prior[0, rows], evidence.prior[1, rows]
+        inverse = np.linalg.inv(known[np.ix_(at, at)])
+        q = inverse - np.diag(p**-2.0)
+        u = inverse @ evidence.mean[at] - n / p**2 - q @ file[at]
+        spread = q + q @ np.diag(sheet[at] ** 2) @ q
+        worth = float(u @ np.linalg.pinv(spread, rcond=1e-9, hermitian=True) @ u)
+        worth -= _STANDS_OUT + _EACH * (len(at) - 1)
+        if worth > most:
+            best, most = name, worth
+    return best
+
+
+def chances(t: FloatArray) -> FloatArray:
+    """Probabilities that a normal number is farther from zero than each of t (k,)."""
+    return np.array([erfc(abs(one) / sqrt(2.0)) for one in t])
+
+
+def contradicted(chance: FloatArray) -> BoolArray:
+    """Which numbers of a table are contradicted, where RATE of all tables may say so of a right one.
+
+    Args:
+        chance: Each number's chance to differ so much from its file, shape (k,).
+    """
+    order = np.argsort(chance)
+    below = chance[order] <= RATE / np.arange(len(chance), 0, -1)
+    found = np.zeros(len(chance), dtype=bool)
+    found[order[np.logical_and.accumulate(below)]] = True
+    return found

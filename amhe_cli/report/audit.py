@@ -1,0 +1,237 @@
+"""An audit of a model's numbers: as a table, as JSON, as a page, and as the file with right numbers."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from amhe_cli.audit.audit import VERDICTS, Audit, Line
+from amhe_cli.audit.files import FileDifference, FilesCompared
+from amhe_cli.core.errors import ConfigError, one_of
+from amhe_cli.core.files import json_text, plain
+from amhe_cli.report import numbers
+from amhe_cli.report.folder import results
+from amhe_cli.report.identification import held_out_line
+from amhe_cli.report.identification_page import fit_section
+from amhe_cli.report.page import Section, Statement, result_page
+from amhe_cli.report.tables import NUMBER, STRONG, Table
+from amhe_cli.system.export.annotated import with_comments
+from amhe_cli.system.export.mjcf import identified_assets, identified_xml
+from amhe_cli.system.export.urdf import identified_urdf
+from amhe_cli.system.model.urdf import is_urdf
+from amhe_cli.system.provenance import provenance
+from amhe_cli.system.system import System
+
+#: Colour of each verdict.
+STYLES = {"contradicted": "red", "agrees": "green", "cannot tell": "dim"}
+#: Names of a list that are printed.
+_LISTED = 6
+
+
+def audit_table(lines: Sequence[Line]) -> Table:
+    """The numbers of a file, and what the log says of them."""
+    rows = []
+    for line in lines:
+        wrong, told = line.verdict == VERDICTS[0], line.verdict != VERDICTS[2]
+        says = told or line.sd < abs(line.file)
+        rows.append(
+            (
+                line.of, line.what, f"{line.file:.4g}",
+                numbers.with_sd(line.log, line.sd) if says else numbers.MISSING,
+                numbers.unit_of(line.unit),
+                f"{line.verdict}: {abs(line.t):.1f} sd" if told else line.verdict,
+                numbers.percent(line.weight) if wrong else "",
+            )
+        )  # fmt: skip
+    head = ("part", "number", "in the file", "in the log", "unit", "verdict", "of the forces")
+    return Table(head, ("", "", NUMBER, STRONG, "", "", NUMBER), rows, [line.cure for line in lines])
+
+
+def audit_text(lines: Sequence[Line], found: Audit | None, out: object = None) -> Iterator[str]:
+    """What is said below the table: what would tell the rest, and how well the logs are explained."""
+    cures: dict[str, list[str]] = {}
+    for line in lines:
+        if line.verdict == VERDICTS[2]:
+            cures.setdefault(line.cure, []).append(f"{line.of} {line.what}")
+    for cure, names in cures.items():
+        more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+        yield f"cannot tell {', '.join(names[:_LISTED])}{more}{': ' * bool(cure)}{cure}"
+    yield count_text(lines)
+    if found is not None:
+        for text in found.found.unexplained:
+            yield f"the logs are not explained: {text}"
+        yield f"held-out: {held_out_line(found.found.held_out)}"
+    if out is not None:
+        yield f"report: {out}/report.html"
+
+
+def count_text(lines: Sequence[Line]) -> str:
+    """'3 contradicted, 9 agree, 21 cannot be told by this log'."""
+    counts = [sum(line.verdict == verdict for line in lines) for verdict in VERDICTS]
+    return f"{counts[0]} contradicted, {counts[1]} agree, {counts[2]} cannot be told by these logs"
+
+
+def audit_record(lines: Sequence[Line], found: Audit | None) -> dict[str, Any]:
+    """The keys of `amhe audit --json` and audit.json."""
+    more = (
+        {}
+        if found is None
+        else {"match": found.system.match, "held_out": found.found.held_out and asdict(found.found.held_out)}
+    )
+    return plain({"numbers": [asdict(line) for line in lines], **more})
+
+
+def write_audit(
+    folder: Path,
+    model: Path,
+    logs: Sequence[Path],
+    found: Audit,
+    chosen: Sequence[str],
+    record: Mapping[str, Any],
+    command: str,
+    seed: int,
+    force: bool,
+) -> None:
+    """Write audit.json, report.html and robot.audited.xml or .urdf, all or none.
+
+    Args:
+        folder: Folder of the files.
+        model: The file that was audited.
+        logs: The logs.
+        found: The audit.
+        chosen: Parameters, or patterns, whose numbers are taken from the log; none: those contradicted.
+        record: Head of audit.json.
+        command, seed: How it was made.
+        force: Write into a folder that is not empty.
+    """
+    origin = provenance(command, seed, "linearised", found.system, logs, ())
+    record = {**record, **audit_record(found.lines, found)}
+    taken = _taken(found.lines, chosen)
+    with results(folder, lambda: _page(found, model, record, origin), force) as scratch:
+        (scratch / "audit.json").write_text(json_text(record), encoding="utf-8")
+        if not taken:
+            return
+        names = ", ".join(log.name for log in logs)
+        corrected = found.with_only([line.parameter for line in taken])
+        theta = np.array([line.log / found.factors[line.parameter] for line in taken])
+        order = [[line.parameter for line in taken].index(name) for name in corrected.space.names]
+        text = _text(corrected, theta[order], model)
+        comments: dict[tuple[str, str], list[str]] = {}
+        for line in taken:
+            element = found.elements[line.parameter]
+            was = f"{line.what} {line.file:.4g} -> {_said(line)}"
+            comments.setdefault((element, line.of), []).append(f"{was}, by amhe audit of {names}")
+        (scratch / f"robot.audited{model.suffix}").write_text(with_comments(text, comments), encoding="utf-8")
+        for name, source in ({} if is_urdf(model) else identified_assets(corrected)).items():
+            if source.is_file():
+                (scratch / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(source, scratch / name)
+
+
+def _text(system: System, theta: np.ndarray, model: Path) -> str:
+    return identified_urdf(system, theta, model) if is_urdf(model) else identified_xml(system, theta)
+
+
+def _taken(lines: Sequence[Line], chosen: Sequence[str]) -> list[Line]:
+    """The numbers that are replaced."""
+    if not chosen:
+        return [line for line in lines if line.verdict == VERDICTS[0]]
+    for pattern in chosen:
+        if not any(fnmatchcase(line.parameter, pattern) for line in lines):
+            raise ConfigError(f"`write`: {one_of('number', pattern, [line.parameter for line in lines])}")
+    return [line for line in lines if any(fnmatchcase(line.parameter, pattern) for pattern in chosen)]
+
+
+def _page(found: Audit, model: Path, record: Mapping[str, Any], origin: Mapping[str, Any]) -> str:
+    wrong = [line for line in found.lines if line.verdict == VERDICTS[0]]
+    statements = [
+        Statement(
+            "bad",
+            f"The {line.what} of {line.of}: {line.file:.4g} in the file, {_said(line)} in the logs"
+            f"{_factor(line)}.",
+        )
+        for line in wrong[:_LISTED]
+    ]
+    statements += [Statement("bad", f"{text[0].upper()}{text[1:]}.") for text in found.found.unexplained]
+    sections = [
+        Section(
+            "The numbers of the file",
+            text="In the log: what it says of a number whatever the file says of it, with all other numbers "
+            "as their data sheets have them. Contradicted: 5 % of right files have such a verdict by chance. "
+            "Of the forces: what the difference is worth, as a share of the joints' forces along the motion.",
+            table=audit_table(found.lines),
+        ),
+        fit_section(found.found.fits),
+    ]
+    return result_page(
+        record, origin, title=f"Audit of {model.name}", facts=(), headline=f"{count_text(found.lines)}.",
+        statements=statements, sections=sections,
+    )  # fmt: skip
+
+
+def _said(line: Line) -> str:
+    return numbers.quantity(numbers.with_sd(line.log, line.sd), line.unit)
+
+
+def _factor(line: Line) -> str:
+    """', 0.035 times that'."""
+    return f", {line.log / line.file:.2g} times that" if line.file > 0.0 and line.log > 0.0 else ""
+
+
+# -- two files -----------------------------------------------------------------------------------------------
+
+
+def difference_table(found: FilesCompared, one: str, other: str) -> Table:
+    """What two files disagree on."""
+    rows = [
+        (
+            d.of,
+            d.what,
+            _values(d.one),
+            _values(d.other),
+            numbers.unit_of(d.unit),
+            _times(d),
+            numbers.percent(d.weight),
+        )
+        for d in found.differences
+    ]
+    return Table(
+        ("part", "number", one, other, "unit", "times", "of the forces"),
+        ("", "", NUMBER, NUMBER, "", NUMBER, NUMBER),
+        rows,
+    )
+
+
+def difference_text(found: FilesCompared, one: str, other: str) -> Iterator[str]:
+    """What is said below the table."""
+    yield f"numbers that differ: {len(found.differences)}; that are equal: {found.alike}"
+    masses = [f"{mass:.4g} kg" for mass in found.masses]
+    yield f"what moves weighs {masses[0]} in {one} and {masses[1]} in {other}"
+    for name, alone in zip((one, other), found.alone, strict=True):
+        if alone:
+            more = f" and {len(alone) - _LISTED} more" if len(alone) > _LISTED else ""
+            yield f"only in {name}: {', '.join(alone[:_LISTED])}{more}"
+
+
+def difference_record(found: FilesCompared, one: Path, other: Path) -> dict[str, Any]:
+    """The keys of `amhe audit A B --json`."""
+    return plain({"models": [str(one), str(other)], **asdict(found)})
+
+
+def _values(values: Sequence[float]) -> str:
+    return " ".join(f"{value + 0.0:.4g}" for value in values)
+
+
+def _times(d: FileDifference) -> str:
+    sizes = [float(np.abs(values).max()) for values in (d.one, d.other)]
+    return (
+        f"{sizes[1] / sizes[0]:.2g}"
+        if min(sizes) > 0.0 and d.what not in ("place", "range", "centre of mass")
+        else ""
+    )

@@ -1,0 +1,82 @@
+"""The test of a number: exact distributions, one wrong number among others, and chance over a table."""
+
+import numpy as np
+
+from amhe_cli.audit.judge import RATE, Findings, chances, contradicted, outstanding, said
+
+
+def findings(information: np.ndarray, truth: np.ndarray, sheet: np.ndarray, noise: np.ndarray) -> Findings:
+    """What logs with this information and score noise say, under priors about zero."""
+    precision = np.diag(sheet**-2.0)
+    covariance = np.linalg.inv(information + precision)
+    mean = covariance @ (information @ truth + noise)
+    return Findings(mean, np.array([np.zeros(len(truth)), sheet]), information, covariance)
+
+
+def drawn(rng: np.random.Generator, d: int) -> tuple[np.ndarray, np.ndarray]:
+    """Information of rank d, and score noise of that covariance."""
+    root = rng.standard_normal((d, d))
+    return root @ root.T, root @ rng.standard_normal(d)
+
+
+def test_a_right_file_gives_a_standard_normal_number() -> None:
+    rng, sheet = np.random.default_rng(0), np.array([0.5, 1.0, 2.0])
+    t = []
+    for _ in range(4000):
+        information, noise = drawn(rng, 3)
+        truth = sheet * rng.standard_normal(3)
+        t.append(said(findings(information, truth, sheet, noise), [0, 1, 2], np.zeros(3), sheet).t)
+    assert np.allclose(np.mean(t, axis=0), 0.0, atol=0.06)
+    assert np.allclose(np.std(t, axis=0), 1.0, atol=0.05)
+
+
+def test_the_files_own_prior_does_not_speak_for_it() -> None:
+    information = np.array([[25.0]])
+    for width in (0.1, 1.0, 10.0):  # however tightly the search was held to the file
+        found = findings(information, np.array([1.0]), np.array([width]), np.zeros(1))
+        logged = said(found, [0], np.zeros(1), np.array([0.1]))
+        assert np.isclose(logged.mean[0], 1.0)
+        assert np.isclose(logged.sd[0], 0.2)
+        assert np.isclose(logged.t[0], 1.0 / np.hypot(0.2, 0.1))
+
+
+def test_more_errors_than_noise_widen_what_a_log_says() -> None:
+    found = findings(np.array([[25.0]]), np.array([1.0]), np.array([10.0]), np.zeros(1))
+    wider = Findings(found.mean, found.prior, found.information, found.covariance + 0.3**2)
+    assert np.isclose(said(wider, [0], np.zeros(1), np.ones(1)).sd[0], np.hypot(0.2, 0.3), rtol=2e-3)
+
+
+def test_a_log_that_says_nothing_contradicts_nothing() -> None:
+    found = findings(np.zeros((2, 2)), np.array([5.0, 5.0]), np.ones(2), np.zeros(2))
+    logged = said(found, [0, 1], np.zeros(2), np.ones(2))
+    assert (logged.sd > 1e4).all()
+    assert not contradicted(chances(logged.t)).any()
+    assert outstanding(found, {"a": [0], "b": [1]}, np.zeros(2), np.ones(2)) is None
+
+
+def test_the_wrong_number_stands_out_and_the_others_are_right_without_it() -> None:
+    rng, d = np.random.default_rng(1), 5
+    root = rng.standard_normal((40, d))
+    information, truth, sheet = 100.0 * root.T @ root, np.zeros(d), np.full(d, 0.1)
+    truth[2] = 3.0
+    found = findings(information, truth, sheet, np.zeros(d))
+    groups = {i: [i] for i in range(d)}
+    assert outstanding(found, groups, np.zeros(d), sheet) == 2
+    wide = found.with_priors(np.where(np.arange(d) == 2, 10.0, sheet))
+    del groups[2]
+    assert outstanding(wide, groups, np.zeros(d), sheet) is None
+    t = said(wide, list(range(d)), np.zeros(d), sheet).t
+    assert contradicted(chances(t)).tolist() == [False, False, True, False, False]
+
+
+def test_numbers_of_one_data_sheet_stand_out_together() -> None:
+    truth, sheet = np.array([0.25, 0.25, 0.25, 0.0]), np.full(4, 0.1)
+    found = findings(1e4 * np.eye(4), truth, sheet, np.zeros(4))
+    assert outstanding(found, {"alone": [0], "other": [3]}, np.zeros(4), sheet) is None
+    assert outstanding(found, {"sheet": [0, 1, 2], "other": [3]}, np.zeros(4), sheet) == "sheet"
+
+
+def test_of_tables_of_right_numbers_few_have_a_contradiction() -> None:
+    rng = np.random.default_rng(2)
+    tables = [contradicted(chances(rng.standard_normal(30))).any() for _ in range(1000)]
+    assert 0.02 < np.mean(tables) < RATE + 0.02

@@ -1,0 +1,126 @@
+"""`amhe audit` from the outside: logs with torques, logs with commands, two files, a result."""
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+
+from amhe_cli.cli.main import run
+from amhe_cli.engine.inverse import forces_along
+
+ROOT = Path(__file__).parents[2]
+ARM = """<mujoco><worldbody>
+<body name="upper"><joint name="shoulder" axis="0 1 0" damping="0.4" frictionloss="0.2" armature="0.02"/>
+<inertial pos="0.15 0 0" mass="{upper}" diaginertia="0.001 0.012 0.012"/>
+<body name="lower" pos="0.3 0 0"><joint name="elbow" axis="0 1 0" damping="{damping}" frictionloss="0.1"/>
+<inertial pos="0.12 0 0" mass="0.8" diaginertia="0.0005 0.006 0.006"/></body></body></worldbody>
+<actuator><motor name="shoulder" joint="shoulder"/><motor name="elbow" joint="elbow"/></actuator></mujoco>"""
+
+
+def spoilt(folder: Path) -> tuple[Path, Path]:
+    """A file whose upper mass and elbow damping are wrong, and a log of the robot with its torques."""
+    truth = mujoco.MjModel.from_xml_string(ARM.format(upper=1.2, damping=0.3))
+    rng, t = np.random.default_rng(0), np.arange(0.0, 20.0, 0.01)
+    w = 2.0 * np.pi * np.array([0.15, 0.4, 0.9])[:, None, None]
+    phase = rng.uniform(0.0, 2.0 * np.pi, (3, 1, 2))
+    moved = [
+        (0.6 * (w / w[0]) ** -0.7 * w**k * np.sin(w * t[:, None] + phase + k * np.pi / 2)).sum(axis=0)
+        for k in range(3)
+    ]
+    tau = forces_along(truth, *moved).needed + truth.dof_frictionloss * np.sign(moved[1])
+    noisy = [moved[0] + 2e-4 * rng.standard_normal(tau.shape), tau + 0.05 * rng.standard_normal(tau.shape)]
+    model, log = folder / "vendor.xml", folder / "log.csv"
+    model.write_text(ARM.format(upper=3.6, damping=3.0))
+    names = [f"{kind}_{joint}" for kind in ("position", "effort") for joint in ("shoulder", "elbow")]
+    np.savetxt(
+        log,
+        np.column_stack((t, *noisy)),
+        delimiter=",",
+        header=",".join(("time", *names)),
+        comments="",
+        fmt="%.6g",
+    )
+    return model, log
+
+
+@pytest.fixture(scope="module")
+def audited(tmp_path_factory) -> tuple[Path, dict]:
+    folder = tmp_path_factory.mktemp("audit")
+    model, log = spoilt(folder)
+    assert run(["audit", str(model), str(log), "-o", str(folder / "out"), "--threads", "1", "-q"]) == 0
+    return folder / "out", json.loads((folder / "out" / "audit.json").read_text())
+
+
+def test_spoilt_numbers_are_contradicted_and_right_ones_are_not(audited) -> None:
+    _, record = audited
+    wrong = {line["parameter"]: line for line in record["numbers"] if line["verdict"] == "contradicted"}
+    assert record["match"] == "effort"
+    assert set(wrong) == {"upper_mass", "elbow_damping"}
+    for name, truth in (("upper_mass", 1.2), ("elbow_damping", 0.3)):
+        assert abs(wrong[name]["log"] - truth) < 3.0 * wrong[name]["sd"]
+    verdicts = {line["parameter"]: line["verdict"] for line in record["numbers"]}
+    assert verdicts["lower_mass"] == verdicts["shoulder_damping"] == "agrees"
+    assert verdicts["upper_center_of_mass_y"] == "cannot tell"  # along the axis
+    assert [line["cure"] for line in record["numbers"] if line["verdict"] == "cannot tell"].count("") == 0
+
+
+def test_the_written_file_has_the_numbers_of_the_log(audited) -> None:
+    folder, record = audited
+    model = mujoco.MjModel.from_xml_path(str(folder / "robot.audited.xml"))
+    said = {line["parameter"]: line["log"] for line in record["numbers"]}
+    assert model.body("upper").mass[0] == pytest.approx(said["upper_mass"], rel=1e-4)
+    assert model.joint("elbow").damping[0] == pytest.approx(said["elbow_damping"], rel=1e-4)
+    assert model.body("lower").mass[0] == 0.8
+    assert model.joint("elbow").armature[0] == 0.0
+    text = (folder / "robot.audited.xml").read_text()
+    assert "mass 3.6 -> " in text and "by amhe audit of log.csv" in text
+    assert (folder / "report.html").is_file()
+
+
+def test_names_choose_what_is_written(tmp_path: Path) -> None:
+    model, log = spoilt(tmp_path)
+    out = tmp_path / "out"
+    assert (
+        run(["audit", str(model), str(log), "-o", str(out), "--write", "elbow_*", "-q", "--threads", "1"])
+        == 0
+    )
+    written = mujoco.MjModel.from_xml_path(str(out / "robot.audited.xml"))
+    assert written.body("upper").mass[0] == 3.6
+    assert written.joint("elbow").frictionloss[0] == pytest.approx(0.1, abs=0.02)
+
+
+def test_two_files(tmp_path: Path, capsys) -> None:
+    model, _ = spoilt(tmp_path)
+    other = tmp_path / "mine.xml"
+    other.write_text(ARM.format(upper=1.2, damping=3.0))
+    assert run(["audit", str(model), str(other)]) == 0
+    shown = capsys.readouterr().out
+    assert "upper" in shown and "0.33" in shown and "numbers that differ: 1;" in shown
+    assert run(["audit", str(model), str(other), "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert [(d["of"], d["what"]) for d in record["differences"]] == [("upper", "mass")]
+
+
+def test_a_result_against_a_file(pendulum_log: Path, tmp_path: Path, capsys) -> None:
+    scene = ROOT / "models" / "pendulum" / "scene.xml"
+    folder = tmp_path / "found"
+    assert run(["identify", str(pendulum_log), "-o", str(folder), "-q", "--threads", "1"]) == 0
+    capsys.readouterr()
+    vendor = tmp_path / "vendor.xml"
+    spec = mujoco.MjSpec.from_file(str(scene))
+    for body in spec.bodies:
+        for geom in body.geoms:
+            geom.mass *= 5.0
+        body.mass *= 5.0
+    vendor.write_text(spec.to_xml())
+    assert run(["audit", str(folder), "--against", str(vendor), "--json"]) == 0
+    lines = json.loads(capsys.readouterr().out)["numbers"]
+    assert "contradicted" in {line["verdict"] for line in lines if line["what"] == "mass"}
+
+
+def test_other_arguments_are_refused(tmp_path: Path, capsys) -> None:
+    model, _ = spoilt(tmp_path)
+    assert run(["audit", str(model)]) == 2
+    assert "RESULT --against FILE" in capsys.readouterr().err
