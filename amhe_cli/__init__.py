@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from amhe_cli.api.export import export
     from amhe_cli.api.identify import Interrupted, Result, identify
     from amhe_cli.api.pool import pool
+    from amhe_cli.api.repair import repair
     from amhe_cli.api.runs import probe, run
     from amhe_cli.api.show import show
     from amhe_cli.core.belief import Belief
@@ -48,6 +49,7 @@ _HOMES = {
     "pool": "amhe_cli.api.pool",
     "probe": "amhe_cli.api.runs",
     "read_log": "amhe_cli.logs.read",
+    "repair": "amhe_cli.api.repair",
     "run": "amhe_cli.api.runs",
     "show": "amhe_cli.api.show",
 }
@@ -71,6 +73,7 @@ __all__ = [
     "pool",
     "probe",
     "read_log",
+    "repair",
     "run",
     "show",
 ]

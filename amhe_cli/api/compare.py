@@ -16,9 +16,9 @@ from amhe_cli.api.identify import Result, collected_warnings, identify
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log, Window
 from amhe_cli.engine.open import open_engine
+from amhe_cli.estimation.core.result import AtHorizon
 from amhe_cli.estimation.offline.clips import split_held_out, whole
 from amhe_cli.estimation.validation.comparison import (
-    AtHorizon,
     Compared,
     at_horizon,
     best_of,
@@ -141,7 +141,7 @@ def compare(
         warnings += [f"{name}: {text}" for text in texts]
     say("held-out clips")
     parts = [whole(log) for log in unseen[0]] if held_out else split_held_out(logs[0], clips.held_out)[1]
-    found = _scored(alike, results, unseen, parts, seed, threads, engine)
+    found = scored(alike, results, unseen, parts, seed, threads, engine)
     best = simplest_of(found, [len(one.space) for one in alike]) if simplest else best_of(found)
     return Comparison(
         names=names,
@@ -164,7 +164,7 @@ def _names(systems: Sequence[System]) -> tuple[str, ...]:
     )
 
 
-def _scored(
+def scored(
     systems: Sequence[System],
     results: Sequence[Result],
     logs: Sequence[Sequence[Log]],

@@ -113,7 +113,7 @@ def _with_frictions(systems: Sequence[System]) -> list[System]:
 
 def _lines(plain: System, name: str) -> list[str]:
     """What to write into `system.yaml` to go on with a friction model."""
-    from amhe_cli.init.text import flow
+    from amhe_cli.core.yaml_file import flow
     from amhe_cli.system.friction_models import MODELS, friction_entries
 
     entries = friction_entries(plain, name)

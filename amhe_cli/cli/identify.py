@@ -19,6 +19,14 @@ if TYPE_CHECKING:
     from amhe_cli.estimation.core.result import Iteration
 
 
+def _a_cause(ctx: click.Context, param: click.Parameter, value: str | None) -> str | None:
+    """A cause by its name; a log behind the option would be taken for one."""
+    if value not in (None, "all") and "@" not in value:
+        text = f"{value!r} is no cause such as spring@arm; give logs before --repair"
+        raise click.BadParameter(text, ctx, param)
+    return value
+
+
 @click.command(cls=parsing.Command, short_help="Logs to parameters with honest uncertainty.")
 @click.argument(
     "logs", nargs=-1, required=True, type=log_path.LOG, callback=log_path.episodes, metavar="LOG..."
@@ -27,6 +35,15 @@ if TYPE_CHECKING:
 @options.held_out("Log used only to validate")
 @believed("Start from an earlier belief.yaml instead of the system's own prior.")
 @narrowing
+@click.option(
+    "--repair",
+    is_flag=False,
+    flag_value="all",
+    callback=_a_cause,
+    metavar="[KIND@PLACE]",
+    help="Give a copy of the system, in OUT/system, what it lacks: each cause, or the one named, stays if "
+    "held-out errors fall by more than chance.",
+)
 @options.choice(
     "--method",
     ("linearised", "cmaes"),
@@ -62,6 +79,7 @@ def identify(
     belief_anyway: bool,
     fix: dict[str, float],
     only: list[str] | None,
+    repair: str | None,
     workers: int | None,
     cluster: str | None,
     overrides: Overrides,
@@ -74,8 +92,11 @@ def identify(
     a LeRobot dataset, or a YAML file that lists logs and what is known of each: see docs/logs.md. Writes
     belief.yaml, identified.xml, result.json and report.html.
     """
+    from functools import partial
+
     from amhe_cli.api.identify import Interrupted
     from amhe_cli.api.identify import identify as run
+    from amhe_cli.api.repair import repair as repaired
     from amhe_cli.cli.progress import progress
     from amhe_cli.logs import members, read_log
     from amhe_cli.logs.truth import truth_in_metadata
@@ -90,6 +111,8 @@ def identify(
     opened.starting_from(belief, **known)  # a mistake in an option is found before long logs are read
     training = inputs.read(opened, logs)
     validation = read_log(held_out, opened, msg_path=inputs.msg_path)
+    if repair:
+        run = partial(repaired, cause=None if repair == "all" else repair)
     with progress(session, "identify", _shown) as show, executor_of(workers, cluster) as executor:
         try:
             result = run(

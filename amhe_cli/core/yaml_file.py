@@ -18,6 +18,7 @@ from yaml.error import MarkedYAMLError
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import check_regular
 from amhe_cli.core.limits import beyond, limits
+from amhe_cli.core.text import printable
 
 #: Keys and list indices from the top of a file to one of its values.
 Place = tuple[str | int, ...]
@@ -220,6 +221,35 @@ class YamlFile:
                 break
         return mark
 
+    def with_entries(self, group: str, entries: Sequence[tuple[str, Any, str]]) -> str:
+        """The file's text with more entries at the start of a group, all else as it is.
+
+        Args:
+            group: Key of a mapping at the top; made at the end where the file has none.
+            entries: Name, value, and a comment of one line above them ('': none).
+        """
+        lines = self.path.read_text(encoding="utf-8").splitlines(keepends=True)
+        pairs = self._node.value if isinstance(self._node, yaml.MappingNode) else []
+        key, node = next((pair for pair in pairs if pair[0].value == group), (None, None))
+        flowing = isinstance(node, yaml.MappingNode) and bool(node.flow_style)
+        first = node.value[0][0].start_mark if isinstance(node, yaml.MappingNode) and node.value else None
+        indent = " " * (first.column if first and not flowing else 2)
+        new = "".join(
+            f"{indent}# {printable(comment)}\n" * bool(comment)
+            + f"{indent}{flow(name)}: {flow(value)}{',' * flowing}\n"
+            for name, value, comment in entries
+        )
+        if key is None or node is None:
+            return "".join(lines).rstrip("\n") + f"\n\n{group}:\n{new}"
+        if first and not flowing:  # before comments about the first entry
+            lines.insert(key.start_mark.line + 1, new)
+            return "".join(lines)
+        at = node.start_mark  # a bracket, or where a value would be
+        column = at.column + flowing
+        before, after = lines[at.line][:column], lines[at.line][column:]
+        lines[at.line] = f"{before}\n{new + indent if flowing else new.removesuffix(chr(10))}{after}"
+        return "".join(lines)
+
     def _is_override(self, place: Place) -> bool:
         """The value at `place` was given from outside, or is missing in a group that was."""
         part: Any = self._overrides
@@ -230,6 +260,13 @@ class YamlFile:
                 return depth > 0 and at_place(self.own, place[:depth]) is None
             part = part[key]
         return bool(place)
+
+
+def flow(value: Any) -> str:
+    """A value on one line of YAML."""
+    plain = dict(value) if isinstance(value, Mapping) else value
+    text = yaml.safe_dump(plain, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)
+    return text.removesuffix("\n").removesuffix("\n...").strip()
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import numpy as np
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.engine.inverse import unconstrained
 from amhe_cli.engine.states import collides
+from amhe_cli.system.parameters.gear_friction import GearFriction
 
 #: Surfaces that are nearer [m] may touch.
 _NEAR = 0.003
@@ -58,6 +59,7 @@ def shares_along(
     implicit = 2.0 * ahead * model.dof_damping * (kind == euler)
     data, outputs = mujoco.MjData(free), list(free.actuator_outadr)  # of several outputs the first
     needed, given, mass = np.empty((count, nv)), np.empty((count, nv)), np.empty((count, nv, nv))
+    friction, gear = np.tile(model.dof_frictionloss, (count, 1)), GearFriction.of(model)
     moment, by = np.zeros((free.nout, nv)), np.zeros((count, free.nactuator, nv))
     for k in range(count):
         if inputs.shape[1]:
@@ -70,8 +72,19 @@ def shares_along(
             mujoco.mju_sparse2dense(moment, data.actuator_moment, *rows)
             by[k] = (moment * data.actuator_force[:, None])[outputs]
         mujoco.mj_fullM(free, data, mass[k])
+        if gear is not None:
+            motor, none = data.qfrc_actuator[gear.dofs], np.zeros(len(gear.dofs))
+            friction[k, gear.dofs] = gear.bound(
+                numbers=model.numeric_data[gear.at],
+                dry=model.dof_frictionloss[gear.dofs],
+                motor=motor,
+                smooth=(data.qfrc_smooth - data.qfrc_damper)[gear.dofs] - motor,
+                constraint=none,
+                speed=data.qvel[gear.dofs],
+                holds=none,
+            )
         needed[k] = mass[k] @ qacc[k] + implicit * qacc[k] + data.qfrc_bias - data.qfrc_passive
-    return Shares(needed, given, by, mass, np.tile(model.dof_frictionloss, (count, 1)))
+    return Shares(needed, given, by, mass, friction)
 
 
 def apart(model: mujoco.MjModel, qpos: FloatArray) -> BoolArray:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from amhe_cli.core.text import printable
+from amhe_cli.core.yaml_file import flow
 from amhe_cli.init.signals import Guess
 
 #: Line of a system whose efforts are matched.
@@ -89,10 +87,3 @@ def _signal(guess: Guess) -> Iterator[str]:
     yield from (f"    {key}: {flow(value)}" for key, value in guess.entry.items())
     if guess.noise:
         yield f"    noise: {flow(guess.noise)}"
-
-
-def flow(value: Any) -> str:
-    """A value on one line of YAML."""
-    plain = dict(value) if isinstance(value, Mapping) else value
-    text = yaml.safe_dump(plain, default_flow_style=True, sort_keys=False, width=10**9, allow_unicode=True)
-    return text.removesuffix("\n").removesuffix("\n...").strip()

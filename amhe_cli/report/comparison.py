@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from amhe_cli.core.files import json_text, plain
-from amhe_cli.estimation.core.result import Identification
-from amhe_cli.estimation.validation.comparison import FEWEST, AtHorizon, Compared
+from amhe_cli.estimation.core.result import AtHorizon, Identification
+from amhe_cli.estimation.validation.comparison import FEWEST, Compared
 from amhe_cli.report import numbers
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import sized
@@ -27,9 +27,9 @@ def comparison_table(names: Sequence[str], horizons: Sequence[AtHorizon]) -> Tab
     rows = []
     for i, name in enumerate(names):
         for unit in units:
-            cells = [sized(_together(at, i, unit), unit) for at in horizons]
+            cells = [sized(together(at, i, unit), unit) for at in horizons]
             rows.append((name, *cells))
-    return Table(("", *_heads(horizons)), ("name", *(NUMBER for _ in horizons)), rows)
+    return Table(("", *heads(horizons)), ("name", *(NUMBER for _ in horizons)), rows)
 
 
 def ratio_table(names: Sequence[str], horizons: Sequence[AtHorizon], best: int) -> Table:
@@ -43,7 +43,7 @@ def ratio_table(names: Sequence[str], horizons: Sequence[AtHorizon], best: int) 
         if i != best
     ]
     looks = ("name", *(NUMBER for _ in horizons))
-    return Table((f"error over that of {names[best]}", *_heads(horizons)), looks, rows)
+    return Table((f"error over that of {names[best]}", *heads(horizons)), looks, rows)
 
 
 def _ratio(at: AtHorizon, i: int, best: int) -> str:
@@ -63,7 +63,7 @@ def comparison_record(compared: Compared) -> dict[str, Any]:
             "systems": [_system_record(name, one) for name, one in zip(names, compared.found, strict=True)],
             "best": names[best],
             "verdicts": list(compared.verdicts),
-            "horizons": [_horizon_record(names, at, best) for at in compared.horizons],
+            "horizons": [horizon_record(names, at, best) for at in compared.horizons],
         }
     )
 
@@ -73,7 +73,8 @@ def _system_record(name: str, found: Identification) -> dict[str, Any]:
     return {"name": name, "parameters": known, "held_out": found.held_out and asdict(found.held_out)}
 
 
-def _horizon_record(names: Sequence[str], at: AtHorizon, best: int) -> dict[str, Any]:
+def horizon_record(names: Sequence[str], at: AtHorizon, best: int) -> dict[str, Any]:
+    """Errors at one horizon, and their ratios to those of the best system, for result.json."""
     return {
         "horizon": at.horizon,
         "to_end": at.to_end,
@@ -157,7 +158,7 @@ def _joint_table(names: Sequence[str], horizons: Sequence[AtHorizon]) -> Table:
         for joint, unit in lines
         for i, name in enumerate(names)
     ]
-    return Table(("", "model", *_heads(horizons)), ("name", "", *(NUMBER for _ in horizons)), rows)
+    return Table(("", "model", *heads(horizons)), ("name", "", *(NUMBER for _ in horizons)), rows)
 
 
 def _model_table(names: Sequence[str], found: Sequence[Identification]) -> Table:
@@ -170,11 +171,12 @@ def _model_table(names: Sequence[str], found: Sequence[Identification]) -> Table
     return Table(head, ("name", NUMBER, NUMBER, STRONG), rows)
 
 
-def _heads(horizons: Sequence[AtHorizon]) -> list[str]:
+def heads(horizons: Sequence[AtHorizon]) -> list[str]:
+    """'after 0.5 s' of each horizon."""
     return [f"after {at.horizon:.3g} s{' (end)' * at.to_end}" for at in horizons]
 
 
-def _together(at: AtHorizon, i: int, unit: str) -> float:
+def together(at: AtHorizon, i: int, unit: str) -> float:
     """Rms error of a system over all joints and poses of a unit."""
     return float(np.sqrt(np.mean([errors[i] ** 2 for (_, own), errors in at.errors.items() if own == unit])))
 

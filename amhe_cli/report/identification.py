@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -14,16 +14,20 @@ from rich.console import Console
 from rich.text import Text
 
 from amhe_cli.core.belief import Belief, belief_text
+from amhe_cli.core.errors import ConfigError
 from amhe_cli.core.files import json_text, plain
-from amhe_cli.estimation.core.result import HeldOut, Identification, OwnSpread, known_together
+from amhe_cli.core.yaml_file import YamlFile
+from amhe_cli.estimation.core.result import HeldOut, Identification, OwnSpread, Repair, known_together
 from amhe_cli.report import numbers
 from amhe_cli.report.bodies import body_table
 from amhe_cli.report.folder import results
 from amhe_cli.report.held_out import error_rows
 from amhe_cli.report.identification_page import MAX_COMBINATIONS, identification_page
-from amhe_cli.report.missing import missing_record, print_missing
+from amhe_cli.report.missing import missing_record, print_missing, print_repairs, repairs_record
 from amhe_cli.report.tables import NUMBER, Table, rich_table
+from amhe_cli.system.description.folders import FILE_NAME
 from amhe_cli.system.export.mjcf import identified_assets, identified_xml
+from amhe_cli.system.provenance import system_files
 from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
@@ -83,6 +87,7 @@ def identification_record(result: Identification, truth: Mapping[str, float]) ->
             "clips": asdict(result.clips),
             "noise_scale": result.noise_scale,
             "missing": missing_record(result.missing),
+            "repairs": repairs_record(result.repairs),
             "iterations": len(result.iterations),
             "logs": result.logs,
         }
@@ -117,12 +122,35 @@ def write_identification(
     with results(folder, lambda: identification_page(result, record, provenance), force) as scratch:
         for name, text in contents.items():
             (scratch / name).write_text(text, encoding="utf-8")
+        _write_system(scratch / "system", system, [one for one in result.repairs if one.kept])
         for name, source in identified_assets(system).items():
             if not source.is_file():  # of a model that was attached: MuJoCo does not say where it was
                 logger.warning("identified.xml needs %s beside it: copy it there from the model", name)
                 continue
             (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(source, scratch / name)
+
+
+def _write_system(copy: Path, system: System, kept: Sequence[Repair]) -> None:
+    """Copy a system's folder, with the parameters that were kept in its `system.yaml`."""
+    if not kept or system.folder is None:
+        return
+    for name in system_files(system):
+        above = (system.folder / folder for folder in Path(name).parents)
+        if not any((folder / "result.json").exists() for folder in above):  # results are no part of it
+            (copy / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(system.folder / name, copy / name)
+    entries = [
+        (name, entry, f"{one.name}: {one.text}; {one.verdict}" * (i == 0))
+        for one in reversed(kept)
+        for i, (name, entry) in enumerate(one.parameters.items())
+    ]
+    text = YamlFile(system.folder / FILE_NAME).with_entries("parameters", entries)
+    (copy / FILE_NAME).write_text(text, encoding="utf-8")
+    try:
+        System.load(copy, schema=type(system.settings), warn=False)
+    except ConfigError as error:
+        logger.warning("the repaired copy of the system needs files beside it that are elsewhere: %s", error)
 
 
 def print_identification(
@@ -147,6 +175,8 @@ def print_identification(
     console.print(f"held-out: {held_out_line(result.held_out)}")
     if result.missing:
         print_missing(result.missing, console)
+    if result.repairs:
+        print_repairs(result.repairs, console)
     if result.clips.thinned:
         console.print(f"fitted: {result.clips.fitted_of}")
     if truth:

@@ -17,7 +17,7 @@ from amhe_cli.estimation.core.result import (
 from amhe_cli.report import figures, numbers
 from amhe_cli.report.bodies import body_table
 from amhe_cli.report.held_out import held_out_sections, held_out_statement
-from amhe_cli.report.missing import missing_section
+from amhe_cli.report.missing import missing_section, repairs_section
 from amhe_cli.report.page import Fold, Section, Statement, Tone, cell, fixed_statement, result_page
 from amhe_cli.report.parameters import parameter_section
 from amhe_cli.report.tables import NUMBER, STRONG, Table
@@ -170,6 +170,8 @@ def _sections(result: Identification, record: Mapping[str, Any]) -> Iterator[Sec
         yield from held_out_sections(result.held_out)
     if result.missing:
         yield missing_section(result.missing)
+    if result.repairs:
+        yield repairs_section(result.repairs)
     if result.fits:
         yield fit_section(result.fits)
     if folder := record.get("out"):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from rich.console import Console
 
 from amhe_cli.core.files import plain
-from amhe_cli.estimation.core.result import Missing, MissingRow
+from amhe_cli.estimation.core.result import AtHorizon, Missing, MissingRow, Repair
 from amhe_cli.report import numbers
+from amhe_cli.report.comparison import heads, horizon_record, together
 from amhe_cli.report.figures import missing_figure
+from amhe_cli.report.held_out import sized
 from amhe_cli.report.page import Key, Section
 from amhe_cli.report.tables import NUMBER, STRONG, Table, rich_table
 
@@ -49,12 +52,68 @@ def rest(found: Missing) -> str:
     return f"{subject} of {found.tested} causes explains more than chance ({numbers.percent(found.chance)})"
 
 
+def repairs_record(tried: Sequence[Repair]) -> list[dict[str, Any]]:
+    """The key `repairs` of result.json."""
+    names = ("name", "text", "parameters", "kept", "verdict")
+    return [
+        {name: getattr(one, name) for name in names}
+        | {"horizons": [horizon_record(("before", one.name), at, 0) for at in one.horizons]}
+        for one in tried
+    ]
+
+
+def repairs_table(tried: Sequence[Repair]) -> Table:
+    """The models in the order in which they were tried, with their rms errors on held-out clips."""
+    horizons = next((one.horizons for one in tried if one.horizons), ())
+    rows = [("the model as given", *_errors(horizons, 0), "")]
+    for one in tried:
+        errors = _errors(one.horizons, 1) or [numbers.MISSING] * len(horizons)
+        rows.append((f"with {one.name}", *errors, "kept" if one.kept else "not kept"))
+    looks = ("name", *(NUMBER for _ in horizons), STRONG)
+    return Table(("model", *heads(horizons), ""), looks, rows)
+
+
+def _errors(horizons: Sequence[AtHorizon], i: int) -> list[str]:
+    """Rms errors of one of two models at each horizon, over all joints and poses of a unit."""
+    units = [dict.fromkeys(unit for _, unit in at.errors) for at in horizons]
+    return [
+        ", ".join(sized(together(at, i, unit), unit) for unit in own)
+        for at, own in zip(horizons, units, strict=True)
+    ]
+
+
+def _verdicts(tried: Sequence[Repair]) -> list[str]:
+    return [f"{one.name} ({one.text}): {one.verdict}" for one in tried]
+
+
 def print_missing(found: Missing, console: Console) -> None:
     """Print the causes, and what was tested beside them."""
     if found.rows:
         console.print()
         console.print(rich_table(missing_table(found)))
     console.print(rest(found), style="dim")
+
+
+def print_repairs(tried: Sequence[Repair], console: Console) -> None:
+    """Print what was tried, and what held-out clips say of it."""
+    console.print()
+    console.print(rich_table(repairs_table(tried)))
+    for text in _verdicts(tried):
+        console.print(text, style="dim", soft_wrap=True)
+
+
+def repairs_section(tried: Sequence[Repair]) -> Section:
+    """The models that were tried."""
+    kept = any(one.kept for one in tried)
+    copy = " The folder system beside this page is a copy of the system with what was kept." * kept
+    return Section(
+        "What was repaired",
+        text="Each cause was added to the model before it, and all was identified again. It was kept where "
+        f"the error of clips that were not fitted fell by more than chance.{copy}",
+        table=repairs_table(tried),
+        items=_verdicts(tried),
+        name="repairs",
+    )
 
 
 def missing_section(found: Missing) -> Section:

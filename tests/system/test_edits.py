@@ -35,6 +35,7 @@ TARGETS = {  # target: (keys, theta, field, index, expected)
     "{joint: '*', set: armature}": ("nominal: 0.1", 0.2, "dof_armature", slice(None), 0.2),
     "{joint: hip, set: friction_loss}": ("", 0.2, "dof_frictionloss", 6, 0.2),
     "{joint: hip, set: stiffness}": ("", 5.0, "jnt_stiffness", 1, 5.0),
+    "{joint: hip, set: spring_rest}": ("bounds: [-1, 1]", 0.3, "qpos_spring", 7, 0.3),
     "{actuator: hip_servo, set: gain}": ("", 30.0, "actuator_biasprm", (0, 1), -30.0),
     "{actuator: knee_motor, set: gain}": ("", 2.0, "actuator_gainprm", (1, 0), 2.0),
     "{actuator: knee_speed, set: gain}": ("", 4.0, "actuator_biasprm", (2, 2), -4.0),

@@ -316,6 +316,16 @@ class MissingRow:
     repair: Mapping[str, Any] = field(default_factory=dict)
     against: tuple[str, FloatArray, FloatArray, FloatArray] | None = None
 
+    @property
+    def name(self) -> str:
+        """What `--repair` calls it: 'load-friction@hip'."""
+        return f"{self.kind.replace(' ', '-')}@{self.place}"
+
+    @property
+    def in_log(self) -> bool:
+        """The log is wrong, not the model: its force has no picture."""
+        return self.against is None
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Missing:
@@ -335,6 +345,53 @@ class Missing:
     start: float = 0.0
     left: float = 0.0
     untested: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AtHorizon:
+    """Errors of m systems at one horizon, on the same c clips.
+
+    Args:
+        horizon: The horizon [s]; the longest where predictions go on to the logs' end.
+        to_end: They do.
+        clips: Number of clips, c.
+        errors: Joint, or pose, with its unit -> rms error of each system over the clips, shape (m,).
+        ratios: Error of system i over that of j, all joints in units of their usual error, shape (m, m).
+        lower, upper: 95 % interval of the ratios; NaN where there are too few clips.
+    """
+
+    horizon: float
+    to_end: bool
+    clips: int
+    errors: Mapping[tuple[str, str], FloatArray]
+    ratios: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    def better(self, one: int, other: int) -> bool:
+        """Whether a system's error is smaller than another's, by more than chance."""
+        return bool(self.upper[one, other] < 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Repair:
+    """A model that was given what it lacks, against the model before it.
+
+    Args:
+        name: Kind and place of the cause, such as 'spring@arm'.
+        text: The cause in words.
+        parameters: Entries of `parameters` in `system.yaml` that it adds.
+        kept: It predicts held-out clips better, by more than chance.
+        verdict: What the held-out clips say of it, or why it was not tried, in words.
+        horizons: Errors of the model before it, and of it; empty where it was not tried.
+    """
+
+    name: str
+    text: str
+    parameters: Mapping[str, Any]
+    kept: bool
+    verdict: str
+    horizons: tuple[AtHorizon, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -363,6 +420,7 @@ class Identification:
     runs: tuple[RunEstimate, ...] = ()
     missing: Missing | None = None  # None: the model misses the logs by no more than twice their noise
     information: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))  # of the logs about z, (d, d)
+    repairs: tuple[Repair, ...] = ()  # in the order in which they were tried
 
 
 def known_together(result: Identification) -> list[Combination]:

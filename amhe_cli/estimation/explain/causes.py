@@ -174,14 +174,13 @@ class _Dictionary:
             def repair(c: FloatArray, sd: FloatArray) -> dict[str, Any]:
                 now = getattr(self.system.model, field)[dof]
                 value = float((now if column is None else now[column]) - c[0])
-                return {f"{name}_{word}": _positive(value, sd[0], {"joint": name, "set": word})}
+                return {f"{name}_{word}": _positive(value, float(sd[0]), {"joint": name, "set": word})}
 
             return words, repair if joint else None
 
         unit = self._force(dof)
         yield self._made(
-            "constant", dof, [one], lambda c, sd: f"a constant force of {number(c[0], sd[0])} {unit}", "time",
-            self._linear(dof, "constant_force") if joint else None,
+            "constant", dof, [one], lambda c, sd: f"a constant force of {number(c[0], sd[0])} {unit}", "time"
         )  # fmt: skip
         for kind, what, per, field, word, column, values, against in (
             ("viscous", "viscous friction", "v", "dof_damping", "damping", None, speed, "speed"),
@@ -202,12 +201,6 @@ class _Dictionary:
             lambda c, sd: f"dry friction that changes by {number(-c[0], sd[0])} {unit}/s", "time",
         )  # fmt: skip
 
-    def _linear(self, dof: int, word: str) -> Callable[[FloatArray, FloatArray], dict[str, Any]]:
-        name = self.dofs[dof].name
-        return lambda c, sd: {
-            f"{name}_{word}": _signed(float(c[0]), float(sd[0]), {"joint": name, "set": word})
-        }
-
     def _of_joint(self, dof: int) -> Iterator[Cause]:
         """What a hinge or slide may have."""
         q, v, one = (
@@ -215,7 +208,7 @@ class _Dictionary:
             self.motion.qvel[:, dof],
             np.ones(len(self.time)),
         )
-        way, name, unit = self.way[:, dof], self.dofs[dof].name, "rad" if self.dofs[dof].turns else "m"
+        name, unit = self.dofs[dof].name, "rad" if self.dofs[dof].turns else "m"
         given, force = self.found.forces.given[:, dof], self._force(dof)
 
         def spring(c: FloatArray, sd: FloatArray) -> str:
@@ -224,9 +217,13 @@ class _Dictionary:
             )
 
         def springs(c: FloatArray, sd: FloatArray) -> dict[str, Any]:
-            rest, off = float(-c[1] / c[0]), float(abs(sd[1] / c[0])) + 0.1 * float(np.ptp(q))
+            model = self.system.model
+            has, at = float(model.jnt_stiffness[row]), float(model.qpos_spring[self.dofs[dof].place])
+            stiffness = has - float(c[0])
+            rest = float(has * at + c[1]) / (stiffness or 1e-9)
+            off = float(abs(sd[1] / (stiffness or 1e-9))) + 0.1 * float(np.ptp(q))
             return {
-                f"{name}_stiffness": _positive(float(-c[0]), sd[0], {"joint": name, "set": "stiffness"}),
+                f"{name}_stiffness": _positive(stiffness, float(sd[0]), {"joint": name, "set": "stiffness"}),
                 f"{name}_rest": _signed(rest, off, {"joint": name, "set": "spring_rest"}),
             }
 
@@ -241,17 +238,7 @@ class _Dictionary:
                 lambda c, sd: f"a weight off its axis: {number(np.hypot(*c), np.hypot(*sd))} {force}, "
                 f"highest at {np.arctan2(c[0], c[1]):.2g} rad", "position",
             )  # fmt: skip
-        yield self._made(
-            "load friction", dof, [np.abs(given) * way],
-            lambda c, sd: f"friction that grows with the load: {number(-c[0], sd[0])} of it", "speed",
-        )  # fmt: skip
-        usual = float(np.sqrt((v**2).mean()))
-        for share in _SLOW:
-            yield self._made(
-                "stribeck", dof, [way * np.exp(-((v / (share * usual)) ** 2))],
-                lambda c, sd, at=share * usual: f"friction larger by {number(-c[0], sd[0])} {force} below "
-                f"{at:.2g} {unit}/s", "speed",
-            )  # fmt: skip
+        yield from self._of_gear(dof)
         for quantile in _LIMITS:
             top, fast = np.quantile(np.abs(given), quantile), np.quantile(np.abs(v), quantile)
             if top > 0.0:
@@ -270,6 +257,32 @@ class _Dictionary:
                     "contact", dof, [np.maximum(side * (q - at), 0.0)],
                     lambda c, sd, where=where: f"a force only {where}: something touches there", "position",
                 )  # fmt: skip
+
+    def _of_gear(self, dof: int) -> Iterator[Cause]:
+        """Friction that a gear has besides a constant."""
+        v, way, given = self.motion.qvel[:, dof], self.way[:, dof], self.found.forces.given[:, dof]
+        name, unit, force = self.dofs[dof].name, "rad" if self.dofs[dof].turns else "m", self._force(dof)
+        yield self._made(
+            "load friction", dof, [np.abs(given) * way],
+            lambda c, sd: f"friction that grows with the load: {number(-c[0], sd[0])} of it", "speed",
+            lambda c, sd: {
+                f"{name}_load_friction": {
+                    "nominal": 0.1, "bounds": [0.0, 1.0], "prior_sd": 0.1,
+                    "targets": [{"joint": name, "set": "load_friction"}],
+                }
+            },
+        )  # fmt: skip
+        usual = float(np.sqrt((v**2).mean()))
+        for share in _SLOW:
+            yield self._made(
+                "stribeck", dof, [way * np.exp(-((v / (share * usual)) ** 2))],
+                lambda c, sd, at=share * usual: f"friction larger by {number(-c[0], sd[0])} {force} below "
+                f"{at:.2g} {unit}/s", "speed",
+                lambda c, sd, at=share * usual: {
+                    f"{name}_{word}": _positive(float(size), 0.0, {"joint": name, "set": word})
+                    for word, size in (("stribeck_friction", -c[0]), ("stribeck_velocity", at))
+                },
+            )  # fmt: skip
 
     def _repeating(self, dof: int) -> Iterator[Cause]:
         """What repeats with the angle, or in time."""

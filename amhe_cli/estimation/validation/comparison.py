@@ -6,45 +6,18 @@ gives the interval of the ratio of their errors: what is hard for all models doe
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from amhe_cli.core.arrays import FloatArray
-from amhe_cli.estimation.core.result import Identification
+from amhe_cli.estimation.core.result import AtHorizon, Identification
 from amhe_cli.estimation.validation.horizon import ClipErrors
 
 #: Resamples of the clips, ends of the interval, and the fewest clips that can tell.
 RESAMPLES, ENDS, FEWEST = 2000, (2.5, 97.5), 4
 #: A diverged prediction counts as one that is off by so many times the usual error.
 _DIVERGED = 100.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AtHorizon:
-    """Errors of m systems at one horizon, on the same c clips.
-
-    Args:
-        horizon: The horizon [s]; the longest where predictions go on to the logs' end.
-        to_end: They do.
-        clips: Number of clips, c.
-        errors: Joint, or pose, with its unit -> rms error of each system over the clips, shape (m,).
-        ratios: Error of system i over that of j, all joints in units of their usual error, shape (m, m).
-        lower, upper: 95 % interval of the ratios; NaN where there are too few clips.
-    """
-
-    horizon: float
-    to_end: bool
-    clips: int
-    errors: Mapping[tuple[str, str], FloatArray]
-    ratios: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-
-    def better(self, one: int, other: int) -> bool:
-        """Whether a system's error is smaller than another's, by more than chance."""
-        return bool(self.upper[one, other] < 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,12 +108,17 @@ def simplest_of(found: Sequence[AtHorizon], sizes: Sequence[int]) -> int:
     return min(map(int, np.flatnonzero(within)), key=lambda i: (sizes[i], i != best))
 
 
+def improves(found: Sequence[AtHorizon], one: int, other: int) -> bool:
+    """Whether a system predicts better than another by more than chance, and nowhere worse."""
+    return any(at.better(one, other) for at in found) and not any(at.better(other, one) for at in found)
+
+
 def verdict(found: Sequence[AtHorizon], names: Sequence[str], best: int, other: int) -> str:
     """What the logs say of the best system against another one, in words."""
     one, two = names[best], names[other]
     wins = [at for at in found if at.better(best, other)]
     losses = [at for at in found if at.better(other, best)]
-    if wins and not losses:
+    if improves(found, best, other):
         sizes = _listed([f"{1.0 - at.ratios[best, other]:.0%} after {at.horizon:.3g} s" for at in wins])
         return f"{one} predicts better than {two}: its error is smaller by {sizes}"
     if wins:

@@ -304,6 +304,8 @@ def _joint_of(cells: Cells, model: mujoco.MjModel) -> int | None:
         return cells.row
     if cells.field.startswith("dof_"):
         return int(model.dof_jntid[cells.row])
+    if cells.field == "qpos_spring":
+        return int(np.flatnonzero(model.jnt_qposadr == cells.row)[0])
     if cells.field == "numeric_data":
         return joint_of(model, cells.row)
     if cells.field == "tendon_range":

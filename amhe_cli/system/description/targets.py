@@ -175,6 +175,13 @@ def _joint(field: str, columns: tuple[int, ...] = ()) -> Mapping:
     return {"joint": cells}
 
 
+def _spring_rest(model: mujoco.MjModel, row: int, entry: TargetEntry) -> list[Cells]:
+    """Coordinate at which a joint's spring rests."""
+    if int(model.jnt_type[row]) not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
+        raise ConfigError(f"joint {model.joint(row).name!r} has no one coordinate: only hinges and slides do")
+    return [Cells("qpos_spring", int(model.jnt_qposadr[row]))]
+
+
 def _gear(word: str) -> Mapping[str, CellsOf]:
     """Setters of a number of a joint's gear friction."""
     return {"joint": lambda model, row, entry: number_cells(model, row, word)}
@@ -329,6 +336,7 @@ SETTERS: Mapping[str, Setter] = {
     "stribeck_load_friction_motor": Setter("-", _gear("stribeck_load_friction_motor"), lower=-inf),
     "stribeck_load_friction_external": Setter("-", _gear("stribeck_load_friction_external"), lower=-inf),
     "stiffness": Setter("N m/rad", _joint("jnt_stiffness")),
+    "spring_rest": Setter("rad", {"joint": _spring_rest}, lower=-inf),
     "backlash": Setter("rad", {"joint": _backlash}, positive=True),
     "gain": Setter("-", {"actuator": _gain}),
     "actuator_damping": Setter("-", {"actuator": _actuator_damping}),

@@ -38,6 +38,12 @@ def identified_spec(system: System, theta: FloatArray) -> mujoco.MjSpec:
         for dof, at in zip(gear.dofs, gear.at, strict=True):
             joint = model.joint(model.dof_jntid[dof]).name
             add_numbers(spec, [joint], model.numeric_data[at])
+    for _, cells in system.edits.by_parameter():
+        for row in (c.row for c in cells if c.field == "qpos_spring"):
+            zero = model.qpos0[row] - system.unedited.qpos0[row]  # of an encoder
+            joint = _with_id(spec.joints, int(np.flatnonzero(model.jnt_qposadr == row)[0]))
+            degrees = spec.compiler.degree and joint.type == mujoco.mjtJoint.mjJNT_HINGE
+            joint.springref = (model.qpos_spring[row] - zero) * (180.0 / np.pi if degrees else 1.0)
     for field, row in dict.fromkeys((c.field, c.row) for c in system.edits.cells):
         calibrated = field in _CALIBRATED or (field.startswith("actuator_") and row >= len(spec.actuators))
         if field not in (*_INERTIAL, "numeric_data") and not calibrated:

@@ -55,6 +55,7 @@ _KINDS = {
     "pair": "pair",
     "jnt": "joint",
     "dof": "joint",
+    "qpos": "joint",
     "actuator": "actuator",
     "tendon": "tendon",
 }
@@ -134,6 +135,7 @@ def _name(model: mujoco.MjModel, cells: Cells) -> str:
         return cells.name
     prefix = cells.field.partition("_")[0]
     row = int(model.dof_jntid[cells.row]) if prefix == "dof" else cells.row
+    row = int(np.flatnonzero(model.jnt_qposadr == row)[0]) if prefix == "qpos" else row
     name = getattr(model, _KINDS[prefix])(row).name
     if not name and prefix == "geom":
         name = model.body(model.geom_bodyid[row]).name

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from amhe_cli.estimation.validation.comparison import AtHorizon, at_horizon, best_of, verdict
+from amhe_cli.estimation.core.result import AtHorizon
+from amhe_cli.estimation.validation.comparison import at_horizon, best_of, verdict
 from amhe_cli.estimation.validation.horizon import ClipErrors
 
 NAMES = ("plain", "stribeck")

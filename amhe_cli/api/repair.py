@@ -1,0 +1,134 @@
+"""Give a model what it lacks: each cause that was named is tried, and kept where held-out clips agree."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+from amhe_cli.api.arguments import checked
+from amhe_cli.api.compare import scored
+from amhe_cli.api.identify import Interrupted, Result, identify
+from amhe_cli.core.errors import AmheError, ConfigError
+from amhe_cli.core.files import plain
+from amhe_cli.core.log import Log
+from amhe_cli.core.yaml_file import merged
+from amhe_cli.estimation.core.result import AtHorizon, Iteration, MissingRow, Repair
+from amhe_cli.estimation.offline.clips import split_held_out, whole
+from amhe_cli.estimation.validation.comparison import improves, verdict
+from amhe_cli.system.system import System
+
+logger = logging.getLogger(__name__)
+
+#: What the first model is called.
+GIVEN = "the model as given"
+
+
+def repair(
+    system: System,
+    logs: Log | Sequence[Log],
+    cause: str | None = None,
+    *,
+    only: Sequence[str] | None = None,
+    checkpoint: str | None = None,
+    progress: Callable[[Iteration, int], None] | None = None,
+    **how: Any,
+) -> Result:
+    """Identify; then give the model what it lacks, one cause after the other, as long as that helps.
+
+    The parameters that let the model have a cause are added, and all is identified again. They stay where the
+    error of held-out clips falls by more than chance, by the rule of `compare`. `found.repairs` has what was
+    tried, and the result's folder a copy of the system with what was kept. The system itself does not change.
+    What is wrong with a log is no cause that a model can have: nothing is tried until it is put right.
+
+    Args:
+        system: A system with a folder.
+        logs: See `identify`.
+        cause: Try this cause only, such as 'spring@arm'; None: all that are named.
+        only, checkpoint, progress: See `identify`; the checkpoint is that of the model as given. A
+            `max_time` is that of each identification.
+        how: All other arguments of `identify`.
+
+    Raises:
+        ConfigError: The system has no folder, or see `identify`.
+    """
+    if system.folder is None:
+        raise ConfigError("`repair`: give a system folder; one of a model alone has no file to add lines to")
+    begun = time.monotonic()
+    best = identify(system, logs, only=only, checkpoint=checkpoint, progress=progress, **how)
+    name, tried, refused, kept = GIVEN, list[Repair](), set[str](), dict[str, Any]()
+    try:
+        while row := _next(best, cause, refused | {one.name for one in tried if one.kept}):
+            entries = _readable(row.repair)
+            more = {"only": only and [*only, *kept, *entries], "progress": progress, **how}
+            outcome, found, errors = _tried(system, logs, {**kept, **entries}, best, name, row.name, more)
+            helps = found is not None and improves(errors, 1, 0)
+            tried.append(Repair(row.name, row.text, entries, helps, outcome, errors))
+            logger.info(f"{row.name}: {outcome}")
+            refused = set() if helps else refused | {row.name}
+            if helps and found is not None:
+                best, name = found, row.name
+                kept |= entries
+    except Interrupted:
+        stopped = replace(best, found=replace(best.found, repairs=tuple(tried), interrupted=True))
+        raise Interrupted(stopped) from None
+    if cause and not tried:
+        rows = best.found.missing.rows if best.found.missing else ()
+        named = ", ".join(one.name for one in rows if one.repair) or "nothing that a parameter could mend"
+        logger.warning(f"`repair`: the logs do not name {cause}; they name {named}")
+    found = replace(best.found, repairs=tuple(tried))
+    return replace(best, found=found, seconds=time.monotonic() - begun)
+
+
+def _next(result: Result, cause: str | None, done: set[str]) -> MissingRow | None:
+    """The first cause that is yet to be tried."""
+    rows = result.found.missing.rows if result.found.missing else ()
+    if any(row.in_log for row in rows):
+        logger.warning("`repair`: nothing is tried while the log itself is wrong; put it right first")
+        return None
+    wanted = (row for row in rows if row.repair and row.name not in done and cause in (None, row.name))
+    return next(wanted, None)
+
+
+def _tried(
+    system: System,
+    logs: Log | Sequence[Log],
+    entries: dict[str, Any],
+    best: Result,
+    before: str,
+    name: str,
+    how: dict[str, Any],
+) -> tuple[str, Result | None, tuple[AtHorizon, ...]]:
+    """Identify with more parameters; what held-out clips say of it, the result, and the errors of both."""
+    seed, threads = checked(how.get("seed", 0), how.get("threads"))
+    assert system.folder is not None
+    try:
+        given = merged(system.given, {"parameters": entries})
+        other = System.load(system.folder, given, schema=type(system.settings), warn=False)
+        fixed = {one: value for one, value in system.fixed.items() if one not in other.fixed}
+        found = identify(other.fixing(fixed), logs, **how)
+        fitted, clips = best.logs, system.settings.clips
+        if best.held_out:
+            fitted, parts = best.held_out, [whole(log) for log in best.held_out]
+        else:
+            parts = split_held_out(fitted, clips.held_out)[1]
+        both = (best, found)
+        errors = scored(
+            [one.system for one in both], both, [fitted] * 2, parts, seed, threads, how.get("engine", "cpu")
+        )
+    except AmheError as error:
+        return f"could not be tried: {error}", None, ()
+    first = 1 if improves(errors, 1, 0) else 0
+    return verdict(errors, (before, name), first, 1 - first), found, errors
+
+
+def _readable(value: Any) -> Any:
+    """Plain values with numbers of four digits, as they are tried and written."""
+    if isinstance(value, dict):
+        return {key: _readable(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_readable(one) for one in value]
+    one = plain(value)
+    return float(f"{one:.4g}") if isinstance(one, float) else one
