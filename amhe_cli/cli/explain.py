@@ -46,7 +46,8 @@ def explain(session: Session, source: Path, inputs: Inputs, seed: int, overrides
     found = viewed(source, inputs, overrides)
     if found.belief is None:
         raise ConfigError(f"{source}: is no result of `amhe identify`")
-    opened, _ = found.open().starting_from(found.belief, fix=found.record.fixed)
+    # from the prior: the fitted values make up for what is missing, and hide it
+    opened = found.open().fixing(found.record.fixed)
     logs = named([log for group in found.read(opened) for log in group])
     space = searched(opened.space, logs)
     system = replace(opened, space=space)

@@ -186,9 +186,13 @@ def _missing(problem: Problem, finding: Finding, fit: FinalFit, watch: Watch) ->
     """What the model lacks, where it misses the logs by more than twice their noise."""
     missed = any(scale > ASKED and not white for scale, white in misfits(fit).values())
     missed &= not problem.touches  # forces along a motion know no contacts; `amhe explain` looks between them
-    if not (missed and finding.done and watch.allows("what the model lacks", problem.linearisation)):
+    if not (missed and finding.done):
+        watch.omits()
         return None
-    found = explain(problem.system, problem.pool.parts, fit.z, problem.rng(9))
+    if not watch.allows("what the model lacks", problem.linearisation):
+        return None
+    # from the prior: the fitted values make up for what is missing, and hide it
+    found = explain(problem.system, problem.pool.parts, 0.0 * fit.z, problem.rng(9))
     for row in found.rows[:1]:
         logger.warning(
             f"{row.place}: {row.text}: so the logs say, it explains {row.share:.0%} of the motion there that "

@@ -109,11 +109,11 @@ def test_numbers_of_the_csv_are_not_rounded(groups: Groups) -> None:
 
 
 @pytest.mark.medium
-def test_every_figure_is_written_and_drawn_for_the_page(groups: Groups, tmp_path: Path) -> None:
+def test_every_figure_is_written_twice_and_drawn_for_the_page(groups: Groups, tmp_path: Path) -> None:
     pictures = drawn(drawings(groups, ablations(groups, DEFAULTS), TASKS), tmp_path)
     names = {picture.name for picture in pictures}
     assert names == {"paths", "speed", "costs", "parameters", "final", "ablations"}
-    assert {path.name for path in tmp_path.iterdir()} == {f"{name}.png" for name in names}
+    assert {path.name for path in tmp_path.iterdir()} == {f"{n}.{s}" for n in names for s in ("png", "pdf")}
     assert all(picture.figure.startswith("<svg") for picture in pictures)
 
 

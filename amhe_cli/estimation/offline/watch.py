@@ -84,6 +84,10 @@ class Watch:
         record = replace(self._record, number=number, method=part, stage="conclusion", rollouts=0, diverged=0)
         self._on_iteration(record, self._record.number + self._parts)
 
+    def omits(self) -> None:
+        """Count a part of the conclusion that these logs do not need."""
+        self._shown += 1
+
     def allows(self, part: str, rollouts: float) -> bool:
         """Whether a part of the conclusion that can be left out has time; if so, it is shown as begun."""
         if self.interrupted:
