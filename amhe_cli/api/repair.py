@@ -22,9 +22,6 @@ from amhe_cli.system.system import System
 
 logger = logging.getLogger(__name__)
 
-#: What the first model is called.
-GIVEN = "the model as given"
-
 
 def repair(
     system: System,
@@ -39,7 +36,8 @@ def repair(
     """Identify; then give the model what it lacks, one cause after the other, as long as that helps.
 
     The parameters that let the model have a cause are added, and all is identified again. They stay where the
-    error of held-out clips falls by more than chance, by the rule of `compare`. `found.repairs` has what was
+    error of held-out clips falls by more than chance, by the rule of `compare`. At the end those go again
+    without which the later ones predict as well. `found.repairs` has what was
     tried, and the result's folder a copy of the system with what was kept. The system itself does not change.
     What is wrong with a log is no cause that a model can have: nothing is tried until it is put right.
 
@@ -58,19 +56,31 @@ def repair(
         raise ConfigError("`repair`: give a system folder; one of a model alone has no file to add lines to")
     begun = time.monotonic()
     best = identify(system, logs, only=only, checkpoint=checkpoint, progress=progress, **how)
-    name, tried, refused, kept = GIVEN, list[Repair](), set[str](), dict[str, Any]()
+    kept, tried, refused = dict[str, dict[str, Any]](), list[Repair](), set[str]()
+
+    def attempt(causes: dict[str, dict[str, Any]], name: str) -> tuple[Result | None, Repair]:
+        entries = {key: entry for one in causes.values() for key, entry in one.items()}
+        more = {"only": only and [*only, *entries], "progress": progress, **how}
+        outcome, found, errors = _tried(system, logs, entries, best, name in causes, more)
+        return found, Repair(name, "", {}, False, outcome, errors)
+
     try:
-        while row := _next(best, cause, refused | {one.name for one in tried if one.kept}):
+        while row := _next(best, cause, refused | kept.keys()):
             entries = _readable(row.repair)
-            more = {"only": only and [*only, *kept, *entries], "progress": progress, **how}
-            outcome, found, errors = _tried(system, logs, {**kept, **entries}, best, name, row.name, more)
-            helps = found is not None and improves(errors, 1, 0)
-            tried.append(Repair(row.name, row.text, entries, helps, outcome, errors))
-            logger.info(f"{row.name}: {outcome}")
+            found, one = attempt({**kept, row.name: entries}, row.name)
+            helps = found is not None and improves(one.horizons, 1, 0)
+            tried.append(replace(one, text=row.text, parameters=entries, kept=helps))
             refused = set() if helps else refused | {row.name}
             if helps and found is not None:
-                best, name = found, row.name
-                kept |= entries
+                best, kept[row.name] = found, entries
+        for name in [*kept][:-1]:  # a later cause may have taken the place of an earlier one
+            rest = {one: entries for one, entries in kept.items() if one != name}
+            found, one = attempt(rest, f"without {name}")
+            needed = found is None or improves(one.horizons, 0, 1)
+            tried.append(replace(one, text="beside the later causes", kept=not needed))
+            if found is not None and not needed:
+                best, kept = found, rest
+                tried = [replace(two, kept=two.kept and two.name != name) for two in tried]
     except Interrupted:
         stopped = replace(best, found=replace(best.found, repairs=tuple(tried), interrupted=True))
         raise Interrupted(stopped) from None
@@ -97,8 +107,7 @@ def _tried(
     logs: Log | Sequence[Log],
     entries: dict[str, Any],
     best: Result,
-    before: str,
-    name: str,
+    added: bool,
     how: dict[str, Any],
 ) -> tuple[str, Result | None, tuple[AtHorizon, ...]]:
     """Identify with more parameters; what held-out clips say of it, the result, and the errors of both."""
@@ -121,7 +130,8 @@ def _tried(
     except AmheError as error:
         return f"could not be tried: {error}", None, ()
     first = 1 if improves(errors, 1, 0) else 0
-    return verdict(errors, (before, name), first, 1 - first), found, errors
+    names = ("the model without it", "the model with it")
+    return verdict(errors, names if added else names[::-1], first, 1 - first), found, errors
 
 
 def _readable(value: Any) -> Any:

@@ -66,9 +66,13 @@ def repairs_table(tried: Sequence[Repair]) -> Table:
     """The models in the order in which they were tried, with their rms errors on held-out clips."""
     horizons = next((one.horizons for one in tried if one.horizons), ())
     rows = [("the model as given", *_errors(horizons, 0), "")]
-    for one in tried:
+    names = [one.name if one.parameters or one.kept else "" for one in tried]
+    for i, one in enumerate(tried):
+        dropped = f"without {one.name}" in names and one.name not in names[i + 1 :]
+        said = "kept" if one.kept else "dropped later" if dropped else "not kept"
+        label = one.name if one.name.startswith("without") else f"with {one.name}"
         errors = _errors(one.horizons, 1) or [numbers.MISSING] * len(horizons)
-        rows.append((f"with {one.name}", *errors, "kept" if one.kept else "not kept"))
+        rows.append((label, *errors, said))
     looks = ("name", *(NUMBER for _ in horizons), STRONG)
     return Table(("model", *heads(horizons), ""), looks, rows)
 

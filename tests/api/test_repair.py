@@ -15,7 +15,10 @@ import amhe_cli as amhe
 from amhe_cli.api import repair
 from amhe_cli.cli.main import run
 from amhe_cli.core.yaml_file import YamlFile, scalar
-from amhe_cli.estimation.core.result import Missing, MissingRow
+from amhe_cli.estimation.core.result import AtHorizon, Missing, MissingRow
+from amhe_cli.estimation.validation.comparison import improves
+from amhe_cli.report.held_out import sized
+from amhe_cli.report.missing import repairs_table
 
 XML = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
   <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.6"/><body name="load" pos="0 0 -0.3">
@@ -118,6 +121,42 @@ def test_nothing_is_kept_of_a_faultless_log(tmp_path: Path, monkeypatch: pytest.
     result.save(tmp_path / "out")
     assert not (tmp_path / "out" / "system").exists()
     assert _files(system) == before
+
+
+@pytest.mark.medium
+def test_a_cause_whose_place_a_later_one_takes_is_left_out_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Errors of models are given here: that of `a` and `b` is that of `b` alone; `c` helps none."""
+    system, log = _swing(tmp_path, 0.0)
+    opened = amhe.System.load(system)
+    error = {"": 8.0, "a": 4.0, "ab": 1.0, "b": 1.0, "c": 8.0, "ac": 4.0, "bc": 1.0, "abc": 1.0}
+    zeros, now = np.zeros(1), [""]
+    rows = [MissingRow(n, "hip", n, 0.5, (), {n: {}}, ("q", zeros, zeros, zeros)) for n in "cab"]
+    base = amhe.identify(opened, amhe.read_log(log, opened), threads=1)
+    named = replace(base, found=replace(base.found, missing=Missing(tuple(rows))))
+
+    def tried(_: Any, __: Any, entries: dict[str, Any], *more: Any) -> tuple[str, amhe.Result, Any]:
+        both = np.array([error[now[0]], error["".join(sorted(entries))]])
+        ratios = both[:, None] / both[None]
+        at = AtHorizon(0.5, False, 9, {("hip", "rad"): both}, ratios, 0.9 * ratios, 1.1 * ratios)
+        if both[1] <= both[0]:
+            now[0] = (
+                "".join(sorted(entries)) if improves([at], 1, 0) or len(entries) < len(now[0]) else now[0]
+            )
+        return "so it is", named, (at,)
+
+    monkeypatch.setattr(repair, "identify", lambda *_, **__: named)
+    monkeypatch.setattr(repair, "_tried", tried)
+    found = amhe.repair(opened, []).found
+
+    assert [(one.name, one.kept) for one in found.repairs] == [
+        ("c@hip", False), ("a@hip", False), ("c@hip", False), ("b@hip", True), ("c@hip", False),
+        ("without a@hip", True),
+    ]  # fmt: skip
+    said = [row[-1] for row in repairs_table(found.repairs).rows]
+    assert said == ["", "not kept", "dropped later", "not kept", "kept", "not kept", "kept"]
+    assert [row[1] for row in repairs_table(found.repairs).rows][-1] == sized(1.0, "rad")
 
 
 def test_wrong_names_are_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

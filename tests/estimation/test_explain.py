@@ -11,10 +11,12 @@ import pytest
 
 import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
+from amhe_cli.engine.shares import shares_along
 from amhe_cli.estimation.core.result import Missing
 from amhe_cli.estimation.explain.explain import explain
 from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blocks_of, memory_of
 from amhe_cli.estimation.offline.clips import whole
+from amhe_cli.system.parameters.gear_friction import OWN as GEAR
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "logs" / "pendulum.mcap"
 
@@ -119,6 +121,22 @@ def test_degrees_are_named(pendulum: tuple[amhe.System, amhe.Log]) -> None:
     first = _explained(system, _times(log, command_position=180.0 / np.pi)).rows[0]
 
     assert (first.kind, first.text) == ("unit", "the log's command of servo is in degrees")
+
+
+def test_friction_of_gears_is_no_missing_force() -> None:
+    """Of a weight on a lever it is 0.2 times the difference of the motor's torque and gravity's, and more."""
+    numbers = dict(GEAR) | {"load_friction_motor": 0.2, "load_friction_external": 0.2}
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><custom><numeric name="gear_friction/j" data="{" ".join(map(str, numbers.values()))}"/>
+        </custom><worldbody><body><joint name="j" axis="0 1 0" frictionloss="0.1" damping="0.3"/>
+        <geom pos="0.5 0 0" size="0.01" mass="2"/></body></worldbody>
+        <actuator><motor joint="j"/></actuator></mujoco>"""
+    )
+    one = np.ones((1, 1))
+    control = int(mujoco.mjtState.mjSTATE_CTRL)
+    found = shares_along(model, 0.0 * one, one, 0.0 * one, 3.0 * one, control, np.zeros((1, 0)))
+
+    assert found.friction[0, 0] == pytest.approx(0.1 + 0.2 * abs(2.0 * 9.81 * 0.5 - 3.0), rel=1e-6)
 
 
 XML = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>

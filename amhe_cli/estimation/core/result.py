@@ -378,10 +378,10 @@ class Repair:
     """A model that was given what it lacks, against the model before it.
 
     Args:
-        name: Kind and place of the cause, such as 'spring@arm'.
+        name: Kind and place of the cause, such as 'spring@arm'; 'without spring@arm' where one is left out.
         text: The cause in words.
         parameters: Entries of `parameters` in `system.yaml` that it adds.
-        kept: It predicts held-out clips better, by more than chance.
+        kept: It predicts held-out clips better, by more than chance; of one that is left out: no worse.
         verdict: What the held-out clips say of it, or why it was not tried, in words.
         horizons: Errors of the model before it, and of it; empty where it was not tried.
     """

@@ -219,9 +219,10 @@ class _Dictionary:
         def springs(c: FloatArray, sd: FloatArray) -> dict[str, Any]:
             model = self.system.model
             has, at = float(model.jnt_stiffness[row]), float(model.qpos_spring[self.dofs[dof].place])
-            stiffness = has - float(c[0])
-            rest = float(has * at + c[1]) / (stiffness or 1e-9)
-            off = float(abs(sd[1] / (stiffness or 1e-9))) + 0.1 * float(np.ptp(q))
+            if (stiffness := has - float(c[0])) <= 0.0:
+                return {}
+            rest = float(has * at + c[1]) / stiffness
+            off = float(abs(sd[1])) / stiffness + 0.1 * float(np.ptp(q))
             return {
                 f"{name}_stiffness": _positive(stiffness, float(sd[0]), {"joint": name, "set": "stiffness"}),
                 f"{name}_rest": _signed(rest, off, {"joint": name, "set": "spring_rest"}),
@@ -270,7 +271,7 @@ class _Dictionary:
                     "nominal": 0.1, "bounds": [0.0, 1.0], "prior_sd": 0.1,
                     "targets": [{"joint": name, "set": "load_friction"}],
                 }
-            },
+            } if c[0] < 0.0 else {},
         )  # fmt: skip
         usual = float(np.sqrt((v**2).mean()))
         for share in _SLOW:
@@ -281,6 +282,7 @@ class _Dictionary:
                 lambda c, sd, at=share * usual: {
                     f"{name}_{word}": _positive(float(size), 0.0, {"joint": name, "set": word})
                     for word, size in (("stribeck_friction", -c[0]), ("stribeck_velocity", at))
+                    if c[0] < 0.0
                 },
             )  # fmt: skip
 
