@@ -13,8 +13,10 @@ import amhe_cli as amhe
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.engine.shares import shares_along
 from amhe_cli.estimation.core.result import Missing
+from amhe_cli.estimation.explain.causes import causes
 from amhe_cli.estimation.explain.explain import explain
 from amhe_cli.estimation.explain.regression import CauseColumns, Regression, blocks_of, memory_of
+from amhe_cli.estimation.explain.unexplained import unexplained
 from amhe_cli.estimation.offline.clips import whole
 from amhe_cli.system.parameters.gear_friction import OWN as GEAR
 
@@ -137,6 +139,38 @@ def test_friction_of_gears_is_no_missing_force() -> None:
     found = shares_along(model, 0.0 * one, one, 0.0 * one, 3.0 * one, control, np.zeros((1, 0)))
 
     assert found.friction[0, 0] == pytest.approx(0.1 + 0.2 * abs(2.0 * 9.81 * 0.5 - 3.0), rel=1e-6)
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_what_lets_a_model_have_a_cause_is_valid(pendulum: tuple[amhe.System, amhe.Log], sign: float) -> None:
+    """Of every cause, with coefficients of either sign; friction and springs that pull along have none."""
+    system, log = pendulum
+    free = system.fixing(only=["load_mass"])
+    bare = {name: {"prior_sd": 0.0} for name in ("damping", "friction_loss", "armature")}
+    found = unexplained(free, [whole(log)], np.zeros(1))
+    assert found is not None
+    kinds = set()
+    for cause in causes(system, found, found.forces.by - found.uncommanded):
+        c = sign * np.full(len(cause.force), 0.013)
+        if entries := cause.repair(c, np.abs(c)) if cause.repair else {}:
+            kinds.add(cause.kind)
+            loaded = amhe.System.load("pendulum", {"parameters": {**bare, **entries}}, warn=False)
+            assert entries.keys() <= set(loaded.space.names)
+    expected = {"load friction", "stribeck", "spring"} if sign < 0.0 else {"delay"}
+    assert kinds == expected | {"quadratic", "gain"}
+
+
+def test_late_commands_are_named_with_their_delay(pendulum: tuple[amhe.System, amhe.Log]) -> None:
+    system, log = pendulum
+    series = dict(log.series)
+    early, steps = np.array(series["command.position"].values), round(0.02 / log.dt)
+    early[:-steps] = early[steps:]
+    series["command.position"] = replace(series["command.position"], values=early)
+
+    rows = _explained(system, replace(log, series=series)).rows
+
+    assert rows[0].kind == "delay"
+    assert 0.01 < rows[0].repair["command_delay"]["nominal"] < 0.03  # to begin with: the slope of commands
 
 
 XML = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>

@@ -366,7 +366,13 @@ class _Dictionary:
             dofs, values = self._spread(-change[None])
             yield Cause(
                 "delay", "commands", dofs, values,
-                lambda c, sd: f"commands act {number(1e3 * c[0], 1e3 * sd[0])} ms later", None,
+                lambda c, sd: f"commands act {number(1e3 * c[0], 1e3 * sd[0])} ms later",
+                lambda c, sd: {
+                    "command_delay": {
+                        "nominal": float(c[0]), "bounds": [0.0, 10.0 * float(c[0])], "scale": "linear",
+                        "prior_sd": float(c[0]), "targets": [{"set": "command_delay"}],
+                    }
+                } if c[0] > 0.0 and self.system.edits.prompt else {},
                 ("change of the command's force", values[0, :, dofs[0]]),
             )  # fmt: skip
 
