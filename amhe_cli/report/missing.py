@@ -21,27 +21,26 @@ def missing_record(found: Missing | None) -> dict[str, Any] | None:
     """The key `missing` of result.json; None: the model misses nothing."""
     if found is None:
         return None
-    names = ("kind", "place", "text", "share", "rivals", "repair")
+    names = ("name", "kind", "place", "text", "share", "rivals", "repair")
     rows = [{name: getattr(row, name) for name in names} for row in found.rows]
     return plain({"rows": rows, "chance": found.chance, "tested": found.tested, "untested": found.untested})
 
 
 def missing_table(found: Missing) -> Table:
-    """One line for each cause: where, what, what it explains, and what would let the model have it."""
+    """One line for each cause: where, what, what it explains, and what `--repair` calls it."""
     return Table(
-        ("where", "what the model lacks, or the log has wrong", "explains", "parameters that have it"),
+        ("where", "what the model lacks, or the log has wrong", "explains", "repair"),
         ("", STRONG, NUMBER, ""),
-        [(row.place, _text(row), numbers.percent(row.share), _repair(row)) for row in found.rows],
+        [
+            (row.place, _text(row), numbers.percent(row.share), row.name if row.repair else "")
+            for row in found.rows
+        ],
     )
 
 
 def _text(row: MissingRow) -> str:
     also = f" (or: {', '.join(row.rivals[:2])})" if row.rivals else ""
     return f"{row.text}{also}"
-
-
-def _repair(row: MissingRow) -> str:
-    return ", ".join(row.repair)
 
 
 def rest(found: Missing) -> str:
