@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,7 +15,14 @@ from amhe_cli.core.errors import AmheError, ConfigError
 from amhe_cli.core.files import plain
 from amhe_cli.core.log import Log
 from amhe_cli.core.yaml_file import merged
-from amhe_cli.estimation.core.result import AtHorizon, Iteration, MissingRow, Repair
+from amhe_cli.estimation.core.result import (
+    AtHorizon,
+    Iteration,
+    MissingRow,
+    ParameterResult,
+    Reason,
+    Repair,
+)
 from amhe_cli.estimation.offline.clips import split_held_out, whole
 from amhe_cli.estimation.validation.comparison import improves, verdict
 from amhe_cli.system.system import System
@@ -55,7 +62,7 @@ def repair(
     if system.folder is None:
         raise ConfigError("`repair`: give a system folder; one of a model alone has no file to add lines to")
     begun = time.monotonic()
-    best = identify(system, logs, only=only, checkpoint=checkpoint, progress=progress, **how)
+    best = first = identify(system, logs, only=only, checkpoint=checkpoint, progress=progress, **how)
     kept, tried, refused = dict[str, dict[str, Any]](), list[Repair](), set[str]()
 
     def attempt(causes: dict[str, dict[str, Any]], name: str) -> tuple[Result | None, Repair]:
@@ -88,8 +95,28 @@ def repair(
         rows = best.found.missing.rows if best.found.missing else ()
         named = ", ".join(one.name for one in rows if one.repair) or "nothing that a parameter could mend"
         logger.warning(f"`repair`: the logs do not name {cause}; they name {named}")
-    found = replace(best.found, repairs=tuple(tried))
+    parameters = _on_repairs(best, first, kept)
+    found = replace(best.found, parameters=parameters, repairs=tuple(tried))
     return replace(best, found=found, seconds=time.monotonic() - begun)
+
+
+def _on_repairs(
+    result: Result, before: Result, kept: Mapping[str, dict[str, Any]]
+) -> tuple[ParameterResult, ...]:
+    """The parameters, none of which is identified outright where it hangs on what was found to be missing.
+
+    Another cause may explain the logs as well with other values: a weak gain looks like little friction and a
+    light load. A value that did not move by its sd hangs on none of them.
+    """
+    text = f"the repair {', '.join(kept)}"
+    then, found = {one.name: one.estimate for one in before.parameters.values()}, []
+    for one in result.found.parameters:
+        still = one.name in then and abs(one.estimate - then[one.name]) < one.sd
+        if kept and one.verdict == "identified" and not still:
+            reason = Reason("repair", (one.name,), 1.0, f"given {text}: another cause may act alike")
+            one = replace(one, verdict="conditional", given=text, reasons=(reason, *one.reasons))
+        found.append(one)
+    return tuple(found)
 
 
 def _next(result: Result, cause: str | None, done: set[str]) -> MissingRow | None:

@@ -81,6 +81,8 @@ def test_a_missing_spring_is_put_into_a_copy_of_the_system(tmp_path: Path) -> No
     assert [(one["name"], one["kept"]) for one in record["repairs"]] == [("spring@hinge", True)]
     assert record["repairs"][0]["horizons"][0]["against_best"]["spring@hinge"]["upper"] < 1.0
     found = {p["name"]: p for p in record["parameters"]}
+    assert found["hinge_stiffness"]["verdict"] == "conditional"
+    assert found["hinge_stiffness"]["given"] == "the repair spring@hinge"
     assert found["hinge_stiffness"]["lower"] < 0.8 < found["hinge_stiffness"]["upper"]
     assert found["hinge_rest"]["lower"] < 0.1 < found["hinge_rest"]["upper"]
     assert "What was repaired" in (out / "report.html").read_text()
