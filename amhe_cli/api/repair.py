@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -44,8 +45,8 @@ def repair(
 
     The parameters that let the model have a cause are added, and all is identified again. They stay where the
     error of held-out clips falls by more than chance, by the rule of `compare`. At the end those go again
-    without which the later ones predict as well. `found.repairs` has what was
-    tried, and the result's folder a copy of the system with what was kept. The system itself does not change.
+    without which the later ones predict as well. `found.repairs` has what was tried, and the result's folder
+    a copy of the system with what was kept. The system itself does not change.
     What is wrong with a log is no cause that a model can have: nothing is tried until it is put right.
 
     Args:
@@ -161,11 +162,7 @@ def _tried(
     return verdict(errors, names if added else names[::-1], first, 1 - first), found, errors
 
 
-def _readable(value: Any) -> Any:
+def _readable(entries: Mapping[str, Any]) -> dict[str, Any]:
     """Plain values with numbers of four digits, as they are tried and written."""
-    if isinstance(value, dict):
-        return {key: _readable(one) for key, one in value.items()}
-    if isinstance(value, list):
-        return [_readable(one) for one in value]
-    one = plain(value)
-    return float(f"{one:.4g}") if isinstance(one, float) else one
+    text = json.dumps(plain(dict(entries)))
+    return dict(json.loads(text, parse_float=lambda number: float(f"{float(number):.4g}")))
