@@ -95,10 +95,13 @@ def _candidates(system: System) -> Iterator[Mended]:
             if source.delayed and rows.size:
                 name = f"command of {model.actuator(int(rows[0])).name}"
                 columns.append((source.key, i, name, "command", True))
+    converted = {s.key(q) for s in system.signals for q, factor in s.factors.items() if factor != 1.0}
     for key, i, name, what, turns in columns:
         sign = "joint sign" if what == "joint" else "command"
         yield Mended(sign, name, f"the log's {name} has the other sign", _scaled(key, {i: -1.0}))
         for unit, factor in _UNITS.items() if turns else ():
+            if factor > 1.0 and key not in converted:
+                continue
             yield Mended("unit", name, f"the log's {name} is in {unit}", _scaled(key, {i: factor}))
     for (key, i, one, what, *kind), (other, j, two, _, *too) in combinations(columns, 2):
         if key == other and kind == too:
