@@ -21,7 +21,7 @@ from amhe_cli.engine.rollout import (
     turns_of,
 )
 from amhe_cli.engine.states import controls, first_activations, without_contacts
-from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE, GearFriction, ahead
+from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE, GearFriction, ahead, beyond
 from amhe_cli.system.parameters.model_edits import ModelEdits
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
@@ -202,10 +202,8 @@ class CpuEngine:
             numbers=self._fields["numeric_data"][ids[:, None, None], gear.at],
             dry=self._fields["dof_frictionloss"][rows, gear.dofs],
             motor=motor,
-            smooth=smooth - damper - motor,
-            constraint=constraint,
+            external=smooth - damper - motor + beyond(constraint, holds[rows, gear.dofs]),
             speed=speed,
-            holds=holds[rows, gear.dofs],
         )
         holds[rows, gear.dofs] = now if before is None else ahead(now, before, every)
         return now

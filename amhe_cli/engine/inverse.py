@@ -213,10 +213,10 @@ class InverseEngine:
         viscous, dry = (of(name, gear.dofs) for name in ("dof_damping", "dof_frictionloss"))
         numbers, speed = of("numeric_data", gear.at), along.qvel[..., gear.dofs]
         external = viscous * speed - self._efforts(theta, slow)[..., gear.dofs]
-        way, motor, zero = along.dry[..., gear.dofs], efforts[..., gear.dofs], np.zeros(external.shape)
-        found = zero
+        way, motor = along.dry[..., gear.dofs], efforts[..., gear.dofs]
+        found = np.zeros(external.shape)
         for _ in range(3):
-            bound = gear.bound(numbers, dry, motor + found, external, zero, speed, zero)
+            bound = gear.bound(numbers, dry, motor + found, external, speed)
             found = way * (bound - dry)
         return found
 

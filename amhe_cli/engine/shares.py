@@ -73,15 +73,13 @@ def shares_along(
             by[k] = (moment * data.actuator_force[:, None])[outputs]
         mujoco.mj_fullM(free, data, mass[k])
         if gear is not None:
-            motor, none = data.qfrc_actuator[gear.dofs], np.zeros(len(gear.dofs))
+            motor = data.qfrc_actuator[gear.dofs]
             friction[k, gear.dofs] = gear.bound(
                 numbers=model.numeric_data[gear.at],
                 dry=model.dof_frictionloss[gear.dofs],
                 motor=motor,
-                smooth=(data.qfrc_smooth - data.qfrc_damper)[gear.dofs] - motor,
-                constraint=none,
+                external=(data.qfrc_smooth - data.qfrc_damper)[gear.dofs] - motor,
                 speed=data.qvel[gear.dofs],
-                holds=none,
             )
         needed[k] = mass[k] @ qacc[k] + implicit * qacc[k] + data.qfrc_bias - data.qfrc_passive
     return Shares(needed, given, by, mass, friction)

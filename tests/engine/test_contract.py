@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
-from functools import partial
-from multiprocessing import get_context
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
@@ -22,15 +18,7 @@ from amhe_cli.engine.rollout import Engine, Starts, Wanted
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.system import System
 from tests.conftest import MODELS
-
-#: How every engine is opened; `spread` gives it two worker processes, `warp` is that of graphics cards on
-#: the processor. A new engine is one more line.
-ENGINES: dict[str, dict[str, Any]] = {
-    "one thread": {"threads": 1},
-    "two threads": {"threads": 2},
-    "two processes": {"spread": True},
-    "warp": {"device": "cpu"},
-}
+from tests.engine.conftest import ENGINES, Open
 
 PENDULUM = System.load("pendulum")
 CUBE = System.load("cube_toss")
@@ -52,37 +40,7 @@ signals:
   force: {topic: /force, actuators: [push, pull], quantity: effort}
 """
 
-Open = Callable[..., Engine]
 Call = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-
-
-@pytest.fixture(scope="module")
-def workers() -> Iterator[Executor]:
-    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
-        yield executor
-
-
-@pytest.fixture(
-    params=[pytest.param(n, marks=pytest.mark.slow if n == "warp" else ()) for n in ENGINES], scope="module"
-)
-def opened(request: pytest.FixtureRequest) -> Open:
-    """Opens the engine for a system, as `open_engine` does."""
-    given = dict(ENGINES[request.param])
-    if "device" in given:
-        return partial(on_warp, device=given["device"])
-    executor = request.getfixturevalue("workers") if given.pop("spread", False) else None
-    return lambda system, **more: open_engine(system, executor=executor, **given, **more)
-
-
-def on_warp(
-    system: System, *, device: str, model: mujoco.MjModel | None = None, sensors: bool | None = None
-) -> Engine:
-    """The engine of graphics cards on another device of warp, as `open_engine` makes it for the cards."""
-    from amhe_cli.engine.gpu.engine import GpuEngine
-
-    edits = system.edits if model is None else system.edits.upon(model)
-    senses = system.senses if sensors is None else sensors
-    return GpuEngine(model or system.model, edits, system.input_spec, senses, [device])
 
 
 def rounding(engine: Engine, steps: float = 1.0) -> float:

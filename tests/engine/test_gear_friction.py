@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import Executor, ProcessPoolExecutor
-from functools import partial
-from multiprocessing import get_context
 from typing import Any
 
 import mujoco
@@ -16,9 +12,9 @@ from amhe_cli.core.errors import ConfigError
 from amhe_cli.engine.open import open_engine
 from amhe_cli.engine.rollout import Engine, Rollouts
 from amhe_cli.system.export.mjcf import identified_xml
-from amhe_cli.system.parameters.gear_friction import GearFriction
+from amhe_cli.system.parameters.gear_friction import GearFriction, beyond
 from amhe_cli.system.system import System
-from tests.engine.test_contract import ENGINES, Open, on_warp
+from tests.engine.conftest import Open
 
 STEP, MASS, GRAVITY, DRY = 0.001, 2.0, 10.0, 0.5
 #: A hoist: a mass that a motor lifts. What the motor does not do, gravity does.
@@ -37,23 +33,6 @@ WORDS = {
     "stribeck_load_friction": 0.0,
     "load_friction_quadratic": 0.0,
 }
-
-
-@pytest.fixture(scope="module")
-def workers() -> Iterator[Executor]:
-    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
-        yield executor
-
-
-@pytest.fixture(
-    params=[pytest.param(n, marks=pytest.mark.slow if n == "warp" else ()) for n in ENGINES], scope="module"
-)
-def opened(request: pytest.FixtureRequest) -> Open:
-    given = dict(ENGINES[request.param])
-    if "device" in given:
-        return partial(on_warp, device=given["device"])
-    executor = request.getfixturevalue("workers") if given.pop("spread", False) else None
-    return lambda system, **more: open_engine(system, executor=executor, **given, **more)
 
 
 def hoist(words: dict[str, float] = WORDS, xml: str = HOIST, joint: str = "lift") -> System:
@@ -173,8 +152,12 @@ def test_contacts_load_the_gear_and_friction_itself_does_not() -> None:
     gear = GearFriction.of(model)
     assert gear is not None
     numbers = model.numeric_data[gear.at][None]
-    law = partial(gear.bound, numbers, np.full((1, 1), DRY), np.zeros((1, 1)), np.full((1, 1), -20.0))
     speed, holds = np.zeros((1, 1)), np.full((1, 1), 6.5)
+
+    def law(constraint: np.ndarray, speed: np.ndarray, holds: np.ndarray) -> np.ndarray:
+        external = beyond(constraint, holds) - 20.0
+        return gear.bound(numbers, np.full((1, 1), DRY), np.zeros((1, 1)), external, speed)
+
     assert law(np.array([[6.5]]), speed, holds).item() == pytest.approx(DRY + 0.3 * 20.0)
     assert law(np.array([[16.5]]), speed, holds).item() == pytest.approx(DRY + 0.3 * 10.0)
 

@@ -93,10 +93,8 @@ class GearFriction:
         numbers: FloatArray,
         dry: FloatArray,
         motor: FloatArray,
-        smooth: FloatArray,
-        constraint: FloatArray,
+        external: FloatArray,
         speed: FloatArray,
-        holds: FloatArray,
     ) -> FloatArray:
         """What friction of n simulations can hold at most [N m], shape (n, g).
 
@@ -106,14 +104,10 @@ class GearFriction:
             numbers: Their numbers, shape (n, g, 8).
             dry: f_c, shape (n, g).
             motor: tau_m, shape (n, g).
-            smooth: Other forces without viscous friction and constraints, shape (n, g).
-            constraint: Forces of constraints: friction, contacts, limits. Those above what friction could
-                hold are contacts, shape (n, g).
+            external: tau_e, shape (n, g).
             speed: dq, shape (n, g).
-            holds: What friction could hold when these forces acted, shape (n, g).
         """
         k_m, k_e, f_s, v_s, power, k_ms, k_es, quadratic = np.moveaxis(numbers, -1, 0)
-        external = smooth + np.sign(constraint) * np.maximum(np.abs(constraint) - holds, 0.0)
         found = dry + _under_load(k_e, external, k_m, motor)
         if f_s.any() or k_es.any() or k_ms.any():  # terms of zero would take half of the time
             slow = np.exp(-(np.abs(speed / v_s) ** power))
@@ -121,6 +115,11 @@ class GearFriction:
         if quadratic.any():
             found += quadratic * np.maximum(-motor * external, 0.0)
         return np.maximum(found, 0.0)
+
+
+def beyond(constraint: FloatArray, holds: FloatArray) -> FloatArray:
+    """What of the forces of constraints is external, not friction: all above what friction could hold."""
+    return np.sign(constraint) * np.maximum(np.abs(constraint) - holds, 0.0)
 
 
 def ahead(now: FloatArray, before: FloatArray, every: int) -> FloatArray:

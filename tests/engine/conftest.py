@@ -1,0 +1,56 @@
+"""Every engine, opened for a system: what the tests of all engines share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from typing import Any
+
+import mujoco
+import pytest
+
+from amhe_cli.engine.open import open_engine
+from amhe_cli.engine.rollout import Engine
+from amhe_cli.system.system import System
+
+#: How every engine is opened; `spread` gives it two worker processes, `warp` is that of graphics cards on
+#: the processor. A new engine is one more line.
+ENGINES: dict[str, dict[str, Any]] = {
+    "one thread": {"threads": 1},
+    "two threads": {"threads": 2},
+    "two processes": {"spread": True},
+    "warp": {"device": "cpu"},
+}
+
+Open = Callable[..., Engine]
+
+
+@pytest.fixture(scope="module")
+def workers() -> Iterator[Executor]:
+    with ProcessPoolExecutor(2, get_context("spawn")) as executor:
+        yield executor
+
+
+@pytest.fixture(
+    params=[pytest.param(n, marks=pytest.mark.slow if n == "warp" else ()) for n in ENGINES], scope="module"
+)
+def opened(request: pytest.FixtureRequest) -> Open:
+    """Opens the engine for a system, as `open_engine` does."""
+    given = dict(ENGINES[request.param])
+    if "device" in given:
+        return partial(on_warp, device=given["device"])
+    executor = request.getfixturevalue("workers") if given.pop("spread", False) else None
+    return lambda system, **more: open_engine(system, executor=executor, **given, **more)
+
+
+def on_warp(
+    system: System, *, device: str, model: mujoco.MjModel | None = None, sensors: bool | None = None
+) -> Engine:
+    """The engine of graphics cards on another device of warp, as `open_engine` makes it for the cards."""
+    from amhe_cli.engine.gpu.engine import GpuEngine
+
+    edits = system.edits if model is None else system.edits.upon(model)
+    senses = system.senses if sensors is None else sensors
+    return GpuEngine(model or system.model, edits, system.input_spec, senses, [device])
