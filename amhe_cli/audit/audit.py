@@ -14,7 +14,7 @@ from amhe_cli.audit.weight import States, anywhere, weights
 from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.core.errors import ConfigError, LogError
 from amhe_cli.core.log import Log
-from amhe_cli.core.parameters import ParameterSpace
+from amhe_cli.core.parameters import ParameterSpace, theta_of
 from amhe_cli.core.settings import Settings
 from amhe_cli.core.statistics import correlation
 from amhe_cli.core.yaml_file import merged
@@ -24,6 +24,7 @@ from amhe_cli.estimation.identification import IdentifyOptions, Search, conclude
 from amhe_cli.estimation.uncertainty.fit import final_fit
 from amhe_cli.init.folder import Proposal
 from amhe_cli.matching.motion import motion_of
+from amhe_cli.matching.windows import driving
 from amhe_cli.system.system import System
 
 #: Identifications until no more number stands out, at most.
@@ -51,7 +52,7 @@ class Line:
         chance: The chance that a right number is farther away.
         verdict: One of `VERDICTS`.
         weight: Share of the forces along the motion that the difference is worth.
-        cure: Of what cannot be told, what would tell.
+        cure: What to record or measure, of a number that the log does not show.
     """
 
     of: str
@@ -73,7 +74,7 @@ class Audit:
     """The numbers of a file against logs.
 
     Args:
-        lines: Contradicted ones first, by weight; then what agrees, then what cannot be told.
+        lines: Contradicted ones first, by weight; then what agrees, then what the log does not show.
         system: The model with all its numbers as parameters, under the priors of the last identification.
         found: That identification.
         claims: What the file claims.
@@ -206,7 +207,7 @@ def _lines(system: System, found: Identification, claims: Sequence[Claim], logs:
     chance = chances(logged.t)
     wrong = contradicted(chance) & (not found.unexplained)
     log, factor = system.space.log[rows], np.array([claim.factor for claim in claims])
-    value = factor * np.where(log, np.exp(np.where(log, logged.mean, 0.0)), logged.mean)
+    value = factor * theta_of(log, logged.mean)
     sd = logged.sd * np.where(log, value, factor)
     told = (logged.sd <= sheet) & (not found.unexplained)
     verdicts = np.where(wrong, VERDICTS[0], np.where(told, VERDICTS[1], VERDICTS[2]))
@@ -254,7 +255,7 @@ def _along(system: System, logs: Sequence[Log]) -> States:
     some = np.linspace(0, len(motion.rows) - 1, min(_STATES, len(motion.rows))).astype(int)
     inputs = np.tile(home(system.model, system.keyframe, system.input_spec)[1], (some.size, 1))
     for source in system.inputs:
-        inputs[:, list(source.columns)] = log[source.key].values[motion.rows[some]]
+        inputs[:, list(source.columns)] = driving(source, log)[motion.rows[some]]
     return States(motion.qpos[some], motion.qvel[some], motion.qacc[some], inputs, system.input_spec)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import dataclass
 
 import mujoco
@@ -68,11 +67,8 @@ def compare(one: mujoco.MjModel, other: mujoco.MjModel) -> FilesCompared:
         if np.abs(mine - its).max() <= max(_SAME * size, _ZERO):
             alike += 1
             continue
-        model = copy.copy(one)
-        number.write(model, its)
-        mujoco.mj_setConst(model, mujoco.MjData(model))
         found.append((number, mine, its))
-        changed.append(model)
+        changed.append(number.written(one, its))
     worth = weights(one, changed, anywhere(one))
     rows = [
         FileDifference(n.of, n.what, n.unit, tuple(map(float, mine)), tuple(map(float, its)), weight)

@@ -12,6 +12,7 @@ from amhe_cli.audit.judge import chances, contradicted
 from amhe_cli.audit.weight import anywhere, weights
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.core.belief import Belief
+from amhe_cli.core.parameters import theta_of
 from amhe_cli.core.settings import AssumedSettings
 from amhe_cli.system.numbers import ModelNumber, numbers_of
 from amhe_cli.system.system import System
@@ -38,11 +39,8 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
         share = sheet_of(number.kind, AssumedSettings())
         if own is None or not share:
             continue
-        sd = float(
-            np.sqrt(
-                _slope(system, space.nominal, own) @ belief.covariance @ _slope(system, space.nominal, own)
-            )
-        )
+        slope = _slope(system, space.nominal, own)
+        sd = float(np.sqrt(slope @ belief.covariance @ slope))
         if sd > 0.0:
             size = 1.0 if number.kind == "center_of_mass" else abs(number.value(file))
             found.append((number, own, sd, share * size))
@@ -55,12 +53,7 @@ def held_against(system: System, belief: Belief, file: mujoco.MjModel) -> list[L
     verdicts = np.where(
         wrong, VERDICTS[0], np.where(sd <= np.maximum(sheet, 1e-12), VERDICTS[1], VERDICTS[2])
     )
-    others = []
-    for number, own, *_ in found:
-        other = model.__copy__()
-        own.write(other, number.values(file))
-        mujoco.mj_setConst(other, mujoco.MjData(other))
-        others.append(other)
+    others = [own.written(model, number.values(file)) for number, own, *_ in found]
     worth = weights(model, others, anywhere(model))
     return in_order(
         Line(
@@ -80,7 +73,6 @@ def _slope(system: System, theta: FloatArray, number: ModelNumber) -> FloatArray
         for way in (-step, step):
             phi = space.phi_of(theta)
             phi[i] += way
-            moved = np.where(space.log, np.exp(np.where(space.log, phi, 0.0)), phi)
-            ends.append(number.value(system.edits.apply(system.model, moved)))
+            ends.append(number.value(system.edits.apply(system.model, theta_of(space.log, phi))))
         slope[i] = (ends[1] - ends[0]) / (2.0 * step)
     return slope

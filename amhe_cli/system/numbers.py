@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -63,11 +64,14 @@ class ModelNumber:
         """Its value; of an inertia the largest moment."""
         return float(self.values(model)[0])
 
-    def write(self, model: mujoco.MjModel, values: FloatArray) -> None:
-        """Put values (n,) into a model in place of its own; derived numbers are left as they are."""
+    def written(self, model: mujoco.MjModel, values: FloatArray) -> mujoco.MjModel:
+        """A copy of a model with values (n,) in place of its own, and all that derives from them."""
+        model = copy.copy(model)
         for cells in self.cells:
             put = values[np.argsort(np.argsort(-cells.of(model)))] if self.kind == "inertia" else values
             getattr(model, cells.field)[cells.index[1:]] = cells.factor * (put if cells.columns else put[0])
+        mujoco.mj_setConst(model, mujoco.MjData(model))
+        return model
 
 
 def numbers_of(model: mujoco.MjModel, axes: bool = True) -> list[ModelNumber]:
