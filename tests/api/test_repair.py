@@ -19,11 +19,8 @@ from amhe_cli.estimation.core.result import AtHorizon, Missing, MissingRow
 from amhe_cli.estimation.validation.comparison import improves
 from amhe_cli.report.held_out import sized
 from amhe_cli.report.missing import repairs_table
+from tests.estimation.test_explain import XML, swung
 
-XML = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" axis="0 1 0" damping="0.05"/>
-  <geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02" mass="0.6"/><body name="load" pos="0 0 -0.3">
-  <geom size="0.04" mass="0.3"/></body></body></worldbody>
-  <actuator><position name="servo" joint="hinge" kp="6" kv="0.3"/></actuator></mujoco>"""
 YAML = """model: model.xml  # a pendulum
 parameters:
   # what hangs at its end
@@ -40,20 +37,11 @@ SPRING = "  k: {nominal: 0.5, scale: log, prior_sd: 1, targets: [{joint: hinge, 
 
 def _swing(folder: Path, stiffness: float) -> tuple[Path, Path]:
     """A system of a pendulum without a spring, and a log of one that has one about 0.1 rad."""
-    model = mujoco.MjModel.from_xml_string(XML)
-    data, rng, rows = mujoco.MjData(model), np.random.default_rng(3), []
-    hertz, phase = np.geomspace(0.2, 2.0, 6), rng.uniform(0.0, 6.0, 6)
-    for k in range(6000):
-        command = 0.4 * np.sin(2.0 * np.pi * hertz * (k // 5 * 0.01) + phase).sum()
-        if k % 5 == 0:
-            rows.append((k * 0.002, data.qpos[0] + rng.normal(0.0, 5e-4), command))
-        data.ctrl[0], data.qfrc_applied[0] = command, -stiffness * (data.qpos[0] - 0.1)
-        mujoco.mj_step(model, data)
     system, log = folder / "pendulum", folder / "log.csv"
     system.mkdir()
     (system / "model.xml").write_text(XML)
     (system / "system.yaml").write_text(YAML)
-    np.savetxt(log, rows, delimiter=",", header="time,hinge,target", comments="")
+    np.savetxt(log, swung(stiffness), delimiter=",", header="time,hinge,target", comments="")
     return system, log
 
 

@@ -179,9 +179,8 @@ XML = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" 
   <actuator><position name="servo" joint="hinge" kp="6" kv="0.3"/></actuator></mujoco>"""
 
 
-@pytest.fixture(scope="module")
-def sprung() -> tuple[amhe.System, amhe.Log]:
-    """A pendulum whose spring of 0.8 N m/rad about 0.1 rad is not in its model."""
+def swung(stiffness: float) -> np.ndarray:
+    """Times, positions and commands (n, 3) of the pendulum with a spring about 0.1 rad."""
     model = mujoco.MjModel.from_xml_string(XML)
     data, rng, rows = mujoco.MjData(model), np.random.default_rng(3), []
     hertz, phase = np.geomspace(0.2, 2.0, 6), rng.uniform(0.0, 6.0, 6)
@@ -189,8 +188,14 @@ def sprung() -> tuple[amhe.System, amhe.Log]:
         command = 0.4 * np.sin(2.0 * np.pi * hertz * (k // 5 * 0.01) + phase).sum()
         if k % 5 == 0:
             rows.append((k * 0.002, data.qpos[0] + rng.normal(0.0, 5e-4), command))
-        data.ctrl[0], data.qfrc_applied[0] = command, -0.8 * (data.qpos[0] - 0.1)
+        data.ctrl[0], data.qfrc_applied[0] = command, -stiffness * (data.qpos[0] - 0.1)
         mujoco.mj_step(model, data)
+    return np.array(rows)
+
+
+@pytest.fixture(scope="module")
+def sprung() -> tuple[amhe.System, amhe.Log]:
+    """A pendulum whose spring of 0.8 N m/rad about 0.1 rad is not in its model."""
     system = amhe.System.from_model(
         mujoco.MjSpec.from_string(XML),
         parameters={"mass": {"nominal": 0.4, "prior_sd": 0.5, "scale": "log",
@@ -200,7 +205,7 @@ def sprung() -> tuple[amhe.System, amhe.Log]:
         settings={"clips": {"length": [0.4, 0.8], "count": 8}, "identify": {"profile_points": 0}},
         warn=False,
     )  # fmt: skip
-    time, position, command = np.array(rows).T
+    time, position, command = swung(0.8).T
     arrays = {"joints": {"time": time, "position": position}, "command": {"time": time, "position": command}}
     return system, amhe.Log.from_arrays(arrays, system)
 
