@@ -8,6 +8,7 @@ import numpy as np
 
 from amhe_cli.core import rotations
 from amhe_cli.core.arrays import FloatArray, IntArray
+from amhe_cli.core.resample import alike
 
 #: Neighbours to each side, at least.
 _NEIGHBOURS = 3
@@ -97,12 +98,7 @@ def differentiated(times: FloatArray, values: FloatArray, source: str, bridge: f
         return slopes
     slopes = np.full(values.shape, np.nan)
     finite = np.isfinite(values)
-    for columns in _columns_alike(finite):
+    for columns in alike(finite):
         present = finite[:, columns[0]]
         slopes[np.ix_(present, columns)] = derivative(times[present], values[present][:, columns], bridge)
     return slopes
-
-
-def _columns_alike(finite: np.ndarray) -> list[IntArray]:
-    _, kind = np.unique(finite, axis=1, return_inverse=True)
-    return [np.flatnonzero(kind.ravel() == k) for k in range(int(kind.max(initial=-1)) + 1)]

@@ -93,7 +93,7 @@ def resample(
     valid = np.ones(grid.size, dtype=bool)
     sampled = np.ones(grid.size, dtype=bool)
     fewest = np.inf
-    for group in _alike(np.isfinite(values)):
+    for group in alike(np.isfinite(values)):
         present = np.isfinite(values[:, group[0]])
         stamps = times[present]
         whole = present.all() and len(group) == values.shape[1]
@@ -115,8 +115,8 @@ def resample(
     return Series(out, valid, sampled, columns, derived)
 
 
-def _alike(finite: BoolArray) -> list[list[int]]:
-    """Columns grouped by the messages in which they are present."""
+def alike(finite: BoolArray) -> list[list[int]]:
+    """Columns (n, k) grouped by the messages in which they are present."""
     if finite.all():
         return [list(range(finite.shape[1]))]
     groups: dict[bytes, list[int]] = {}

@@ -152,14 +152,17 @@ class _Scan:
     info: TypeInfo | None = None
 
     def take(self, batch: Batch) -> None:
-        header_ns = np.zeros(batch.starts.size, dtype=np.int64)
+        header_ns = None
         for group in self.splitter.split(batch) if self.splitter else ():
-            self._look(group, header_ns)
+            if (stamps := self._look(group)) is not None:
+                header_ns = np.zeros(batch.starts.size, dtype=np.int64) if header_ns is None else header_ns
+                header_ns[group.members] = stamps
         self.log_ns.append(batch.log_ns)
         self.publish_ns.append(batch.publish_ns)
-        self.header_ns.append(header_ns)
+        self.header_ns.append(_zeros(batch.starts.size) if header_ns is None else header_ns)
 
-    def _look(self, group: MessageGroup, header_ns: IntArray) -> None:
+    def _look(self, group: MessageGroup) -> IntArray | None:
+        """Notes what is in the messages, and returns their header stamps."""
         self.entries |= dict.fromkeys(_entries(group.layout))
         self.carried |= dict.fromkeys(_carried(group.layout, self.info))
         if self.info is None:
@@ -170,14 +173,29 @@ class _Scan:
             leaves = time_leaves(group.layout, path)
             if leaves:
                 self.has_header = True
-                header_ns[group.members] = nanoseconds(group.rows, leaves)
-                return
+                return nanoseconds(group.rows, leaves)
+        return None
 
     def samples(self) -> SignalSamples:
-        stamps = (self.log_ns, self.publish_ns, self.header_ns)
-        log_ns, publish_ns, header_ns = (np.concatenate([*s, np.zeros(0, dtype=np.int64)]) for s in stamps)
-        samples = SignalSamples(log_ns, publish_ns, header_ns, np.zeros_like(log_ns), {}, {}, self.has_header)
-        return samples.pick(np.argsort(log_ns, kind="stable"))
+        """The stamps by log time; what a file does not have takes no memory."""
+        one_clock = all(a is b for a, b in zip(self.log_ns, self.publish_ns, strict=True))
+        log_ns = _joined(self.log_ns)
+        sorts = bool(np.any(log_ns[1:] < log_ns[:-1]))
+        order = np.argsort(log_ns, kind="stable") if sorts else slice(None)
+        log_ns = log_ns[order]
+        publish_ns = log_ns if one_clock else _joined(self.publish_ns)[order]
+        header_ns = _joined(self.header_ns)[order] if self.has_header else _zeros(log_ns.size)
+        return SignalSamples(log_ns, publish_ns, header_ns, _zeros(log_ns.size), {}, {}, self.has_header)
+
+
+def _zeros(count: int) -> IntArray:
+    return np.broadcast_to(np.int64(0), count)
+
+
+def _joined(parts: list[IntArray]) -> IntArray:
+    """All parts in one array, which takes their place."""
+    parts[:] = [np.concatenate([*parts, _zeros(0)])]
+    return parts[0]
 
 
 def survey(
@@ -243,7 +261,9 @@ def _span(samples: Mapping[Connection, SignalSamples]) -> tuple[int, float]:
     stamps = [timeline(s, "log").stamps_ns for s in samples.values() if s.log_ns.size]
     if not stamps:
         return 0, 0.0
-    every = np.sort(np.concatenate(stamps))
+    every = np.concatenate(stamps)
+    del stamps
+    every.sort()
     most = max(np.split(every, np.flatnonzero(np.diff(every) > _FAR * 1e9) + 1), key=len)
     every = most if most.size >= _NEARLY_ALL * every.size else every
     return int(every[0]), int(every[-1] - every[0]) / 1e9
@@ -298,7 +318,8 @@ def _timing(
     if times.kept.size > 1:
         periods = np.diff(times.stamps_ns) / 1e9
         widest = int(np.argmax(periods))
-        rate, gap = float(1.0 / np.median(periods)), float(periods[widest])
+        gap = float(periods[widest])
+        rate = float(1.0 / np.median(periods, overwrite_input=True))
         gap_at = (int(samples.log_ns[times.kept[widest]]) - origin) / 1e9
     return _Timing(clock, header, rate, gap, gap_at, lag, (*notes, *times.notes))
 

@@ -10,6 +10,7 @@ import struct
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TypeAlias
@@ -421,6 +422,18 @@ def test_tables_of_zeros(write: Callable[[Path], None], tmp_path: Path) -> None:
     assert path.stat().st_size < 2**18
     with limit(piece_mib=30):
         assert "beyond the limit growth = 100" in refused(path)
+
+
+@pytest.mark.parametrize("times", [[1], [9, 1, 5], [0, 1, 1]])
+def test_rows_of_a_table_take_memory_in_proportion(times: list[int], tmp_path: Path) -> None:
+    path, count = tmp_path / "log.npz", 600_000
+    np.savez(path, time=np.resize(np.array(times, dtype=float), count), q=np.ones(count))
+    survey(path)  # loads what is loaded once
+    tracemalloc.start()
+    assert survey(path).topics[0].count == count
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < (64 + 2 * 8) * count
 
 
 def write_records(path: Path, *formats: str, topics: int = 1, name: bytes = b"a") -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from amhe_cli.core.arrays import BoolArray, IntArray
 from amhe_cli.logs.clocks import _longest_run, increasing, timeline
 from amhe_cli.logs.messages.decode import SignalSamples
 
@@ -12,7 +13,7 @@ from amhe_cli.logs.messages.decode import SignalSamples
 def test_one_stamp_out_of_order_is_looked_for_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     looked: list[int] = []
 
-    def counted(stamps: list[int]) -> list[bool]:
+    def counted(stamps: IntArray) -> BoolArray:
         looked.append(len(stamps))
         return _longest_run(stamps)
 
