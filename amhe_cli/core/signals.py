@@ -23,6 +23,8 @@ QUANTITIES: Mapping[str, str] = {
     "effort": "N or N m",  # joint forces or torques (n)
     "force": "N",  # (3)
     "torque": "N m",  # (3)
+    "voltage": "V",  # of the supply of servos (n)
+    "enabled": "0 or 1",  # whether the torque of servos is on (n)
     "value": "any",  # plain numbers (n): commands, arrays, fields of foreign types
 }
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import mujoco
 import mujoco.batch
@@ -23,6 +23,7 @@ from amhe_cli.engine.rollout import (
 from amhe_cli.engine.states import controls, first_activations, without_contacts
 from amhe_cli.system.parameters.gear_friction import OF_GEARS, UPDATE, GearFriction, ahead, beyond
 from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.parameters.servos import BIAS
 
 #: The records of one batch of rollouts stay below this many bytes; more of them are run in turns.
 RECORD_BYTES = 64 * 2**20
@@ -49,13 +50,14 @@ class CpuEngine:
     def __init__(
         self, model: mujoco.MjModel, edits: ModelEdits, input_spec: int, threads: int, sensors: bool
     ) -> None:
-        self._model, self._edits, self._input_spec = without_contacts(model), edits, input_spec
+        self._servos, self._gear = edits.servos, edits.gear_friction
+        free = model if self._servos is None else self._servos.unlimited()
+        self._model, self._edits, self._input_spec = without_contacts(free), edits, input_spec
         self._threads, self._sensors = threads, sensors
         self._batch: mujoco.batch.Batch | None = None
         self._fields: dict[str, np.ndarray] = {}
         self._written = np.empty((0, len(edits.space)))
         self._controls = controls(model, input_spec)
-        self._gear = edits.gear_friction
 
     precision, device_bytes = float(np.finfo(np.float64).eps), 0
 
@@ -128,6 +130,9 @@ class CpuEngine:
                 for name in _FORCES:
                     batch.bind(name)  # kept by the batch from here on
                 self._fields |= {n: np.repeat(getattr(self._model, n)[None], count, 0) for n in OF_GEARS}
+            if self._servos is not None:
+                self._fields |= {BIAS: batch.expand(BIAS)}
+                self._fields.setdefault("numeric_data", np.repeat(self._model.numeric_data[None], count, 0))
             self._written = np.full((count, len(self._edits.space)), np.nan)
         return self._batch
 
@@ -173,18 +178,42 @@ class CpuEngine:
                 ids=ids,
             )
 
-        if self._gear is None:
+        gear, drive = self._gear, self._driver(batch, ids)
+        if gear is None and drive is None:
             return run(control)
+
+        def piece(first: int, steps: int) -> dict[str, FloatArray]:
+            if drive is not None:
+                drive(control[:, first])
+            return run(control[:, first : first + steps])
+
         every = max(1, round(UPDATE / self._model.opt.timestep))
-        batch.expand("dof_frictionloss")[ids] = self._fields["dof_frictionloss"][ids]
-        before = batch.state[ids]
-        run(control[:, :1])  # for the forces at the start, upon which friction depends
-        batch.state[ids] = before
-        pieces, now = [], None
-        for first in range(0, control.shape[1], every):
-            now = self._set_friction(self._gear, batch, ids, every, now)
-            pieces.append(run(control[:, first : first + every]))
+        if gear is not None:
+            batch.expand("dof_frictionloss")[ids] = self._fields["dof_frictionloss"][ids]
+            before = batch.state[ids]
+            piece(0, 1)  # for the forces at the start, upon which friction depends
+            batch.state[ids] = before
+        pieces, now, at_once = [], None, every if drive is None else 1
+        for first in range(0, control.shape[1], at_once):
+            if gear is not None and first % every == 0:
+                now = self._set_friction(gear, batch, ids, every, now)
+            pieces.append(piece(first, at_once))
         return {name: np.concatenate([piece[name] for piece in pieces], axis=1) for name in record}
+
+    def _driver(self, batch: mujoco.batch.Batch, ids: IntArray) -> Callable[[FloatArray], None] | None:
+        """What gives the servos of some simulations their torques under inputs (n, nu); None: MuJoCo does."""
+        if self._servos is None:
+            return None
+        fields, rows, into = self._fields, self._servos.rows, self._fields[BIAS]
+        law = self._servos.law(
+            lambda name: fields[name][ids] if name in fields else getattr(self._model, name)[None]
+        )
+
+        def drive(inputs: FloatArray) -> None:
+            qpos, qvel, act = (batch.bind(name)[ids] for name in ("qpos", "qvel", "act"))
+            into[ids[:, None], rows, 0] = law(qpos, qvel, inputs[:, self._controls], act)
+
+        return drive
 
     def _set_friction(
         self,

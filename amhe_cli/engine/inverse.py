@@ -16,6 +16,7 @@ from amhe_cli.engine.states import controls, first_activations
 from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.inertia import rotation_matrix
 from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.parameters.servos import with_servos
 
 #: Inertia of a body: efforts are linear in its mass, first moments and moments about the body's origin.
 _INERTIA = ("body_mass", "body_ipos", "body_iquat", "body_inertia")
@@ -65,7 +66,7 @@ def forces_along(
             have followed their commands for long.
         input_spec: mjtState bits of the inputs.
     """
-    free = unconstrained(model)
+    free, drive = with_servos(unconstrained(model))
     data, count = mujoco.MjData(free), len(qpos)
     needed, given = np.empty((count, model.nv)), np.zeros((count, model.nv))
     act = None
@@ -81,6 +82,7 @@ def forces_along(
             continue
         if act is not None:
             data.act = act[k]
+        drive(data)
         mujoco.mj_fwdActuation(free, data)
         given[k] = data.qfrc_actuator + data.qfrc_applied
         for body in np.flatnonzero(data.xfrc_applied.any(axis=1)):

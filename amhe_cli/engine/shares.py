@@ -11,6 +11,7 @@ from amhe_cli.core.arrays import BoolArray, FloatArray
 from amhe_cli.engine.inverse import unconstrained
 from amhe_cli.engine.states import collides
 from amhe_cli.system.parameters.gear_friction import GearFriction
+from amhe_cli.system.parameters.servos import with_servos
 
 #: Surfaces that are nearer [m] may touch.
 _NEAR = 0.003
@@ -52,7 +53,7 @@ def shares_along(
     They are those of a rollout: it computes forces at a speed that is half a time step old (Euler), or half a
     step ahead (implicit); Euler's joint damping is implicit.
     """
-    free, (count, nv) = unconstrained(model), qvel.shape
+    (free, drive), (count, nv) = with_servos(unconstrained(model)), qvel.shape
     kind, ahead = int(model.opt.integrator), 0.5 * model.opt.timestep
     euler, runge = int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4)
     qvel = qvel + {euler: -ahead, runge: 0.0}.get(kind, ahead) * qacc
@@ -65,6 +66,7 @@ def shares_along(
         if inputs.shape[1]:
             mujoco.mj_setState(free, data, inputs[k], input_spec)
         data.qpos, data.qvel, data.act = qpos[k], qvel[k], act[k]
+        drive(data)
         mujoco.mj_forward(free, data)
         given[k] = data.qfrc_smooth - data.qfrc_passive + data.qfrc_bias
         if outputs:

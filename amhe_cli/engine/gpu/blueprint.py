@@ -86,6 +86,8 @@ def check_supported(blueprint: Blueprint, device: str) -> None:
     Raises:
         SimulationError: It cannot; the text says what it lacks.
     """
+    if blueprint.edits.servos is not None:
+        raise SimulationError("a card knows no punch, dead band or supply of servos; take the engine 'cpu'")
     try:
         with wp.ScopedDevice(device):
             mjw.put_model(blueprint.nominal)

@@ -19,9 +19,10 @@ from amhe_cli.system.parameters.calibration import CalibrationNumber, SignalCali
 from amhe_cli.system.parameters.cells import Cells, range_cells
 from amhe_cli.system.parameters.delays import CommandDelays
 from amhe_cli.system.parameters.edits import Edit, PseudoInertiaEdit, ScalarEdit
-from amhe_cli.system.parameters.gear_friction import BOTH, OWN, add_numbers, joint_of
+from amhe_cli.system.parameters.gear_friction import BOTH, GEARS, OWN
 from amhe_cli.system.parameters.inertia import PSEUDO_NAMES
 from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.parameters.servos import OF_SERVO, SERVOS, SIGNALS
 
 #: Prior sd of log(theta) where none is given: a factor of 1.65 either way at one sd.
 LOG_PRIOR_SD = 0.5
@@ -41,7 +42,7 @@ def generalise(spec: mujoco.MjSpec, entry: SystemEntry) -> None:
     """Give the model what targets need.
 
     Bodies whose centre of mass will move are compiled without MuJoCo's short cuts for simple bodies; joints
-    whose gear friction is set get its numbers.
+    whose gear friction is set get its numbers, and so do servos.
     """
     targets = [target for parameter in entry.parameters.values() for target in parameter.targets]
     moved = [target.body for target in targets if target.set in _GENERAL and target.body]
@@ -51,7 +52,12 @@ def generalise(spec: mujoco.MjSpec, entry: SystemEntry) -> None:
         if _meant(body.name, moved):
             body.simple = 0
     single = (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE)
-    add_numbers(spec, [j.name for j in spec.joints if j.type in single and _meant(j.name, geared)])
+    GEARS.add(spec, [j.name for j in spec.joints if j.type in single and _meant(j.name, geared)])
+    driven = [target.actuator for target in targets if target.set in OF_SERVO and target.actuator]
+    for signal in entry.signals.values():
+        if any(told in (signal.quantity, *signal.columns, *signal.fields) for told in SIGNALS):
+            driven += list(signal.actuators or ())
+    SERVOS.add(spec, [one.name for one in spec.actuators if _meant(one.name, driven)])
 
 
 def _meant(name: str, patterns: list[str]) -> bool:
@@ -307,7 +313,9 @@ def _joint_of(cells: Cells, model: mujoco.MjModel) -> int | None:
     if cells.field == "qpos_spring":
         return int(np.flatnonzero(model.jnt_qposadr == cells.row)[0])
     if cells.field == "numeric_data":
-        return joint_of(model, cells.row)
+        if (servo := SERVOS.element(model, cells.row)) is not None:
+            return int(model.actuator_trnid[servo, 0])
+        return GEARS.element(model, cells.row)
     if cells.field == "tendon_range":
         return int(model.wrap_objid[model.tendon_adr[cells.row]])
     driven = cells.field == "actuator_forcerange" and model.actuator_trntype[cells.row] in (

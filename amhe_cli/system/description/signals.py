@@ -22,6 +22,7 @@ from amhe_cli.system.description.wiring import (
     unit_of,
 )
 from amhe_cli.system.model.elements import commanded, control_of, id_of, single_joints
+from amhe_cli.system.parameters.servos import SIGNALS, carrier
 
 #: Kinds of signals that drive the model.
 DRIVING = ("actuators", "mocap", "force_on", "joint_force")
@@ -211,15 +212,25 @@ def _measured_sensor(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
 
 
 def _driven_actuators(draft: WiringDraft, name: str, entry: SignalEntry) -> None:
-    """Commands: controls of actuators, held until the next message."""
+    """Commands: controls of actuators, held until the next message; or the voltage of servos, or enabling."""
     names, logged = names_of_log(entry.actuators)
     rows = [id_of(draft.model, "actuator", actuator) for actuator in names]
     usual = "value" if str(entry.type).endswith("MultiArray") else commanded(draft.model, rows[0])
     quantity = one_quantity(entry, usual)
-    for row in rows:
-        control_of(draft.model, row, quantity)  # refused where there is none
     signal = signal_of(name, entry, (quantity,), logged, is_input=True)
-    draft.driven.append(Drive(signal.key(quantity), _CTRL, list(names), delayed=True))
+    for row in rows:
+        if quantity in SIGNALS:  # the servo's law reads the control of an actuator that does nothing
+            draft.spec.add_actuator(
+                name=carrier(quantity, draft.model.actuator(row).name),
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                target=draft.model.joint(draft.model.actuator_trnid[row, 0]).name,
+                gainprm=np.zeros(10),
+            )
+        else:
+            control_of(draft.model, row, quantity)  # refused where there is none
+    told = quantity in SIGNALS
+    parts: list[int | str] = [carrier(quantity, one) if told else one for one in names]
+    draft.driven.append(Drive(signal.key(quantity), _CTRL, parts, delayed=not told))
     draft.signals.append(signal)
 
 

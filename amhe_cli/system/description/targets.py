@@ -16,6 +16,7 @@ from amhe_cli.system.model.gaps import gaps
 from amhe_cli.system.parameters.cells import Cells, range_cells
 from amhe_cli.system.parameters.gear_friction import number_cells
 from amhe_cli.system.parameters.inertia import principal_axis
+from amhe_cli.system.parameters.servos import servo_cells
 
 #: From a model, the row of an element and a target to the numbers that the target sets; raises ConfigError
 #: where they would have no effect.
@@ -187,6 +188,11 @@ def _gear(word: str) -> Mapping[str, CellsOf]:
     return {"joint": lambda model, row, entry: number_cells(model, row, word)}
 
 
+def _servo(word: str) -> Mapping[str, CellsOf]:
+    """Setters of a number of a servo's firmware or supply."""
+    return {"actuator": lambda model, row, entry: servo_cells(model, row, word)}
+
+
 def _motor(array: str, column: int, attribute: str) -> Mapping[str, CellsOf]:
     """Setters of a number of a DC motor."""
     return {"actuator": _of_motor(f"actuator_{array}", column, attribute)}
@@ -341,6 +347,11 @@ SETTERS: Mapping[str, Setter] = {
     "gain": Setter("-", {"actuator": _gain}),
     "actuator_damping": Setter("-", {"actuator": _actuator_damping}),
     "filter_time_constant": Setter("s", {"actuator": _filter}, positive=True),
+    "punch": Setter("-", _servo("punch"), lower=-inf),
+    "dead_band": Setter("rad", _servo("dead_band"), lower=-inf),
+    "supply_sag": Setter("-", _servo("supply_sag"), lower=-inf),
+    "back_emf": Setter("N m s/rad", _servo("back_emf"), lower=-inf),
+    "supply": Setter("V", _servo("supply"), positive=True),
     "integral_gain": Setter("-", {"actuator": _controller("integral_gain")}, positive=True),
     "integral_limit": Setter("rad s", {"actuator": _controller("integral_limit")}, positive=True),
     "slew_limit": Setter("rad/s", {"actuator": _controller("slew_limit")}, positive=True),

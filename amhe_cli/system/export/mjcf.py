@@ -12,7 +12,8 @@ import numpy as np
 
 from amhe_cli.core.arrays import FloatArray
 from amhe_cli.system.model.files import compiled
-from amhe_cli.system.parameters.gear_friction import add_numbers
+from amhe_cli.system.parameters.gear_friction import GEARS
+from amhe_cli.system.parameters.servos import SERVOS
 from amhe_cli.system.system import System
 
 #: Folder beside an exported model for its meshes, textures and height fields.
@@ -34,10 +35,9 @@ def identified_spec(system: System, theta: FloatArray) -> mujoco.MjSpec:
     compiled(spec)  # gives every element its row in the compiled model
     model = system.edits.apply(system.model, theta)
     _write_inertials(spec, model, {c.row for c in system.edits.cells if c.field in _INERTIAL})
-    if (gear := system.edits.gear_friction) is not None:
-        for dof, at in zip(gear.dofs, gear.at, strict=True):
-            joint = model.joint(model.dof_jntid[dof]).name
-            add_numbers(spec, [joint], model.numeric_data[at])
+    for numerics, elements in ((GEARS, model.joint), (SERVOS, model.actuator)):
+        for row, at in numerics.acting(model, system.edits.numerics).items():
+            numerics.add(spec, [elements(row).name], model.numeric_data[at])
     for _, cells in system.edits.by_parameter():
         for row in (c.row for c in cells if c.field == "qpos_spring"):
             zero = model.qpos0[row] - system.unedited.qpos0[row]  # of an encoder

@@ -26,6 +26,7 @@ import numpy as np
 from amhe_cli.core.arrays import FloatArray, IntArray
 from amhe_cli.core.errors import ConfigError
 from amhe_cli.system.parameters.cells import Cells
+from amhe_cli.system.parameters.numerics import Numerics
 
 #: Numbers of a joint in their order, each with its value where nothing says otherwise.
 OWN = {
@@ -40,23 +41,13 @@ OWN = {
 }
 #: Targets that are numbers of both sides: k (tau_e - tau_m).
 BOTH = ("load_friction", "stribeck_load_friction")
-#: Those of the numbers that say how, not how much.
-_SHAPE = ("stribeck_velocity", "stribeck_exponent")
 #: Time between two updates of what friction can hold [s]. A batch of simulations stops for each.
 UPDATE = 0.006
 #: What lies ahead differs from what is by at most this factor.
 AHEAD = 2.0
 #: Fields from which an engine computes it, and of which it keeps its own.
 OF_GEARS = ("dof_frictionloss", "numeric_data")
-_PREFIX = "gear_friction/"
-_NAMES = tuple(OWN)
-
-
-@dataclass(frozen=True, slots=True)
-class GearNumber(Cells):
-    """One number of a joint's gear friction; `name` says which and whose."""
-
-    name: str = ""
+GEARS = Numerics("gear_friction/", mujoco.mjtObj.mjOBJ_JOINT, OWN, ("stribeck_velocity", "stribeck_exponent"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +70,10 @@ class GearFriction:
             model: The model.
             set_by_parameters: Places in `numeric_data` that parameters set.
         """
-        rows, acting = _rows(model), []
-        for joint, at in rows.items():
-            much = [place for name, place in zip(_NAMES, at, strict=True) if name not in _SHAPE]
-            if model.numeric_data[much].any() or not set(at).isdisjoint(set_by_parameters):
-                acting.append(joint)
+        acting = GEARS.acting(model, set_by_parameters)
         if not acting:
             return None
-        return cls(model.jnt_dofadr[acting].astype(np.int64), np.array([rows[joint] for joint in acting]))
+        return cls(model.jnt_dofadr[list(acting)].astype(np.int64), np.array(list(acting.values())))
 
     def bound(
         self,
@@ -138,24 +125,6 @@ def _under_load(k_e: FloatArray, external: FloatArray, k_m: FloatArray, motor: F
     return sign * np.abs(k_e * external - k_m * motor)
 
 
-def _rows(model: mujoco.MjModel) -> dict[int, list[int]]:
-    """Joint -> where its numbers are in `numeric_data`."""
-    rows: dict[int, list[int]] = {}
-    for row in range(model.nnumeric):
-        name = model.numeric(row).name
-        if name.startswith(_PREFIX):
-            if model.numeric_size[row] != len(OWN):
-                raise ConfigError(
-                    f"the numeric {name!r} of the model needs {len(OWN)} numbers: {', '.join(OWN)}"
-                )
-            joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name.removeprefix(_PREFIX))
-            if joint < 0:
-                raise ConfigError(f"the numeric {name!r} of the model names no joint")
-            first = int(model.numeric_adr[row])
-            rows[joint] = list(range(first, first + len(OWN)))
-    return rows
-
-
 def number_cells(model: mujoco.MjModel, joint: int, word: str) -> list[Cells]:
     """Numbers of a joint that a target sets: its own, or those of both sides.
 
@@ -163,25 +132,7 @@ def number_cells(model: mujoco.MjModel, joint: int, word: str) -> list[Cells]:
         ConfigError: The joint turns or slides about more than one axis.
     """
     name = model.joint(joint).name
-    if joint not in _rows(model):
+    words = (f"{word}_motor", f"{word}_external") if word in BOTH else (word,)
+    if not (cells := GEARS.cells(model, joint, words, name)):
         raise ConfigError(f"joint {name!r} has no gear: only hinges and slides with a name have one")
-    at = _rows(model)[joint]
-    wanted = (f"{word}_motor", f"{word}_external") if word in BOTH else (word,)
-    return [GearNumber("numeric_data", at[_NAMES.index(one)], name=f"{one} of {name}") for one in wanted]
-
-
-def joint_of(model: mujoco.MjModel, place: int) -> int | None:
-    """Joint whose number stands at a place of `numeric_data`; None where it is no such number."""
-    return next((joint for joint, at in _rows(model).items() if place in at), None)
-
-
-def add_numbers(spec: mujoco.MjSpec, joints: Collection[str], values: FloatArray | None = None) -> None:
-    """Give joints of a spec gear friction, that of `OWN` or the values (8,); others' are left as they are."""
-    present = {numeric.name: numeric for numeric in spec.numerics}
-    for joint in joints:
-        name = _PREFIX + joint
-        if name not in present:
-            spec.add_numeric(name=name, size=len(OWN), data=list(OWN.values()))
-            present[name] = spec.numerics[-1]
-        if values is not None:
-            present[name].data = values
+    return cells

@@ -16,8 +16,10 @@ from amhe_cli.system.parameters.calibration import CalibrationNumber
 from amhe_cli.system.parameters.cells import Cells
 from amhe_cli.system.parameters.delays import DelayNumber
 from amhe_cli.system.parameters.edits import PseudoInertiaEdit, ScalarEdit
-from amhe_cli.system.parameters.gear_friction import GearFriction, GearNumber
+from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.model_edits import ModelEdits
+from amhe_cli.system.parameters.numerics import Numeric
+from amhe_cli.system.parameters.servos import SERVOS
 
 #: Part of a model -> the fields of MjModel that describe it, by prefix.
 _FIELDS = {
@@ -72,6 +74,8 @@ def parts_of(model: mujoco.MjModel, edits: ModelEdits) -> dict[str, str]:
     parts = {part: _hash(_values(unedited, fields)) for part, fields in _FIELDS.items()}
     if (gear := GearFriction.of(unedited)) is not None:
         parts["gear friction"] = _hash((gear.dofs, unedited.numeric_data[gear.at]))
+    if servos := SERVOS.acting(unedited, ()):
+        parts["servos"] = _hash((np.array(list(servos)), unedited.numeric_data[list(servos.values())]))
     return {"options": _hash(np.asarray(getattr(model.opt, name)) for name in _OPTIONS.split())} | parts
 
 
@@ -131,7 +135,7 @@ def _scalar(model: mujoco.MjModel, edit: ScalarEdit) -> str:
 
 def _name(model: mujoco.MjModel, cells: Cells) -> str:
     """Name of the element that a row belongs to; of its body, or its number, where it has none."""
-    if isinstance(cells, CalibrationNumber | DelayNumber | GearNumber):
+    if isinstance(cells, CalibrationNumber | DelayNumber | Numeric):
         return cells.name
     prefix = cells.field.partition("_")[0]
     row = int(model.dof_jntid[cells.row]) if prefix == "dof" else cells.row

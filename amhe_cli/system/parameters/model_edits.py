@@ -18,6 +18,7 @@ from amhe_cli.system.parameters.delays import CommandDelays, DelayNumber
 from amhe_cli.system.parameters.edits import Edit, Mode, PseudoInertiaEdit, ScalarEdit
 from amhe_cli.system.parameters.gear_friction import GearFriction
 from amhe_cli.system.parameters.inertia import inertia_about_com
+from amhe_cli.system.parameters.servos import Servos
 
 
 def inputs_of_set_const() -> frozenset[str]:
@@ -196,7 +197,17 @@ class ModelEdits:
     @property
     def gear_friction(self) -> GearFriction | None:
         """The joints whose friction is not constant; None where there is none."""
-        return GearFriction.of(self._model, {c.row for c in self.cells if c.field == "numeric_data"})
+        return GearFriction.of(self._model, self.numerics)
+
+    @property
+    def servos(self) -> Servos | None:
+        """The servos that are more than a gain and a limit; None where there is none."""
+        return Servos.of(self._model, self.numerics)
+
+    @property
+    def numerics(self) -> set[int]:
+        """Places in `numeric_data` that parameters set."""
+        return {cells.row for cells in self.cells if cells.field == "numeric_data"}
 
     def delays(self, theta: FloatArray) -> FloatArray:
         """Delays [s] of the engine's inputs under candidates theta (n, d), shape (n, nu).
