@@ -57,6 +57,8 @@ class LibraryDrive:
     duty_per_count: float | None = None
     max_duty: float | None = None
     max_torque: float | None = None
+    punch: float | None = None
+    dead_band: float | None = None
     armature: float | None = None
     armature_sd: float | None = None
     above: dict[str, Any] | None = None

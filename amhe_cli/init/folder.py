@@ -147,8 +147,9 @@ def proposed(
     else:
         parameters = guess_parameters(model, guesses, guessed_gains=added)
         notes += sharing(parameters)
+    told = list[Guess]()
     if drives is not None:
-        parameters, gain = library_parameters(model, parameters, drives, logs, found, msg_path)
+        parameters, told, gain = library_parameters(model, parameters, drives, logs, found, msg_path)
         notes += gain
     notes += overlaps(model)
     _refuse_nothing(model, topics, guesses, parameters)
@@ -159,7 +160,7 @@ def proposed(
     for guess in guesses:
         with_columns(guess, topics, alone=len({topic.table for topic in topics if topic.columns}) == 1)
     skeletons = _skeletons(model, topics, guesses)
-    guesses = [*guesses, *(matched or ())[:1]]
+    guesses = [*guesses, *told, *(matched or ())[:1]]
     spare = guessed_masses(model, guesses) if actuators else []
     match = "effort" if matched else "motion"
     made = Proposal(spec, rewrite, guesses, parameters, notes, skeletons, spare, match)

@@ -49,13 +49,12 @@ def test_counts_become_newton_metres() -> None:
         drive("feetech:sts3216")
 
 
-def made(tmp_path: Path, *options: str, gains: str = "") -> amhe.System:
+def made(tmp_path: Path, *options: str, gains: str = "", extra: tuple[str, ...] = ()) -> amhe.System:
     times = np.arange(0.0, 2.0, 0.01)
     columns = {"time": times}
     for joint in ("shoulder", "elbow"):
         columns |= {f"pos_{joint}": np.sin(times), f"cmd_pos_{joint}": np.sin(times)}
-    if gains:
-        columns[gains] = np.full(times.size, 16.0)
+    columns |= {name: np.full(times.size, 16.0) for name in (*([gains] if gains else []), *extra)}
     table = np.column_stack(list(columns.values()))
     np.savetxt(tmp_path / "arm.csv", table, delimiter=",", header=",".join(columns), comments="")
     (tmp_path / "arm.xml").write_text(ARM)
@@ -72,13 +71,25 @@ def test_a_drive_takes_the_place_of_the_guesses(gains: str, tmp_path: Path, caps
     servo = drive("feetech:sts3215").servo(7.4, 16)
     prior = {p.name: (p.nominal, p.prior_sd) for p in system.space.parameters}
     assert prior["elbow_gain"] == pytest.approx((servo.kp, 0.15), rel=5e-3)
-    assert prior["elbow_kv"] == pytest.approx((servo.kv, 0.15), rel=5e-3)
+    assert prior["elbow_back_emf"] == pytest.approx((servo.kv, 0.15), rel=5e-3)
+    assert prior["elbow_punch"] == (0.016, 0.02) and prior["elbow_supply_sag"] == (0.1, 0.15)
     assert prior["elbow_force_limit"] == pytest.approx((servo.limit, 0.15), rel=5e-3)
     assert prior["elbow_armature"] == pytest.approx((0.024, 0.3))
     assert prior["shoulder_armature"][1] == 1.0  # a guess, as before
     assert "shoulder_force_limit" not in prior
     said = capsys.readouterr().out
     assert ("the drives' gain is 16, by the log's column P_Coefficient" in said) == bool(gains)
+
+
+def test_a_log_has_the_supply_of_a_drive_and_says_whether_it_is_on(tmp_path: Path) -> None:
+    columns = ("elbow_voltage", "elbow_torque_enable")
+    system = made(tmp_path, "--actuators", "--drive", "elbow=feetech:sts3215", extra=columns)
+    assert [driving.key for driving in system.inputs][1:] == [
+        "elbow_voltage.voltage",
+        "elbow_enabled.enabled",
+    ]
+    assert system.fixed["elbow_supply"] == 7.4
+    assert "elbow_supply_sag" not in system.space.names  # the voltage has sagged already
 
 
 def test_mistakes_are_one_line(tmp_path: Path, capsys) -> None:

@@ -72,8 +72,9 @@ def test_every_mistake_is_reported_with_its_place(written: Write) -> None:
         "16:42: no key 'mod' (did you mean 'mode'?); there is: actuator, axis, body, carry_inertia, "
         "carry_limit, geom, joint, mode, pair, quantity, set, signal",
         "17:3: parameters.stray lacks the key 'targets'",
-        "19:3: no quantity 'positon' (did you mean 'position'?); there is: angular_velocity, effort, force, "
-        "linear_acceleration, linear_velocity, orientation, position, torque, value, velocity",
+        "19:3: no quantity 'positon' (did you mean 'position'?); there is: angular_velocity, effort, "
+        "enabled, force, linear_acceleration, linear_velocity, orientation, position, torque, value, "
+        "velocity, voltage",
         "25:5: no joint 'keen' (did you mean 'knee'?); there is: box, hip, knee, socket",
         "26:3: signals.none lacks the key 'topic'",
         "28:3: a signal is one thing; keep one of: body, site",
